@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The exceptions of the whole package.
+
+Every error that a user can meet has a stable ``code``: the string that travels in a reply
+(`Error.code` of cm.proto), stands in ``--json`` output and in ``docs/reconfiguration.md``.
+Subpackages subclass `CmError`; they never raise a bare builtin for a condition of the field.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+
+class CmError(Exception):
+    """Base of all errors; ``code`` is stable, the sentence is for people."""
+
+    code: ClassVar[str] = "internal"
+
+
+class InvalidRequest(CmError, ValueError):
+    """A request that could not be understood: wrong frames, wrong types, missing fields."""
+
+    code = "invalid_request"
+
+
+class NotFound(CmError, LookupError):
+    """Something was named that does not exist; the sentence lists what does."""
+
+    code = "not_found"
+
+
+class Busy(CmError):
+    """The thing asked for is in use; the sentence says by whom or by what."""
+
+    code = "busy"
+
+
+class Timeout(CmError, TimeoutError):
+    """A wait ended without what was waited for."""
+
+    code = "timeout"

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The runtime schema as frozen data: what `cm.schema.load` returns and the manager works on.
+
+Nothing here knows YAML, files of the host or devices. Mappings are read-only
+(`types.MappingProxyType` or `frozendict`-like); order is that of the file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+_K = TypeVar("_K")
+_V = TypeVar("_V")
+
+
+def _empty() -> Mapping[Any, Any]:
+    return MappingProxyType({})
+
+
+class ConfigType(str, Enum):
+    """`partial`: modules are loaded into regions of a running static design; `full`: one whole image."""
+
+    PARTIAL = "partial"
+    FULL = "full"
+
+
+class Access(str, Enum):
+    """Access of a register: read-write, read-only, write-only, write-one-to-clear."""
+
+    RW = "rw"
+    RO = "ro"
+    WO = "wo"
+    W1C = "w1c"
+
+
+class LoaderKind(str, Enum):
+    """How a region's bitstream reaches the device."""
+
+    ICAP = "icap"
+    FPGA_MANAGER = "fpga_manager"
+    OVERLAY = "overlay"
+
+
+class Direction(str, Enum):
+    """Direction of a DMA channel, as in the AXI DMA's data sheet (PG021)."""
+
+    MM2S = "mm2s"
+    S2MM = "s2mm"
+
+
+@dataclass(frozen=True, slots=True)
+class BitField:
+    """A named run of bits in a register."""
+
+    name: str
+    lsb: int
+    width: int
+    doc: str = ""
+    values: Mapping[str, int] = field(default_factory=_empty)  # names of values, for people
+
+    @property
+    def mask(self) -> int:
+        """The field's bits in place."""
+        return ((1 << self.width) - 1) << self.lsb
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """A named register: `base_address + offset` is its physical address."""
+
+    name: str
+    base_address: int
+    offset: int
+    width: int = 32  # 8, 16, 32 or 64 bits
+    access: Access = Access.RW
+    default: int | None = None  # written when the mode is entered; None: left alone
+    reset: int | None = None  # value after the module was loaded, where the designer knows it
+    minimum: int | None = None
+    maximum: int | None = None
+    fields: Mapping[str, BitField] = field(default_factory=_empty)
+    region: str | None = None  # region whose module answers; None: the static part
+    volatile: bool = False  # may change by itself: never verified, always read
+    doc: str = ""
+
+    @property
+    def address(self) -> int:
+        """Physical address."""
+        return self.base_address + self.offset
+
+
+@dataclass(frozen=True, slots=True)
+class Decoupler:
+    """The bit that cuts a region off while it is loaded (PG375 DFX decoupler, or an own register)."""
+
+    base_address: int
+    offset: int
+    bit: int = 0
+    width: int = 32
+    active_high: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRange:
+    """Configuration frames that a region owns, by FAR fields; inclusive."""
+
+    block_type: int
+    row: int
+    column_first: int
+    column_last: int
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Register by which a loaded module says what it is, and the value it must read."""
+
+    base_address: int
+    offset: int
+    width: int = 32
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A partially reconfigurable region (PRR)."""
+
+    name: str
+    loader: LoaderKind = LoaderKind.ICAP
+    loader_name: str | None = None  # which ICAP or fpga_manager, where there are several
+    decoupler: Decoupler | None = None
+    footprint: tuple[FrameRange, ...] = ()
+    identity: Identity | None = None
+    timeout: float | None = None  # seconds for one load; None: from size and throughput
+    allow_encrypted: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Module:
+    """A reconfigurable module (RM): a circuit that fits one region."""
+
+    name: str
+    region: str
+    bitstream: Path | None = None  # as written; None: found by the module's name
+    sha256: str | None = None
+    identity: int | None = None  # value of the region's identity register
+    model: str | None = None  # behaviour on the simulated board; None: the module's name
+    registers: Mapping[str, Register] = field(default_factory=_empty)
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """A device-tree overlay: `name` in configfs, `file` the .dtbo (None: `<name>.dtbo`)."""
+
+    name: str
+    file: Path | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Interrupt:
+    """A named interrupt: the line of the UIO device at `base_address` or called `uio`.
+
+    Several names share one line when `status` names the register (and `bit` the bit) that tells
+    them apart; `acknowledge` says that the bit is cleared by writing 1 to it.
+    """
+
+    name: str
+    base_address: int | None = None
+    uio: str | None = None
+    status: str | None = None
+    bit: int | None = None
+    acknowledge: bool = False
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """A named data stream over a DMA channel; `shape` and `dtype` describe one frame."""
+
+    name: str
+    channel: str
+    direction: Direction
+    shape: tuple[int, ...] | None = None  # None: flat bytes of the actual length
+    dtype: str = "uint8"  # a numpy dtype name
+    slots: int = 8
+    region: str | None = None  # region whose module it passes through
+    cyclic: bool = False
+    rate: float | None = None  # frames per second that the source gives, for people and the simulator
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """A PL clock and the rate a configuration needs, in Hz."""
+
+    name: str
+    rate: int
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A mode of the system: the modules, overlays and register values that make it."""
+
+    name: str
+    modules: tuple[str, ...] = ()
+    registers: Mapping[str, Register] = field(default_factory=_empty)
+    overlays: tuple[Overlay, ...] = ()
+    streams: Mapping[str, Stream] = field(default_factory=_empty)  # complete, config's streams merged in
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    """A configuration: a hardware structure with its data interfaces and its modes.
+
+    `registers` are those of the static part, valid in every mode. A register's name is unique
+    within what is visible in one mode. `regions` is never empty for a partial configuration:
+    where the file names none there is one, called ``prr0``.
+    """
+
+    name: str
+    type: ConfigType = ConfigType.PARTIAL
+    device: str | None = None  # e.g. "xc7z020"; None: any
+    bitstream: Path | None = None  # static image of a full configuration
+    sha256: str | None = None
+    default_mode: str | None = None  # None: "default" if there is one, else the first
+    regions: Mapping[str, Region] = field(default_factory=_empty)
+    modules: Mapping[str, Module] = field(default_factory=_empty)
+    modes: Mapping[str, Mode] = field(default_factory=_empty)
+    registers: Mapping[str, Register] = field(default_factory=_empty)
+    overlays: tuple[Overlay, ...] = ()  # applied with the configuration, under every mode
+    streams: Mapping[str, Stream] = field(default_factory=_empty)
+    interrupts: Mapping[str, Interrupt] = field(default_factory=_empty)
+    clocks: Mapping[str, Clock] = field(default_factory=_empty)
+    doc: str = ""
+    source: Path | None = None  # file it was read from
+    sha256_source: str = ""  # of that file's bytes
+
+    def first_mode(self) -> str:
+        """The mode to enter when none is named."""
+        if self.default_mode is not None:
+            return self.default_mode
+        return "default" if "default" in self.modes else next(iter(self.modes))
+
+    def visible_registers(self, mode: str | None) -> dict[str, Register]:
+        """Registers that can be named in `mode`: the static part's, its modules' and its own."""
+        found = dict(self.registers)
+        if mode is not None:
+            for module in self.modes[mode].modules:
+                found.update(self.modules[module].registers)
+            found.update(self.modes[mode].registers)
+        return found

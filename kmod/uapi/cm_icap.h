@@ -1,0 +1,123 @@
+/* SPDX-License-Identifier: GPL-2.0 WITH Linux-syscall-note */
+/*
+ * /dev/cm_icap<N>: the internal configuration access port, fed by DMA.
+ *
+ * A load is started from a buffer and does not block; its end is read as one
+ * struct cm_icap_completion (blocking unless O_NONBLOCK; poll() says POLLIN).
+ * One load runs at a time (-EBUSY).  Any number of files may be open; a file
+ * sees the completions of its own loads only, and closing it while one runs
+ * waits for the end of that load: a port is never stopped half way.
+ */
+#ifndef _UAPI_CM_ICAP_H
+#define _UAPI_CM_ICAP_H
+
+#include "cm_buffer.h"
+
+#define CM_ICAP_IOC_MAGIC 0xCE
+
+/**
+ * struct cm_icap_info - what this port is
+ * @size: in: size of this structure in bytes
+ * @flags: in: must be 0
+ * @word_bits: data width of the port, 32
+ * @clock_hz: clock of the port, or 0 if unknown
+ * @max_length: most bytes of one load
+ * @idcode: IDCODE of the device if the driver knows it, else 0
+ * @caps: CM_ICAP_CAP_* bits
+ */
+struct cm_icap_info {
+	__u32 size;
+	__u32 flags;
+	__u32 word_bits;
+	__u32 clock_hz;
+	__u64 max_length;
+	__u32 idcode;
+	__u32 caps;
+};
+
+#define CM_ICAP_CAP_STATUS (1u << 0) /* the port's own status register can be read */
+
+#define CM_ICAP_LOAD_FULL (1u << 0)	 /* not partial */
+#define CM_ICAP_LOAD_ENCRYPTED (1u << 1) /* payload is encrypted with the device's key */
+
+/**
+ * struct cm_icap_load - start a load
+ * @size: in: size of this structure in bytes
+ * @flags: in: CM_ICAP_LOAD_* bits; 0 is a plain partial bitstream
+ * @handle: in: buffer
+ * @reserved: must be 0
+ * @offset: in: first byte, multiple of 4
+ * @length: in: bytes, multiple of 4, > 0
+ * @cookie: in: returned in the completion
+ *
+ * The words lie in memory as the port takes them from a little-endian bus:
+ * the sync word reads 66 55 99 AA in memory order (a word-swapped .bin).
+ */
+struct cm_icap_load {
+	__u32 size;
+	__u32 flags;
+	__u32 handle;
+	__u32 reserved;
+	__u64 offset;
+	__u64 length;
+	__u64 cookie;
+};
+
+#define CM_ICAP_STATE_IDLE 0
+#define CM_ICAP_STATE_LOADING 1
+#define CM_ICAP_STATE_ERROR 2 /* the last load failed */
+
+/* error bits, those of the configuration status register (UG470 table 5-28) */
+#define CM_ICAP_ERR_CRC (1u << 0)     /* CRC_ERROR */
+#define CM_ICAP_ERR_ID (1u << 1)      /* ID_ERROR: IDCODE does not match */
+#define CM_ICAP_ERR_DMA (1u << 2)     /* the DMA engine reported an error */
+#define CM_ICAP_ERR_TIMEOUT (1u << 3) /* the port did not finish */
+#define CM_ICAP_ERR_NOSYNC (1u << 4)  /* no sync word was seen */
+
+/**
+ * struct cm_icap_status - what the port does now
+ * @size: in: size of this structure in bytes
+ * @flags: in: must be 0
+ * @state: CM_ICAP_STATE_*
+ * @errors: CM_ICAP_ERR_* bits of the last load
+ * @bytes_done: of the running or last load, as far as the driver can tell
+ * @bytes_total: of the running or last load
+ * @loads: loads finished since the driver started
+ */
+struct cm_icap_status {
+	__u32 size;
+	__u32 flags;
+	__u32 state;
+	__u32 errors;
+	__u64 bytes_done;
+	__u64 bytes_total;
+	__u64 loads;
+};
+
+/**
+ * struct cm_icap_completion - one finished load, as read() returns it
+ * @cookie: as given
+ * @length: bytes taken by the port
+ * @started_ns: CLOCK_MONOTONIC when the transfer was triggered
+ * @finished_ns: CLOCK_MONOTONIC when the port was done
+ * @status: 0, or a negative errno (-EIO, -EILSEQ CRC, -ENODEV wrong IDCODE,
+ *          -ETIMEDOUT)
+ * @errors: CM_ICAP_ERR_* bits
+ */
+struct cm_icap_completion {
+	__u64 cookie;
+	__u64 length;
+	__u64 started_ns;
+	__u64 finished_ns;
+	__s32 status;
+	__u32 errors;
+};
+
+#define CM_ICAP_IOC_INFO _IOWR(CM_ICAP_IOC_MAGIC, 0x00, struct cm_icap_info)
+#define CM_ICAP_IOC_ALLOC _IOWR(CM_ICAP_IOC_MAGIC, 0x01, struct cm_buffer_alloc)
+#define CM_ICAP_IOC_IMPORT _IOWR(CM_ICAP_IOC_MAGIC, 0x02, struct cm_buffer_import)
+#define CM_ICAP_IOC_FREE _IOW(CM_ICAP_IOC_MAGIC, 0x03, struct cm_buffer_free)
+#define CM_ICAP_IOC_LOAD _IOW(CM_ICAP_IOC_MAGIC, 0x04, struct cm_icap_load)
+#define CM_ICAP_IOC_STATUS _IOWR(CM_ICAP_IOC_MAGIC, 0x05, struct cm_icap_status)
+
+#endif /* _UAPI_CM_ICAP_H */

@@ -1,0 +1,74 @@
+/* SPDX-License-Identifier: GPL-2.0 WITH Linux-syscall-note */
+/*
+ * Messages of a simulated node.
+ *
+ * A simulated board has, where a board has a character device, a listening
+ * Unix SOCK_SEQPACKET socket.  One connection is one open file.  The server's
+ * first packet is a struct cm_node_reply: op CM_NODE_OP_OPEN, error 0 or the
+ * errno with which open() fails, and with SCM_RIGHTS one descriptor, the
+ * event socket.  Where a device file would be read or polled, the event
+ * socket is: one packet is what one read() would have returned (an
+ * interrupt's u32 count, or one completion); writing to it is a write() of
+ * the device file.
+ *
+ * After that every request is answered by exactly one reply, in order.  A
+ * request is a struct cm_node_request and the ioctl's structure; where an
+ * ioctl takes a file descriptor it travels as SCM_RIGHTS, and so does one
+ * that it returns.  The reply's structure is that of the ioctl, as filled in.
+ * The connection's end is close().
+ */
+#ifndef _UAPI_CM_NODE_H
+#define _UAPI_CM_NODE_H
+
+#include <linux/types.h>
+
+#define CM_NODE_PAYLOAD_MAX 65536
+
+#define CM_NODE_OP_OPEN 0u /* first reply only */
+/* any ioctl number of cm_dma.h and cm_icap.h is an op, and these: */
+#define CM_NODE_OP_REG_READ 1u	/* struct cm_node_reg */
+#define CM_NODE_OP_REG_WRITE 2u /* struct cm_node_reg */
+#define CM_NODE_OP_ATTR_READ 3u /* reply payload: the attribute's bytes */
+#define CM_NODE_OP_ATTR_WRITE 4u /* request payload: the bytes */
+#define CM_NODE_OP_MKDIR 5u	/* payload: the name; sent to a folder's ".node" */
+#define CM_NODE_OP_RMDIR 6u
+
+/**
+ * struct cm_node_request - header of a request
+ * @op: ioctl number or CM_NODE_OP_*
+ * @length: bytes of payload behind this header
+ */
+struct cm_node_request {
+	__u32 op;
+	__u32 length;
+};
+
+/**
+ * struct cm_node_reply - header of a reply
+ * @op: as requested
+ * @error: 0 or a positive errno
+ * @length: bytes of payload behind this header
+ * @reserved: 0
+ */
+struct cm_node_reply {
+	__u32 op;
+	__s32 error;
+	__u32 length;
+	__u32 reserved;
+};
+
+/**
+ * struct cm_node_reg - one access to a mapped register
+ * @map: number of the UIO map
+ * @width: 8, 16, 32 or 64 bits
+ * @offset: bytes from the start of the map, multiple of the width
+ * @value: written, or read
+ */
+struct cm_node_reg {
+	__u32 map;
+	__u32 width;
+	__u64 offset;
+	__u64 value;
+};
+
+#endif /* _UAPI_CM_NODE_H */
