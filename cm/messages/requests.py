@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a client can ask of the configuration manager."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, slots=True)
+class ReadStatus:
+    """The current `cm.messages.status.Status`."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadConfig:
+    """A configuration's description; of the loaded one if `config_name` is empty.
+
+    `list_names`: the names of all that can be loaded. `plan_mode`: what going to that mode would do.
+    """
+
+    config_name: str = ""
+    list_names: bool = False
+    plan_mode: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class File:
+    """A file that comes with a schema; `data` are its bytes."""
+
+    name: str
+    data: bytes
+    sha256: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WriteConfig:
+    """Go to a mode of a configuration, or provision a new configuration.
+
+    `name_or_mode` carries the plain-text spelling of the paper's Listing 2, whose one word may be
+    a mode, a module or a configuration; it is resolved against what is loaded.
+    """
+
+    config_name: str = ""
+    mode: str = ""
+    name_or_mode: str = ""
+    schema: str = ""
+    files: tuple[File, ...] = ()
+    provision_only: bool = False
+    no_wait: bool = False
+    no_queue: bool = False
+    cancel: bool = False
+    force: bool = False
+    lease: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadReg:
+    """Values of registers or fields (``register.field``); of all readable ones if none is named."""
+
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RegWrite:
+    """One write; with `mask`, a read-modify-write of the bits set in it."""
+
+    name: str
+    value: int
+    mask: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class WriteReg:
+    """Several writes, all checked before the first is done, then done in order."""
+
+    writes: tuple[RegWrite, ...]
+    lease: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DataConfig:
+    """Configure a stream; empty, zero or None leaves a property as it is."""
+
+    stream: str
+    shape: tuple[int, ...] = ()
+    dtype: str = ""
+    slots: int = 0
+    direction: str = ""
+    rate: float = 0.0
+    cyclic: bool = False
+    enable: bool | None = None
+    force: bool = False
+    lease: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadData:
+    """The next frame of a readable stream."""
+
+    stream: str = ""
+    timeout: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class WriteData:
+    """A frame for a writable stream; `data` are its bytes."""
+
+    stream: str
+    data: bytes | memoryview = field(repr=False, default=b"")
+    lease: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ReadIrq:
+    """An interrupt's count and last time; of all if no name is given."""
+
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TakeLease:
+    """Take, renew (`id` given) or give back (`release`) a lease on part of the board."""
+
+    scope: str = "board"
+    exclusive: bool = True
+    seconds: float = 30.0
+    id: str = ""
+    release: bool = False
+    holder: str = ""
+
+
+Request = (
+    ReadStatus | ReadConfig | WriteConfig | ReadReg | WriteReg | DataConfig | ReadData | WriteData | ReadIrq | TakeLease
+)

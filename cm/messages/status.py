@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the configuration manager tells: its status, events and the bodies of replies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+
+class PrMode(str, Enum):
+    """What kind of reconfiguration runs, or how the last one ended."""
+
+    IDLE = "idle"
+    PARTIAL = "partial"
+    FULL = "full"
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorInfo:
+    """An error as it travels: a stable code and a sentence."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a running change is; `fraction` is 0 to 1 over the whole change."""
+
+    change: int
+    target_config: str
+    target_mode: str
+    step: str = ""
+    subject: str = ""
+    bytes_done: int = 0
+    bytes_total: int = 0
+    fraction: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RegionStatus:
+    """A region: the module in it (None: unknown or none) and its state."""
+
+    name: str
+    module: str | None
+    state: str
+
+
+@dataclass(frozen=True, slots=True)
+class StreamStatus:
+    """A stream as it is configured now, and its counters since it was opened."""
+
+    name: str
+    channel: str
+    direction: str
+    shape: tuple[int, ...] = ()
+    dtype: str = "uint8"
+    slots: int = 0
+    open: bool = False
+    frames: int = 0
+    dropped: int = 0
+    errors: int = 0
+    rate: float = 0.0
+    latency_us: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The state of the PL as the manager knows it: the content of ``cm_status``."""
+
+    config_name: str = ""
+    mode: str = ""
+    fpga_busy: bool = False
+    pr_mode: PrMode = PrMode.IDLE
+    progress: Progress | None = None
+    sequence: int = 0
+    last_error: ErrorInfo | None = None
+    regions: tuple[RegionStatus, ...] = ()
+    streams: tuple[StreamStatus, ...] = ()
+    configs: tuple[str, ...] = ()
+    version: str = ""
+    started_ns: int = 0
+    last_change: int = 0
+    last_change_seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class RegValue:
+    """A register's value and those of its fields."""
+
+    name: str
+    value: int
+    fields: tuple[tuple[str, int], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RegValues:
+    """Registers' values, and the mode they were read in."""
+
+    values: tuple[RegValue, ...]
+    config_name: str = ""
+    mode: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldInfo:
+    """A field of a register."""
+
+    name: str
+    lsb: int
+    width: int
+    doc: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterInfo:
+    """A register as the schema describes it; `modes` is empty where all have it."""
+
+    name: str
+    address: int
+    width: int
+    access: str
+    default: int | None = None
+    minimum: int | None = None
+    maximum: int | None = None
+    doc: str = ""
+    fields: tuple[FieldInfo, ...] = ()
+    modes: tuple[str, ...] = ()
+    region: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ModeInfo:
+    """A mode: what it consists of, by name."""
+
+    name: str
+    modules: tuple[str, ...] = ()
+    registers: tuple[str, ...] = ()
+    overlays: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class InterruptInfo:
+    """A named interrupt and how often it came since the configuration was loaded."""
+
+    name: str
+    doc: str = ""
+    count: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigInfo:
+    """A configuration's description; `mode` is empty while it is not loaded."""
+
+    name: str = ""
+    type: str = ""
+    mode: str = ""
+    modes: tuple[ModeInfo, ...] = ()
+    registers: tuple[RegisterInfo, ...] = ()
+    interrupts: tuple[InterruptInfo, ...] = ()
+    streams: tuple[StreamStatus, ...] = ()
+    names: tuple[str, ...] = ()
+    schema: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanStep:
+    """One step of a plan: what it does to what, and how long it should take (seconds)."""
+
+    kind: str
+    subject: str
+    text: str
+    bytes: int = 0
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class PlanInfo:
+    """What going to a mode would do; nothing was touched to find out."""
+
+    config_name: str
+    mode: str
+    steps: tuple[PlanStep, ...]
+    bytes: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeInfo:
+    """A change that was accepted (`done` False) or has ended well (`done` True)."""
+
+    number: int
+    done: bool
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class LeaseInfo:
+    """A lease that was granted."""
+
+    id: str
+    scope: str
+    exclusive: bool
+    seconds: float
+    holder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameInfo:
+    """What stands beside a payload of stream data. Times are CLOCK_MONOTONIC of the manager's machine."""
+
+    stream: str
+    sequence: int
+    timestamp_ns: int
+    length: int
+    shape: tuple[int, ...] = ()
+    dtype: str = "uint8"
+    config_name: str = ""
+    mode: str = ""
+    compression: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Irq:
+    """An interrupt that came: its count since the configuration was loaded, and when."""
+
+    name: str
+    count: int
+    timestamp_ns: int
+
+
+Body = Status | ConfigInfo | RegValues | StreamStatus | FrameInfo | PlanInfo | LeaseInfo | ChangeInfo | Irq | None
+
+
+@dataclass(frozen=True, slots=True)
+class Reply:
+    """An answer: a body, or an error; `sequence` is the status's at that time."""
+
+    body: Body = None
+    error: ErrorInfo | None = None
+    sequence: int = 0
+    payload: tuple[bytes | memoryview, ...] = field(default=(), repr=False)
