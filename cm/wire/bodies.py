@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Status, events and reply bodies ↔ protobuf messages; each pair stands side by side."""
+
+from __future__ import annotations
+
+from cm.messages import status as st
+from cm.wire import cm_pb2 as pb
+
+_PR_MODES = tuple(st.PrMode)  # in the order of the enum PrMode of cm.proto
+
+
+def error_to_pb(error: st.ErrorInfo) -> pb.Error:
+    return pb.Error(code=error.code, message=error.message)
+
+
+def error_from_pb(m: pb.Error) -> st.ErrorInfo:
+    return st.ErrorInfo(m.code, m.message)
+
+
+def status_to_pb(s: st.Status) -> pb.Status:
+    message = pb.Status(
+        config_name=s.config_name,
+        mode=s.mode,
+        fpga_busy=s.fpga_busy,
+        pr_mode=_PR_MODES.index(s.pr_mode),
+        sequence=s.sequence,
+        regions=[pb.RegionState(name=r.name, module=r.module or "", state=r.state) for r in s.regions],
+        streams=[stream_to_pb(x) for x in s.streams],
+        configs=s.configs,
+        version=s.version,
+        started_ns=s.started_ns,
+        last_change=s.last_change,
+        last_change_seconds=s.last_change_seconds,
+    )
+    if s.progress is not None:
+        message.progress.CopyFrom(_progress_to_pb(s.progress))
+    if s.last_error is not None:
+        message.last_error.CopyFrom(error_to_pb(s.last_error))
+    return message
+
+
+def status_from_pb(m: pb.Status) -> st.Status:
+    return st.Status(
+        config_name=m.config_name,
+        mode=m.mode,
+        fpga_busy=m.fpga_busy,
+        pr_mode=_PR_MODES[m.pr_mode] if m.pr_mode < len(_PR_MODES) else st.PrMode.ERROR,
+        progress=_progress_from_pb(m.progress) if m.HasField("progress") else None,
+        sequence=m.sequence,
+        last_error=error_from_pb(m.last_error) if m.HasField("last_error") else None,
+        regions=tuple(st.RegionStatus(r.name, r.module or None, r.state) for r in m.regions),
+        streams=tuple(stream_from_pb(x) for x in m.streams),
+        configs=tuple(m.configs),
+        version=m.version,
+        started_ns=m.started_ns,
+        last_change=m.last_change,
+        last_change_seconds=m.last_change_seconds,
+    )
+
+
+def _progress_to_pb(p: st.Progress) -> pb.Progress:
+    return pb.Progress(
+        change=p.change,
+        target_config=p.target_config,
+        target_mode=p.target_mode,
+        step=p.step,
+        subject=p.subject,
+        bytes_done=p.bytes_done,
+        bytes_total=p.bytes_total,
+        fraction=p.fraction,
+    )
+
+
+def _progress_from_pb(m: pb.Progress) -> st.Progress:
+    return st.Progress(
+        m.change, m.target_config, m.target_mode, m.step, m.subject, m.bytes_done, m.bytes_total, m.fraction
+    )
+
+
+def stream_to_pb(s: st.StreamStatus) -> pb.StreamState:
+    return pb.StreamState(
+        name=s.name,
+        channel=s.channel,
+        direction=s.direction,
+        shape=s.shape,
+        dtype=s.dtype,
+        slots=s.slots,
+        open=s.open,
+        frames=s.frames,
+        dropped=s.dropped,
+        errors=s.errors,
+        rate=s.rate,
+        latency_us=s.latency_us,
+    )
+
+
+def stream_from_pb(m: pb.StreamState) -> st.StreamStatus:
+    return st.StreamStatus(
+        m.name,
+        m.channel,
+        m.direction,
+        tuple(m.shape),
+        m.dtype,
+        m.slots,
+        m.open,
+        m.frames,
+        m.dropped,
+        m.errors,
+        m.rate,
+        m.latency_us,
+    )
+
+
+def registers_to_pb(r: st.RegValues) -> pb.RegValues:
+    values = [pb.RegValue(name=v.name, value=v.value, fields=dict(v.fields)) for v in r.values]
+    return pb.RegValues(values=values, config_name=r.config_name, mode=r.mode)
+
+
+def registers_from_pb(m: pb.RegValues) -> st.RegValues:
+    values = tuple(st.RegValue(v.name, v.value, tuple(sorted(v.fields.items()))) for v in m.values)
+    return st.RegValues(values, m.config_name, m.mode)
+
+
+def config_to_pb(c: st.ConfigInfo) -> pb.Config:
+    return pb.Config(
+        name=c.name,
+        type=c.type,
+        mode=c.mode,
+        modes=[
+            pb.ModeInfo(name=x.name, modules=x.modules, registers=x.registers, overlays=x.overlays) for x in c.modes
+        ],
+        registers=[_register_to_pb(r) for r in c.registers],
+        interrupts=[pb.InterruptInfo(name=i.name, doc=i.doc, count=i.count) for i in c.interrupts],
+        streams=[stream_to_pb(s) for s in c.streams],
+        names=c.names,
+        schema=c.schema,
+    )
+
+
+def config_from_pb(m: pb.Config) -> st.ConfigInfo:
+    return st.ConfigInfo(
+        name=m.name,
+        type=m.type,
+        mode=m.mode,
+        modes=tuple(st.ModeInfo(x.name, tuple(x.modules), tuple(x.registers), tuple(x.overlays)) for x in m.modes),
+        registers=tuple(_register_from_pb(r) for r in m.registers),
+        interrupts=tuple(st.InterruptInfo(i.name, i.doc, i.count) for i in m.interrupts),
+        streams=tuple(stream_from_pb(s) for s in m.streams),
+        names=tuple(m.names),
+        schema=m.schema,
+    )
+
+
+def _mode_to_pb(x: st.ModeInfo) -> pb.ModeInfo:
+    return pb.ModeInfo(name=x.name, modules=x.modules, registers=x.registers, overlays=x.overlays)
+
+
+def _register_to_pb(r: st.RegisterInfo) -> pb.RegisterInfo:
+    return pb.RegisterInfo(
+        name=r.name,
+        address=r.address,
+        width=r.width,
+        access=r.access,
+        default=r.default,
+        minimum=r.minimum,
+        maximum=r.maximum,
+        doc=r.doc,
+        fields=[pb.FieldInfo(name=f.name, lsb=f.lsb, width=f.width, doc=f.doc) for f in r.fields],
+        modes=r.modes,
+        region=r.region,
+    )
+
+
+def _register_from_pb(m: pb.RegisterInfo) -> st.RegisterInfo:
+    return st.RegisterInfo(
+        m.name,
+        m.address,
+        m.width,
+        m.access,
+        m.default if m.HasField("default") else None,
+        m.minimum if m.HasField("minimum") else None,
+        m.maximum if m.HasField("maximum") else None,
+        m.doc,
+        tuple(st.FieldInfo(f.name, f.lsb, f.width, f.doc) for f in m.fields),
+        tuple(m.modes),
+        m.region,
+    )
+
+
+def plan_to_pb(p: st.PlanInfo) -> pb.Plan:
+    steps = [
+        pb.PlanStep(kind=s.kind, subject=s.subject, text=s.text, bytes=s.bytes, seconds=s.seconds) for s in p.steps
+    ]
+    return pb.Plan(config_name=p.config_name, mode=p.mode, steps=steps, bytes=p.bytes, seconds=p.seconds)
+
+
+def plan_from_pb(m: pb.Plan) -> st.PlanInfo:
+    steps = tuple(st.PlanStep(s.kind, s.subject, s.text, s.bytes, s.seconds) for s in m.steps)
+    return st.PlanInfo(m.config_name, m.mode, steps, m.bytes, m.seconds)
+
+
+def change_to_pb(c: st.ChangeInfo) -> pb.Change:
+    return pb.Change(number=c.number, done=c.done, seconds=c.seconds)
+
+
+def change_from_pb(m: pb.Change) -> st.ChangeInfo:
+    return st.ChangeInfo(m.number, m.done, m.seconds)
+
+
+def lease_to_pb(x: st.LeaseInfo) -> pb.Lease:
+    return pb.Lease(id=x.id, scope=x.scope, exclusive=x.exclusive, seconds=x.seconds, holder=x.holder)
+
+
+def lease_from_pb(m: pb.Lease) -> st.LeaseInfo:
+    return st.LeaseInfo(m.id, m.scope, m.exclusive, m.seconds, m.holder)
+
+
+def frame_to_pb(f: st.FrameInfo) -> pb.Frame:
+    return pb.Frame(
+        stream=f.stream,
+        sequence=f.sequence,
+        timestamp_ns=f.timestamp_ns,
+        length=f.length,
+        shape=f.shape,
+        dtype=f.dtype,
+        config_name=f.config_name,
+        mode=f.mode,
+        compression=f.compression,
+    )
+
+
+def frame_from_pb(m: pb.Frame) -> st.FrameInfo:
+    return st.FrameInfo(
+        m.stream,
+        m.sequence,
+        m.timestamp_ns,
+        m.length,
+        tuple(m.shape),
+        m.dtype,
+        m.config_name,
+        m.mode,
+        m.compression,
+    )
+
+
+def irq_to_pb(i: st.Irq) -> pb.Irq:
+    return pb.Irq(name=i.name, count=i.count, timestamp_ns=i.timestamp_ns)
+
+
+def irq_from_pb(m: pb.Irq) -> st.Irq:
+    return st.Irq(m.name, m.count, m.timestamp_ns)

@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames → frozen requests: the server's reading side of the protocol."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+
+from google.protobuf.message import DecodeError
+
+from cm.errors import InvalidRequest
+from cm.messages import requests as rq
+from cm.wire import cm_pb2 as pb
+from cm.wire import text, topics
+
+Frame = bytes | memoryview
+_Decoder = Callable[[bytes, Sequence[Frame]], rq.Request]
+
+
+def split_text(frames: Sequence[Frame]) -> list[Frame]:
+    """``[b"cm_config edge"]`` → ``[b"cm_config", b"edge"]``: the paper's one-frame spelling."""
+    if len(frames) == 1:
+        topic, space, rest = bytes(frames[0]).partition(b" ")
+        if space:
+            return [topic, rest]
+    return list(frames)
+
+
+def decode_request(frames: Sequence[Frame]) -> rq.Request:
+    """``[topic][message][payload…]`` → the request. Raises InvalidRequest, never anything else."""
+    parts = split_text(frames)
+    if not parts:
+        raise InvalidRequest("an empty message; frames are [topic][message][payload…]")
+    topic = bytes(parts[0])
+    decoder = _DECODERS.get(topic)
+    if decoder is None:
+        known = ", ".join(sorted(t.decode() for t in _DECODERS))
+        raise InvalidRequest(f"unknown topic {topic[:64].decode('utf-8', 'backslashreplace')!r}; topics are {known}")
+    return decoder(bytes(parts[1]) if len(parts) > 1 else b"", parts[2:])
+
+
+def _parse(message_type: Callable[[], pb.Message], topic: str, payload: bytes) -> pb.Message:
+    message = message_type()
+    try:
+        message.ParseFromString(payload)
+    except DecodeError as error:
+        raise InvalidRequest(f"{topic}: the second frame is no {type(message).__name__} message ({error})") from error
+    return message
+
+
+def _no_payload(topic: str, payload: Sequence[Frame]) -> None:
+    if payload:
+        raise InvalidRequest(f"{topic}: {len(payload)} payload frames where none is expected")
+
+
+def _read_status(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_status", payload)
+    _parse(pb.ReadStatus, "cm_status", message)
+    return rq.ReadStatus()
+
+
+def _read_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_read_config", payload)
+    m = _parse(pb.ReadConfig, "cm_read_config", message)
+    return rq.ReadConfig(m.config_name, m.list, m.plan_mode)
+
+
+def _text_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_config", payload)
+    return text.parse_config(message)
+
+
+def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    if text.is_word(message):
+        return _text_config(message, payload)
+    m = _parse(pb.WriteConfig, "cm_write_config", message)
+    if len(m.files) != len(payload):
+        raise InvalidRequest(
+            f"cm_write_config: {len(m.files)} files are named and {len(payload)} payload frames follow; one each"
+        )
+    return rq.WriteConfig(
+        config_name=m.config_name,
+        mode=m.mode,
+        schema=m.schema,
+        files=tuple(_file(f, data) for f, data in zip(m.files, payload, strict=True)),
+        provision_only=m.provision_only,
+        no_wait=m.no_wait,
+        no_queue=m.no_queue,
+        cancel=m.cancel,
+        force=m.force,
+        lease=m.lease,
+    )
+
+
+def _file(entry: pb.File, payload: Frame) -> rq.File:
+    data = bytes(payload)
+    if len(data) != entry.length:
+        raise InvalidRequest(
+            f"cm_write_config: file {entry.name!r} has {len(data)} bytes, {entry.length} were announced"
+        )
+    if entry.sha256 and hashlib.sha256(data).hexdigest() != entry.sha256.lower():
+        raise InvalidRequest(f"cm_write_config: file {entry.name!r} does not have the sha256 announced for it")
+    return rq.File(entry.name, data, entry.sha256)
+
+
+def _read_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_read_reg", payload)
+    return rq.ReadReg(tuple(_parse(pb.ReadReg, "cm_read_reg", message).names))
+
+
+def _write_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_write_reg", payload)
+    if text.is_mapping(message):
+        return text.parse_registers(message)
+    m = _parse(pb.WriteReg, "cm_write_reg", message)
+    if not m.writes:
+        raise InvalidRequest("cm_write_reg: no register is named; writes must hold at least one")
+    writes = tuple(rq.RegWrite(w.name, w.value, w.mask if w.HasField("mask") else None) for w in m.writes)
+    return rq.WriteReg(writes, m.lease)
+
+
+def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_data_config", payload)
+    m = _parse(pb.DataConfig, "cm_data_config", message)
+    return rq.DataConfig(
+        stream=m.stream,
+        shape=tuple(m.shape),
+        dtype=m.dtype,
+        slots=m.slots,
+        direction=m.direction,
+        rate=m.rate,
+        cyclic=m.cyclic,
+        enable=m.enable if m.HasField("enable") else None,
+        force=m.force,
+        lease=m.lease,
+    )
+
+
+def _read_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_read_data", payload)
+    m = _parse(pb.ReadData, "cm_read_data", message)
+    return rq.ReadData(m.stream, m.timeout)
+
+
+def _write_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    m = _parse(pb.WriteData, "cm_write_data", message)
+    if len(payload) != 1:
+        raise InvalidRequest(f"cm_write_data: {len(payload)} payload frames; one frame of data is expected")
+    return rq.WriteData(m.stream, payload[0], m.lease)
+
+
+def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_irq", payload)
+    return rq.ReadIrq(_parse(pb.ReadIrq, "cm_irq", message).name)
+
+
+def _lease(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    _no_payload("cm_lease", payload)
+    m = _parse(pb.Lease, "cm_lease", message)
+    return rq.TakeLease(m.scope or "board", m.exclusive, m.seconds, m.id, m.release, m.holder)
+
+
+_DECODERS: dict[bytes, _Decoder] = {
+    topics.STATUS: _read_status,
+    topics.READ_CONFIG: _read_config,
+    topics.WRITE_CONFIG: _write_config,
+    topics.TEXT_CONFIG: _text_config,
+    topics.READ_REG: _read_reg,
+    topics.WRITE_REG: _write_reg,
+    topics.DATA_CONFIG: _data_config,
+    topics.READ_DATA: _read_data,
+    topics.WRITE_DATA: _write_data,
+    topics.IRQ: _read_irq,
+    topics.LEASE: _lease,
+}

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frozen requests → frames (a client's side), replies and events ↔ frames (both sides)."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from google.protobuf.message import DecodeError
+
+from cm.errors import InvalidRequest
+from cm.messages import requests as rq
+from cm.messages import status as st
+from cm.wire import bodies, topics
+from cm.wire import cm_pb2 as pb
+
+Frame = bytes | memoryview
+
+
+def encode_request(request: rq.Request) -> list[Frame]:
+    """A request → ``[topic][message][payload…]``."""
+    return _REQUESTS[type(request)](request)
+
+
+def _write_config(r: rq.WriteConfig) -> list[Frame]:
+    if r.name_or_mode:
+        return [topics.TEXT_CONFIG, r.name_or_mode.encode()]
+    files = [
+        pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or hashlib.sha256(f.data).hexdigest()) for f in r.files
+    ]
+    message = pb.WriteConfig(
+        config_name=r.config_name,
+        mode=r.mode,
+        schema=r.schema,
+        files=files,
+        provision_only=r.provision_only,
+        no_wait=r.no_wait,
+        no_queue=r.no_queue,
+        cancel=r.cancel,
+        force=r.force,
+        lease=r.lease,
+    )
+    return [topics.WRITE_CONFIG, message.SerializeToString(), *(f.data for f in r.files)]
+
+
+def _write_reg(r: rq.WriteReg) -> list[Frame]:
+    for write in r.writes:
+        if not 0 <= write.value < 1 << 64:
+            raise InvalidRequest(f"register {write.name!r}: value {write.value} does not fit 64 bits, unsigned")
+    writes = [pb.RegWrite(name=w.name, value=w.value, mask=w.mask) for w in r.writes]
+    return [topics.WRITE_REG, pb.WriteReg(writes=writes, lease=r.lease).SerializeToString()]
+
+
+def _data_config(r: rq.DataConfig) -> list[Frame]:
+    message = pb.DataConfig(
+        stream=r.stream,
+        shape=r.shape,
+        dtype=r.dtype,
+        slots=r.slots,
+        direction=r.direction,
+        rate=r.rate,
+        cyclic=r.cyclic,
+        enable=r.enable,
+        force=r.force,
+        lease=r.lease,
+    )
+    return [topics.DATA_CONFIG, message.SerializeToString()]
+
+
+def _lease(r: rq.TakeLease) -> list[Frame]:
+    message = pb.Lease(
+        id=r.id, scope=r.scope, exclusive=r.exclusive, seconds=r.seconds, release=r.release, holder=r.holder
+    )
+    return [topics.LEASE, message.SerializeToString()]
+
+
+def _read_config(r: rq.ReadConfig) -> list[Frame]:
+    message = pb.ReadConfig(config_name=r.config_name, list=r.list_names, plan_mode=r.plan_mode)
+    return [topics.READ_CONFIG, message.SerializeToString()]
+
+
+_REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
+    rq.ReadStatus: lambda _: [topics.STATUS, b""],
+    rq.ReadConfig: _read_config,
+    rq.WriteConfig: _write_config,
+    rq.ReadReg: lambda r: [topics.READ_REG, pb.ReadReg(names=r.names).SerializeToString()],
+    rq.WriteReg: _write_reg,
+    rq.DataConfig: _data_config,
+    rq.ReadData: lambda r: [topics.READ_DATA, pb.ReadData(stream=r.stream, timeout=r.timeout).SerializeToString()],
+    rq.WriteData: lambda r: [
+        topics.WRITE_DATA,
+        pb.WriteData(stream=r.stream, lease=r.lease).SerializeToString(),
+        r.data,
+    ],
+    rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
+    rq.TakeLease: _lease,
+}
+
+# body type → field of Reply, and the pair of functions of cm.wire.bodies
+_BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
+    st.Status: ("status", bodies.status_to_pb, bodies.status_from_pb),
+    st.ConfigInfo: ("config", bodies.config_to_pb, bodies.config_from_pb),
+    st.RegValues: ("registers", bodies.registers_to_pb, bodies.registers_from_pb),
+    st.FrameInfo: ("frame", bodies.frame_to_pb, bodies.frame_from_pb),
+    st.PlanInfo: ("plan", bodies.plan_to_pb, bodies.plan_from_pb),
+    st.LeaseInfo: ("lease", bodies.lease_to_pb, bodies.lease_from_pb),
+    st.ChangeInfo: ("change", bodies.change_to_pb, bodies.change_from_pb),
+    st.Irq: ("irq", bodies.irq_to_pb, bodies.irq_from_pb),
+    st.StreamStatus: (
+        "stream",
+        lambda s: pb.Stream(state=bodies.stream_to_pb(s)),
+        lambda m: bodies.stream_from_pb(m.state),
+    ),
+}
+_FROM_FIELD = {field: decode for field, _, decode in _BODIES.values()}
+
+
+def encode_reply(topic: bytes, reply: st.Reply) -> list[Frame]:
+    """A reply → ``[topic][Reply][payload…]``."""
+    message = pb.Reply(ok=reply.error is None, sequence=reply.sequence)
+    if reply.error is not None:
+        message.error.CopyFrom(bodies.error_to_pb(reply.error))
+    if reply.body is not None:
+        field, to_pb, _ = _BODIES[type(reply.body)]
+        getattr(message, field).CopyFrom(to_pb(reply.body))
+    return [topic, message.SerializeToString(), *reply.payload]
+
+
+def decode_reply(frames: Sequence[Frame]) -> st.Reply:
+    """``[topic][Reply][payload…]`` → the reply. Raises InvalidRequest for anything else."""
+    if len(frames) < 2:
+        raise InvalidRequest(f"a reply of {len(frames)} frames; [topic][Reply][payload…] is expected")
+    message = pb.Reply()
+    try:
+        message.ParseFromString(bytes(frames[1]))
+    except DecodeError as problem:
+        raise InvalidRequest(f"a reply that is no Reply message: {problem}") from problem
+    field = message.WhichOneof("body")
+    return st.Reply(
+        body=_FROM_FIELD[field](getattr(message, field)) if field else None,
+        error=None if message.ok else bodies.error_from_pb(message.error),
+        sequence=message.sequence,
+        payload=tuple(frames[2:]),
+    )
+
+
+def encode_status(status: st.Status) -> list[Frame]:
+    """A status → the frames published on ``cm_status``."""
+    return [topics.STATUS, bodies.status_to_pb(status).SerializeToString()]
+
+
+def encode_registers(values: st.RegValues) -> list[Frame]:
+    """Changed values → the frames published on ``cm_read_reg``."""
+    return [topics.READ_REG, bodies.registers_to_pb(values).SerializeToString()]
+
+
+def encode_irq(irq: st.Irq) -> list[Frame]:
+    """An interrupt → the frames published on ``cm_irq``."""
+    return [topics.IRQ, bodies.irq_to_pb(irq).SerializeToString()]
+
+
+def encode_frame_info(info: st.FrameInfo) -> bytes:
+    """The message beside a frame's payload."""
+    return bytes(bodies.frame_to_pb(info).SerializeToString())
+
+
+Event = st.Status | st.RegValues | st.Irq | st.FrameInfo
+
+
+def decode_event(frames: Sequence[Frame]) -> Event:
+    """A published message → its event; a frame's payload is ``frames[2]``.
+
+    Raises InvalidRequest for a topic or message that is not one of the protocol.
+    """
+    topic = bytes(frames[0]) if frames else b""
+    entry = _EVENTS.get(b"cm_stream" if topic.startswith(topics.STREAM_PREFIX) else topic)
+    if entry is None or len(frames) < 2:
+        raise InvalidRequest(f"no event is published as {topic!r} with {len(frames)} frames")
+    message = entry[0]()
+    try:
+        message.ParseFromString(bytes(frames[1]))
+    except DecodeError as problem:
+        raise InvalidRequest(f"{topic.decode()}: {problem}") from problem
+    event: Event = entry[1](message)
+    return event
+
+
+_EVENTS: dict[bytes, tuple[Callable[[], Any], Callable[[Any], Any]]] = {
+    topics.STATUS: (pb.Status, bodies.status_from_pb),
+    topics.READ_REG: (pb.RegValues, bodies.registers_from_pb),
+    topics.IRQ: (pb.Irq, bodies.irq_from_pb),
+    topics.READ_DATA: (pb.Frame, bodies.frame_from_pb),
+    topics.DATA_READ: (pb.Frame, bodies.frame_from_pb),
+    b"cm_stream": (pb.Frame, bodies.frame_from_pb),
+}
