@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+//
+// Stand-ins of the vendor primitives' ports, for lint and simulation only.
+`default_nettype none
+
+module ICAPE2 #(
+    parameter ICAP_WIDTH = "X32"
+) (
+    input  wire        CLK,
+    input  wire        CSIB,
+    input  wire        RDWRB,
+    input  wire [31:0] I,
+    output wire [31:0] O
+);
+    reg [31:0] last = 32'd0;
+    always @(posedge CLK) if (!CSIB && !RDWRB) last <= I;
+    assign O = 32'h000000_9F | (last & 32'd0);
+    wire unused = ICAP_WIDTH != "X32";
+endmodule
+
+module ICAPE3 (
+    input  wire        CLK,
+    input  wire        CSIB,
+    input  wire        RDWRB,
+    input  wire [31:0] I,
+    output reg  [31:0] O,
+    output wire        AVAIL,
+    output wire        PRDONE,
+    output wire        PRERROR
+);
+    always @(posedge CLK) if (!CSIB && !RDWRB) O <= I;
+    assign AVAIL   = 1'b1;
+    assign PRDONE  = 1'b0;
+    assign PRERROR = 1'b0;
+endmodule
+
+`default_nettype wire
