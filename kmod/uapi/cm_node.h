@@ -26,11 +26,11 @@
 
 #define CM_NODE_OP_OPEN 0u /* first reply only */
 /* any ioctl number of cm_dma.h and cm_icap.h is an op, and these: */
-#define CM_NODE_OP_REG_READ 1u	/* struct cm_node_reg */
-#define CM_NODE_OP_REG_WRITE 2u /* struct cm_node_reg */
-#define CM_NODE_OP_ATTR_READ 3u /* reply payload: the attribute's bytes */
+#define CM_NODE_OP_REG_READ 1u	 /* struct cm_node_reg */
+#define CM_NODE_OP_REG_WRITE 2u	 /* struct cm_node_reg */
+#define CM_NODE_OP_ATTR_READ 3u	 /* reply payload: the attribute's bytes */
 #define CM_NODE_OP_ATTR_WRITE 4u /* request payload: the bytes */
-#define CM_NODE_OP_MKDIR 5u	/* payload: the name; sent to a folder's ".node" */
+#define CM_NODE_OP_MKDIR 5u	 /* payload: the name; sent to a folder's ".node" */
 #define CM_NODE_OP_RMDIR 6u
 
 /**

@@ -1,0 +1,33 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * Packets of a simulated node: headers of cm_node.h, payload, one descriptor.
+ * Stateless; the caller serialises.
+ */
+#ifndef CM_SHIM_MESSAGE_H
+#define CM_SHIM_MESSAGE_H
+
+#include <stddef.h>
+#include <stdint.h>
+#include <sys/types.h>
+
+/**
+ * cm_message_send() - send one request on @sock
+ * @fd: descriptor to pass along, or -1
+ *
+ * Errors: ENODEV if the other end is gone, EMSGSIZE for a payload above
+ * CM_NODE_PAYLOAD_MAX.
+ */
+int cm_message_send(int sock, uint32_t op, const void *payload, size_t length, int fd);
+
+/**
+ * cm_message_receive() - receive the reply to @op on @sock, blocks
+ * @payload: room for @size bytes
+ * @fd: where a passed descriptor is stored (-1 if none came), or NULL to refuse one
+ *
+ * Returns the payload's length.  Errors: the reply's own; ENODEV if the other
+ * end is gone; EPROTO for a malformed reply.  @broken is set where the two ends
+ * no longer agree, that is for the latter two.
+ */
+ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, int *fd, int *broken);
+
+#endif /* CM_SHIM_MESSAGE_H */

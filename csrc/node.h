@@ -1,0 +1,109 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * One open device: a character device of the kernel, or a node of a simulated
+ * board (kmod/uapi/cm_node.h).  What is above this file cannot tell which.
+ *
+ * Functions return -1 or NULL and set errno.  Nothing prints or exits.
+ *
+ * Threads may share a node: requests are serialised, waits are not.
+ * cm_node_close() must not run beside another call on the same node; a thread
+ * that waits is made to return by cm_node_wake() first.
+ */
+#ifndef CM_SHIM_NODE_H
+#define CM_SHIM_NODE_H
+
+#include <limits.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <sys/types.h>
+
+struct cm_node;
+
+/* Wait without end. */
+#define CM_WAIT_FOREVER INT64_MAX
+
+/* Whether a request's structure carries a file descriptor, and which way. */
+enum cm_node_fd {
+	CM_NODE_FD_NONE,
+	CM_NODE_FD_SEND,    /* the node gets its own reference; the caller keeps his */
+	CM_NODE_FD_RECEIVE, /* a new descriptor, O_CLOEXEC, the caller's to close */
+};
+
+/**
+ * cm_node_open() - open the device at @path under @root
+ * @root: folder in front of every path, "/" (or NULL) on a real board
+ * @path: relative to it, e.g. "dev/cm_icap0"
+ *
+ * May block as long as the driver's open() takes.  The caller owns the node
+ * and closes it.
+ *
+ * Errors: those of open(); ENODEV if nobody serves the simulated node, ENXIO if
+ * @path is neither a character device nor a socket, EPROTO if what serves it
+ * does not keep to cm_node.h.
+ */
+struct cm_node *cm_node_open(const char *root, const char *path);
+
+/**
+ * cm_node_close() - close the device and free @node, which may be NULL
+ *
+ * Blocks until the driver has released the device, so that it can be opened
+ * again at once.  Leaves errno as it is.
+ */
+void cm_node_close(struct cm_node *node);
+
+/* True where the node is a simulated one. */
+bool cm_node_simulated(const struct cm_node *node);
+
+/**
+ * cm_node_request() - one ioctl, or one message and its reply
+ * @op: ioctl number or CM_NODE_OP_*
+ * @arg: the structure, filled in on return
+ * @size: bytes of it
+ * @fd: field of the structure that carries a descriptor, or NULL
+ * @mode: which way @fd goes
+ *
+ * Blocks as long as the driver takes.  A signal does not end it.
+ *
+ * Errors: what the driver says; ENODEV if the node is gone; EPROTO if the
+ * reply does not keep to cm_node.h, after which every request fails with it.
+ */
+int cm_node_request(struct cm_node *node, uint32_t op, void *arg, size_t size, int32_t *fd,
+		    enum cm_node_fd mode);
+
+/**
+ * cm_node_event_fd() - descriptor that polls readable when an event waits
+ *
+ * Owned by the node: poll it, but neither read nor close it.
+ */
+int cm_node_event_fd(const struct cm_node *node);
+
+/**
+ * cm_node_take() - take events that are there, never blocks
+ * @events: room for @count events of @size bytes each
+ *
+ * Returns how many were taken, 0 if none waits.
+ * Errors: ENODEV if the node is gone, EPROTO for an event of another size.
+ */
+ssize_t cm_node_take(struct cm_node *node, void *events, size_t size, size_t count);
+
+/**
+ * cm_node_wait() - wait until cm_node_take() has something to return
+ * @timeout_ns: CLOCK_MONOTONIC nanoseconds, or CM_WAIT_FOREVER; <= 0 only looks
+ *
+ * Returns 1 when an event (or an error) can be taken, 0 when the time is over.
+ * Errors: EINTR when a signal came (call again with what is left of the time),
+ * ECANCELED after cm_node_wake().
+ */
+int cm_node_wait(struct cm_node *node, int64_t timeout_ns);
+
+/* Write @size bytes to the device file.  Never blocks. */
+int cm_node_write(struct cm_node *node, const void *data, size_t size);
+
+/* Make all waits on @node, now and later, fail with ECANCELED. */
+void cm_node_wake(struct cm_node *node);
+
+/* Device memory of a real node, as mmap(); MAP_FAILED, ENOTSUP on a simulated one. */
+void *cm_node_mmap(struct cm_node *node, size_t length, off_t offset);
+
+#endif /* CM_SHIM_NODE_H */

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What pyproject.toml cannot say: the C shims (cffi) and the generated protobuf module."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+from setuptools import setup
+from setuptools.command.build_ext import build_ext
+from setuptools.command.build_py import build_py
+from setuptools.errors import SetupError
+
+ROOT = Path(__file__).resolve().parent
+PROTO = "cm/wire/cm.proto"
+GENERATED = "cm/wire/cm_pb2.py"
+NO_PROTOC = (
+    "cannot generate cm/wire/cm_pb2.py: no protobuf compiler found. Set PROTOC, or install one: "
+    "'pip install grpcio-tools', or 'apt install protobuf-compiler'"
+)
+# Lines by which newer compilers tie the module to their own runtime. What is left needs the builder
+# API only, which has been there since protobuf 3.20, so that one file runs on 3.21 up to the newest.
+RUNTIME_CHECK = re.compile(
+    r"^from google\.protobuf import runtime_version as _runtime_version\n"
+    r"|^_runtime_version\.ValidateProtobufRuntimeVersion\((?:[^()]|\n)*\)\n",
+    re.MULTILINE,
+)
+
+
+def protoc() -> list[str]:
+    """Return the command of the protobuf compiler: $PROTOC, grpc_tools, or protoc on PATH."""
+    if os.environ.get("PROTOC"):
+        return [os.environ["PROTOC"]]
+    if find_spec("grpc_tools") is not None:
+        return [sys.executable, "-m", "grpc_tools.protoc"]
+    found = shutil.which("protoc")
+    if found is None:
+        raise SetupError(NO_PROTOC)
+    return [found]
+
+
+def generate(target: Path) -> None:
+    """Write the Python module of cm.proto to ``target``, free of the runtime's version check."""
+    command = protoc()
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            subprocess.run([*command, f"-I{ROOT}", f"--python_out={folder}", PROTO], check=True, cwd=ROOT)
+        except (OSError, subprocess.CalledProcessError) as error:
+            raise SetupError(f"cannot generate {GENERATED}: {' '.join(command)} failed: {error}") from error
+        text = RUNTIME_CHECK.sub("", (Path(folder) / GENERATED).read_text(encoding="utf-8"))
+    if "_runtime_version" in text:
+        raise SetupError(f"{GENERATED}: this protobuf compiler writes a version check that setup.py does not know")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    # Renamed into place: a Python that imports meanwhile sees the old file or the new one.
+    scratch = target.with_name(target.name + ".new")
+    scratch.write_text(text, encoding="utf-8")
+    scratch.replace(target)
+
+
+class BuildPy(build_py):
+    """Generates the protobuf module into what is built, or into the tree when that is what runs."""
+
+    def _target(self) -> Path:
+        return ROOT / GENERATED if self.editable_mode else Path(self.build_lib) / GENERATED
+
+    def run(self) -> None:
+        super().run()
+        if not self.dry_run if hasattr(self, "dry_run") else True:
+            generate(self._target())
+
+    def get_outputs(self, include_bytecode: bool = True) -> list[str]:
+        outputs = super().get_outputs(include_bytecode)
+        target = str(self._target())
+        return outputs if target in outputs else [*outputs, target]
+
+
+class BuildExt(build_ext):
+    """Generates the protobuf module beside its source with ``build_ext --inplace``."""
+
+    def run(self) -> None:
+        super().run()
+        if self.inplace:
+            generate(ROOT / GENERATED)
+
+
+# Free-threaded Python has no stable ABI yet; cffi builds a version-specific module there.
+ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")
+
+setup(
+    cffi_modules=["csrc/build_cffi.py:ffibuilder"],
+    cmdclass={"build_py": BuildPy, "build_ext": BuildExt},
+    options={"bdist_wheel": {"py_limited_api": "cp310"}} if ABI3 else {},
+)
