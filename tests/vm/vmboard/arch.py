@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The processor architectures the board comes in, and what each is called where."""
+
+from __future__ import annotations
+
+import platform
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Arch:
+    """Names of one architecture."""
+
+    debian: str  # as packages are labelled
+    kernel: str  # ARCH= of the kernel's make
+    gnu: str  # triplet of the compiler and of the library folder
+    machine: str  # as uname -m says
+    qemu: str
+    image: str  # the kernel's make target
+
+
+ARM64 = Arch("arm64", "arm64", "aarch64-linux-gnu", "aarch64", "qemu-system-aarch64", "Image")
+AMD64 = Arch("amd64", "x86_64", "x86_64-linux-gnu", "x86_64", "qemu-system-x86_64", "bzImage")
+
+
+def host() -> Arch:
+    """The architecture this runs on; arm64 or amd64."""
+    return ARM64 if platform.machine() == "aarch64" else AMD64
+
+
+def cross_prefix(arch: Arch) -> str:
+    """The prefix of the compiler's name: empty where the host is of that architecture."""
+    return "" if arch == host() else f"{arch.gnu}-"

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Kernels to boot: small ones built from Debian's source, and Debian's own."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+from .arch import Arch, cross_prefix, host
+from .cache import Cache
+from .errors import VmError
+from .packages import Apt, unpack
+from .progress import say
+from .shell import require, run
+
+FRAGMENTS = Path(__file__).resolve().parents[1] / "kernel"
+SOURCE_PACKAGE = "linux-source-6.1"
+# Drivers without which the source is half the size; their Kconfig files stay.
+UNUSED = ("gpu", "media", "staging", "infiniband", "scsi", "net/wireless", "net/ethernet", "usb", "iio", "hwmon")
+
+
+@dataclass(frozen=True, slots=True)
+class Kernel:
+    """A kernel that can be booted and built against."""
+
+    release: str  # as uname -r says
+    arch: Arch
+    image: Path
+    build: Path  # KDIR of modules built for it
+    modules: Path  # root below which lib/modules/<release> lies
+    prefix: str  # of the compiler's name
+
+    def make(self) -> list[str]:
+        """The start of a make command line that builds modules for it."""
+        return ["make", "-C", str(self.build), f"ARCH={self.arch.kernel}", f"CROSS_COMPILE={self.prefix}"]
+
+
+def custom(cache: Cache, arch: Arch, fragments: tuple[str, ...]) -> Kernel:
+    """The kernel of our own configuration: allnoconfig and the named fragments, the later ones adding."""
+    prefix = cross_prefix(arch)
+    require("make", "flex", "bison", "bc", f"{prefix}gcc")
+    source = cache.entry("linux-source", [SOURCE_PACKAGE, *UNUSED], lambda place: _unpack_source(cache, place))
+    config = "".join((FRAGMENTS / name).read_text() for name in fragments)
+    kind = "kernel-" + fragments[-1].removesuffix(".config")
+    tree = _source_tree(source)
+    place = cache.entry(kind, [config, source.name], lambda out: _build(tree, out, arch, config), resume=True)
+    release = (place / "include/config/kernel.release").read_text().strip()
+    image = place / "arch" / arch.kernel / "boot" / arch.image
+    return Kernel(release, arch, image, place, place / "installed", prefix)
+
+
+def _unpack_source(cache: Cache, place: Path) -> None:
+    archives = Apt(cache.root, host()).download([SOURCE_PACKAGE], place / "debs")
+    unpack(archives, place / "package")
+    excluded = [f"--exclude=*/drivers/{name}/*.[ch]" for name in UNUSED]
+    excluded += ["--exclude=*/sound/*.[ch]", "--exclude=*/tools/testing/*", "--exclude=*/Documentation/*.rst"]
+    packed = place / "package/usr/src" / f"{SOURCE_PACKAGE}.tar.xz"
+    run(["tar", "-x", "-f", packed, "-C", place, *excluded])
+    packed.unlink()
+
+
+def _source_tree(source: Path) -> Path:
+    return next(path for path in source.glob("linux-source-*") if path.is_dir())
+
+
+def _build(tree: Path, out: Path, arch: Arch, config: str) -> None:
+    (out / "fragments.config").write_text(config)
+    log = out / "build.log"
+    base = ["make", "-C", tree, f"O={out}", f"ARCH={arch.kernel}", f"CROSS_COMPILE={cross_prefix(arch)}"]
+    environment = {
+        "KCONFIG_ALLCONFIG": str(out / "fragments.config"),
+        "KBUILD_BUILD_TIMESTAMP": "2024-01-01",
+        "KBUILD_BUILD_USER": "cm",
+        "KBUILD_BUILD_HOST": "vm",
+    }
+    if not (out / ".config").exists():
+        run([*base, "allnoconfig"], log=log, env=environment)
+        _check_config(config, out / ".config")
+    with _Ticker(log):
+        run([*base, f"-j{os.cpu_count() or 1}", arch.image, "modules"], log=log, env=environment)
+    run([*base, f"INSTALL_MOD_PATH={out / 'installed'}", "modules_install"], log=log, env=environment)
+    _drop_objects(out)
+
+
+def _check_config(fragment: str, config: Path) -> None:
+    """Kconfig drops silently what it cannot set; that must not pass unseen."""
+    chosen = set(config.read_text().splitlines())
+    wanted = {line.split("=")[0]: line for line in fragment.splitlines() if line.startswith("CONFIG_")}
+    dropped = [line for line in wanted.values() if line not in chosen]
+    if dropped:
+        config.unlink()
+        raise VmError(f"the kernel's configuration does not take: {', '.join(dropped)}")
+
+
+class _Ticker:
+    """Says every half minute how many files of a kernel's build are done."""
+
+    def __init__(self, log: Path) -> None:
+        self._log = log
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        while not self._done.wait(30):
+            compiled = len(re.findall(r"^  (?:CC|AS) ", self._log.read_text(errors="replace"), re.MULTILINE))
+            say(f"  kernel: {compiled} files compiled")
+
+
+def _drop_objects(out: Path) -> None:
+    """Remove what a build of modules does not need: most of the size."""
+    find = ["find", str(out), "-path", f"{out}/scripts", "-prune", "-o", "-path", f"{out}/installed", "-prune", "-o"]
+    names = ["(", "-name", "*.o", "-o", "-name", "*.a", "-o", "-name", "vmlinux*", "-o", "-name", "*.cmd", ")"]
+    subprocess.run([*find, "-type", "f", *names, "-delete"], check=True)
+
+
+def stock(cache: Cache, arch: Arch) -> Kernel:
+    """Debian's own kernel of the running release, with its headers."""
+    foreign = Apt(cache.root, arch)
+    meta = f"linux-image-{arch.debian}"
+    place = cache.entry(f"kernel-stock-{arch.debian}", [meta, "layout 1"], lambda out: _fetch_stock(cache, foreign, meta, out))
+    release = (place / "release").read_text()
+    image = next((place / "root/boot").glob("vmlinuz-*"))
+    build = place / "root/usr/src" / f"linux-headers-{release}"
+    return Kernel(release, arch, image, build, place / "root", cross_prefix(arch))
+
+
+def _fetch_stock(cache: Cache, foreign: Apt, meta: str, place: Path) -> None:
+    pattern = rf"linux-image-[0-9][^ ]*-{foreign.arch.debian}"
+    release = foreign.depends_like(meta, pattern).removeprefix("linux-image-")
+    common = f"linux-headers-{release.removesuffix(foreign.arch.debian)}common"
+    debs = foreign.download([f"linux-image-{release}", f"linux-headers-{release}", common], place / "debs")
+    # kbuild's programs run on the host, whatever the kernel is for
+    kbuild = Apt(cache.root, host()).download([_kbuild(release)], place / "kbuild")
+    unpack([*debs, *kbuild], place / "root")
+    _point_headers_home(place / "root/usr/src")
+    for folder in ("debs", "kbuild"):
+        for deb in (place / folder).glob("*.deb"):
+            deb.unlink()
+    run(["depmod", "-b", place / "root", release])
+    (place / "release").write_text(release)
+
+
+def _kbuild(release: str) -> str:
+    return "linux-kbuild-" + ".".join(release.split(".")[:2])
+
+
+def _point_headers_home(sources: Path) -> None:
+    """The packaged Makefiles name /usr/src; here the headers lie in the cache."""
+    for makefile in sources.glob("linux-headers-*/Makefile"):
+        text = makefile.read_text()
+        if "include /usr/src/" in text:
+            makefile.write_text(text.replace("/usr/src/", f"{sources}/"))
+
+

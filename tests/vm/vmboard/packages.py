@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packages of another architecture through the machine's own apt.
+
+The sources, keys and preferences are those in /etc/apt; the lists, the state and the downloads lie in the cache,
+so the machine itself neither learns of the foreign architecture nor needs root.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import time
+from pathlib import Path
+
+from .arch import Arch
+from .progress import step
+from .shell import require, run
+
+LISTS_MAX_AGE_S = 12 * 3600
+
+
+class Apt:
+    """apt-get for one architecture with state of its own."""
+
+    def __init__(self, root: Path, arch: Arch) -> None:
+        self.arch = arch
+        self._root = root / f"apt-{arch.debian}"
+
+    def _command(self, tool: str, archives: Path | None = None) -> list[str]:
+        options = {
+            "APT::Architecture": self.arch.debian,
+            "APT::Architectures": self.arch.debian,
+            "APT::Sandbox::User": "",
+            "APT::Install-Recommends": "false",
+            "Dir::State": self._root / "state",
+            "Dir::State::status": self._root / "status",
+            "Dir::Cache": self._root / "cache",
+            "Dir::Cache::archives": archives or self._root / "cache/archives",
+            "DPkg::Post-Invoke": "",
+            "APT::Update::Post-Invoke": "",
+        }
+        return [tool, *(f"-o{name}={value}" for name, value in options.items())]
+
+    def refresh(self) -> None:
+        """Fetch the package lists, unless those of the last hours are there."""
+        require("apt-get", "dpkg-deb", "tar")
+        stamp = self._root / "fetched"
+        if stamp.exists() and time.time() - stamp.stat().st_mtime < LISTS_MAX_AGE_S:
+            return
+        for folder in ("state/lists/partial", "cache/archives/partial"):
+            (self._root / folder).mkdir(parents=True, exist_ok=True)
+        (self._root / "status").touch()
+        with step(f"fetching the {self.arch.debian} package lists"):
+            run([*self._command("apt-get"), "update", "-q"])
+        stamp.touch()
+
+    def closure(self, names: list[str], place: Path) -> list[Path]:
+        """Download packages with all they depend on into `place`; returns the files."""
+        self.refresh()
+        (place / "partial").mkdir(parents=True, exist_ok=True)
+        run([*self._command("apt-get", place), "install", "-q", "-y", "--download-only", *names])
+        return sorted(place.glob("*.deb"))
+
+    def download(self, names: list[str], place: Path) -> list[Path]:
+        """Download just these packages into `place`; returns the files."""
+        self.refresh()
+        place.mkdir(parents=True, exist_ok=True)
+        run([*self._command("apt-get"), "download", "-q", *names], cwd=place)
+        return sorted(place.glob("*.deb"))
+
+    def depends_like(self, name: str, pattern: str) -> str:
+        """The first dependency of a (meta) package that matches a pattern, such as the current kernel's."""
+        self.refresh()
+        listing = run([*self._command("apt-cache"), "depends", name])
+        found = re.search(rf"Depends: ({pattern})$", listing, re.MULTILINE)
+        if found is None:
+            raise LookupError(f"package {name} ({self.arch.debian}) depends on nothing like {pattern}:\n{listing}")
+        return found.group(1)
+
+
+def unpack(debs: list[Path], target: Path) -> None:
+    """Extract packages over one another without running anything of them; merged /usr stays merged."""
+    for folder in ("usr/bin", "usr/sbin", "usr/lib"):
+        (target / folder).mkdir(parents=True, exist_ok=True)
+        link = target / Path(folder).name
+        if not link.is_symlink():
+            link.symlink_to(folder)
+    for deb in debs:
+        with subprocess.Popen(["dpkg-deb", "--fsys-tarfile", str(deb)], stdout=subprocess.PIPE) as packed:
+            subprocess.run(
+                ["tar", "-x", "-f", "-", "--keep-directory-symlink", "-C", str(target)], stdin=packed.stdout, check=True
+            )
