@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plain values in normal form → `cm.schema.model.Config`.
+
+The values have passed the JSON Schema; what is reported here is what a schema cannot express.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from cm.schema.build_registers import build_registers
+from cm.schema.context import IMPLIED_REGION, Context, Owner
+from cm.schema.model import (
+    Clock,
+    Config,
+    ConfigType,
+    Decoupler,
+    Direction,
+    FrameRange,
+    Identity,
+    Interrupt,
+    LoaderKind,
+    Mode,
+    Module,
+    Overlay,
+    Region,
+    Stream,
+)
+from cm.schema.problems import KeyPath, did_you_mean
+
+_DIRECTIONS = {"write": "mm2s", "tx": "mm2s", "read": "s2mm", "rx": "s2mm"}
+
+
+def build_config(data: dict[str, Any], context: Context) -> Config:
+    """The configuration of `data`, the value of the file's ``config``."""
+    top: KeyPath = ("config",)
+    kind = ConfigType(data.get("type", "partial"))
+    regions = _regions(data, kind)
+    streams = _streams(data.get("streams", {}), {}, (*top, "streams"), context)
+    modules = _modules(data.get("modules", {}), regions, context)
+    modes = data.get("modes", {})
+    if not modes and kind is ConfigType.FULL:
+        modes = {"default": {}}
+    return Config(
+        name=data["name"],
+        type=kind,
+        device=data.get("device"),
+        bitstream=_path(data.get("bitstream")),
+        sha256=_lower(data.get("sha256")),
+        default_mode=data.get("default_mode"),
+        regions=MappingProxyType(regions),
+        modules=modules,
+        modes=MappingProxyType({name: _mode(name, mode, modules, streams, context) for name, mode in modes.items()}),
+        registers=build_registers(data, Owner(top, None), context),
+        overlays=_overlays(data),
+        streams=streams,
+        interrupts=MappingProxyType({name: _interrupt(name, v) for name, v in data.get("interrupts", {}).items()}),
+        clocks=MappingProxyType({name: _clock(name, v) for name, v in data.get("clocks", {}).items()}),
+        doc=data.get("doc", ""),
+    )
+
+
+def default_region(modules: Iterable[str], known: Mapping[str, Module]) -> str | None:
+    """The region that registers of a mode belong to when none is named: that of its modules, if it is one."""
+    regions = {known[name].region for name in modules if name in known}
+    return regions.pop() if len(regions) == 1 else None
+
+
+def _regions(data: dict[str, Any], kind: ConfigType) -> dict[str, Region]:
+    regions = {name: _region(name, values) for name, values in data.get("regions", {}).items()}
+    if not regions and (kind is ConfigType.PARTIAL or data.get("modules")):
+        return {IMPLIED_REGION: Region(IMPLIED_REGION)}
+    return regions
+
+
+def _region(name: str, values: dict[str, Any]) -> Region:
+    timeout = values.get("timeout")
+    return Region(
+        name=name,
+        loader=LoaderKind(values.get("loader", "icap")),
+        loader_name=values.get("loader_name"),
+        decoupler=Decoupler(**_integers(values["decoupler"])) if "decoupler" in values else None,
+        footprint=tuple(_frames(_integers(frames)) for frames in values.get("footprint", ())),
+        identity=Identity(**_integers(values["identity"])) if "identity" in values else None,
+        timeout=None if timeout is None else float(timeout),
+        allow_encrypted=values.get("allow_encrypted", False),
+    )
+
+
+def _frames(values: dict[str, Any]) -> FrameRange:
+    first, last = (int(column) for column in values["columns"])
+    return FrameRange(values.get("block_type", 0), values["row"], first, last)
+
+
+def _modules(data: dict[str, Any], regions: Mapping[str, Region], context: Context) -> Mapping[str, Module]:
+    found: dict[str, Module] = {}
+    for name, values in data.items():
+        path: KeyPath = ("config", "modules", name)
+        region = values.get("region")
+        if region is None:
+            if len(regions) > 1:
+                hint = f"there are several: {', '.join(regions)}"
+                context.report(path, "missing_key", f"which region does module {name} fit? region is missing", hint)
+                continue
+            region = next(iter(regions))
+        found[name] = Module(
+            name=name,
+            region=region,
+            bitstream=_path(values.get("bitstream")),
+            sha256=_lower(values.get("sha256")),
+            identity=_integers({"v": values.get("identity")})["v"],
+            model=values.get("model"),
+            registers=build_registers(values, Owner(path, region), context),
+            doc=values.get("doc", ""),
+        )
+    return MappingProxyType(found)
+
+
+def _mode(
+    name: str, values: dict[str, Any], modules: Mapping[str, Module], streams: Mapping[str, Stream], context: Context
+) -> Mode:
+    path: KeyPath = ("config", "modes", name)
+    named = tuple(values.get("modules", ()))
+    own = _streams(values.get("streams", {}), streams, (*path, "streams"), context)
+    return Mode(
+        name=name,
+        modules=named,
+        registers=build_registers(values, Owner(path, default_region(named, modules)), context),
+        overlays=_overlays(values),
+        streams=MappingProxyType({**streams, **own}),
+        doc=values.get("doc", ""),
+    )
+
+
+def _overlays(data: dict[str, Any]) -> tuple[Overlay, ...]:
+    return tuple(Overlay(values["name"], _path(values.get("file"))) for values in data.get("overlays", ()))
+
+
+def _streams(data: dict[str, Any], base: Mapping[str, Stream], path: KeyPath, context: Context) -> Mapping[str, Stream]:
+    """The streams of `data`; keys left out are those of the stream of that name in `base`."""
+    found: dict[str, Stream] = {}
+    for name, values in data.items():
+        if name not in base and "direction" not in values:
+            hint = did_you_mean(name, base) if base else "mm2s or s2mm"
+            context.report((*path, name), "missing_key", f"direction of stream {name} is missing", hint)
+            continue
+        changes = _stream_values(values)
+        start = base.get(name) or Stream(name, changes.get("channel", name), changes["direction"])
+        found[name] = replace(start, **changes)
+    return MappingProxyType(found)
+
+
+def _stream_values(values: dict[str, Any]) -> dict[str, Any]:
+    changes = dict(values)
+    if "direction" in changes:
+        changes["direction"] = Direction(_DIRECTIONS.get(changes["direction"], changes["direction"]))
+    if "shape" in changes:
+        changes["shape"] = tuple(int(length) for length in changes["shape"])
+    if "slots" in changes:
+        changes["slots"] = int(changes["slots"])
+    if "rate" in changes:
+        changes["rate"] = float(changes["rate"])
+    return changes
+
+
+def _interrupt(name: str, values: dict[str, Any]) -> Interrupt:
+    return Interrupt(name, **_integers(values))
+
+
+def _clock(name: str, values: dict[str, Any]) -> Clock:
+    return Clock(name, **_integers(values))
+
+
+def _integers(values: dict[str, Any]) -> dict[str, Any]:
+    """`values` with 1.0 as 1: JSON Schema takes both for an integer, the model does not."""
+    return {key: int(value) if isinstance(value, float) else value for key, value in values.items()}
+
+
+def _path(text: str | None) -> Path | None:
+    return None if text is None else Path(text)
+
+
+def _lower(text: str | None) -> str | None:
+    return None if text is None else text.lower()

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the building of a configuration shares: where things are in the file, and who hears of problems."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from cm.schema.problems import KeyPath
+
+STATIC = "static"  # what `region:` says for the static part
+IMPLIED_REGION = "prr0"
+
+
+@dataclass(frozen=True, slots=True)
+class Owner:
+    """Where registers belong: the configuration, or one of its modules or modes."""
+
+    path: KeyPath
+    region: str | None  # of registers that name none
+
+
+@dataclass(slots=True)
+class Context:
+    """`report(path, code, message, hint)`; `where` has a register's path by its owner's path and its name."""
+
+    report: Callable[[KeyPath, str, str, str], None]
+    where: dict[tuple[KeyPath, str], KeyPath] = field(default_factory=dict)

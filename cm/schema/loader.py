@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`load`, `loads`, `load_folder`, `check`: files → configurations, or everything that is wrong with them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from cm.errors import NotFound
+from cm.schema.build import build_config
+from cm.schema.context import Context
+from cm.schema.model import Config
+from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
+from cm.schema.reader import Refused, read
+from cm.schema.rules import check_rules
+from cm.schema.structure import SCHEMA_FILE, Structure, load_structure
+from cm.schema.tree import Mark, Node, Table, locate, plain
+
+MAX_FILE_BYTES = 1 << 20
+SUFFIXES = (".yaml", ".yml")
+
+
+def load(path: Path | str) -> Config:
+    """The configuration in the file at `path`.
+
+    Raises `SchemaError` with everything that is wrong, `NotFound` where there is no such file.
+    """
+    path = Path(path)
+    data = _bytes(path)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        problem = Problem(path, line, 1, "", "yaml_syntax", "not UTF-8 text", "save the file as UTF-8")
+        raise SchemaError([problem]) from None
+    return replace(loads(text, path), sha256_source=hashlib.sha256(data).hexdigest())
+
+
+def loads(text: str, source: Path | str | None = None) -> Config:
+    """The configuration in `text`; `source` names the file that it came from, for messages and look-ups."""
+    return _Loading(text, None if source is None else Path(source)).config()
+
+
+def load_folder(path: Path | str) -> dict[str, Config]:
+    """All configurations in the folder at `path` by name, in the order of file names.
+
+    Files ``*.yaml`` and ``*.yml`` without ``config:`` are other things and left out. Two files with
+    one name of configuration are an error that names both.
+    """
+    found: dict[str, Config] = {}
+    problems: list[Problem] = []
+    for file in schema_files(path):
+        try:
+            config = load(file)
+        except SchemaError as error:
+            problems += error.problems
+            continue
+        first = found.setdefault(config.name, config)
+        if first is not config:
+            message = f"configuration {config.name} is already in {first.source}"
+            problems.append(Problem(file, 1, 1, "config.name", "duplicate_name", message, "give one another name"))
+    if problems:
+        raise SchemaError(problems)
+    return found
+
+
+def schema_files(path: Path | str) -> list[Path]:
+    """The files in a folder that hold a runtime schema, in order of their names."""
+    folder = Path(path)
+    if not folder.is_dir():
+        raise NotFound(f"{folder}: no such folder")
+    files = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES and file.is_file())
+    return [file for file in files if _is_schema(file)]
+
+
+def check(path: Path | str) -> list[Problem]:
+    """What is wrong with the file at `path`; empty where all is good."""
+    try:
+        load(path)
+    except SchemaError as error:
+        return list(error.problems)
+    return []
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON Schema (draft-07) of the normal form, for editors and tools."""
+    schema: dict[str, Any] = json.loads(SCHEMA_FILE.read_text())
+    return schema
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(MAX_FILE_BYTES + 1)
+    except FileNotFoundError:
+        raise NotFound(f"{path}: no such file") from None
+    except OSError as error:
+        problem = Problem(path, 0, 0, "", "unreadable", error.strerror or str(error), "a runtime schema is a text file")
+        raise SchemaError([problem]) from None
+
+
+def _is_schema(file: Path) -> bool:
+    """Whether `file` has a ``config:``; a file that cannot be read as YAML counts too, so that its error is told."""
+    try:
+        tree = read(_bytes(file).decode("utf-8-sig"), lambda *_: None)
+    except (Refused, UnicodeDecodeError, SchemaError):
+        return True
+    return isinstance(tree, Table) and "config" in tree.entries
+
+
+@lru_cache(maxsize=1)
+def _structure() -> Structure:
+    return load_structure()
+
+
+class _Loading:
+    """One text on its way to a configuration; a stage runs only when those before it found nothing wrong."""
+
+    def __init__(self, text: str, source: Path | None) -> None:
+        self._text, self._source = text, source
+        self._problems: list[Problem] = []
+        self._root: Node = Table(Mark(1, 1))
+
+    def config(self) -> Config:
+        try:
+            tree = read(self._text, self._report_mark)
+        except Refused as refused:
+            self._report_mark(refused.mark, refused.code, refused.message, refused.hint)
+            raise self._error() from None
+        self._shape(tree)
+        context = Context(self._report)
+        config = build_config(plain(self._root)["config"], context)
+        check_rules(config, context)
+        self._stop_if_wrong()
+        digest = hashlib.sha256(self._text.encode()).hexdigest()
+        return replace(config, source=self._source, sha256_source=digest)
+
+    def _shape(self, tree: Node) -> None:
+        """Normal form and values, against the JSON Schema."""
+        structure = _structure()
+        self._root = structure.fit(tree, self._report_at)
+        for finding in structure.values(self._root):
+            self._report(*finding)
+        self._stop_if_wrong()
+
+    def _report(self, path: KeyPath, code: str, message: str, hint: str) -> None:
+        self._report_at(locate(self._root, path), path, code, message, hint)
+
+    def _report_mark(self, mark: Mark, code: str, message: str, hint: str) -> None:
+        self._report_at(mark, (), code, message, hint)
+
+    def _report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
+        problem = Problem(self._source, mark.line, mark.column, key_path(path), code, message, hint)
+        self._problems.append(problem)
+
+    def _error(self) -> SchemaError:
+        return SchemaError(sorted(self._problems, key=lambda problem: (problem.line, problem.column)))
+
+    def _stop_if_wrong(self) -> None:
+        if self._problems:
+            raise self._error()

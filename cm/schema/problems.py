@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with a schema file, and where: `Problem`, and `SchemaError` that carries them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from cm.errors import CmError
+
+KeyPath = tuple[str | int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One thing that is wrong.
+
+    `path` is the file (None for text without one), `line` and `column` count from 1 (0: unknown),
+    `key` is like ``config.modes.edge.mmio[0].base_address``, `code` is stable, `message` says what
+    is wrong and `hint` (may be empty) what would be right.
+    """
+
+    path: Path | None
+    line: int
+    column: int
+    key: str
+    code: str
+    message: str
+    hint: str = ""
+
+    def __str__(self) -> str:
+        """One line in the form that compilers use, which editors can jump to."""
+        where = f"{self.path or '<text>'}:{self.line}:{self.column}"
+        key = f" {self.key}:" if self.key else ""
+        hint = f" ({self.hint})" if self.hint else ""
+        return f"{where}:{key} {self.message}{hint}"
+
+
+class SchemaError(CmError, ValueError):
+    """A runtime schema that is not valid; `problems` holds at least one, in the order of the file."""
+
+    code: ClassVar[str] = "schema_invalid"
+
+    def __init__(self, problems: Sequence[Problem]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+def key_path(path: Iterable[str | int]) -> str:
+    """``("config", "mmio", 0, "registers")`` as ``config.mmio[0].registers``."""
+    text = ""
+    for step in path:
+        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+    return text
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """The hint for a name that is not known: the nearest one, or all there are."""
+    names = list(known)
+    near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    if near:
+        return f"did you mean {near[0]}?"
+    return f"known: {', '.join(names)}" if names else "there are none"

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What must be true of a configuration beyond the form of its file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from cm.schema.context import STATIC, Context
+from cm.schema.model import Config, ConfigType, Decoupler, Mode, Overlay, Region, Stream
+from cm.schema.problems import KeyPath, did_you_mean
+from cm.schema.rules_interrupts import check_interrupts
+from cm.schema.rules_registers import check_registers
+
+_TOP: KeyPath = ("config",)
+
+
+def check_rules(config: Config, context: Context) -> None:
+    """Report everything about `config` that cannot be."""
+    _check_top(config, context)
+    _check_regions(config.regions, context)
+    _check_modules(config, context)
+    _check_overlays(config.overlays, (), _TOP, context)
+    _check_streams(config.streams, {}, config, (*_TOP, "streams"), context)
+    for mode in config.modes.values():
+        _check_mode(mode, config, context)
+    check_registers(config, context)
+    check_interrupts(config, context)
+
+
+def _check_top(config: Config, context: Context) -> None:
+    if not config.modes:
+        context.report(_TOP, "missing_key", "modes is missing", "at least one mode, such as default")
+    elif config.default_mode is not None and config.default_mode not in config.modes:
+        message = f"there is no mode {config.default_mode}"
+        context.report(
+            (*_TOP, "default_mode"), "unknown_mode", message, did_you_mean(config.default_mode, config.modes)
+        )
+    if config.type is ConfigType.PARTIAL:
+        for key in ("bitstream", "sha256"):
+            if getattr(config, key) is not None:
+                hint = "type: full, or a bitstream at each module"
+                context.report((*_TOP, key), "not_applicable", f"a partial configuration has no {key} of its own", hint)
+
+
+def _check_regions(regions: Mapping[str, Region], context: Context) -> None:
+    decouplers: dict[tuple[int, int], str] = {}
+    identities: dict[int, str] = {}
+    for name, region in regions.items():
+        path: KeyPath = (*_TOP, "regions", name)
+        if name == STATIC:
+            context.report(path, "name_clash", "static is what is in no region", "give the region another name")
+        _check_footprint(region, path, context)
+        if (cut := region.decoupler) is not None:
+            _check_decoupler(cut, (*path, "decoupler"), context)
+            other = decouplers.setdefault((cut.base_address + cut.offset, cut.bit), name)
+            _report_shared("decoupler bit", other, name, (*path, "decoupler"), context)
+        if (ident := region.identity) is not None:
+            address = ident.base_address + ident.offset
+            _check_aligned(address, ident.width, (*path, "identity", "offset"), context)
+            other = identities.setdefault(address, name)
+            _report_shared("identity register", other, name, (*path, "identity"), context)
+
+
+def _check_decoupler(decoupler: Decoupler, path: KeyPath, context: Context) -> None:
+    _check_aligned(decoupler.base_address + decoupler.offset, decoupler.width, (*path, "offset"), context)
+    if decoupler.bit >= decoupler.width:
+        message = f"bit {decoupler.bit} of a register of {decoupler.width} bits"
+        context.report((*path, "bit"), "value_range", message, f"0 to {decoupler.width - 1}")
+
+
+def _report_shared(what: str, other: str, name: str, path: KeyPath, context: Context) -> None:
+    if other != name:
+        context.report(path, "region_conflict", f"region {other} has the same {what}", "one for each region")
+
+
+def _check_aligned(address: int, width: int, path: KeyPath, context: Context) -> None:
+    if address % (width // 8):
+        hint = f"a multiple of {width // 8}"
+        context.report(path, "misaligned_offset", f"address {address:#x} of an access of {width} bits", hint)
+
+
+def _check_footprint(region: Region, path: KeyPath, context: Context) -> None:
+    for index, frames in enumerate(region.footprint):
+        if frames.column_first > frames.column_last:
+            message = f"first column {frames.column_first} is after the last, {frames.column_last}"
+            context.report((*path, "footprint", index, "columns"), "value_range", message, "[first, last]")
+
+
+def _check_modules(config: Config, context: Context) -> None:
+    values: dict[tuple[str, int], str] = {}
+    for name, module in config.modules.items():
+        path: KeyPath = (*_TOP, "modules", name)
+        region = config.regions.get(module.region)
+        if region is None:
+            _report_region(module.region, config.regions, (*path, "region"), context)
+            continue
+        if module.identity is None:
+            continue
+        here = (*path, "identity")
+        if region.identity is None:
+            message = f"region {region.name} has no identity register to read it from"
+            context.report(here, "missing_identity", message, f"add identity to region {region.name}")
+            continue
+        if module.identity >> region.identity.width:
+            message = f"{module.identity:#x} does not fit the identity register"
+            context.report(here, "value_range", message, f"at most {region.identity.width} bits")
+        other = values.setdefault((region.name, module.identity), name)
+        if other != name:
+            hint = "one value per module of a region"
+            context.report(here, "duplicate_identity", f"module {other} has the same identity", hint)
+
+
+def _report_region(name: str, regions: Iterable[str], path: KeyPath, context: Context) -> None:
+    context.report(path, "unknown_region", f"there is no region {name}", did_you_mean(name, regions))
+
+
+def _check_mode(mode: Mode, config: Config, context: Context) -> None:
+    path: KeyPath = (*_TOP, "modes", mode.name)
+    taken: dict[str, str] = {}
+    for index, name in enumerate(mode.modules):
+        here = (*path, "modules", index)
+        if name not in config.modules:
+            hint = did_you_mean(name, config.modules)
+            context.report(here, "unknown_module", f"there is no module {name}", hint)
+            continue
+        region = config.modules[name].region
+        other = taken.setdefault(region, name)
+        if index != mode.modules.index(name):
+            context.report(here, "duplicate_name", f"module {name} is here twice", "name it once")
+        elif other != name:
+            message = f"modules {other} and {name} both fit region {region}"
+            context.report(here, "region_conflict", message, "one module per region in a mode")
+    _check_overlays(mode.overlays, config.overlays, path, context)
+    _check_streams(mode.streams, config.streams, config, (*path, "streams"), context)
+
+
+def _check_overlays(overlays: tuple[Overlay, ...], under: tuple[Overlay, ...], path: KeyPath, context: Context) -> None:
+    seen = {overlay.name for overlay in under}
+    for index, overlay in enumerate(overlays):
+        if overlay.name in seen:
+            message = f"overlay {overlay.name} is applied already"
+            context.report((*path, "overlays", index), "duplicate_name", message, "name it once")
+        seen.add(overlay.name)
+
+
+def _check_streams(
+    streams: Mapping[str, Stream], base: Mapping[str, Stream], config: Config, path: KeyPath, context: Context
+) -> None:
+    """`base` holds the configuration's streams where `streams` are those of a mode; they have been checked."""
+    channels: dict[str, str] = {}
+    for name, stream in streams.items():
+        other = channels.setdefault(stream.channel, name)
+        if base.get(name) == stream and base.get(other) == streams[other]:
+            continue
+        if stream.region is not None and stream.region not in config.regions:
+            _report_region(stream.region, config.regions, (*path, name, "region"), context)
+        if other != name:
+            message = f"streams {other} and {name} are both on channel {stream.channel}"
+            context.report((*path, name), "channel_conflict", message, "one stream per channel")

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The JSON Schema at work: a tree in any accepted form → plain values in normal form.
+
+`Structure` walks the tree along the schema. It brings the accepted short forms (a list of
+one-key maps, a list of names, a name alone) into the normal form, reports keys that are unknown,
+missing or written twice, and leaves types and ranges to fastjsonschema.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from cm.schema.listing import fold, lift_overlays, windows
+from cm.schema.problems import KeyPath, did_you_mean
+from cm.schema.tree import Entry, Items, Mark, Node, Scalar, Table, plain
+from cm.schema.values import Finding, findings
+
+SCHEMA_FILE = Path(__file__).parent / "data" / "runtime.schema.json"
+_WINDOW = "#/definitions/window"
+_BY_WALK = ("required", "propertyNames", "patternProperties", "default", "additionalProperties")
+
+Report = Callable[[Mark, KeyPath, str, str, str], None]  # position, path, code, message, hint
+
+
+class Structure:
+    """A JSON Schema, compiled when it is first needed."""
+
+    def __init__(self, schema: dict[str, Any]) -> None:
+        self._schema = schema
+        self._normal: dict[str, Any] = normal_form(schema)
+        self._validate: Callable[[Any], Any] | None = None
+
+    def fit(self, root: Node, report: Report) -> Node:
+        """`root` in normal form, without what is unknown; everything odd about keys is reported."""
+        return _Walk(self._normal, report).node(root, self._normal, ())
+
+    def values(self, root: Node) -> list[Finding]:
+        """What is wrong with the values of a tree in normal form."""
+        if self._validate is None:
+            import fastjsonschema
+
+            self._validate = fastjsonschema.compile(_for_values(self._normal))
+        return findings(plain(root), self._validate)
+
+
+def load_structure() -> Structure:
+    """The structure of the runtime schema, from the file that comes with the package."""
+    return Structure(json.loads(SCHEMA_FILE.read_text()))
+
+
+def normal_form(schema: Any) -> Any:
+    """`schema` with each ``anyOf`` replaced by its last choice; the others are kept as ``short``."""
+    if isinstance(schema, list):
+        return [normal_form(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    result = {key: normal_form(value) for key, value in schema.items() if key != "anyOf"}
+    if "anyOf" in schema:
+        *short, last = schema["anyOf"]
+        result = normal_form(last) | result | {"short": short}
+    return result
+
+
+def _for_values(schema: Any) -> Any:
+    """`schema` without the rules that the walk has checked, and without defaults."""
+    if isinstance(schema, list):
+        return [_for_values(item) for item in schema]
+    if not isinstance(schema, dict):
+        return schema
+    keep = {key: value for key, value in schema.items() if key not in _BY_WALK or isinstance(value, dict)}
+    keep.pop("patternProperties", None)
+    keep.pop("propertyNames", None)
+    keep.pop("short", None)
+    return {key: _for_values(value) for key, value in keep.items()}
+
+
+class _Walk:
+    def __init__(self, root: dict[str, Any], report: Report) -> None:
+        self._root, self._report = root, report
+
+    def node(self, node: Node, schema: dict[str, Any], path: KeyPath) -> Node:
+        shape = self._resolve(schema)
+        if shape.get("type") == "object":
+            return self._object(node, shape, path)
+        if shape.get("type") == "array":
+            return self._array(node, shape, path)
+        return node
+
+    def _resolve(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """Follow ``$ref``; what a choice was made from stays beside it."""
+        short = schema.get("short", [])
+        while "$ref" in schema:
+            steps = schema["$ref"].removeprefix("#/").split("/")
+            schema = self._root
+            for step in steps:
+                schema = schema[step] if step in schema else schema["properties"][step]
+        return schema | {"short": short} if short else schema
+
+    def _object(self, node: Node, shape: dict[str, Any], path: KeyPath) -> Node:
+        table = self._table(node, shape)
+        if not isinstance(table, Table):
+            return node
+        for key, mark in table.duplicates:
+            code = "duplicate_key" if "properties" in shape else "duplicate_name"
+            first = table.entries[key].mark.line
+            self._report(mark, (*path, key), code, f"{key} is here again", f"it is in line {first} already")
+        if "properties" in shape:
+            return self._keyed(table, shape, path)
+        return self._named(table, shape, path)
+
+    def _table(self, node: Node, shape: dict[str, Any]) -> Node:
+        """`node` as a map, where one of the short forms says how."""
+        short = [choice.get("type") for choice in shape.get("short", ())]
+        if isinstance(node, Items):
+            return fold(node, names="array" in short)
+        if isinstance(node, Scalar) and node.value is None:
+            return Table(node.mark)
+        if isinstance(node, Scalar) and _json_type(node.value) in short:
+            return Table(node.mark, {shape["required"][0]: Entry(node.mark, node)})
+        return node
+
+    def _keyed(self, table: Table, shape: dict[str, Any], path: KeyPath) -> Table:
+        properties = shape["properties"]
+        if "overlays" in properties:
+            table = lift_overlays(table)
+        result = Table(table.mark)
+        for key, entry in table.entries.items():
+            if key in properties:
+                result.add(key, Entry(entry.mark, self.node(entry.node, properties[key], (*path, key))))
+            elif not any(re.search(pattern, key) for pattern in shape.get("patternProperties", ())):
+                hint = did_you_mean(key, properties)
+                self._report(entry.mark, (*path, key), "unknown_key", f"unknown key {key[:80]!r}", hint)
+        for key in shape.get("required", ()):
+            if key not in table.entries:
+                hint = _description(self._resolve(properties[key]))
+                self._report(table.mark, path, "missing_key", f"{key} is missing", hint)
+        return result
+
+    def _named(self, table: Table, shape: dict[str, Any], path: KeyPath) -> Table:
+        pattern = self._resolve(shape["propertyNames"])["pattern"]
+        result = Table(table.mark)
+        for name, entry in table.entries.items():
+            if re.fullmatch(pattern.strip("^$"), name):
+                node = self.node(entry.node, shape["additionalProperties"], (*path, name))
+                result.add(name, Entry(entry.mark, node))
+            else:
+                hint = _description(self._resolve(shape["propertyNames"]))
+                self._report(entry.mark, (*path, name), "bad_name", f"{name[:80]!r} is not a name", hint)
+        return result
+
+    def _array(self, node: Node, shape: dict[str, Any], path: KeyPath) -> Node:
+        if isinstance(node, Scalar) and node.value is None:
+            return Items(node.mark)
+        if shape["items"].get("$ref") == _WINDOW:
+            node = windows(node)
+        elif isinstance(node, Scalar) and isinstance(node.value, str) and self._takes_text(shape["items"]):
+            node = Items(node.mark, [node])
+        if not isinstance(node, Items):
+            return node
+        items = [self.node(item, shape["items"], (*path, index)) for index, item in enumerate(node.items)]
+        return Items(node.mark, items)
+
+    def _takes_text(self, items: dict[str, Any]) -> bool:
+        shape = self._resolve(items)
+        return any(choice.get("type") == "string" for choice in (shape, *shape.get("short", ())))
+
+
+def _json_type(value: object) -> str:
+    return {str: "string", int: "integer"}.get(type(value), "")
+
+
+def _description(schema: dict[str, Any]) -> str:
+    text: str = schema.get("description", "")
+    return text.rstrip(".")
