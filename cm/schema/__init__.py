@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cm.schema.loader import check, json_schema, load, load_folder, loads, schema_files
     from cm.schema.problems import Problem, SchemaError
+    from cm.schema.writer import dump
 
-__all__ = ["Problem", "SchemaError", "check", "json_schema", "load", "load_folder", "loads", "schema_files"]
+__all__ = ["Problem", "SchemaError", "check", "dump", "json_schema", "load", "load_folder", "loads", "schema_files"]
 
-_HOMES = {"Problem": "problems", "SchemaError": "problems"}
+_HOMES = {"dump": "writer", "Problem": "problems", "SchemaError": "problems"}
 
 
 def __getattr__(name: str) -> Any:

@@ -227,6 +227,9 @@ class Config:
     device: str | None = None  # e.g. "xc7z020"; None: any
     bitstream: Path | None = None  # static image of a full configuration
     sha256: str | None = None
+    loader: LoaderKind = LoaderKind.FPGA_MANAGER  # of the static image
+    timeout: float | None = None  # seconds for loading it
+    allow_encrypted: bool = False  # of the static image
     default_mode: str | None = None  # None: "default" if there is one, else the first
     regions: Mapping[str, Region] = field(default_factory=_empty)
     modules: Mapping[str, Module] = field(default_factory=_empty)

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the files are that a configuration names: bitstreams and overlays.
+
+A file is looked for beside the schema file, then in ``lib/firmware/cm/<config>/`` and
+``lib/firmware/`` under the root; an absolute path is taken as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import ClassVar
+
+from cm.errors import NotFound
+from cm.schema.model import Config, Module, Overlay
+from cm.schema.problems import did_you_mean
+
+BITSTREAM_SUFFIXES = (".bit", ".bin", ".bit.bin")
+
+
+class FileMissing(NotFound):
+    """A file that a configuration needs is nowhere; the sentence lists where it was looked for."""
+
+    code: ClassVar[str] = "file_missing"
+
+
+def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str = "/") -> Path:
+    """The first of `candidates` that is a file; every folder is searched for all of them in order.
+
+    Raises `FileMissing` with the places that were looked at.
+    """
+    names = list(candidates)
+    places = [folder / name for folder in _folders(config, Path(root)) for name in names]
+    for place in places:
+        if place.is_file():
+            return place
+    looked = ", ".join(dict.fromkeys(map(str, places)))
+    raise FileMissing(f"configuration {config.name}: no file {' or '.join(map(str, names))}; looked for {looked}")
+
+
+def bitstream_path(config: Config, module: Module | str | None, root: Path | str = "/") -> Path:
+    """The bitstream of `module`, or (None) of the whole configuration.
+
+    Raises `FileMissing`, or `NotFound` for a name that is no module.
+    """
+    if module is None:
+        return find_file(config, _candidates(config.name, config.bitstream), root)
+    if isinstance(module, str):
+        module = _module(config, module)
+    return find_file(config, _candidates(module.name, module.bitstream), root)
+
+
+def overlay_path(config: Config, overlay: Overlay | str, root: Path | str = "/") -> Path:
+    """The compiled overlay (.dtbo) of `overlay`; raises `FileMissing`."""
+    if isinstance(overlay, str):
+        overlay = Overlay(overlay)
+    return find_file(config, [overlay.file or f"{overlay.name}.dtbo"], root)
+
+
+def _candidates(name: str, written: Path | None) -> list[str | Path]:
+    return [written] if written is not None else [name + suffix for suffix in BITSTREAM_SUFFIXES]
+
+
+def _module(config: Config, name: str) -> Module:
+    if name not in config.modules:
+        hint = did_you_mean(name, config.modules)
+        raise NotFound(f"configuration {config.name} has no module {name} ({hint})")
+    return config.modules[name]
+
+
+def _folders(config: Config, root: Path) -> list[Path]:
+    beside = [] if config.source is None else [config.source.parent]
+    firmware = root / "lib" / "firmware"
+    return [*beside, firmware / "cm" / config.name, firmware]

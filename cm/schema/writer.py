@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Configuration → normal form: plain values (`to_plain`) and YAML text (`dump`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import fields
+from enum import Enum
+from pathlib import PurePath
+from typing import Any
+
+from cm.schema.build import default_region
+from cm.schema.context import STATIC
+from cm.schema.model import BitField, Config, Mode, Module, Overlay, Region, Register, Stream
+from cm.schema.text import Hex, to_yaml
+
+_NAMES = {"minimum": "min", "maximum": "max"}
+_ADDRESSES = ("base_address", "offset", "identity")
+_VALUES = ("default", "reset", "minimum", "maximum")
+_LARGE = 0x100  # from here on a value is easier to read in hexadecimal
+
+
+def dump(config: Config) -> str:
+    """`config` as YAML in normal form; ``loads(dump(config))`` equals it but for where it came from."""
+    return to_yaml(to_plain(config))
+
+
+def to_plain(config: Config) -> dict[str, Any]:
+    """`config` as dicts, lists and values in normal form; what is at its default is left out."""
+    data: dict[str, Any] = {"name": config.name, "type": config.type.value}
+    for key in ("doc", "device", "default_mode", "bitstream", "sha256"):
+        _put(data, key, getattr(config, key))
+    _put(data, "regions", {name: _region(region) for name, region in config.regions.items()})
+    _put(data, "modules", {name: _module(module) for name, module in config.modules.items()})
+    _put(data, "mmio", _windows(config.registers.values(), None))
+    _put(data, "overlays", _overlays(config.overlays))
+    _put(data, "streams", {name: _stream(stream) for name, stream in config.streams.items()})
+    _put(data, "interrupts", {name: _simple(interrupt) for name, interrupt in config.interrupts.items()})
+    _put(data, "clocks", {name: _simple(clock) for name, clock in config.clocks.items()})
+    data["modes"] = {name: _mode(mode, config) for name, mode in config.modes.items()}
+    return {"config": data}
+
+
+def _put(data: dict[str, Any], key: str, value: Any) -> None:
+    """Add `value` unless it says nothing."""
+    if value is None or value == "" or value == {} or value == []:
+        return
+    data[key] = str(value) if isinstance(value, PurePath) else value
+
+
+def _simple(thing: Any, *without: str) -> dict[str, Any]:
+    """The fields of a dataclass that are not at their defaults, without its name and `without`."""
+    data: dict[str, Any] = {}
+    for field in fields(thing):
+        value = getattr(thing, field.name)
+        if field.name in ("name", *without) or value == field.default:
+            continue
+        if isinstance(value, Enum):
+            value = value.value
+        if value is not None and (field.name in _ADDRESSES or (field.name in _VALUES and value >= _LARGE)):
+            value = Hex(value)
+        _put(data, _NAMES.get(field.name, field.name), value)
+    return data
+
+
+def _region(region: Region) -> dict[str, Any]:
+    data = _simple(region, "decoupler", "identity", "footprint")
+    if region.decoupler is not None:
+        data["decoupler"] = _simple(region.decoupler)
+    if region.identity is not None:
+        data["identity"] = _simple(region.identity)
+    frames = [
+        {"block_type": f.block_type, "row": f.row, "columns": [f.column_first, f.column_last]} for f in region.footprint
+    ]
+    _put(data, "footprint", frames)
+    return data
+
+
+def _module(module: Module) -> dict[str, Any]:
+    data = _simple(module, "registers")
+    _put(data, "mmio", _windows(module.registers.values(), module.region))
+    return data
+
+
+def _mode(mode: Mode, config: Config) -> dict[str, Any]:
+    data: dict[str, Any] = {}
+    _put(data, "doc", mode.doc)
+    _put(data, "modules", list(mode.modules))
+    _put(data, "overlays", _overlays(mode.overlays))
+    _put(data, "mmio", _windows(mode.registers.values(), default_region(mode.modules, config.modules)))
+    streams = {name: _stream(stream, config.streams.get(name)) for name, stream in mode.streams.items()}
+    _put(data, "streams", {name: keys for name, keys in streams.items() if keys})
+    return data
+
+
+def _overlays(overlays: tuple[Overlay, ...]) -> list[Any]:
+    return [one.name if one.file is None else {"name": one.name, "file": str(one.file)} for one in overlays]
+
+
+def _stream(stream: Stream, base: Stream | None = None) -> dict[str, Any]:
+    """The keys of `stream`; with `base` those that are different there."""
+    data: dict[str, Any] = {}
+    for field in fields(stream):
+        value = getattr(stream, field.name)
+        if base is not None:
+            said = value == getattr(base, field.name)
+        else:
+            said = value == field.default or (field.name == "channel" and value == stream.name)
+        if field.name == "name" or said:
+            continue
+        value = list(value) if isinstance(value, tuple) else value
+        data[field.name] = value.value if isinstance(value, Enum) else value
+    return data
+
+
+def _windows(registers: Iterable[Register], region: str | None) -> list[dict[str, Any]]:
+    """Registers in windows of one base address and region each; `region` is what need not be said."""
+    windows: list[dict[str, Any]] = []
+    last: tuple[int, str | None] | None = None
+    for register in registers:
+        place = (register.base_address, register.region)
+        if place != last:
+            window: dict[str, Any] = {"base_address": Hex(register.base_address)}
+            if register.region != region:
+                window["region"] = register.region or STATIC
+            windows.append(window | {"registers": {}})
+            last = place
+        windows[-1]["registers"][register.name] = _register(register)
+    return windows
+
+
+def _register(register: Register) -> dict[str, Any]:
+    data = _simple(register, "base_address", "region", "fields")
+    _put(data, "fields", {name: _field(field) for name, field in register.fields.items()})
+    return data
+
+
+def _field(field: BitField) -> dict[str, Any]:
+    data: dict[str, Any] = {"lsb": field.lsb, "width": field.width}
+    _put(data, "doc", field.doc)
+    values: Mapping[str, int] = field.values
+    _put(data, "values", dict(values))
+    return data
