@@ -25,6 +25,7 @@ EVENT = np.dtype(
         ("reserved", "=u4"),
     ]
 )
+Event = np.void
 Events = npt.NDArray[np.void]
 
 SYNC: int = lib.CM_CONFIG_SYNC

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Containers: `.bit`, `.bin` in either byte order, and bootgen boot images.
+
+No length in a file is trusted: each is compared with the bytes that are there before it is used.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from typing import TypeAlias
+
+from cm.bitstream.errors import BadContainer, NoSync, Truncated
+
+Source: TypeAlias = "bytes | bytearray | memoryview | Path | str"
+
+_BIT_MAGIC = bytes.fromhex("00090ff00ff00ff00ff0000001")
+_SYNC_BIG = bytes.fromhex("aa995566")
+_SYNC_LITTLE = bytes.fromhex("665599aa")
+_PADDING = {bytes([255] * 4), bytes.fromhex("000000bb"), bytes.fromhex("11220044")}
+_SEARCH = 1 << 16  # bytes: in a plain .bin the sync word stands within the first few hundred
+_BOOT_SYNC = 0x20  # of a boot image: its width detection word, which looks like the sync word
+_BOOT_MAGIC = 0x24
+_BOOT_SIGNATURE = b"XNLX"
+_BOOT_HEADER = 0x8C0  # bytes; the image headers and the partitions follow
+
+
+class Container(Enum):
+    """How the configuration words are packed in the file."""
+
+    BIT = "bit"
+    BIN_SWAPPED = "bin"
+    BIN_STRAIGHT = "bin-straight"
+    BOOTGEN = "bootgen"
+
+
+@dataclass(frozen=True, slots=True)
+class BitHeader:
+    """The header fields of a `.bit`: `fields` are the ``KEY=value`` pairs behind the design's name."""
+
+    design: str
+    fields: tuple[tuple[str, str], ...]
+    part: str
+    date: str
+    time: str
+
+    def field(self, key: str) -> str | None:
+        """Return a pair's value, e.g. of ``PARTIAL``; None if the header has no such pair."""
+        return next((value for name, value in self.fields if name.upper() == key.upper()), None)
+
+    @property
+    def partial(self) -> bool:
+        """Whether the header says ``PARTIAL=TRUE``."""
+        return (self.field("PARTIAL") or "").upper() == "TRUE"
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """An opened bitstream: `stream` is a view of its configuration words, `offset` where they begin.
+
+    `swapped`: each word's bytes are reversed in `stream`, as a DMA-fed ICAP reads them from memory.
+    `stream` is a whole number of words; what a damaged file has beyond is in `rest` (0 to 3 bytes).
+    `encrypted`: the boot image says so (a `.bit` says so in its packets, see `cm.bitstream.inspect`).
+    """
+
+    container: Container
+    header: BitHeader | None
+    stream: memoryview
+    offset: int
+    swapped: bool
+    rest: int = 0
+    encrypted: bool = False
+
+
+def read_source(source: Source) -> memoryview:
+    """Return the bytes of a file or of a buffer; a `str` is a path."""
+    if isinstance(source, (str, Path)):
+        return memoryview(Path(source).read_bytes())
+    return memoryview(source).cast("B")
+
+
+def _text(data: memoryview) -> str:
+    return bytes(data).rstrip(b"\0").decode("ascii", "replace")
+
+
+def _text_field(data: memoryview, at: int, key: str) -> tuple[str, int]:
+    """Read one of the fields a to d; return its text and where the next one begins."""
+    if len(data) < at + 3:
+        raise Truncated(f".bit header ends at byte {len(data)}, where field {key!r} should be")
+    if data[at] != ord(key):
+        raise BadContainer(f".bit header: field {key!r} expected at byte {at}, found 0x{data[at]:02x}")
+    (length,) = struct.unpack_from(">H", data, at + 1)
+    end = at + 3 + length
+    if end > len(data):
+        raise Truncated(f".bit header: field {key!r} says {length} bytes, the file ends {end - len(data)} bytes before")
+    return _text(data[at + 3 : end]), end
+
+
+def _parse_header(data: memoryview) -> tuple[BitHeader, int]:
+    """Read the fields a to e; return them and where the configuration words begin."""
+    at = len(_BIT_MAGIC)
+    texts = []
+    for key in "abcd":
+        text, at = _text_field(data, at, key)
+        texts.append(text)
+    if len(data) < at + 5:
+        raise Truncated(f".bit header ends at byte {len(data)}, where field 'e' should be")
+    if data[at] != ord("e"):
+        raise BadContainer(f".bit header: field 'e' expected at byte {at}, found 0x{data[at]:02x}")
+    (length,) = struct.unpack_from(">I", data, at + 1)
+    there = len(data) - at - 5
+    if length > there:
+        raise Truncated(f".bit header says {length} bytes of configuration, {there} are there")
+    if length < there:
+        raise BadContainer(f".bit header says {length} bytes of configuration, {there - length} more follow")
+    name, *pairs = texts[0].split(";")
+    fields = tuple((key, value) for key, _, value in (pair.partition("=") for pair in pairs))
+    return BitHeader(name, fields, *texts[1:]), at + 5
+
+
+def pack_bit(header: BitHeader, stream: bytes) -> bytes:
+    """Return the `.bit` file of big-endian configuration words."""
+    name = ";".join([header.design, *(f"{key}={value}" for key, value in header.fields)])
+    parts = [_BIT_MAGIC]
+    for key, text in zip("abcd", (name, header.part, header.date, header.time), strict=True):
+        raw = text.encode("ascii") + b"\0"
+        parts.append(key.encode() + struct.pack(">H", len(raw)) + raw)
+    parts.append(b"e" + struct.pack(">I", len(stream)) + stream)
+    return b"".join(parts)
+
+
+def _find_sync(data: memoryview, start: int, end: int) -> tuple[int, bool]:
+    """Return where the first word-aligned sync word is, and whether it is swapped; -1 if there is none."""
+    found = []
+    window = bytes(data[start:end])
+    for pattern, swapped in ((_SYNC_BIG, False), (_SYNC_LITTLE, True)):
+        at = window.find(pattern)
+        while at >= 0 and at % 4:
+            at = window.find(pattern, at + 1)
+        if at >= 0:
+            found.append((start + at, swapped))
+    return min(found, default=(-1, False))
+
+
+def _whole(data: memoryview) -> tuple[memoryview, int]:
+    rest = len(data) % 4
+    return (data[: len(data) - rest], rest) if rest else (data, 0)
+
+
+def _open_bit(data: memoryview) -> Image:
+    header, offset = _parse_header(data)
+    stream, rest = _whole(data[offset:])
+    at, swapped = _find_sync(stream, 0, min(len(stream), _SEARCH))
+    if at < 0:
+        raise NoSync(f"no sync word AA995566 in the first {min(len(stream), _SEARCH)} bytes after the .bit header")
+    if swapped:
+        raise BadContainer("the words behind the .bit header are byte-swapped: convert a .bit from the original file")
+    return Image(Container.BIT, header, stream, offset, False, rest)
+
+
+def _open_bin(data: memoryview) -> Image:
+    stream, rest = _whole(data)
+    at, swapped = _find_sync(stream, 0, min(len(stream), _SEARCH))
+    if at < 0:
+        raise NoSync(
+            f"neither a .bit header nor a boot image, and no sync word in the first {min(len(data), _SEARCH)} bytes"
+        )
+    return Image(Container.BIN_SWAPPED if swapped else Container.BIN_STRAIGHT, None, stream, 0, swapped, rest)
+
+
+def _is_boot_image(data: memoryview) -> bool:
+    return len(data) >= _BOOT_HEADER and bytes(data[_BOOT_MAGIC : _BOOT_MAGIC + 4]) == _BOOT_SIGNATURE
+
+
+def _begin_of_stream(data: memoryview, sync: int, swapped: bool) -> int:
+    """Go back from the sync word over the padding in front of it."""
+    at = sync
+    while at - 4 >= _BOOT_HEADER:
+        word = bytes(data[at - 4 : at])
+        if (word[::-1] if swapped else word) not in _PADDING:
+            break
+        at -= 4
+    return at
+
+
+def _open_boot_image(data: memoryview) -> Image:
+    at, swapped = _find_sync(data, _BOOT_HEADER, len(data))
+    if at < 0:
+        raise NoSync("a boot image without a bitstream partition: no sync word after its header")
+    begin = _begin_of_stream(data, at, swapped)
+    raw = bytes(data[begin:])
+    stream, rest = _whole(data[begin : begin + -(-len(raw.rstrip(b"\0")) // 4) * 4])
+    (encryption,) = struct.unpack_from("<I", data, 0x28)
+    return Image(Container.BOOTGEN, None, stream, begin, swapped, rest, encryption != 0)
+
+
+def open_image(source: Source) -> Image:
+    """Recognise the container and find the configuration words, without looking into them.
+
+    Raises `BadContainer`, `Truncated` or `NoSync`; OSError where a path cannot be read.
+    """
+    data = read_source(source)
+    if bytes(data[: len(_BIT_MAGIC)]) == _BIT_MAGIC:
+        return _open_bit(data)
+    if _is_boot_image(data):
+        return _open_boot_image(data)
+    return _open_bin(data)

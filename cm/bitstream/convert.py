@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Conversion between the containers, byte for byte; and the words as DMA memory wants them."""
+
+from __future__ import annotations
+
+from cm.bitstream.container import BitHeader, Container, Image, Source, open_image, pack_bit
+from cm.bitstream.errors import BadContainer
+from cm.native import bitstream as native
+
+
+def _ordered(image: Image, swapped: bool) -> bytes:
+    """Return the configuration words in this byte order; a rest of a word is an error."""
+    if image.rest:
+        raise BadContainer(f"{image.rest} bytes follow the last whole word: the file is damaged")
+    return bytes(image.stream) if image.swapped == swapped else native.swap(image.stream)
+
+
+def to_dma_words(source: Source | Image) -> bytes:
+    """Return the configuration words in memory order (``66 55 99 AA``), as ICAP DMA and PCAP read them.
+
+    The container is taken off; the words are those of the file, padding included.
+    """
+    image = source if isinstance(source, Image) else open_image(source)
+    return _ordered(image, swapped=True)
+
+
+def convert(source: Source, form: Container, header: BitHeader | None = None) -> bytes:
+    """Return the bitstream in another container.
+
+    A `.bit` needs `header` where the source has none. Between `.bit`, swapped and straight `.bin`
+    the way there and back gives the same bytes. Boot images are read, not written.
+    """
+    image = open_image(source)
+    if form is Container.BOOTGEN:
+        raise BadContainer("boot images are read, not written: use bootgen with the .bit")
+    if form is not Container.BIT:
+        return _ordered(image, swapped=form is Container.BIN_SWAPPED)
+    found = header or image.header
+    if found is None:
+        raise BadContainer("a .bit needs a header (design, part, date, time), and a .bin has none: give one")
+    return pack_bit(found, _ordered(image, swapped=False))

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Devices: the IDCODE a bitstream carries, and the frames of the device's family.
+
+The top nibble of an IDCODE is the silicon revision and never compared. On Zynq UltraScale+ the
+IDCODE in a bitstream is not the one that JTAG shows. Sources: UG470 table 1-1, UG585 (device
+codes), openFPGALoader's part list, and the words of real bitstreams.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import Enum
+
+REVISION_MASK = 0x0FFFFFFF
+
+
+@dataclass(frozen=True, slots=True)
+class FarLayout:
+    """Bit positions of a frame address: (shift, width) of each field, and the bits that are used."""
+
+    block_type: tuple[int, int]
+    row: tuple[int, int]
+    column: tuple[int, int]
+    minor: tuple[int, int]
+
+    @property
+    def used(self) -> int:
+        """Mask of the bits that mean something; the others are 0 in a valid address."""
+        fields = (self.block_type, self.row, self.column, self.minor)
+        return sum(((1 << width) - 1) << shift for shift, width in fields)
+
+
+class Family(Enum):
+    """A device family: words in a frame, layout of FAR, and frames in its widest column by block type."""
+
+    SERIES7 = ("7series", 101, FarLayout((23, 3), (17, 6), (7, 10), (0, 7)), (42, 128))
+    ULTRASCALE_PLUS = ("ultrascale+", 93, FarLayout((24, 3), (18, 6), (8, 10), (0, 8)), (256, 256))
+
+    def __init__(self, label: str, frame_words: int, far: FarLayout, widest: tuple[int, ...]) -> None:
+        self.label = label
+        self.frame_words = frame_words
+        self.far = far
+        self.widest = widest
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A device by its name without package and speed grade, e.g. ``xc7z020``."""
+
+    name: str
+    idcode: int
+    family: Family
+
+
+_SERIES7 = {
+    "xc7z007s": 0x03723093,
+    "xc7z010": 0x03722093,
+    "xc7z012s": 0x0373C093,
+    "xc7z014s": 0x03728093,
+    "xc7z015": 0x0373B093,
+    "xc7z020": 0x03727093,
+    "xc7z030": 0x0372C093,
+    "xc7z035": 0x03732093,
+    "xc7z045": 0x03731093,
+    "xc7z100": 0x03736093,
+    "xc7a35t": 0x0362D093,
+    "xc7a50t": 0x0362C093,
+    "xc7a100t": 0x03631093,
+    "xc7a200t": 0x03636093,
+    "xc7k325t": 0x03651093,
+}
+_ULTRASCALE_PLUS = {
+    "xczu3eg": 0x04A42093,
+    "xczu9eg": 0x0484A093,
+    "xck26": 0x04A49093,
+}
+DEVICES = tuple(
+    Device(name, idcode, family)
+    for family, table in ((Family.SERIES7, _SERIES7), (Family.ULTRASCALE_PLUS, _ULTRASCALE_PLUS))
+    for name, idcode in table.items()
+)
+
+# Dies that are sold under several names: the configuration is the same, and so is the IDCODE.
+_ALIASES = {"xczu3cg": "xczu3eg", "xczu9cg": "xczu9eg", "xazu3eg": "xczu3eg", "k26": "xck26"}
+_PART = re.compile(r"x[acq]{1,2}(?:k\d+|7[asvzk][a-z]*\d+[st]?|zu\d+[a-z]{2}|[kva]u\d+p)|k26")
+
+
+def base_name(part: str) -> str:
+    """Return a part's device without package, speed and temperature: ``7z020clg400`` → ``xc7z020``."""
+    text = part.strip().lower()
+    if re.match(r"7[asvzk]", text):
+        text = "xc" + text
+    found = _PART.match(text)
+    name = found.group(0) if found else text.split("-")[0]
+    return _ALIASES.get(name, name)
+
+
+def device_by_idcode(idcode: int) -> Device | None:
+    """Return the device of a bitstream's IDCODE, whatever its revision; None if it is not known."""
+    return next((item for item in DEVICES if item.idcode == idcode & REVISION_MASK), None)
+
+
+def device_by_name(part: str) -> Device | None:
+    """Return the device of a part or device name; None if it is not known."""
+    name = base_name(part)
+    return next((item for item in DEVICES if item.name == name), None)
+
+
+def family_of(idcode: int | None, part: str | None) -> Family | None:
+    """Return the family, for a device not in the table by its part's name or its IDCODE's range."""
+    known = device_by_idcode(idcode) if idcode is not None else None
+    if known is not None:
+        return known.family
+    name = base_name(part) if part else ""
+    if name.startswith(("xc7", "xa7", "xq7")) or (
+        not name and idcode is not None and idcode >> 20 & 0xFF in (0x36, 0x37)
+    ):
+        return Family.SERIES7
+    if re.match(r"x[acq](zu|k\d|[kva]u\d+p)", name) or (
+        not name and idcode is not None and idcode >> 20 & 0xFF == 0x4A
+    ):
+        return Family.ULTRASCALE_PLUS
+    return None
