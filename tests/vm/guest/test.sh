@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+# Runs the tests and sends what they say: lines to the port cm.output, an archive to the port cm.results.
+port() {
+	for found in /sys/class/virtio-ports/*; do
+		[ "$(cat "$found/name")" = "$1" ] && echo "/dev/${found##*/}"
+	done
+}
+mkdir -p /tmp/results
+cd /opt/cm/tests || exit
+{
+	python3 -m pytest -p no:cacheprovider -c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests \
+		-q --tb=short --durations=5 ${CM_VM_KEYWORD:+-k "$(echo "$CM_VM_KEYWORD" | tr + ' ')"} \
+		--junit-xml=/tmp/results/cases.xml vm/cases
+	echo "status=$?" >/tmp/results/facts
+} >"$(port cm.output)" 2>&1
+echo "kernel=$(uname -r) $(uname -m)" >>/tmp/results/facts
+if [ -e /sys/kernel/debug/kmemleak ]; then
+	echo scan >/sys/kernel/debug/kmemleak
+	echo scan >/sys/kernel/debug/kmemleak
+	cat /sys/kernel/debug/kmemleak >/tmp/results/kmemleak
+fi
+dmesg >/tmp/results/dmesg
+tar -c -C /tmp/results . >"$(port cm.results)"

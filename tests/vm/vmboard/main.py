@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: build, test, shell, list."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from . import session
+from .cache import Cache, default_root
+from .errors import EXIT_MISSING, MissingError, VmError
+from .progress import say
+from .tiers import TIERS
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Exit status: 0 all good, 1 failed, 2 usage, 77 the host lacks something."""
+    chosen = _parser().parse_args(arguments)
+    try:
+        return int(chosen.run(chosen))
+    except MissingError as missing:
+        say(f"SKIPPED: {missing}")
+        return EXIT_MISSING
+    except VmError as error:
+        say(f"FAILED: {error}")
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="tests/vm/run", description=__doc__)
+    parser.add_argument("--cache", type=Path, default=None, help="default: $CM_VM_CACHE, or cm-vm in the user's cache")
+    commands = parser.add_subparsers(required=True)
+    for name, run, text in (
+        ("build", _build, "build everything, boot nothing"),
+        ("test", _test, "run the tests"),
+    ):
+        command = commands.add_parser(name, help=text)
+        command.add_argument("--tier", action="append", choices=list(TIERS), help="default: every one")
+        command.add_argument("--jobs", type=int, default=2, help="boards at a time (2)")
+        command.add_argument("--output", type=Path, default=None, help="folder for logs and JUnit files")
+        command.add_argument("-k", dest="keyword", default="", help="only tests that match, as pytest's -k")
+        command.set_defaults(run=run)
+    shell = commands.add_parser("shell", help="a shell on the board, the CM running, its ports forwarded")
+    shell.add_argument("--tier", choices=list(TIERS), default="custom")
+    shell.add_argument("--port", type=int, default=5560, help="first of the three ports on this host (5560)")
+    shell.set_defaults(run=_shell)
+    return parser
+
+
+def _cache(chosen: argparse.Namespace) -> Cache:
+    return Cache((chosen.cache or default_root()).resolve())
+
+
+def _tiers(chosen: argparse.Namespace) -> list[str]:
+    return chosen.tier or list(TIERS)
+
+
+def _build(chosen: argparse.Namespace) -> int:
+    session.build(_cache(chosen), _tiers(chosen))
+    return 0
+
+
+def _test(chosen: argparse.Namespace) -> int:
+    cache = _cache(chosen)
+    output = (chosen.output or cache.root / "last-run").resolve()
+    return session.test(cache, _tiers(chosen), output, chosen.jobs, chosen.keyword)
+
+
+def _shell(chosen: argparse.Namespace) -> int:
+    return session.shell(_cache(chosen), chosen.tier, chosen.port)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

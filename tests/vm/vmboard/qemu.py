@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line of QEMU, and one run of it to its end."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from .arch import AMD64, Arch
+from .errors import MissingError
+from .shell import require
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """What to boot and with what."""
+
+    arch: Arch
+    image: Path
+    root: Path
+    payload: Path
+    memory_mb: int
+    initrd: Path | None = None  # None: the kernel has its disk drivers built in
+    dtb: Path | None = None  # None: the tree QEMU makes
+    kvm: bool = False
+    arguments: tuple[str, ...] = ()  # of the kernel, read by guest/main
+    forwards: dict[int, int] = field(default_factory=dict)  # host port → port on the board
+
+
+def check(arch: Arch, kvm: bool) -> None:
+    """MissingError where this host cannot run such a machine."""
+    require(arch.qemu)
+    if kvm and not os.access("/dev/kvm", os.R_OK | os.W_OK):
+        raise MissingError("/dev/kvm is not there or not ours to use")
+
+
+def command(machine: Machine) -> list[str]:
+    """The command line up to where its consoles go."""
+    return [
+        machine.arch.qemu,
+        *_board(machine),
+        *("-smp", "2", "-m", str(machine.memory_mb), "-no-reboot", "-display", "none", "-monitor", "none"),
+        *("-kernel", str(machine.image), "-append", _append(machine)),
+        *(("-initrd", str(machine.initrd)) if machine.initrd else ()),
+        *(("-dtb", str(machine.dtb)) if machine.dtb else ()),
+        *_disk(machine, machine.payload, "cm-payload"),
+        *_disk(machine, machine.root, "cm-root"),
+        *_network(machine),
+        *("-device", _device(machine, "virtio-rng")),
+    ]
+
+
+def _board(machine: Machine) -> list[str]:
+    if machine.arch == AMD64:
+        accelerator = "kvm" if machine.kvm else "tcg,thread=multi"
+        return ["-M", "q35", "-cpu", "host" if machine.kvm else "max", "-accel", accelerator, "-nodefaults"]
+    if machine.kvm:
+        return ["-M", "virt,gic-version=host", "-cpu", "host", "-accel", "kvm", "-nodefaults"]
+    return ["-M", "virt,gic-version=2", "-cpu", "cortex-a53", "-accel", "tcg,thread=multi", "-nodefaults"]
+
+
+def _device(machine: Machine, name: str) -> str:
+    return f"{name}-pci" if machine.arch == AMD64 else f"{name}-device"
+
+
+def _disk(machine: Machine, image: Path, serial: str) -> list[str]:
+    drive = f"if=none,id={serial},file={image},format=raw,snapshot=on,cache=unsafe"
+    return ["-drive", drive, "-device", f"{_device(machine, 'virtio-blk')},drive={serial},serial={serial}"]
+
+
+def _network(machine: Machine) -> list[str]:
+    forwards = [f"hostfwd=tcp:127.0.0.1:{here}-:{there}" for here, there in machine.forwards.items()]
+    return [
+        *("-netdev", ",".join(["user,id=net", "restrict=on", *forwards])),
+        *("-device", f"{_device(machine, 'virtio-net')},netdev=net"),
+    ]
+
+
+def _append(machine: Machine) -> str:
+    console = "ttyS0" if machine.arch == AMD64 else "ttyAMA0"
+    root = [] if machine.initrd else ["root=/dev/vda", "rw", "init=/usr/sbin/cm-init"]
+    return " ".join([f"console={console}", "panic=-1", "loglevel=6", *root, *machine.arguments])
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """How a run ended and where its traces lie."""
+
+    status: int | None  # of QEMU; None where it was ended after its time
+    seconds: float
+    console: Path
+    output: Path
+    results: Path
+
+
+def run(machine: Machine, place: Path, timeout_s: float, watch: Callable[[str], None]) -> Finished:
+    """Boot, hand each line the tests print to `watch`, and wait for the board to switch itself off."""
+    console, output, results = place / "console.log", place / "output.log", place / "results.tar"
+    started = time.monotonic()
+    with (place / "qemu.log").open("wb") as log, subprocess.Popen(
+        [*command(machine), *_ports(machine, console, output, results)],
+        stdin=subprocess.DEVNULL,
+        stdout=log,
+        stderr=log,
+    ) as process:
+        try:
+            status = _follow(process, output, started + timeout_s, watch)
+        finally:
+            process.kill()
+    return Finished(status, time.monotonic() - started, console, output, results)
+
+
+def _ports(machine: Machine, console: Path, output: Path, results: Path) -> list[str]:
+    """The kernel's console, and two ports of their own for what the tests print and for their results."""
+    arguments = ["-chardev", f"file,id=console,path={console}", "-serial", "chardev:console"]
+    arguments += ["-device", _device(machine, "virtio-serial")]
+    for name, path in (("output", output), ("results", results)):
+        arguments += ["-chardev", f"file,id={name},path={path}"]
+        arguments += ["-device", f"virtserialport,chardev={name},name=cm.{name}"]
+    return arguments
+
+
+def _follow(
+    process: subprocess.Popen[bytes], output: Path, deadline: float, watch: Callable[[str], None]
+) -> int | None:
+    seen = 0
+    while True:
+        ended = process.poll()
+        text = output.read_bytes() if output.exists() else b""
+        *lines, _rest = text[seen:].split(b"\n")
+        for line in lines:
+            seen += len(line) + 1
+            watch(line.decode(errors="replace").rstrip())
+        if ended is not None or time.monotonic() > deadline:
+            return ended
+        time.sleep(0.2)
+
+
+def interact(machine: Machine) -> int:
+    """Boot with the console on this terminal; Ctrl-A X ends it."""
+    arguments = ["-chardev", "stdio,id=console,mux=on,signal=off", "-serial", "chardev:console"]
+    return subprocess.run([*command(machine), *arguments], check=False).returncode

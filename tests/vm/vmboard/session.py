@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One invocation: builds the boards, runs them side by side, sums up."""
+
+from __future__ import annotations
+
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from . import initrd, payload, qemu, report, rootfs, software
+from .cache import Cache
+from .errors import MissingError
+from .progress import say, step
+from .tiers import TIERS, Tier
+
+PORTS = (5560, 5561, 5562)
+
+
+def build(cache: Cache, names: list[str]) -> None:
+    """Everything the named boards need, from the cache or now."""
+    for name in names:
+        machine(cache, TIERS[name])
+
+
+def machine(cache: Cache, tier: Tier, arguments: tuple[str, ...] = (), forwards: dict[int, int] | None = None) -> qemu.Machine:
+    """Build what a board needs, and describe it."""
+    qemu.check(tier.arch, tier.kvm)
+    kernel = tier.kernel(cache)
+    return qemu.Machine(
+        arch=tier.arch,
+        image=kernel.image,
+        root=rootfs.image(cache, tier.arch),
+        payload=payload.image(cache, kernel),
+        memory_mb=tier.memory_mb,
+        initrd=None if tier.fragments else initrd.image(cache, kernel),
+        dtb=software.overlays(cache) / "qemu-virt.dtb" if tier.fragments else None,
+        kvm=tier.kvm,
+        arguments=(f"cm.tier={tier.name}", f"cm.expects={','.join(tier.expects)}", *arguments),
+        forwards=forwards or {},
+    )
+
+
+def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) -> int:
+    """Run the boards, print what they found; 0 where all that could run is good, 77 where none could."""
+    machines: dict[str, qemu.Machine] = {}
+    for name in names:
+        try:
+            machines[name] = machine(cache, TIERS[name], _keyword(keyword))
+        except MissingError as missing:
+            say(f"SKIPPED {name}: {missing}")
+    if not machines:
+        raise MissingError("no board can run here")
+    with step(f"running {', '.join(machines)}"), ThreadPoolExecutor(jobs) as pool:
+        runs = {name: pool.submit(_run, name, board, output / name) for name, board in machines.items()}
+        results = {name: run.result() for name, run in runs.items()}
+    for name, result in results.items():
+        _print(name, result, output / name)
+    return 0 if all(result.good for result in results.values()) else 1
+
+
+def _keyword(keyword: str) -> tuple[str, ...]:
+    return (f"cm.keyword={keyword.replace(' ', '+')}",) if keyword else ()
+
+
+def _run(name: str, board: qemu.Machine, place: Path) -> report.Results:
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    done = qemu.run(board, place, TIERS[name].timeout_s, lambda line: say(f"{name:9}| {line}"))
+    result = report.collect(done.results, done.console, place)
+    say(f"{name}: the board ran {done.seconds:.0f} s" + ("" if done.status == 0 else f", QEMU's status {done.status}"))
+    return result
+
+
+def _print(name: str, result: report.Results, place: Path) -> None:
+    for failure in result.failures:
+        say(f"{name}: FAILED {failure}")
+    for found in result.reports:
+        say(f"{name}: KERNEL REPORT, line {found.line} of {place / 'console.log'}:\n{found.text}")
+    verdict = "good" if result.good else "FAILED"
+    say(
+        f"{name}: {verdict}: {result.passed} passed, {len(result.failures)} failed, {result.skipped} skipped, "
+        f"{len(result.reports)} reports of the kernel ({result.facts.get('kernel', 'kernel unknown')})"
+    )
+
+
+def shell(cache: Cache, name: str, port: int) -> int:
+    """The board on this terminal; its ports 5560 to 5562 are this host's `port` and the two after it."""
+    forwards = {port + index: there for index, there in enumerate(PORTS)}
+    board = machine(cache, TIERS[name], ("cm.action=shell",), forwards)
+    say(f"the CM will listen on tcp://localhost:{port}; Ctrl-A X ends the board")
+    return qemu.interact(board)

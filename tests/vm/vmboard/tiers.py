@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The boards there are: which kernel, which machine, and what each must be able to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from . import kernel
+from .arch import AMD64, ARM64, Arch
+from .cache import Cache
+
+
+@dataclass(frozen=True, slots=True)
+class Tier:
+    """One virtual board; a capability in `expects` that is missing on it is a failure, not a skip."""
+
+    name: str
+    arch: Arch
+    fragments: tuple[str, ...]  # none: Debian's own kernel
+    expects: tuple[str, ...]
+    memory_mb: int
+    timeout_s: int
+    kvm: bool = False
+
+    def kernel(self, cache: Cache) -> kernel.Kernel:
+        """Build or fetch the kernel."""
+        if self.fragments:
+            return kernel.custom(cache, self.arch, self.fragments)
+        return kernel.stock(cache, self.arch)
+
+
+BASIC = ("cm", "dma", "uio", "plsim")
+FULL = (*BASIC, "overlay", "fpga", "uio_genirq", "kunit")
+TIERS = {
+    tier.name: tier
+    for tier in (
+        Tier("stock", ARM64, (), BASIC, 768, 600),
+        Tier("custom", ARM64, ("custom.config",), FULL, 512, 600),
+        Tier("sanitize", ARM64, ("custom.config", "sanitize.config"), (*FULL, "kasan", "kmemleak"), 1024, 1200),
+        Tier("x86", AMD64, (), (*BASIC, "kvm"), 768, 300, kvm=True),
+    )
+}
