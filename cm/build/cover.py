@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fewest implementation runs that cover all modules and respect the allowed modes.
+
+Every run places one module into each region (or leaves it empty), so no fewer runs than the
+largest number of modules of a region can do. Without modes in the build schema every combination
+is allowed and that bound is reached. With modes, a run must be a state the system can be in:
+modes applied one after the other, each leaving the regions it does not name as they are. Choosing
+the fewest of them is a minimum set cover (Karp 1972), solved exactly by branch and bound on the
+module with the fewest runs that hold it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+State = tuple[str | None, ...]  # module per region, in the order of the regions
+Pair = tuple[int, str]
+
+MAX_STATES = 4_000
+MAX_STEPS = 200_000
+
+
+@dataclass(frozen=True, slots=True)
+class Cover:
+    """The runs, each region → module; `bound` no solution can beat; `exact`: proved fewest."""
+
+    runs: tuple[Mapping[str, str], ...]
+    bound: int
+    exact: bool
+    left_out: tuple[tuple[str, str], ...] = ()  # (region, module) that no allowed mode uses
+
+    def __str__(self) -> str:
+        proof = "the fewest possible" if self.exact else f"at least {self.bound} are needed"
+        return f"{len(self.runs)} implementation run{'s' * (len(self.runs) != 1)} ({proof})"
+
+
+def cover(
+    regions: Mapping[str, Sequence[str]], modes: Iterable[Mapping[str, str]], free: bool, first: Mapping[str, str]
+) -> Cover:
+    """The fewest runs for `regions` (region → its modules).
+
+    `modes` are the allowed combinations (region → module), all combinations where `free`. `first`
+    is to be part of the first run: the mode the system starts in.
+    """
+    bound = max((len(modules) for modules in regions.values()), default=0)
+    if free:
+        return Cover(_in_turn(regions, first), bound, exact=True)
+    names = list(regions)
+    states, complete = _reachable(names, list(modes))
+    wanted = {(index, name) for index, region in enumerate(names) for name in regions[region]}
+    possible = {pair for state in states for pair in _pairs(state)} & wanted
+    chosen, searched = _fewest(possible, states, first, names)
+    left_out = sorted((names[index], module) for index, module in wanted - possible)
+    runs = tuple(_as_mapping(names, state) for state in chosen)
+    return Cover(runs, bound, exact=complete and searched, left_out=tuple(left_out))
+
+
+def _in_turn(regions: Mapping[str, Sequence[str]], first: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
+    """Every region goes through its modules, that of `first` at the beginning; the last one stays."""
+    order = {name: sorted(modules, key=lambda module: module != first.get(name)) for name, modules in regions.items()}
+    count = max((len(modules) for modules in regions.values()), default=0)
+    return tuple(
+        {name: modules[min(index, len(modules) - 1)] for name, modules in order.items() if modules}
+        for index in range(count)
+    )
+
+
+def _reachable(names: list[str], modes: list[Mapping[str, str]]) -> tuple[list[State], bool]:
+    """States after any sequence of modes, fullest first; False where there are too many to list."""
+    empty: State = (None,) * len(names)
+    seen = {empty: 0}
+    queue = [empty]
+    for state in queue:
+        for mode in modes:
+            after = tuple(mode.get(name, old) for name, old in zip(names, state, strict=True))
+            if after not in seen:
+                if len(seen) >= MAX_STATES:
+                    return _fullest(seen), False
+                seen[after] = len(seen)
+                queue.append(after)
+    return _fullest(seen), True
+
+
+def _fullest(seen: dict[State, int]) -> list[State]:
+    """States that no other one contains more than; for a cover the others are never better."""
+    by_size = sorted(seen, key=lambda state: (sum(name is None for name in state), seen[state]))
+    kept: list[State] = []
+    full = {state for state in by_size if None not in state}
+    for state in by_size:
+        if state in full or not any(_within(state, other) for other in kept):
+            kept.append(state)
+    return kept
+
+
+def _within(small: State, large: State) -> bool:
+    return all(mine is None or mine == theirs for mine, theirs in zip(small, large, strict=True))
+
+
+def _pairs(state: State) -> set[Pair]:
+    return {(index, name) for index, name in enumerate(state) if name is not None}
+
+
+def _as_mapping(names: list[str], state: State) -> dict[str, str]:
+    return {name: module for name, module in zip(names, state, strict=True) if module is not None}
+
+
+def _fewest(
+    possible: set[Pair], states: list[State], first: Mapping[str, str], names: list[str]
+) -> tuple[list[State], bool]:
+    """The fewest states that hold all of `possible`; the one that fits `first` best comes first."""
+    holders = {pair: [state for state in states if state[pair[0]] == pair[1]] for pair in possible}
+    search = _Search(holders)
+    start = _greedy(possible, states)
+    found = search.run(possible, start)
+    wanted = {(names.index(region), module) for region, module in first.items() if region in names}
+    found.sort(key=lambda state: (-len(_pairs(state) & wanted), states.index(state)))
+    return found, search.complete
+
+
+def _greedy(possible: set[Pair], states: list[State]) -> list[State]:
+    left, chosen = set(possible), []
+    while left:
+        best = max(states, key=lambda state: len(_pairs(state) & left))
+        chosen.append(best)
+        left -= _pairs(best)
+    return chosen
+
+
+class _Search:
+    def __init__(self, holders: dict[Pair, list[State]]) -> None:
+        self._holders = holders
+        self._best: list[State] = []
+        self._steps = 0
+        self.complete = True
+
+    def run(self, possible: set[Pair], start: list[State]) -> list[State]:
+        self._best = start
+        self._branch(frozenset(possible), [])
+        return list(self._best)
+
+    def _branch(self, left: frozenset[Pair], chosen: list[State]) -> None:
+        self._steps += 1
+        if self._steps > MAX_STEPS:
+            self.complete = False
+            return
+        if not left:
+            self._best = list(chosen)
+            return
+        per_region: dict[int, int] = {}
+        for index, _ in left:
+            per_region[index] = per_region.get(index, 0) + 1
+        if len(chosen) + max(per_region.values()) >= len(self._best):
+            return
+        hardest = min(left, key=lambda pair: (len(self._holders[pair]), pair))
+        candidates = sorted(self._holders[hardest], key=lambda state: -len(_pairs(state) & left))
+        for state in candidates:
+            self._branch(left - _pairs(state), [*chosen, state])

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the build tool."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from cm.errors import CmError
+
+
+class BuildError(CmError):
+    """Something the build tool cannot do; the sentence says what would be right."""
+
+    code: ClassVar[str] = "build_failed"
+
+
+class MissingTool(BuildError):
+    """A program or an optional package is not installed; the sentence says how to get it."""
+
+    code: ClassVar[str] = "missing_tool"

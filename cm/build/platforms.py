@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What differs between the processing systems: IP, ports, addresses, interrupts.
+
+Sources: UG585 (Zynq-7000 TRM) chapters 4 and 7, UG1085 (UltraScale+ TRM) chapters 10 and 13, UG470,
+UG570; kernel interrupt numbers count from 32 (`GIC_SPI`).
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from cm.build.errors import BuildError
+
+
+@dataclass(frozen=True, slots=True)
+class Platform:
+    """A family of SoCs as the generated block design needs it."""
+
+    name: str
+    ps_ip: str
+    ps_cell: str
+    control_master: str  # AXI master of the PS for registers
+    control_clock: str
+    memory_slaves: tuple[str, ...]  # high-performance slaves of the PS
+    memory_clocks: tuple[str, ...]
+    memory_segment: str
+    clock_pins: tuple[str, ...]
+    reset_pin: str
+    irq_pins: tuple[tuple[str, int, int], ...]  # pin, lines, first GIC SPI
+    base: int  # PL window of the control master
+    size: int
+    axi_data_width: int
+    address_bits: int
+    ultrascale: bool
+    icap_rate_max: int  # Hz
+    compatible: str  # device tree of the board's SoC
+
+    @property
+    def irq_count(self) -> int:
+        """Interrupt lines from PL to PS."""
+        return sum(lines for _, lines, _ in self.irq_pins)
+
+    def spi(self, line: int) -> int:
+        """GIC SPI of PL interrupt `line`."""
+        for _, lines, first in self.irq_pins:
+            if line < lines:
+                return first + line
+            line -= lines
+        raise BuildError(f"{self.name} has {self.irq_count} interrupt lines from the PL; one more was asked for")
+
+
+ZYNQ7000 = Platform(
+    name="zynq7000",
+    ps_ip="processing_system7",
+    ps_cell="ps7",
+    control_master="M_AXI_GP0",
+    control_clock="M_AXI_GP0_ACLK",
+    memory_slaves=("S_AXI_HP0", "S_AXI_HP1", "S_AXI_HP2", "S_AXI_HP3"),
+    memory_clocks=("S_AXI_HP0_ACLK", "S_AXI_HP1_ACLK", "S_AXI_HP2_ACLK", "S_AXI_HP3_ACLK"),
+    memory_segment="{slave}/HP{index}_DDR_LOWOCM",
+    clock_pins=("FCLK_CLK0", "FCLK_CLK1", "FCLK_CLK2", "FCLK_CLK3"),
+    reset_pin="FCLK_RESET0_N",
+    # IRQ_F2P[7:0] are SPI 61..68 - 32, [15:8] are 84..91 - 32 (UG585 table 7-4)
+    irq_pins=(("IRQ_F2P", 8, 29), ("IRQ_F2P", 8, 52)),
+    base=0x4000_0000,
+    size=0x4000_0000,
+    axi_data_width=64,
+    address_bits=32,
+    ultrascale=False,
+    icap_rate_max=100_000_000,
+    compatible="xlnx,zynq-7000",
+)
+
+ZYNQMP = Platform(
+    name="zynqmp",
+    ps_ip="zynq_ultra_ps_e",
+    ps_cell="ps8",
+    control_master="M_AXI_HPM0_FPD",
+    control_clock="maxihpm0_fpd_aclk",
+    memory_slaves=("S_AXI_HP0_FPD", "S_AXI_HP1_FPD", "S_AXI_HP2_FPD", "S_AXI_HP3_FPD"),
+    memory_clocks=("saxihp0_fpd_aclk", "saxihp1_fpd_aclk", "saxihp2_fpd_aclk", "saxihp3_fpd_aclk"),
+    memory_segment="SAXIGP{gp}/HP{index}_DDR_LOW",
+    clock_pins=("pl_clk0", "pl_clk1", "pl_clk2", "pl_clk3"),
+    reset_pin="pl_resetn0",
+    # pl_ps_irq0 is SPI 89..96, pl_ps_irq1 SPI 104..111 (UG1085 table 13-1)
+    irq_pins=(("pl_ps_irq0", 8, 89), ("pl_ps_irq1", 8, 104)),
+    base=0xA000_0000,
+    size=0x1000_0000,
+    axi_data_width=128,
+    address_bits=40,
+    ultrascale=True,
+    icap_rate_max=200_000_000,
+    compatible="xlnx,zynqmp",
+)
+
+
+def device_of(part: str) -> str:
+    """The device of a full part name: ``xc7z020clg400-1`` is of ``xc7z020``, ``xck26-sfvc784-2LV-c`` of ``xck26``."""
+    found = re.match(r"(x[caq]7z\d{3}s?|x[caq]zu\d+(?:eg|ev|cg|dr)|xck\d+)", part)
+    if found is None:
+        raise BuildError(f"{part} is no part of the Zynq-7000 or Zynq UltraScale+ family (like xc7z020clg400-1)")
+    return found.group(1)
+
+
+def platform_of(part: str) -> Platform:
+    """The platform of a part; BuildError for other families."""
+    return ZYNQ7000 if "7z" in device_of(part) else ZYNQMP
