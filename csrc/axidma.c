@@ -6,7 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "event.h"
 #include "node.h"
 
 struct cm_dma {
@@ -50,14 +49,14 @@ void cm_dma_close(struct cm_dma *dma)
 	errno = error;
 }
 
-int cm_dma_event_fd(const struct cm_dma *dma)
+int cm_dma_event_fd(struct cm_dma *dma)
 {
 	return cm_node_event_fd(dma->node);
 }
 
-void cm_dma_wake(struct cm_dma *dma)
+void cm_dma_release(struct cm_dma *dma)
 {
-	cm_node_wake(dma->node);
+	cm_node_release(dma->node);
 }
 
 int cm_dma_get_info(struct cm_dma *dma, struct cm_dma_info *info)
@@ -135,5 +134,5 @@ ssize_t cm_dma_take(struct cm_dma *dma, struct cm_dma_completion *completions, s
 
 int cm_dma_wait(struct cm_dma *dma, int64_t timeout_ns, struct cm_dma_completion *completion)
 {
-	return cm_event_wait(dma->node, timeout_ns, completion, sizeof(*completion));
+	return cm_node_wait(dma->node, timeout_ns, completion, sizeof(*completion));
 }

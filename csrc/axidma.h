@@ -27,8 +27,11 @@ struct cm_dma *cm_dma_open(const char *root, const char *name);
 /* Stop all transfers, release handles, close and free; @dma may be NULL. */
 void cm_dma_close(struct cm_dma *dma);
 
-int cm_dma_event_fd(const struct cm_dma *dma); /* see cm_node_event_fd() */
-void cm_dma_wake(struct cm_dma *dma);	       /* see cm_node_wake() */
+/* Close the device, free nothing; see cm_node_release(). */
+void cm_dma_release(struct cm_dma *dma);
+
+/* See cm_node_event_fd(). */
+int cm_dma_event_fd(struct cm_dma *dma);
 
 int cm_dma_get_info(struct cm_dma *dma, struct cm_dma_info *info);
 

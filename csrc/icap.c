@@ -7,7 +7,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "event.h"
 #include "node.h"
 
 struct cm_icap {
@@ -51,14 +50,14 @@ void cm_icap_close(struct cm_icap *icap)
 	errno = error;
 }
 
-int cm_icap_event_fd(const struct cm_icap *icap)
+int cm_icap_event_fd(struct cm_icap *icap)
 {
 	return cm_node_event_fd(icap->node);
 }
 
-void cm_icap_wake(struct cm_icap *icap)
+void cm_icap_release(struct cm_icap *icap)
 {
-	cm_node_wake(icap->node);
+	cm_node_release(icap->node);
 }
 
 int cm_icap_get_info(struct cm_icap *icap, struct cm_icap_info *info)
@@ -115,5 +114,5 @@ int cm_icap_take(struct cm_icap *icap, struct cm_icap_completion *completion)
 
 int cm_icap_wait(struct cm_icap *icap, int64_t timeout_ns, struct cm_icap_completion *completion)
 {
-	return cm_event_wait(icap->node, timeout_ns, completion, sizeof(*completion));
+	return cm_node_wait(icap->node, timeout_ns, completion, sizeof(*completion));
 }

@@ -20,8 +20,11 @@ struct cm_icap *cm_icap_open(const char *root, const char *name);
 /* Close and free; waits for the end of a load of this file.  @icap may be NULL. */
 void cm_icap_close(struct cm_icap *icap);
 
-int cm_icap_event_fd(const struct cm_icap *icap); /* see cm_node_event_fd() */
-void cm_icap_wake(struct cm_icap *icap);	  /* see cm_node_wake() */
+/* Close the device, free nothing; see cm_node_release(). */
+void cm_icap_release(struct cm_icap *icap);
+
+/* See cm_node_event_fd(). */
+int cm_icap_event_fd(struct cm_icap *icap);
 
 int cm_icap_get_info(struct cm_icap *icap, struct cm_icap_info *info);
 int cm_icap_get_status(struct cm_icap *icap, struct cm_icap_status *status);

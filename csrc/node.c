@@ -1,15 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "node.h"
-
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
-#include <pthread.h>
-#include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 #include <sys/eventfd.h>
-#include <sys/ioctl.h>
 #include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
@@ -18,19 +12,11 @@
 #include "clock.h"
 #include "cm_node.h"
 #include "message.h"
+#include "node_private.h"
 #include "path.h"
 
 /* How long close() waits for a simulated node to let go, as a driver's release() would. */
 #define RELEASE_TIMEOUT_MS 5000
-
-struct cm_node {
-	int fd;	      /* the device, or the connection */
-	int event_fd; /* the same device, or the event socket */
-	int wake_fd;  /* eventfd: readable once cm_node_wake() was called */
-	int broken;   /* errno of all further requests, or 0; under @lock */
-	bool simulated;
-	pthread_mutex_t lock; /* one request at a time on a connection */
-};
 
 static int greet(struct cm_node *node)
 {
@@ -87,6 +73,7 @@ struct cm_node *cm_node_open(const char *root, const char *path)
 		return NULL;
 	node->fd = node->event_fd = -1;
 	pthread_mutex_init(&node->lock, NULL);
+	pthread_rwlock_init(&node->users, NULL);
 	node->wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
 	if (node->wake_fd < 0 || open_under(node, root, path)) {
 		cm_node_close(node);
@@ -115,23 +102,62 @@ static void await_release(int fd)
 	}
 }
 
-void cm_node_close(struct cm_node *node)
+static void close_descriptors(struct cm_node *node)
 {
-	int error = errno;
-
-	if (!node)
-		return;
 	if (node->simulated && node->event_fd >= 0) {
 		await_release(node->fd);
 		close(node->event_fd);
 	}
 	if (node->fd >= 0)
 		close(node->fd);
+	node->fd = node->event_fd = -1;
+}
+
+void cm_node_release(struct cm_node *node)
+{
+	int error = errno;
+
+	if (!atomic_exchange(&node->released, true)) {
+		/* It fails only when the counter is full: then it is readable already. */
+		(void)!eventfd_write(node->wake_fd, 1);
+	}
+	pthread_rwlock_wrlock(&node->users);
+	close_descriptors(node);
+	pthread_rwlock_unlock(&node->users);
+	errno = error;
+}
+
+void cm_node_close(struct cm_node *node)
+{
+	int error = errno;
+
+	if (!node)
+		return;
+	cm_node_release(node);
 	if (node->wake_fd >= 0)
 		close(node->wake_fd);
+	pthread_rwlock_destroy(&node->users);
 	pthread_mutex_destroy(&node->lock);
 	free(node);
 	errno = error;
+}
+
+int cm_node_enter(struct cm_node *node)
+{
+	/* Asked before the lock, so that calls without end cannot hold the release up. */
+	if (!atomic_load(&node->released)) {
+		pthread_rwlock_rdlock(&node->users);
+		if (node->fd >= 0)
+			return 0;
+		pthread_rwlock_unlock(&node->users);
+	}
+	errno = EBADF;
+	return -1;
+}
+
+void cm_node_leave(struct cm_node *node)
+{
+	pthread_rwlock_unlock(&node->users);
 }
 
 bool cm_node_simulated(const struct cm_node *node)
@@ -139,157 +165,15 @@ bool cm_node_simulated(const struct cm_node *node)
 	return node->simulated;
 }
 
-int cm_node_event_fd(const struct cm_node *node)
+int cm_node_event_fd(struct cm_node *node)
 {
-	return node->event_fd;
-}
+	int fd;
 
-/*
- * A reply to an ioctl that only writes (_IOW) may leave the structure out;
- * every other brings it whole.
- */
-static bool expected_length(uint32_t op, size_t length, size_t size)
-{
-	bool optional =
-		op == CM_NODE_OP_REG_WRITE || (_IOC_TYPE(op) && !(_IOC_DIR(op) & _IOC_READ));
-
-	return length == size || (optional && length == 0);
-}
-
-/* One request and its reply on the connection; @lock is held. */
-static int exchange(struct cm_node *node, uint32_t op, void *arg, size_t size, int32_t *fd,
-		    enum cm_node_fd mode)
-{
-	int received = -1;
-	ssize_t length;
-
-	if (cm_message_send(node->fd, op, arg, size, mode == CM_NODE_FD_SEND ? *fd : -1)) {
-		node->broken = errno == ENODEV ? ENODEV : 0;
+	if (cm_node_enter(node))
 		return -1;
-	}
-	length = cm_message_receive(node->fd, op, arg, size,
-				    mode == CM_NODE_FD_RECEIVE ? &received : NULL, &node->broken);
-	if (length < 0)
-		return -1;
-	if (!expected_length(op, (size_t)length, size) ||
-	    (mode == CM_NODE_FD_RECEIVE && received < 0)) {
-		if (received >= 0)
-			close(received);
-		node->broken = errno = EPROTO;
-		return -1;
-	}
-	if (mode == CM_NODE_FD_RECEIVE)
-		*fd = received;
-	return 0;
-}
-
-static int device_ioctl(int fd, uint32_t op, void *arg)
-{
-	int result;
-
-	do {
-		result = ioctl(fd, (unsigned long)op, arg);
-	} while (result < 0 && errno == EINTR);
-	return result < 0 ? -1 : 0;
-}
-
-int cm_node_request(struct cm_node *node, uint32_t op, void *arg, size_t size, int32_t *fd,
-		    enum cm_node_fd mode)
-{
-	int result = -1, error;
-
-	if (!node->simulated)
-		return device_ioctl(node->fd, op, arg);
-	pthread_mutex_lock(&node->lock);
-	if (node->broken)
-		errno = node->broken;
-	else
-		result = exchange(node, op, arg, size, fd, mode);
-	error = errno;
-	pthread_mutex_unlock(&node->lock);
-	errno = error;
-	return result;
-}
-
-/* A real device returns as many whole events as fit, a socket one a packet. */
-static ssize_t take_some(struct cm_node *node, void *events, size_t size, size_t count)
-{
-	size_t room = node->simulated ? size : size * count;
-	ssize_t got;
-
-	do {
-		got = node->simulated ? recv(node->event_fd, events, room, MSG_DONTWAIT | MSG_TRUNC)
-				      : read(node->event_fd, events, room);
-	} while (got < 0 && errno == EINTR);
-	if (got < 0)
-		return errno == EAGAIN ? 0 : -1;
-	if (got == 0 || (size_t)got > room || (size_t)got % size) {
-		errno = got == 0 ? ENODEV : EPROTO;
-		return -1;
-	}
-	return got / (ssize_t)size;
-}
-
-ssize_t cm_node_take(struct cm_node *node, void *events, size_t size, size_t count)
-{
-	size_t taken = 0;
-
-	while (taken < count) {
-		ssize_t some = take_some(node, (char *)events + taken * size, size, count - taken);
-
-		if (some < 0 && taken == 0) {
-			if (errno == ECONNRESET)
-				errno = ENODEV;
-			return -1;
-		}
-		if (some <= 0 || !node->simulated)
-			return (ssize_t)taken + (some > 0 ? some : 0);
-		taken += (size_t)some;
-	}
-	return (ssize_t)taken;
-}
-
-int cm_node_wait(struct cm_node *node, int64_t timeout_ns)
-{
-	struct pollfd fds[2] = {
-		{ .fd = node->event_fd, .events = POLLIN },
-		{ .fd = node->wake_fd, .events = POLLIN },
-	};
-	struct timespec limit = cm_clock_timespec(timeout_ns);
-	int ready = ppoll(fds, 2, timeout_ns == CM_WAIT_FOREVER ? NULL : &limit, NULL);
-
-	if (ready > 0 && fds[1].revents) {
-		errno = ECANCELED;
-		return -1;
-	}
-	return ready < 0 ? -1 : ready > 0;
-}
-
-int cm_node_write(struct cm_node *node, const void *data, size_t size)
-{
-	ssize_t done;
-
-	do {
-		done = node->simulated
-			       ? send(node->event_fd, data, size, MSG_NOSIGNAL | MSG_DONTWAIT)
-			       : write(node->event_fd, data, size);
-	} while (done < 0 && errno == EINTR);
-	if (done == (ssize_t)size)
-		return 0;
-	if (done >= 0)
-		errno = EIO;
-	else if (errno == EPIPE || errno == ECONNRESET || errno == ENOTCONN)
-		errno = ENODEV;
-	return -1;
-}
-
-void cm_node_wake(struct cm_node *node)
-{
-	int error = errno;
-
-	/* It fails only when the counter is full: then it is readable already. */
-	(void)!eventfd_write(node->wake_fd, 1);
-	errno = error;
+	fd = node->event_fd;
+	cm_node_leave(node);
+	return fd;
 }
 
 void *cm_node_mmap(struct cm_node *node, size_t length, off_t offset)

@@ -5,9 +5,9 @@
  *
  * Functions return -1 or NULL and set errno.  Nothing prints or exits.
  *
- * Threads may share a node: requests are serialised, waits are not.
- * cm_node_close() must not run beside another call on the same node; a thread
- * that waits is made to return by cm_node_wake() first.
+ * Threads may share a node: requests are serialised, waits are not.  One may
+ * release it while others are in a call.  cm_node_close() frees the memory and
+ * must be the last call.
  */
 #ifndef CM_SHIM_NODE_H
 #define CM_SHIM_NODE_H
@@ -45,12 +45,23 @@ enum cm_node_fd {
 struct cm_node *cm_node_open(const char *root, const char *path);
 
 /**
- * cm_node_close() - close the device and free @node, which may be NULL
+ * cm_node_release() - close the device; @node stays valid
  *
- * Blocks until the driver has released the device, so that it can be opened
- * again at once.  Leaves errno as it is.
+ * Waits of other threads end with ECANCELED, every later call fails with EBADF.
+ * Blocks until no other thread is in a call and the driver has released the
+ * device, so that it can be opened again at once.  Twice is fine.
  */
+void cm_node_release(struct cm_node *node);
+
+/* Release and free @node, which may be NULL.  Leaves errno as it is. */
 void cm_node_close(struct cm_node *node);
+
+/*
+ * Between these two the device stays open, for users of cm_node_mmap(): -1 with
+ * EBADF once it was released.  cm_node_leave() leaves errno as it is.
+ */
+int cm_node_enter(struct cm_node *node);
+void cm_node_leave(struct cm_node *node);
 
 /* True where the node is a simulated one. */
 bool cm_node_simulated(const struct cm_node *node);
@@ -74,9 +85,9 @@ int cm_node_request(struct cm_node *node, uint32_t op, void *arg, size_t size, i
 /**
  * cm_node_event_fd() - descriptor that polls readable when an event waits
  *
- * Owned by the node: poll it, but neither read nor close it.
+ * Owned by the node: poll it, but neither read nor close it.  EBADF once released.
  */
-int cm_node_event_fd(const struct cm_node *node);
+int cm_node_event_fd(struct cm_node *node);
 
 /**
  * cm_node_take() - take events that are there, never blocks
@@ -88,20 +99,20 @@ int cm_node_event_fd(const struct cm_node *node);
 ssize_t cm_node_take(struct cm_node *node, void *events, size_t size, size_t count);
 
 /**
- * cm_node_wait() - wait until cm_node_take() has something to return
+ * cm_node_wait() - wait for one event of @size bytes and take it
  * @timeout_ns: CLOCK_MONOTONIC nanoseconds, or CM_WAIT_FOREVER; <= 0 only looks
  *
- * Returns 1 when an event (or an error) can be taken, 0 when the time is over.
- * Errors: EINTR when a signal came (call again with what is left of the time),
- * ECANCELED after cm_node_wake().
+ * What is there needs no poll.  Where another thread takes the event that woke
+ * this one, it waits for the next with what is left of the time.
+ *
+ * Returns 1.  Errors: ETIMEDOUT; EINTR when a signal came (call again with what
+ * is left of the time); ECANCELED when the node is released meanwhile; those of
+ * cm_node_take().
  */
-int cm_node_wait(struct cm_node *node, int64_t timeout_ns);
+int cm_node_wait(struct cm_node *node, int64_t timeout_ns, void *event, size_t size);
 
 /* Write @size bytes to the device file.  Never blocks. */
 int cm_node_write(struct cm_node *node, const void *data, size_t size);
-
-/* Make all waits on @node, now and later, fail with ECANCELED. */
-void cm_node_wake(struct cm_node *node);
 
 /* Device memory of a real node, as mmap(); MAP_FAILED, ENOTSUP on a simulated one. */
 void *cm_node_mmap(struct cm_node *node, size_t length, off_t offset);

@@ -7,7 +7,6 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
-#include "clock.h"
 #include "cm_node.h"
 #include "mmio.h"
 #include "node.h"
@@ -103,14 +102,14 @@ const struct cm_uio_info *cm_uio_get_info(const struct cm_uio *uio)
 	return &uio->info;
 }
 
-int cm_uio_event_fd(const struct cm_uio *uio)
+int cm_uio_event_fd(struct cm_uio *uio)
 {
 	return cm_node_event_fd(uio->node);
 }
 
-void cm_uio_wake(struct cm_uio *uio)
+void cm_uio_release(struct cm_uio *uio)
 {
-	cm_node_wake(uio->node);
+	cm_node_release(uio->node);
 }
 
 static int check_access(const struct cm_uio *uio, unsigned int map, uint64_t offset,
@@ -142,7 +141,10 @@ int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned 
 	if (check_access(uio, map, offset, width))
 		return -1;
 	if (!cm_node_simulated(uio->node)) {
+		if (cm_node_enter(uio->node))
+			return -1;
 		*value = cm_mmio_read(register_at(uio, map, offset), width);
+		cm_node_leave(uio->node);
 		return 0;
 	}
 	if (cm_node_request(uio->node, CM_NODE_OP_REG_READ, &reg, sizeof(reg), NULL,
@@ -164,7 +166,10 @@ int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned
 		return -1;
 	}
 	if (!cm_node_simulated(uio->node)) {
+		if (cm_node_enter(uio->node))
+			return -1;
 		cm_mmio_write(register_at(uio, map, offset), width, value);
+		cm_node_leave(uio->node);
 		return 0;
 	}
 	return cm_node_request(uio->node, CM_NODE_OP_REG_WRITE, &reg, sizeof(reg), NULL,
@@ -200,19 +205,11 @@ int cm_uio_take(struct cm_uio *uio, uint32_t *count)
 
 int cm_uio_wait(struct cm_uio *uio, int64_t timeout_ns, uint32_t *count)
 {
-	int64_t deadline = cm_clock_deadline(timeout_ns);
+	uint32_t newer;
 
-	for (;;) {
-		int taken = cm_uio_take(uio, count), ready;
-
-		if (taken)
-			return taken;
-		ready = cm_node_wait(uio->node, cm_clock_left(deadline));
-		if (ready < 0)
-			return -1;
-		if (!ready) {
-			errno = ETIMEDOUT;
-			return -1;
-		}
-	}
+	if (cm_node_wait(uio->node, timeout_ns, count, sizeof(*count)) < 0)
+		return -1;
+	if (cm_node_simulated(uio->node) && cm_uio_take(uio, &newer) > 0)
+		*count = newer;
+	return 1;
 }

@@ -35,10 +35,10 @@ void cm_uio_close(struct cm_uio *uio);
 const struct cm_uio_info *cm_uio_get_info(const struct cm_uio *uio);
 
 /* See cm_node_event_fd(): polls readable when an interrupt waits. */
-int cm_uio_event_fd(const struct cm_uio *uio);
+int cm_uio_event_fd(struct cm_uio *uio);
 
-/* See cm_node_wake(). */
-void cm_uio_wake(struct cm_uio *uio);
+/* Close the device, free nothing; see cm_node_release().  Windows stay mapped till close. */
+void cm_uio_release(struct cm_uio *uio);
 
 /**
  * cm_uio_read() / cm_uio_write() - one access to a register

@@ -34,8 +34,8 @@ struct cm_dma_completion {
 struct cm_dma;
 struct cm_dma *cm_dma_open(const char *root, const char *name);
 void cm_dma_close(struct cm_dma *dma);
-int cm_dma_event_fd(const struct cm_dma *dma);
-void cm_dma_wake(struct cm_dma *dma);
+int cm_dma_event_fd(struct cm_dma *dma);
+void cm_dma_release(struct cm_dma *dma);
 int cm_dma_get_info(struct cm_dma *dma, struct cm_dma_info *info);
 int cm_dma_alloc(struct cm_dma *dma, uint64_t length, struct cm_buffer *buffer);
 int cm_dma_import(struct cm_dma *dma, int fd, struct cm_buffer *buffer);

@@ -42,8 +42,8 @@ struct cm_icap_completion {
 struct cm_icap;
 struct cm_icap *cm_icap_open(const char *root, const char *name);
 void cm_icap_close(struct cm_icap *icap);
-int cm_icap_event_fd(const struct cm_icap *icap);
-void cm_icap_wake(struct cm_icap *icap);
+int cm_icap_event_fd(struct cm_icap *icap);
+void cm_icap_release(struct cm_icap *icap);
 int cm_icap_get_info(struct cm_icap *icap, struct cm_icap_info *info);
 int cm_icap_get_status(struct cm_icap *icap, struct cm_icap_status *status);
 int cm_icap_alloc(struct cm_icap *icap, uint64_t length, struct cm_buffer *buffer);

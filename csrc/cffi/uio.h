@@ -27,8 +27,8 @@ int cm_uio_find_address(const char *root, uint64_t address, uint64_t length,
 struct cm_uio;
 struct cm_uio *cm_uio_open(const char *root, unsigned int number);
 void cm_uio_close(struct cm_uio *uio);
-int cm_uio_event_fd(const struct cm_uio *uio);
-void cm_uio_wake(struct cm_uio *uio);
+int cm_uio_event_fd(struct cm_uio *uio);
+void cm_uio_release(struct cm_uio *uio);
 int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		uint64_t *value);
 int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,

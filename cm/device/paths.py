@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where devices lie: everything is relative to a root folder, ``CM_ROOT`` or ``/``."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True, slots=True)
+class Root:
+    """A folder in front of every device path.
+
+    ``Root()`` is the real board; that of a simulated board is a folder on tmpfs.
+    """
+
+    path: str = "/"
+
+    @classmethod
+    def of(cls, root: str | os.PathLike[str] | Root | None) -> Root:
+        """Return ``root`` as a Root; None is ``$CM_ROOT``, else ``/``.  The only place that reads it."""
+        if isinstance(root, Root):
+            return root
+        text = os.environ.get("CM_ROOT") or "/" if root is None else os.fspath(root)
+        return cls(str(Path(text).absolute()))
+
+    @property
+    def simulated(self) -> bool:
+        """Whether this is not the file system's own root."""
+        return self.path != "/"
+
+    @property
+    def prefix(self) -> str:
+        """What the shim puts before ``/dev/…``."""
+        return self.path.rstrip("/")
+
+    def join(self, *parts: str) -> Path:
+        """Return the path of ``parts`` under the root."""
+        return Path(self.path, *parts)

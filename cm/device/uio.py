@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers and interrupts of UIO devices."""
+
+from __future__ import annotations
+
+import errno
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+from cm.device import advice
+from cm.device.base import AnyRoot, Device, Shim
+from cm.device.errors import DeviceError, DeviceInvalid, DeviceNotFound, device_error
+from cm.device.paths import Root
+from cm.native import uio as native
+from cm.native.call import Handle
+
+WIDTHS = (8, 16, 32, 64)
+
+
+@dataclass(frozen=True, slots=True)
+class UioMap:
+    """One window: physical ``address``, ``size`` in bytes, ``offset`` of its start in the mapping."""
+
+    name: str
+    address: int
+    size: int
+    offset: int
+
+
+@dataclass(frozen=True, slots=True)
+class UioInfo:
+    """A UIO device as sysfs describes it; ``node`` is "uioN"."""
+
+    number: int
+    name: str
+    maps: tuple[UioMap, ...]
+
+    @property
+    def node(self) -> str:
+        """Name of the node in /dev."""
+        return f"uio{self.number}"
+
+
+def _info(info: native.Info) -> UioInfo:
+    return UioInfo(info.number, info.name, tuple(UioMap(*item) for item in info.maps))
+
+
+def list_uio(root: AnyRoot = None) -> list[UioInfo]:
+    """Return all UIO devices by number; none where the system has no such class."""
+    base = Root.of(root)
+    found = []
+    try:
+        for number in native.numbers(base.prefix):
+            try:
+                found.append(_info(native.describe(base.prefix, number)))
+            except FileNotFoundError:
+                continue  # it went between the listing and the look
+    except OSError as error:
+        raise device_error(error, "list", str(base.join("sys/class/uio"))) from error
+    return found
+
+
+def find_uio(address: int, length: int = 1, root: AnyRoot = None) -> tuple[UioInfo, int]:
+    """Return the device, and the index of its map, that cover ``length`` bytes at ``address``.
+
+    Raises DeviceNotFound, which lists the windows there are.
+    """
+    base = Root.of(root)
+    try:
+        info, index = native.find_address(base.prefix, address, length)
+    except (OSError, OverflowError) as error:
+        raise _no_window(base, address, length) from error
+    return _info(info), index
+
+
+def _windows(infos: list[UioInfo]) -> str:
+    return ", ".join(f"{i.node} {i.name} 0x{m.address:x}+0x{m.size:x}" for i in infos for m in i.maps)
+
+
+def _no_window(root: Root, address: int, length: int) -> DeviceNotFound:
+    path = str(root.join("sys/class/uio"))
+    there = _windows(list_uio(root)) or "none"
+    text = f"no UIO device covers 0x{address:x}+0x{length:x}; windows in {path}: {there}"
+    return DeviceNotFound(errno.ENOENT, text, path)
+
+
+def _find(root: Root, name: str | int) -> UioInfo:
+    if isinstance(name, int):
+        return find_uio(name, 1, root)[0]
+    path = root.join("sys/class/uio")
+    try:
+        return _info(native.find_name(root.prefix, name))
+    except FileNotFoundError as error:
+        present = [f"{info.node} ({info.name})" for info in list_uio(root)]
+        hint = advice.missing(path / name, present)
+        raise device_error(error, "find UIO device", f"{name!r} in {path}", hint) from error
+    except (OSError, ValueError) as error:
+        number = error.errno if isinstance(error, OSError) and error.errno else errno.EINVAL
+        raise device_error(number, "find UIO device", f"{name!r} in {path}") from error
+
+
+class Uio(Device):
+    """Registers and the interrupt of one UIO device.  Offsets are bytes, values unsigned."""
+
+    _shim: ClassVar[Shim] = native
+
+    def __init__(self, handle: Handle, path: Path, info: UioInfo) -> None:
+        """Take over an open handle; use `open`."""
+        super().__init__(handle, path)
+        self.info = info
+
+    @classmethod
+    def open(cls, name: str | int, root: AnyRoot = None) -> Uio:
+        """Open by the device's name, by "uioN", or by a physical address (int) that a map covers.
+
+        Raises DeviceNotFound, DevicePermission, DeviceGone.
+        """
+        base = Root.of(root)
+        info = _find(base, name)
+        path = base.join("dev", info.node)
+        try:
+            handle = native.open_number(base.prefix, info.number)
+        except OSError as error:
+            nodes = [node for node in advice.names(base.join("dev")) if node.startswith("uio")]
+            raise device_error(error, "open", str(path), advice.unopened(error, base, path, nodes)) from error
+        return cls(handle, path, info)
+
+    @property
+    def name(self) -> str:
+        """The device's name, of the driver or the device tree."""
+        return self.info.name
+
+    @property
+    def maps(self) -> tuple[UioMap, ...]:
+        """The windows, by index."""
+        return self.info.maps
+
+    def read(self, offset: int, width: int = 32, map: int = 0) -> int:  # noqa: A002
+        """Read the register of ``width`` bits (8, 16, 32, 64) at ``offset``: one bus access.
+
+        Raises DeviceInvalid for an offset, width or map that is not there; the bus is not touched.
+        """
+        try:
+            return native.read(self._handle, map, offset, width)
+        except (OSError, OverflowError) as error:
+            raise self._access_error(error, "read", offset, width, map) from error
+
+    def write(self, offset: int, value: int, width: int = 32, map: int = 0) -> None:  # noqa: A002
+        """Write ``value`` to the register at ``offset``; as `read`, also DeviceInvalid if it is too wide."""
+        try:
+            native.write(self._handle, map, offset, width, value)
+        except (OSError, OverflowError) as error:
+            raise self._access_error(error, f"write {value:#x} to", offset, width, map) from error
+
+    def enable_interrupt(self) -> None:
+        """Let the next interrupt through; uio_pdrv_genirq masks it each time it comes."""
+        try:
+            native.enable_interrupt(self._handle)
+        except OSError as error:
+            raise self._error(error, "enable the interrupt of", self._no_interrupt(error)) from error
+
+    def take(self) -> int | None:
+        """Return the count of interrupts so far (modulo 2^32) if one came since the last take; never blocks."""
+        try:
+            return native.take(self._handle)
+        except OSError as error:
+            raise self._error(error, "take the interrupt of", self._no_interrupt(error)) from error
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait up to ``timeout`` seconds for an interrupt and return the count; DeviceTimeout."""
+        try:
+            return native.wait_interrupt(self._handle, timeout)
+        except OSError as error:
+            raise self._error(error, "wait for the interrupt of", self._no_interrupt(error)) from error
+
+    @staticmethod
+    def _no_interrupt(error: OSError) -> str:
+        return "the device has no interrupt: give its device-tree node one" if error.errno == errno.EIO else ""
+
+    def _access_error(self, error: Exception, doing: str, offset: int, width: int, index: int) -> DeviceError:
+        if isinstance(error, OSError) and error.errno not in (errno.EINVAL, errno.ERANGE):
+            return self._error(error, f"{doing} offset {offset:#x} of")
+        maps = ", ".join(f"map {i}: 0x{m.size:x} bytes" for i, m in enumerate(self.maps)) or "no map"
+        rule = f"widths are {', '.join(str(w) for w in WIDTHS)}, offsets multiples of them, values no wider"
+        text = f"cannot {doing} offset {offset:#x} of map {index} with {width} bits: {self.name} has {maps}; {rule}"
+        return DeviceInvalid(errno.EINVAL, text, self.path)
