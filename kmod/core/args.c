@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: GPL-2.0
+/* ioctl structures that begin with their size and flags. */
+#include <linux/uaccess.h>
+
+#include "cm_compat.h"
+#include "cm_core.h"
+
+/**
+ * cm_args_get() - copy an ioctl's structure from user space
+ * @args: filled in; what the caller's structure lacks is zero
+ * @size: bytes of @args
+ * @from: the caller's structure; its first word is its size
+ *
+ * Return: 0, -EINVAL for a size that cannot hold size and flags, -E2BIG where
+ * bytes that this kernel does not know are not zero, or -EFAULT.
+ */
+int cm_args_get(void *args, size_t size, const void __user *from)
+{
+	u32 user_size;
+
+	if (get_user(user_size, (const u32 __user *)from))
+		return -EFAULT;
+	if (user_size < 2 * sizeof(u32))
+		return -EINVAL;
+	if (user_size > PAGE_SIZE)
+		return -E2BIG;
+	return copy_struct_from_user(args, size, from, user_size);
+}
+CM_EXPORT(cm_args_get);
+
+/**
+ * cm_args_put() - copy an ioctl's structure back to user space
+ * @to: where cm_args_get() took it from
+ * @args: the structure; its first word is still the caller's size
+ * @size: bytes of @args
+ *
+ * Return: 0 or -EFAULT.
+ */
+int cm_args_put(void __user *to, const void *args, size_t size)
+{
+	size_t user_size = *(const u32 *)args;
+
+	return copy_to_user(to, args, min(size, user_size)) ? -EFAULT : 0;
+}
+CM_EXPORT(cm_args_put);

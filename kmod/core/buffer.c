@@ -1,0 +1,291 @@
+// SPDX-License-Identifier: GPL-2.0
+/* Memory that a DMA device can reach: allocated here, or imported. */
+#include <linux/dma-buf.h>
+#include <linux/scatterlist.h>
+#include <linux/slab.h>
+
+#include "cm_compat.h"
+#include "cm_core.h"
+
+static struct cm_buffer *buffer_new(struct device *dev, enum cm_buffer_kind kind, size_t length)
+{
+	struct cm_buffer *buffer = kzalloc(sizeof(*buffer), GFP_KERNEL);
+
+	if (!buffer)
+		return NULL;
+	kref_init(&buffer->ref);
+	mutex_init(&buffer->lock);
+	INIT_LIST_HEAD(&buffer->attachments);
+	buffer->dev = get_device(dev);
+	buffer->kind = kind;
+	buffer->length = length;
+	return buffer;
+}
+
+static void buffer_delete(struct cm_buffer *buffer)
+{
+	mutex_destroy(&buffer->lock);
+	put_device(buffer->dev);
+	kfree(buffer);
+}
+
+/* a reserved pool that is not made of pages has only the coherent interface */
+static bool has_coherent_pool(struct device *dev)
+{
+#ifdef CONFIG_DMA_DECLARE_COHERENT
+	return dev->dma_mem;
+#else
+	return false;
+#endif
+}
+
+static int buffer_fill(struct cm_buffer *buffer)
+{
+	if (buffer->kind == CM_BUFFER_COHERENT) {
+		buffer->cpu = dma_alloc_coherent(buffer->dev, buffer->length, &buffer->dma,
+						 GFP_KERNEL | __GFP_NOWARN);
+		return buffer->cpu ? 0 : -ENOMEM;
+	}
+	buffer->cpu = dma_alloc_noncoherent(buffer->dev, buffer->length, &buffer->dma,
+					    DMA_BIDIRECTIONAL, GFP_KERNEL | __GFP_NOWARN);
+	if (!buffer->cpu)
+		return -ENOMEM;
+	/* the zeroes must not come out of the cache on top of received data */
+	dma_sync_single_for_device(buffer->dev, buffer->dma, buffer->length, DMA_BIDIRECTIONAL);
+	return 0;
+}
+
+/**
+ * cm_buffer_alloc() - allocate contiguous, zeroed memory for a device
+ * @dev: the DMA engine's device, or one with a memory-region of its own
+ * @length: bytes wanted, rounded up to whole pages
+ *
+ * Return: a buffer with one reference, or an ERR_PTR: -EINVAL for no bytes,
+ * -ENOMEM.
+ */
+struct cm_buffer *cm_buffer_alloc(struct device *dev, u64 length)
+{
+	struct cm_buffer *buffer;
+	int ret;
+
+	if (!length)
+		return ERR_PTR(-EINVAL);
+	if (length > SZ_1G)
+		return ERR_PTR(-ENOMEM);
+	buffer = buffer_new(dev, has_coherent_pool(dev) ? CM_BUFFER_COHERENT : CM_BUFFER_PAGES,
+			    PAGE_ALIGN(length));
+	if (!buffer)
+		return ERR_PTR(-ENOMEM);
+	ret = buffer_fill(buffer);
+	if (ret) {
+		buffer_delete(buffer);
+		return ERR_PTR(ret);
+	}
+	return buffer;
+}
+CM_EXPORT(cm_buffer_alloc);
+
+static int buffer_attach(struct cm_buffer *buffer)
+{
+	buffer->attachment = dma_buf_attach(buffer->dmabuf, buffer->dev);
+	if (IS_ERR(buffer->attachment))
+		return PTR_ERR(buffer->attachment);
+	buffer->table = cm_map_attachment(buffer->attachment, buffer->direction);
+	if (IS_ERR(buffer->table)) {
+		dma_buf_detach(buffer->dmabuf, buffer->attachment);
+		return PTR_ERR(buffer->table);
+	}
+	return 0;
+}
+
+/**
+ * cm_buffer_import() - attach somebody else's dma-buf
+ * @dev: the DMA engine's device
+ * @fd: dma-buf file descriptor of the calling process
+ * @direction: what the device will do with it
+ *
+ * Return: a buffer with one reference, or an ERR_PTR: what dma_buf_get() or
+ * the exporter said.
+ */
+struct cm_buffer *cm_buffer_import(struct device *dev, int fd, enum dma_data_direction direction)
+{
+	struct dma_buf *dmabuf = dma_buf_get(fd);
+	struct cm_buffer *buffer;
+	int ret;
+
+	if (IS_ERR(dmabuf))
+		return ERR_CAST(dmabuf);
+	buffer = buffer_new(dev, CM_BUFFER_IMPORTED, dmabuf->size);
+	if (!buffer) {
+		dma_buf_put(dmabuf);
+		return ERR_PTR(-ENOMEM);
+	}
+	buffer->dmabuf = dmabuf;
+	buffer->direction = direction;
+	ret = buffer_attach(buffer);
+	if (ret) {
+		buffer_delete(buffer);
+		dma_buf_put(dmabuf);
+		return ERR_PTR(ret);
+	}
+	return buffer;
+}
+CM_EXPORT(cm_buffer_import);
+
+static void buffer_detach(struct cm_buffer *buffer)
+{
+	cm_unmap_attachment(buffer->attachment, buffer->table, buffer->direction);
+	dma_buf_detach(buffer->dmabuf, buffer->attachment);
+	dma_buf_put(buffer->dmabuf);
+}
+
+static void buffer_release(struct kref *ref)
+{
+	struct cm_buffer *buffer = container_of(ref, struct cm_buffer, ref);
+
+	switch (buffer->kind) {
+	case CM_BUFFER_PAGES:
+		dma_free_noncoherent(buffer->dev, buffer->length, buffer->cpu, buffer->dma,
+				     DMA_BIDIRECTIONAL);
+		break;
+	case CM_BUFFER_COHERENT:
+		dma_free_coherent(buffer->dev, buffer->length, buffer->cpu, buffer->dma);
+		break;
+	case CM_BUFFER_IMPORTED:
+		buffer_detach(buffer);
+		break;
+	}
+	buffer_delete(buffer);
+}
+
+/**
+ * cm_buffer_get() - take a reference
+ * @buffer: buffer
+ *
+ * Return: @buffer.
+ */
+struct cm_buffer *cm_buffer_get(struct cm_buffer *buffer)
+{
+	kref_get(&buffer->ref);
+	return buffer;
+}
+CM_EXPORT(cm_buffer_get);
+
+/**
+ * cm_buffer_put() - give a reference back; may sleep
+ * @buffer: buffer
+ */
+void cm_buffer_put(struct cm_buffer *buffer)
+{
+	kref_put(&buffer->ref, buffer_release);
+}
+CM_EXPORT(cm_buffer_put);
+
+/* the range must lie in one piece: one request is one descriptor */
+static int imported_address(struct cm_buffer *buffer, u64 offset, u64 length, dma_addr_t *address)
+{
+	struct scatterlist *sg;
+	dma_addr_t next = 0;
+	u64 start = 0, have = 0;
+	int i;
+
+	for_each_sgtable_dma_sg(buffer->table, sg, i) {
+		u64 end = start + sg_dma_len(sg);
+
+		if (have && sg_dma_address(sg) != next)
+			return -EINVAL;
+		if (!have && offset < end) {
+			*address = sg_dma_address(sg) + (offset - start);
+			have = end - offset;
+		} else if (have) {
+			have += sg_dma_len(sg);
+		}
+		if (have >= length)
+			return 0;
+		next = sg_dma_address(sg) + sg_dma_len(sg);
+		start = end;
+	}
+	return -EINVAL;
+}
+
+/**
+ * cm_buffer_address() - the device's address of a range
+ * @buffer: buffer
+ * @offset: first byte
+ * @length: bytes, > 0
+ * @address: filled in
+ *
+ * Return: 0, or -EINVAL where the range is empty, lies outside the buffer, or
+ * is not contiguous for the device.
+ */
+int cm_buffer_address(struct cm_buffer *buffer, u64 offset, u64 length, dma_addr_t *address)
+{
+	if (!length || offset > buffer->length || length > buffer->length - offset)
+		return -EINVAL;
+	if (buffer->kind == CM_BUFFER_IMPORTED)
+		return imported_address(buffer, offset, length, address);
+	*address = buffer->dma + offset;
+	return 0;
+}
+CM_EXPORT(cm_buffer_address);
+
+/**
+ * cm_buffer_coherent() - whether the CPU sees it without synchronising
+ * @buffer: buffer
+ *
+ * Return: true if neither cache maintenance nor bouncing is needed.
+ */
+bool cm_buffer_coherent(struct cm_buffer *buffer)
+{
+	return buffer->kind == CM_BUFFER_COHERENT ||
+	       (buffer->kind == CM_BUFFER_PAGES && !dma_need_sync(buffer->dev, buffer->dma));
+}
+CM_EXPORT(cm_buffer_coherent);
+
+/**
+ * cm_buffer_sync_for_cpu() - before the CPU touches an allocated buffer
+ * @buffer: buffer
+ * @direction: what the device did
+ */
+void cm_buffer_sync_for_cpu(struct cm_buffer *buffer, enum dma_data_direction direction)
+{
+	if (buffer->kind == CM_BUFFER_PAGES)
+		dma_sync_single_for_cpu(buffer->dev, buffer->dma, buffer->length, direction);
+}
+CM_EXPORT(cm_buffer_sync_for_cpu);
+
+/**
+ * cm_buffer_sync_for_device() - after the CPU touched an allocated buffer
+ * @buffer: buffer
+ * @direction: what the device will do
+ */
+void cm_buffer_sync_for_device(struct cm_buffer *buffer, enum dma_data_direction direction)
+{
+	if (buffer->kind == CM_BUFFER_PAGES)
+		dma_sync_single_for_device(buffer->dev, buffer->dma, buffer->length, direction);
+}
+CM_EXPORT(cm_buffer_sync_for_device);
+
+/**
+ * cm_buffer_mmap() - map an allocated buffer into a process
+ * @buffer: buffer; the caller sees to it that it outlives the mapping
+ * @vma: range; its offset counts from the start of the buffer
+ *
+ * Return: 0, -EINVAL for a range outside the buffer or an imported buffer.
+ */
+int cm_buffer_mmap(struct cm_buffer *buffer, struct vm_area_struct *vma)
+{
+	unsigned long pages = buffer->length >> PAGE_SHIFT;
+
+	if (buffer->kind == CM_BUFFER_IMPORTED || vma->vm_pgoff > pages ||
+	    vma_pages(vma) > pages - vma->vm_pgoff)
+		return -EINVAL;
+	cm_vm_flags_set(vma, VM_DONTEXPAND | VM_DONTDUMP);
+	if (buffer->kind == CM_BUFFER_COHERENT)
+		return dma_mmap_coherent(buffer->dev, vma, buffer->cpu, buffer->dma,
+					 buffer->length);
+	return remap_pfn_range(vma, vma->vm_start,
+			       page_to_pfn(virt_to_page(buffer->cpu)) + vma->vm_pgoff,
+			       vma->vm_end - vma->vm_start, vma->vm_page_prot);
+}
+CM_EXPORT(cm_buffer_mmap);

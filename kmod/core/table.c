@@ -1,0 +1,196 @@
+// SPDX-License-Identifier: GPL-2.0
+/* Buffers of one open file, by handle, and the ioctls that make them. */
+#include <linux/dma-buf.h>
+#include <linux/fcntl.h>
+#include <linux/file.h>
+
+#include "cm_compat.h"
+#include "cm_core.h"
+
+/**
+ * cm_buffer_table_init() - an empty table
+ * @table: to be given to cm_buffer_table_destroy()
+ */
+void cm_buffer_table_init(struct cm_buffer_table *table)
+{
+	mutex_init(&table->lock);
+	xa_init_flags(&table->buffers, XA_FLAGS_ALLOC1);
+}
+CM_EXPORT(cm_buffer_table_init);
+
+/**
+ * cm_buffer_table_destroy() - give back all handles
+ * @table: table
+ */
+void cm_buffer_table_destroy(struct cm_buffer_table *table)
+{
+	struct cm_buffer *buffer;
+	unsigned long handle;
+
+	xa_for_each(&table->buffers, handle, buffer)
+		cm_buffer_put(buffer);
+	xa_destroy(&table->buffers);
+	mutex_destroy(&table->lock);
+}
+CM_EXPORT(cm_buffer_table_destroy);
+
+/**
+ * cm_buffer_table_get() - the buffer of a handle
+ * @table: table
+ * @handle: handle
+ *
+ * Return: the buffer with a reference for the caller, or NULL.
+ */
+struct cm_buffer *cm_buffer_table_get(struct cm_buffer_table *table, u32 handle)
+{
+	struct cm_buffer *buffer;
+
+	mutex_lock(&table->lock);
+	buffer = xa_load(&table->buffers, handle);
+	if (buffer)
+		cm_buffer_get(buffer);
+	mutex_unlock(&table->lock);
+	return buffer;
+}
+CM_EXPORT(cm_buffer_table_get);
+
+static int table_add(struct cm_buffer_table *table, struct cm_buffer *buffer, u32 *handle)
+{
+	return xa_alloc(&table->buffers, handle, buffer, xa_limit_31b, GFP_KERNEL);
+}
+
+static void table_drop(struct cm_buffer_table *table, u32 handle)
+{
+	struct cm_buffer *buffer = xa_erase(&table->buffers, handle);
+
+	if (buffer)
+		cm_buffer_put(buffer);
+}
+
+/* user space must have the answer before the descriptor becomes visible */
+static int publish(struct cm_buffer *buffer, struct cm_buffer_alloc *args, void __user *arg)
+{
+	struct dma_buf *dmabuf = cm_buffer_export(buffer);
+	int fd, ret;
+
+	if (IS_ERR(dmabuf))
+		return PTR_ERR(dmabuf);
+	fd = get_unused_fd_flags(O_CLOEXEC);
+	if (fd < 0) {
+		dma_buf_put(dmabuf);
+		return fd;
+	}
+	args->fd = fd;
+	args->length = buffer->length;
+	args->coherent = cm_buffer_coherent(buffer);
+	ret = cm_args_put(arg, args, sizeof(*args));
+	if (ret) {
+		put_unused_fd(fd);
+		dma_buf_put(dmabuf);
+		return ret;
+	}
+	fd_install(fd, dmabuf->file);
+	return 0;
+}
+
+/**
+ * cm_buffer_ioctl_alloc() - the ioctls with a struct cm_buffer_alloc
+ * @table: of the file
+ * @dev: device to allocate for
+ * @arg: the caller's structure
+ *
+ * Return: 0 or a negative errno.
+ */
+long cm_buffer_ioctl_alloc(struct cm_buffer_table *table, struct device *dev, void __user *arg)
+{
+	struct cm_buffer_alloc args;
+	struct cm_buffer *buffer;
+	int ret = cm_args_get(&args, sizeof(args), arg);
+
+	if (ret)
+		return ret;
+	if (args.flags || args.reserved || args.size < sizeof(args))
+		return -EINVAL;
+	buffer = cm_buffer_alloc(dev, args.length);
+	if (IS_ERR(buffer))
+		return PTR_ERR(buffer);
+	ret = table_add(table, buffer, &args.handle);
+	if (ret) {
+		cm_buffer_put(buffer);
+		return ret;
+	}
+	ret = publish(buffer, &args, arg);
+	if (ret)
+		table_drop(table, args.handle);
+	return ret;
+}
+CM_EXPORT(cm_buffer_ioctl_alloc);
+
+/**
+ * cm_buffer_ioctl_import() - the ioctls with a struct cm_buffer_import
+ * @table: of the file
+ * @dev: the DMA engine's device
+ * @direction: what the device will do with the buffer
+ * @arg: the caller's structure
+ *
+ * Return: 0 or a negative errno.
+ */
+long cm_buffer_ioctl_import(struct cm_buffer_table *table, struct device *dev,
+			    enum dma_data_direction direction, void __user *arg)
+{
+	struct cm_buffer_import args;
+	struct cm_buffer *buffer;
+	int ret = cm_args_get(&args, sizeof(args), arg);
+
+	if (ret)
+		return ret;
+	if (args.flags || args.size < sizeof(args))
+		return -EINVAL;
+	buffer = cm_buffer_import(dev, args.fd, direction);
+	if (IS_ERR(buffer))
+		return PTR_ERR(buffer);
+	args.length = buffer->length;
+	ret = table_add(table, buffer, &args.handle);
+	if (ret) {
+		cm_buffer_put(buffer);
+		return ret;
+	}
+	ret = cm_args_put(arg, &args, sizeof(args));
+	if (ret)
+		table_drop(table, args.handle);
+	return ret;
+}
+CM_EXPORT(cm_buffer_ioctl_import);
+
+/**
+ * cm_buffer_ioctl_free() - the ioctls with a struct cm_buffer_free
+ * @table: of the file
+ * @arg: the caller's structure
+ *
+ * Return: 0, -ENOENT for an unknown handle, -EBUSY while requests use the
+ * buffer, or another negative errno.
+ */
+long cm_buffer_ioctl_free(struct cm_buffer_table *table, void __user *arg)
+{
+	struct cm_buffer_free args;
+	struct cm_buffer *buffer;
+	int ret = cm_args_get(&args, sizeof(args), arg);
+
+	if (ret)
+		return ret;
+	if (args.flags || args.reserved || args.size < sizeof(args))
+		return -EINVAL;
+	mutex_lock(&table->lock);
+	buffer = xa_load(&table->buffers, args.handle);
+	if (!buffer)
+		ret = -ENOENT;
+	else if (atomic_read(&buffer->in_flight))
+		ret = -EBUSY;
+	else
+		xa_erase(&table->buffers, args.handle);
+	mutex_unlock(&table->lock);
+	if (!ret)
+		cm_buffer_put(buffer);
+	return ret;
+}
+CM_EXPORT(cm_buffer_ioctl_free);

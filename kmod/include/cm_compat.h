@@ -1,0 +1,57 @@
+/* SPDX-License-Identifier: GPL-2.0 */
+/*
+ * Everything that differs between the kernels this source is built against
+ * (5.10 and later).  No other file asks for the kernel's version.
+ */
+#ifndef _CM_COMPAT_H
+#define _CM_COMPAT_H
+
+#include <linux/dma-buf.h>
+#include <linux/dma-mapping.h>
+#include <linux/mm.h>
+#include <linux/module.h>
+#include <linux/version.h>
+
+/* 6.13: symbol namespaces are strings */
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 13, 0)
+#define CM_EXPORT(symbol) EXPORT_SYMBOL_NS_GPL(symbol, "CM_CORE")
+#define CM_IMPORT_CORE MODULE_IMPORT_NS("CM_CORE")
+#define CM_IMPORT_DMA_BUF MODULE_IMPORT_NS("DMA_BUF")
+#else
+#define CM_EXPORT(symbol) EXPORT_SYMBOL_NS_GPL(symbol, CM_CORE)
+#define CM_IMPORT_CORE MODULE_IMPORT_NS(CM_CORE)
+#define CM_IMPORT_DMA_BUF MODULE_IMPORT_NS(DMA_BUF)
+#endif
+
+/* 6.2: the plain variants expect the caller to hold the reservation lock */
+static inline struct sg_table *cm_map_attachment(struct dma_buf_attachment *attachment,
+						 enum dma_data_direction dir)
+{
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 2, 0)
+	return dma_buf_map_attachment_unlocked(attachment, dir);
+#else
+	return dma_buf_map_attachment(attachment, dir);
+#endif
+}
+
+static inline void cm_unmap_attachment(struct dma_buf_attachment *attachment,
+				       struct sg_table *table, enum dma_data_direction dir)
+{
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 2, 0)
+	dma_buf_unmap_attachment_unlocked(attachment, table, dir);
+#else
+	dma_buf_unmap_attachment(attachment, table, dir);
+#endif
+}
+
+/* 6.3: vm_flags may only be changed through functions */
+static inline void cm_vm_flags_set(struct vm_area_struct *vma, unsigned long flags)
+{
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 3, 0)
+	vm_flags_set(vma, flags);
+#else
+	vma->vm_flags |= flags;
+#endif
+}
+
+#endif /* _CM_COMPAT_H */
