@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bus accesses to register windows, with the rules of each register and each region's state."""
+
+from __future__ import annotations
+
+import errno
+
+from cm.schema.model import Access
+
+from .errors import NodeError
+from .fabric import EMPTY_WORD, Cell, Fabric, Region, Window, writable
+from .faults import Faults
+
+_WIDTHS = (8, 16, 32, 64)
+
+
+class Bus:
+    """Reads and writes as the processor makes them."""
+
+    def __init__(self, fabric: Fabric, faults: Faults) -> None:
+        self._fabric = fabric
+        self._faults = faults
+        self._decouplers = [
+            _DecouplerBit(fabric, region) for region in fabric.regions.values() if region.spec.decoupler
+        ]
+
+    def read(self, window: Window, offset: int, width: int) -> int:
+        """The value at an offset.
+
+        All ones while the region is loaded or decoupled, 0xDEADBEEF where no module is loaded,
+        0 from a write-only register.
+        """
+        length = _check(window, offset, width)
+        value = 0
+        for at, part in _pieces(window, offset, length):
+            value |= _read_piece(window, at, part) << 8 * (at - offset)
+        return value
+
+    def write(self, window: Window, offset: int, width: int, value: int) -> None:
+        """Write at an offset; lost where the register is read-only or no module answers."""
+        length = _check(window, offset, width)
+        for at, part in _pieces(window, offset, length):
+            bits = value >> 8 * (at - offset) & ((1 << 8 * part) - 1)
+            self._write_piece(window, at, part, bits)
+        for decoupler in self._decouplers:
+            decoupler.update(window)
+
+    def _write_piece(self, window: Window, at: int, part: int, bits: int) -> None:
+        cell = window.cell_at(at)
+        if cell is not None:
+            if not _answers(cell) or not writable(cell.register):
+                return
+            if self._faults.take("register_stuck", cell.register.name):
+                return
+            if cell.register.access is Access.W1C:
+                bits = int.from_bytes(window.memory[at : at + part], "little") & ~bits
+        window.memory[at : at + part] = bits.to_bytes(part, "little")
+
+
+class _DecouplerBit:
+    """Watches the bit that cuts a region off."""
+
+    def __init__(self, fabric: Fabric, region: Region) -> None:
+        decoupler = region.spec.decoupler
+        assert decoupler is not None
+        self._fabric, self._region = fabric, region
+        self._active = decoupler.active_high
+        address = decoupler.base_address + decoupler.offset + decoupler.bit // 8
+        self._window = fabric.window_at(address)
+        self._byte = address - self._window.spec.address if self._window else 0
+        self._mask = 1 << decoupler.bit % 8
+
+    def update(self, window: Window) -> None:
+        if window is self._window:
+            is_set = bool(window.memory[self._byte] & self._mask)
+            self._fabric.set_decoupled(self._region, is_set == self._active)
+
+
+def _check(window: Window, offset: int, width: int) -> int:
+    if width not in _WIDTHS:
+        raise NodeError(errno.EINVAL, f"width {width} is none of 8, 16, 32, 64")
+    if offset % (width // 8) or offset + width // 8 > window.spec.size:
+        raise NodeError(errno.EINVAL, f"offset {offset:#x} is misaligned or outside the window")
+    return width // 8
+
+
+def _pieces(window: Window, offset: int, length: int) -> list[tuple[int, int]]:
+    """Split an access where one register ends and the next begins."""
+    if not any(at in window.cells for at in range(offset, offset + length)):
+        return [(offset, length)]
+    pieces, at = [], offset
+    while at < offset + length:
+        cell = window.cell_at(at)
+        end = cell.offset + cell.width if cell is not None else at + 1
+        part = min(end, offset + length) - at
+        pieces.append((at, part))
+        at += part
+    return pieces
+
+
+def _read_piece(window: Window, at: int, part: int) -> int:
+    cell = window.cell_at(at)
+    if cell is not None:
+        if not _answers(cell):
+            return _garbage(cell, at, part)
+        if cell.register.access is Access.WO:
+            return 0
+    return int.from_bytes(window.memory[at : at + part], "little")
+
+
+def _answers(cell: Cell) -> bool:
+    region = cell.region
+    return region is None or (region.running and not region.decoupled)
+
+
+def _garbage(cell: Cell, at: int, part: int) -> int:
+    region = cell.region
+    if region is not None and not region.loading and not region.decoupled:
+        word = EMPTY_WORD.to_bytes(4, "little") * 2
+        return int.from_bytes(word[at % 4 : at % 4 + part], "little")
+    return (1 << 8 * part) - 1

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Faults that were ordered by name, and which of them are due."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+# What can be injected, and what the target is.
+KINDS: Mapping[str, str] = {
+    "short_packet": "channel; value: bytes of the packet",
+    "dma_error": "channel",
+    "hang": "channel; until cleared",
+    "drop_interrupt": "interrupt name",
+    "icap_crc": "",
+    "icap_id": "",
+    "icap_hang": "",
+    "overlay_error": "overlay name, or none for any",
+    "fpga_manager_error": "",
+    "register_stuck": "register name; until cleared",
+}
+STICKY = frozenset({"hang", "register_stuck"})
+UNTIL_CLEARED = 0
+
+
+@dataclass(slots=True)
+class Fault:
+    """One order: `left` more times (0: until cleared)."""
+
+    kind: str
+    target: str
+    value: int
+    left: int
+
+
+class Faults:
+    """The faults that wait to happen; a target "" stands for any."""
+
+    def __init__(self) -> None:
+        self._waiting: list[Fault] = []
+
+    def inject(self, kind: str, target: str = "", value: int = 0, count: int = 1) -> None:
+        """Order a fault; `count` 0 and the sticky kinds last until they are cleared."""
+        if kind in STICKY:
+            count = UNTIL_CLEARED
+        self._waiting.append(Fault(kind, target, value, count))
+
+    def take(self, kind: str, target: str = "") -> Fault | None:
+        """The fault that happens now, if one does; counts it."""
+        if not self._waiting:
+            return None
+        for fault in self._waiting:
+            if fault.kind == kind and fault.target in ("", target):
+                self._count(fault)
+                return fault
+        return None
+
+    def clear(self, kind: str = "", target: str = "") -> None:
+        """Forget those of a kind and target ("": all)."""
+        self._waiting = [f for f in self._waiting if (kind and f.kind != kind) or (target and f.target != target)]
+
+    def listing(self) -> list[str]:
+        """What waits, as it was ordered."""
+        return [f"{f.kind} {f.target or '*'} value={f.value} left={f.left or 'until cleared'}" for f in self._waiting]
+
+    def _count(self, fault: Fault) -> None:
+        if fault.left == UNTIL_CLEARED:
+            return
+        fault.left -= 1
+        if fault.left == 0:
+            self._waiting.remove(fault)

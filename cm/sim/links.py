@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lies at the stream side of the DMA channels: a region's module between them, or a camera."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import time
+
+import numpy as np
+
+from .camera import SHAPE, PhotoReel
+from .dma import Bytes, Channel
+from .fabric import Fabric, Region
+from .faults import Faults
+from .interrupts import Interrupts
+from .loop import Loop, Timer
+from .models import Models
+
+_log = logging.getLogger(__name__)
+
+
+class Datapath:
+    """A region as data sees it: its module's model, garbage without one, or nothing at all."""
+
+    def __init__(self, fabric: Fabric, models: Models, region: str | None, shape: tuple[int, ...] | None) -> None:
+        self._fabric, self._models = fabric, models
+        self._name = region if region in fabric.regions else None
+        self._region: Region | None = fabric.regions.get(region) if region else None
+        self._width = shape[-1] if shape and len(shape) == 1 else int(np.prod(shape[1:])) if shape else 0
+
+    @property
+    def flows(self) -> bool:
+        """False while the region is decoupled."""
+        return self._region is None or not self._region.decoupled
+
+    def register(self, name: str, default: int) -> int:
+        """A register that the source itself obeys, or `default` where the schema has none."""
+        cell = self._fabric.cell(name, self._name)
+        return default if cell is None else cell.value
+
+    def count_frame(self) -> None:
+        """Keep the register `frame_count`, where there is one."""
+        cell = self._fabric.cell("frame_count", self._name)
+        if cell is not None:
+            cell.value += 1
+
+    def frame(self, data: Bytes) -> Bytes:
+        """Bytes as lines of the stream's width; as one line where they are no whole number of lines."""
+        whole = self._width and len(data) % self._width == 0
+        return data.reshape(-1, self._width) if whole else data.reshape(1, -1)
+
+    def process(self, frame: Bytes) -> Bytes:
+        """The bytes that leave the region when a frame, (height, width), enters it."""
+        if self._region is None:
+            return frame.reshape(-1)
+        if not self._region.running or self._region.module is None:
+            return self._fabric.noise(frame.size)
+        frame = frame.view()
+        frame.flags.writeable = False
+        try:
+            result = self._models.get(self._region.module.model)(frame, self._fabric.registers(self._name))
+            return np.ascontiguousarray(result).reshape(-1).view(np.uint8)
+        except Exception:  # noqa: BLE001 - a user's model must not end the board
+            _log.exception("the model of %s failed; garbage leaves the region", self._region.module.name)
+            return self._fabric.noise(frame.size)
+
+
+class Link:
+    """The end of one or two channels; `kick` moves what can be moved."""
+
+    def __init__(self, loop: Loop, faults: Faults, interrupts: Interrupts, path: Datapath) -> None:
+        self._loop, self._faults, self._interrupts, self._path = loop, faults, interrupts, path
+        self._soon = False
+        self._timer: Timer | None = None
+        self._due = 0.0
+
+    def kick(self) -> None:
+        """Something changed: look again before the next wait."""
+        if not self._soon:
+            self._soon = True
+            self._loop.soon(self._wake)
+
+    def _wake(self) -> None:
+        self._soon = False
+        self._move()
+
+    def _move(self) -> None:
+        raise NotImplementedError
+
+    def _hangs(self, channel: Channel) -> bool:
+        return self._faults.take("hang", channel.spec.name) is not None
+
+    def _pace(self, rate: float) -> bool:
+        """Whether it is time for the next frame; else it comes back when it is."""
+        now = time.monotonic()
+        if rate <= 0:
+            return True
+        if now < self._due:
+            if self._timer is None:
+                self._timer = self._loop.at(self._due, self._tick)
+            return False
+        self._due = max(self._due, now - 1 / rate) + 1 / rate
+        return True
+
+    def _tick(self) -> None:
+        self._timer = None
+        self._wake()
+
+    def _deliver(self, channel: Channel, data: Bytes) -> None:
+        """Put a packet into the buffer at the head of a stream-to-memory channel."""
+        if self._faults.take("dma_error", channel.spec.name):
+            channel.complete(0, -errno.EIO)
+            return
+        short = self._faults.take("short_packet", channel.spec.name)
+        if short is not None:
+            data = data[: short.value]
+        stored = channel.queue[0].store(data)
+        overflow = stored < len(data)
+        channel.complete(stored, -errno.EIO if overflow else 0)
+        self._path.count_frame()
+        self._interrupts.frame_done(channel.spec.name)
+
+
+class LoopLink(Link):
+    """Memory to stream, through the region, and back: a packet waits until there is room for it."""
+
+    def __init__(
+        self, loop: Loop, faults: Faults, interrupts: Interrupts, path: Datapath, source: Channel, sink: Channel
+    ) -> None:
+        super().__init__(loop, faults, interrupts, path)
+        self._source, self._sink = source, sink
+
+    def _move(self) -> None:
+        source, sink = self._source, self._sink
+        if not source.queue or not sink.queue or not self._path.flows:
+            return
+        if self._hangs(source) or self._hangs(sink):
+            return
+        transfer = source.queue[0]
+        if transfer.cyclic and not self._pace(source.spec.rate):
+            return
+        if self._faults.take("dma_error", source.spec.name):
+            source.complete(0, -errno.EIO)
+        else:
+            self._deliver(sink, self._path.process(self._path.frame(transfer.data())))
+            source.complete(transfer.period)
+        self.kick()
+
+
+class SinkLink(Link):
+    """Memory to stream, with nothing behind it: frames are consumed."""
+
+    def __init__(self, loop: Loop, faults: Faults, interrupts: Interrupts, path: Datapath, source: Channel) -> None:
+        super().__init__(loop, faults, interrupts, path)
+        self._source = source
+
+    def _move(self) -> None:
+        source = self._source
+        if not source.queue or not self._path.flows or self._hangs(source):
+            return
+        transfer = source.queue[0]
+        if transfer.cyclic and not self._pace(source.spec.rate):
+            return
+        failed = self._faults.take("dma_error", source.spec.name)
+        source.complete(0 if failed else transfer.period, -errno.EIO if failed else 0)
+        self.kick()
+
+
+class CameraLink(Link):
+    """A camera before a region: a frame at its rate, while there is a buffer for it."""
+
+    def __init__(
+        self, loop: Loop, faults: Faults, interrupts: Interrupts, path: Datapath, sink: Channel, reel: PhotoReel,
+        rate: float,
+    ) -> None:  # fmt: skip
+        super().__init__(loop, faults, interrupts, path)
+        self._sink, self._reel, self._rate = sink, reel, rate
+        self._credit: int | None = None  # frames that may still come; None: without end
+
+    @property
+    def frames(self) -> int:
+        """Frames taken so far."""
+        return self._reel.taken
+
+    @property
+    def photo(self) -> int:
+        """Index of the photo that the next frame shows."""
+        return self._reel.index
+
+    def pause(self) -> None:
+        """No more frames until `step` or `resume`."""
+        self._credit = 0
+
+    def step(self, frames: int) -> None:
+        """Let so many more come, then pause."""
+        self._credit = (self._credit or 0) + frames
+        self.kick()
+
+    def resume(self) -> None:
+        """Frames come by themselves again."""
+        self._credit = None
+        self.kick()
+
+    def _move(self) -> None:
+        if not self._sink.queue or not self._path.flows or self._credit == 0 or self._hangs(self._sink):
+            return
+        if not self._pace(self._rate):
+            return
+        if self._credit is not None:
+            self._credit -= 1
+        picture = self._reel.take(self._shape(), self._path.register("focus", 1), self._path.register("zoom", 1))
+        self._deliver(self._sink, self._path.process(picture))
+        self.kick()
+
+    def _shape(self) -> tuple[int, int]:
+        shape = self._sink.spec.shape or SHAPE
+        return (shape[0], shape[1]) if len(shape) > 1 else (1, shape[0])

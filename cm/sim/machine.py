@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole board: hardware derived from a `BoardSpec`, served under a root."""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cm.schema.model import Direction
+
+from . import uio
+from .board import BoardSpec
+from .buffers import Memory
+from .bus import Bus
+from .camera import Photo, PhotoReel
+from .configmem import ConfigMemory
+from .control_node import ControlNode
+from .dma import Channel
+from .dma_node import DmaNode
+from .fabric import Fabric
+from .faults import Faults
+from .firmware import Firmware
+from .icap import Engine
+from .icap_node import IcapNode
+from .interrupts import Interrupts
+from .links import CameraLink, Datapath, Link, LoopLink, SinkLink
+from .loop import Loop
+from .manager import PCAP_RATE, FpgaManager
+from .models import Models
+from .overlays import Overlays
+from .root import Root
+from .server import Server
+
+ICAP_CLOCK = {"7series": 100_000_000, "ultrascale+": 200_000_000}
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What can be set about a board besides its hardware."""
+
+    photos: Sequence[Photo]
+    hold: int = 150  # frames for which a photo stays
+    rate: float | None = None  # frames per second of every camera; None: as the schema says; 0: as fast as possible
+    icap_rate: float | None = None  # bytes per second; None: word width times clock; 0: at once
+    pcap_rate: float = PCAP_RATE
+    memory: int = 512 << 20  # bytes of DMA memory
+    bitstream_size: int | None = None
+    seed: int = 1
+
+
+class Machine:
+    """A running board."""
+
+    def __init__(self, loop: Loop, root: Root, spec: BoardSpec, models: Models, options: Options) -> None:
+        self.loop, self.root, self.spec, self.options = loop, root, spec, options
+        self.models = models
+        self.server = Server(loop)
+        self.faults = Faults()
+        self.fabric = Fabric(spec, options.seed)
+        self.bus = Bus(self.fabric, self.faults)
+        self.interrupts = Interrupts(self.fabric, self.faults)
+        self.memory = Memory(options.memory)
+        self.engine = self._engine()
+        self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
+        self.overlays = Overlays(root, self.manager, self.faults)
+        self.channels = {name: Channel(channel) for name, channel in spec.channels.items()}
+        self.links = self._links()
+        self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
+        self.icap_node = self._icap_node()
+        self.fabric.changed = self.kick
+
+    def serve(self) -> None:
+        """Make the nodes; from now on clients can come."""
+        self.root.write("proc/sys/kernel/random/boot_id", f"{uuid.uuid4()}\n")
+        for index, window in enumerate(self.fabric.windows):
+            uio.write_sysfs(self.root, index, window)
+            node = uio.UioNode(window, self.interrupts.lines[index], self.bus)
+            self.server.listen(self.root.bind(f"dev/uio{index}"), node)
+        for name, dma_node in self.dma_nodes.items():
+            self.server.listen(self.root.bind(f"dev/cm_dma/{name}"), dma_node)
+        self.server.listen(self.root.bind("dev/cm_icap0"), self.icap_node)
+        self.manager.serve(self.server)
+        self.overlays.serve(self.server)
+        ControlNode(self).serve()
+
+    def kick(self) -> None:
+        """Have every link look whether data can move."""
+        for link in self.links.values():
+            link.kick()
+
+    def close(self) -> None:
+        """End all connections."""
+        self.server.close()
+
+    def state(self) -> dict[str, object]:
+        """What the board holds now, for tests and people."""
+        return {
+            "pid": os.getpid(),
+            "regions": {
+                name: {
+                    "module": region.module.name if region.module else None,
+                    "loading": region.loading,
+                    "decoupled": region.decoupled,
+                }
+                for name, region in self.fabric.regions.items()
+            },
+            "channels": {name: self._channel_state(name) for name in self.channels},
+            "interrupts": {f"uio{index}": line.count for index, line in enumerate(self.interrupts.lines)},
+            "connections": self.server.connections,
+            "buffers": sum(len(s.buffers) for n in (*self.dma_nodes.values(), self.icap_node) for s in n.sessions),
+            "memory": self.memory.used,
+            "loads": self.engine.loads,
+            "loading": self.engine.busy,
+            "outside_writes": self._config.outside,
+            "overlays": self.overlays.applied,
+            "faults": self.faults.listing(),
+        }
+
+    def _channel_state(self, name: str) -> dict[str, object]:
+        channel, link = self.channels[name], self.links[name]
+        state: dict[str, object] = {
+            "open": channel.completions is not None,
+            "queued": len(channel.queue),
+            "bytes": channel.moved,
+        }
+        if isinstance(link, CameraLink):
+            state |= {"frames": link.frames, "photo": link.photo}
+        return state
+
+    def _engine(self) -> Engine:
+        known = Firmware(self.root, self.spec, self.options.bitstream_size).install()
+        self._config = ConfigMemory(self.fabric, known)
+        rate = self.options.icap_rate
+        if rate is None:
+            rate = 4.0 * ICAP_CLOCK[self.spec.device.family.label]
+        return Engine(self.loop, self.fabric, self._config, self.faults, self.spec.device, rate)
+
+    def _icap_node(self) -> IcapNode:
+        device = self.spec.device
+        return IcapNode(self.engine, self.memory, device.idcode, ICAP_CLOCK[device.family.label])
+
+    def _links(self) -> dict[str, Link]:
+        links: dict[str, Link] = {}
+        for name, channel in self.channels.items():
+            spec = channel.spec
+            if name in links:
+                continue
+            path = Datapath(self.fabric, self.models, spec.region, spec.shape)
+            if spec.is_camera:
+                reel = PhotoReel(self.options.photos, self.options.hold)
+                rate = spec.rate if self.options.rate is None else self.options.rate
+                links[name] = CameraLink(self.loop, self.faults, self.interrupts, path, channel, reel, rate)
+            elif spec.partner is None:
+                links[name] = SinkLink(self.loop, self.faults, self.interrupts, path, channel)
+            else:
+                links |= self._loop_link(name, spec.partner)
+            channel.kick = links[name].kick
+        return links
+
+    def _loop_link(self, one: str, other: str) -> dict[str, Link]:
+        source, sink = self.channels[one], self.channels[other]
+        if source.spec.direction is Direction.S2MM:
+            source, sink = sink, source
+        path = Datapath(self.fabric, self.models, source.spec.region, source.spec.shape)
+        link = LoopLink(self.loop, self.faults, self.interrupts, path, source, sink)
+        source.kick = sink.kick = link.kick
+        return {one: link, other: link}

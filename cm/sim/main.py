@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator's process: arguments, signals, its end."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import logging
+import os
+import select
+import signal
+import socket
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cm.errors import CmError
+from cm.schema.model import Config
+
+from .board import BoardSpec
+from .camera import load_photos, shipped_photos
+from .errors import SimError
+from .loop import Loop
+from .machine import Machine, Options
+from .manager import PCAP_RATE
+from .models import Models
+from .root import Root
+
+_LINGER_CHECK = 0.25
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of ``cm sim`` and ``python -m cm.sim``."""
+    add = parser.add_argument
+    add("--root", type=Path, help="folder to serve (default: a fresh one in memory)")
+    add("--config", type=Path, action="append", default=[], metavar="PATH",
+        help="runtime schema, or folder of them; may be repeated (default: the shipped camera example)")  # fmt: skip
+    add("--images", type=Path, metavar="DIR", help="pictures for the camera (default: three photographs)")
+    add("--hold", type=int, default=150, metavar="FRAMES", help="frames for which a picture stays; 0: for ever")
+    add("--rate", type=float, metavar="FPS", help="frames per second of every camera; 0: as fast as they are taken")
+    add("--icap-rate", type=float, metavar="BYTES", help="bytes per second of ICAP (default: the device's); 0: at once")
+    add("--pcap-rate", type=float, default=PCAP_RATE, metavar="BYTES", help="bytes per second of the fpga_manager")
+    add("--memory", type=int, default=512, metavar="MIB", help="DMA memory of the board")
+    add(
+        "--bitstream-size", type=int, metavar="BYTES", help="frame data in assembled bitstreams (default: the region's)"
+    )
+    add("--seed", type=int, default=1, help="of the garbage")
+    add("--models", action="append", default=[], metavar="MODULE", help="module or .py file with a mapping MODELS")
+    add("--linger", type=float, metavar="SECONDS",
+        help="end when the parent has died and no client was connected for so long")  # fmt: skip
+    add("--ready-fd", type=int, metavar="N", help="descriptor for the ready line (default: standard output)")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """``python -m cm.sim``; the exit status."""
+    parser = argparse.ArgumentParser("python -m cm.sim", description="a simulated board under a folder")
+    add_arguments(parser)
+    logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
+    return run(parser.parse_args(argv))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until a signal or the linger time ends it."""
+    parent = _Parent() if args.linger is not None else None
+    try:
+        configs, models = _configs(args.config), _models(args.models)
+        spec, options = BoardSpec.from_configs(configs), _options(args)
+        root = Root(args.root)
+    except CmError as error:
+        print(f"cm sim: {error}", file=sys.stderr)
+        return 1
+    try:
+        _serve(args, root, spec, models, options, parent)
+    except CmError as error:
+        print(f"cm sim: {error}", file=sys.stderr)
+        return 1
+    finally:
+        root.close()
+    return 0
+
+
+def _serve(
+    args: argparse.Namespace, root: Root, spec: BoardSpec, models: Models, options: Options, parent: _Parent | None
+) -> None:
+    loop = Loop()
+    with contextlib.ExitStack() as stack:
+        stack.callback(loop.close)
+        stack.enter_context(_Signals(loop))
+        machine = Machine(loop, root, spec, models, options)
+        stack.callback(machine.close)
+        machine.serve()
+        if parent is not None:
+            _Linger(loop, machine, parent, args.linger).check()
+        _say_ready(args.ready_fd, root)
+        loop.run()
+
+
+def _say_ready(fd: int | None, root: Root) -> None:
+    line = json.dumps({"ready": True, "root": str(root.path), "pid": os.getpid()}) + "\n"
+    with contextlib.suppress(BrokenPipeError):
+        if fd is None:
+            sys.stdout.write(line)
+            sys.stdout.flush()
+        else:
+            os.write(fd, line.encode())
+            os.close(fd)
+
+
+def _options(args: argparse.Namespace) -> Options:
+    photos = load_photos(args.images) if args.images else shipped_photos()
+    return Options(
+        photos=list(photos.values()),
+        hold=max(0, args.hold),
+        rate=args.rate,
+        icap_rate=args.icap_rate,
+        pcap_rate=args.pcap_rate,
+        memory=args.memory << 20,
+        bitstream_size=args.bitstream_size,
+        seed=args.seed,
+    )
+
+
+def _models(sources: Sequence[str]) -> Models:
+    models = Models.standard()
+    models.load_entry_points()
+    for source in sources:
+        models.load(source)
+    return models
+
+
+def _configs(paths: Sequence[Path]) -> list[Config]:
+    from cm import schema
+
+    configs: list[Config] = []
+    for path in paths or [example_folder()]:
+        configs += schema.load_folder(path).values() if path.is_dir() else [schema.load(path)]
+    if not configs:
+        raise SimError(f"no runtime schema was found in {', '.join(map(str, paths))}")
+    return configs
+
+
+def example_folder() -> Path:
+    """The camera example that comes with the package."""
+    return Path(__file__).resolve().parents[1] / "data" / "camera"
+
+
+class _Signals:
+    """SIGTERM and SIGINT end the loop, through a wake-up socket."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._ours, self._theirs = socket.socketpair()
+
+    def __enter__(self) -> None:
+        self._ours.setblocking(False)
+        self._theirs.setblocking(False)
+        self._loop.add(self._ours.fileno(), self._loop.stop)
+        signal.set_wakeup_fd(self._theirs.fileno(), warn_on_full_buffer=False)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self._loop.stop())
+
+    def __exit__(self, *_: object) -> None:
+        signal.set_wakeup_fd(-1)
+        self._ours.close()
+        self._theirs.close()
+
+
+class _Parent:
+    """Knows whether the process that started us is alive, also if it dies before we look."""
+
+    def __init__(self) -> None:
+        self._pid = os.getppid()
+        try:
+            self._fd = os.pidfd_open(self._pid)
+        except OSError:
+            self._fd = -1
+
+    @property
+    def dead(self) -> bool:
+        """Whether it has ended."""
+        if self._fd < 0 or os.getppid() != self._pid:
+            return True
+        return bool(select.select([self._fd], [], [], 0)[0])
+
+
+class _Linger:
+    """Stops the loop when the parent is dead and nobody was connected for a while."""
+
+    def __init__(self, loop: Loop, machine: Machine, parent: _Parent, seconds: float) -> None:
+        self._loop, self._machine, self._parent = loop, machine, parent
+        self._left = self._seconds = seconds
+
+    def check(self) -> None:
+        """Look now, and again."""
+        idle = self._parent.dead and not self._machine.server.connections
+        self._left = self._left - _LINGER_CHECK if idle else self._seconds
+        if self._left < 0:
+            self._loop.stop()
+        else:
+            self._loop.after(_LINGER_CHECK, self.check)

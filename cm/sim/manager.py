@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""fpga_manager: firmware by name through the processor's own port, as linux-xlnx offers it in sysfs."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import numpy as np
+
+from .attributes import AttributeNode
+from .errors import NodeError
+from .faults import Faults
+from .icap import Engine, LoadResult
+from .root import Root
+from .server import Later, Server
+
+BASE = "sys/class/fpga_manager/fpga0"
+NAME = "Xilinx Zynq FPGA Manager"
+PARTIAL = 1  # FPGA_MGR_PARTIAL_RECONFIG
+SYNC_SWAPPED = b"\x66\x55\x99\xaa"
+PCAP_RATE = 145e6  # bytes per second that the kernel's driver reaches through PCAP
+
+
+class FpgaManager:
+    """``flags`` and ``firmware`` are sockets, ``name``, ``state`` and ``status`` plain files."""
+
+    def __init__(self, root: Root, engine: Engine, faults: Faults, rate: float = PCAP_RATE) -> None:
+        self._root, self._engine, self._faults, self._rate = root, engine, faults, rate
+        self._flags = 0
+
+    def serve(self, server: Server) -> None:
+        """Make the folder and listen."""
+        self._root.write(f"{BASE}/name", NAME + "\n")
+        self._root.write(f"{BASE}/status", "\n")
+        self._state("operating")
+        flags = AttributeNode(lambda: f"{self._flags:x}\n".encode(), self._set_flags)
+        server.listen(self._root.bind(f"{BASE}/flags"), flags)
+        server.listen(self._root.bind(f"{BASE}/firmware"), AttributeNode(None, self._write_firmware))
+
+    def load(self, name: str, partial: bool) -> Later:
+        """Load a file of lib/firmware; the answer comes when the device has taken it."""
+        later = Later()
+        try:
+            self._start(name, partial, later)
+        except NodeError as error:
+            later.finish(error)
+        return later
+
+    def _start(self, name: str, partial: bool, later: Later) -> None:
+        if self._engine.busy:
+            raise NodeError(errno.EBUSY, "the device is being configured")
+        data = self._request(name)
+        self._state("write init")
+        if SYNC_SWAPPED not in data[:4096] or len(data) % 4:
+            # zynq-fpga: "Invalid bitstream, could not find a sync word. Bitstream must be a byte swapped .bin file"
+            self._state("write init error")
+            raise NodeError(errno.EINVAL, "no sync word: not a byte-swapped .bin")
+        self._state("write")
+        words = np.frombuffer(data, np.uint8)
+        self._engine.start(words, lambda result: self._finished(result, later), not partial, self._rate)
+
+    def _request(self, name: str) -> bytes:
+        self._state("firmware request")
+        path = Path(name)
+        try:
+            if path.is_absolute() or ".." in path.parts or not name:
+                raise FileNotFoundError(name)
+            return (self._root.path / "lib/firmware" / path).read_bytes()
+        except OSError:
+            self._state("firmware request error")
+            raise NodeError(errno.ENOENT, f"no firmware {name}") from None
+
+    def _finished(self, result: LoadResult, later: Later) -> None:
+        injected = self._faults.take("fpga_manager_error")
+        if injected or result.status:
+            self._state("write complete error" if result.errors else "write error")
+            later.finish(NodeError(-result.status or errno.EIO))
+            return
+        self._state("operating")
+        later.finish()
+
+    def _set_flags(self, data: bytes) -> None:
+        try:
+            self._flags = int(data.decode("ascii").strip(), 16)
+        except ValueError:
+            raise NodeError(errno.EINVAL, "flags are a hexadecimal number") from None
+
+    def _write_firmware(self, data: bytes) -> Later:
+        name = data.rstrip(b"\n").decode("utf-8", "replace")
+        return self.load(name, bool(self._flags & PARTIAL))
+
+    def _state(self, text: str) -> None:
+        self._root.write(f"{BASE}/state", text + "\n")

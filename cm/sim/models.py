@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a module does to a frame, in numpy. Users add their own: see `Models.load`.
+
+A model is a function ``model(frame, registers) -> result``: `frame` is a read-only (height, width)
+array of bytes, `registers` maps the names of the module's registers to their present values, and
+`result` is an array whose bytes leave the region. It must not keep `frame`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import SimError
+
+Frame = NDArray[np.uint8]
+Registers = Mapping[str, int]
+Model = Callable[[Frame, Registers], Frame]
+
+ENTRY_POINTS = "cm.sim.models"
+_RAMP = np.arange(256, dtype=np.int32)
+
+
+def default(frame: Frame, registers: Registers) -> Frame:  # noqa: ARG001 - a model's signature
+    """The data as it is."""
+    return frame
+
+
+def edge(frame: Frame, registers: Registers) -> Frame:
+    """3×3 Sobel magnitude |Gx| + |Gy|, saturated to 255; values below `threshold` and borders are 0."""
+    result = np.zeros_like(frame)
+    if frame.shape[0] < 3 or frame.shape[1] < 3:
+        return result
+    magnitude = _sobel(frame.astype(np.int16))
+    np.minimum(magnitude, 255, out=magnitude)
+    threshold = registers.get("threshold", 0)
+    if threshold > 0:
+        magnitude[magnitude < min(threshold, 256)] = 0
+    result[1:-1, 1:-1] = magnitude
+    return result
+
+
+def _sobel(grey: NDArray[np.int16]) -> NDArray[np.int16]:
+    """|Gx| + |Gy| of the inner pixels, through the separable halves of the kernels."""
+    smooth = grey[:-2] + grey[2:]
+    smooth += grey[1:-1]
+    smooth += grey[1:-1]
+    gx = smooth[:, 2:] - smooth[:, :-2]
+    difference = grey[2:] - grey[:-2]
+    gy = difference[:, :-2] + difference[:, 2:]
+    gy += difference[:, 1:-1]
+    gy += difference[:, 1:-1]
+    np.abs(gx, out=gx)
+    np.abs(gy, out=gy)
+    gx += gy
+    return gx
+
+
+def palettes() -> Frame:
+    """The four palettes of `colorise`, (4, 256, 3): heat, cold, rainbow, grey.
+
+    With v the grey value: heat is (3v, 3v - 255, 3v - 510), cold the same from blue to white,
+    rainbow (255 - |4v - 765|, 255 - |4v - 510|, 255 - |4v - 255|), grey (v, v, v); each clipped to 0…255.
+    """
+    v = _RAMP
+    heat = [3 * v, 3 * v - 255, 3 * v - 510]
+    rainbow = [255 - abs(4 * v - 765), 255 - abs(4 * v - 510), 255 - abs(4 * v - 255)]
+    table = np.array([heat, heat[::-1], rainbow, [v, v, v]])
+    return np.ascontiguousarray(table.clip(0, 255).astype(np.uint8).transpose(0, 2, 1))
+
+
+class Colorise:
+    """Grey to RGB, three bytes for one: the palette is chosen by the register `palette` (0…3)."""
+
+    def __init__(self) -> None:
+        self._palettes = palettes()
+
+    def __call__(self, frame: Frame, registers: Registers) -> Frame:
+        """The (height, width, 3) picture."""
+        table = self._palettes[registers.get("palette", 0) % len(self._palettes)]
+        return np.take(table, frame, axis=0)
+
+
+class Models:
+    """Models by name; a name nobody knows passes data as it is."""
+
+    def __init__(self, models: Mapping[str, Model] | None = None) -> None:
+        self._models: dict[str, Model] = dict(models or {})
+
+    @classmethod
+    def standard(cls) -> Models:
+        """`default`, `edge` and `colorise`."""
+        return cls({"default": default, "edge": edge, "colorise": Colorise()})
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._models)
+
+    def get(self, name: str) -> Model:
+        """The model of that name, or `default`."""
+        return self._models.get(name, default)
+
+    def add(self, name: str, model: Model) -> None:
+        """Add or replace one."""
+        self._models[name] = model
+
+    def load(self, source: str) -> None:
+        """Add those of a Python file or importable module: what its mapping ``MODELS`` holds.
+
+        Raises:
+            SimError: there is no such module, or no ``MODELS`` in it.
+        """
+        found = getattr(_import(source), "MODELS", None)
+        if not isinstance(found, Mapping):
+            raise SimError(f"{source} has no MODELS: it should be a mapping of names to functions")
+        self._models.update(found)
+
+    def load_entry_points(self) -> None:
+        """Add what installed packages offer under the entry point group ``cm.sim.models``."""
+        for point in entry_points(group=ENTRY_POINTS):
+            self._models[point.name] = point.load()
+
+
+def _import(source: str) -> ModuleType:
+    try:
+        if not source.endswith(".py"):
+            return importlib.import_module(source)
+        spec = importlib.util.spec_from_file_location(f"cm_sim_models_{Path(source).stem}", source)
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{source} cannot be loaded")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's file raises
+        raise SimError(f"the models of {source} could not be loaded: {error}") from error
+    return module

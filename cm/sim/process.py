@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Board`: a simulator as a child process, for tests and for `cm serve --sim`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+from .control import Control
+from .errors import SimError
+from .root import PREFIX, default_parent
+
+LINGER = 5.0
+
+
+class Board:
+    """A simulated board; started by entering it, gone when it is left.
+
+    `configs` are schema files or folders of them. Without `root` a folder in memory is made, and
+    removed at the end whatever happened to the process. If this process dies, the board ends by
+    itself when nobody has used it for five seconds.
+    """
+
+    def __init__(
+        self,
+        configs: Iterable[Path | str] = (),
+        root: Path | str | None = None,
+        arguments: Iterable[str] = (),
+        timeout: float = 20.0,
+    ) -> None:
+        self._configs = [str(path) for path in configs]
+        self._arguments = list(arguments)
+        self._timeout = timeout
+        self._own_root = root is None
+        self.root = Path(tempfile.mkdtemp(prefix=PREFIX, dir=default_parent())) if root is None else Path(root)
+        self.control = Control(self.root)
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def pid(self) -> int:
+        """Of the simulator's process."""
+        return self._running().pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.poll() is None
+
+    def start(self) -> Board:
+        """Start the process and wait until its nodes are there.
+
+        Raises:
+            SimError: it ended instead, with what it said, or did not become ready in time.
+        """
+        command = [sys.executable, "-m", "cm.sim", "--root", str(self.root), "--linger", str(LINGER)]
+        for path in self._configs:
+            command += ["--config", path]
+        self._process = subprocess.Popen(
+            [*command, *self._arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=_environment()
+        )
+        try:
+            self._await_ready(self._process)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def stop(self, timeout: float = 10.0) -> int:
+        """End it as SIGTERM does; its exit status."""
+        process = self._running()
+        process.send_signal(signal.SIGTERM)
+        return self._reap(process, timeout)
+
+    def kill(self) -> None:
+        """End it as a crash does: nothing is cleaned up, the root stays."""
+        process = self._running()
+        process.kill()
+        self._reap(process, 10.0)
+
+    def restart(self) -> Board:
+        """Start it again on the same root."""
+        return self.start()
+
+    def close(self) -> None:
+        """Stop it if it runs, and remove a root that was made here."""
+        if self._process is not None:
+            try:
+                self.stop()
+            except subprocess.TimeoutExpired:
+                self.kill()
+        if self._own_root:
+            shutil.rmtree(self.root, ignore_errors=True)
+
+    def __enter__(self) -> Board:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        if self._process is None:
+            raise SimError("the board was not started, or has been stopped")
+        return self._process
+
+    def _reap(self, process: subprocess.Popen[bytes], timeout: float) -> int:
+        status = process.wait(timeout)
+        if process.stdout is not None:
+            process.stdout.close()
+        self._process = None
+        return status
+
+    def _await_ready(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None
+        fd = process.stdout.fileno()
+        deadline = time.monotonic() + self._timeout
+        line = b""
+        while not line.endswith(b"\n"):
+            ready, _, _ = select.select([fd], [], [], max(0.0, deadline - time.monotonic()))
+            if not ready:
+                raise SimError(f"the simulator was not ready after {self._timeout:g} s")
+            piece = os.read(fd, 4096)
+            if not piece:
+                raise SimError(f"the simulator ended with status {process.wait(self._timeout)} before it was ready")
+            line += piece
+        with contextlib.suppress(ValueError):
+            if json.loads(line).get("ready"):
+                return
+        raise SimError(f"the simulator said {line!r} instead of being ready")
+
+
+def _environment() -> dict[str, str]:
+    """Ours, with the package importable as it is here."""
+    package = str(Path(__file__).resolve().parents[2])
+    paths = [package, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}

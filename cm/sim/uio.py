@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""UIO devices as nodes."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Sequence
+
+from . import protocol
+from .bus import Bus
+from .errors import NodeError
+from .fabric import Window
+from .interrupts import Line
+from .root import Root
+from .server import Events
+
+
+class UioNode:
+    """``/dev/uioN``; any number of files may be open."""
+
+    def __init__(self, window: Window, line: Line, bus: Bus) -> None:
+        self._window, self._line, self._bus = window, line, bus
+
+    def open(self, events: Events) -> UioSession:
+        """A new open file."""
+        return UioSession(self._window, self._line, self._bus, events)
+
+
+class UioSession:
+    """One open file: register accesses, and the interrupt through the event socket."""
+
+    def __init__(self, window: Window, line: Line, bus: Bus, events: Events) -> None:
+        self._window, self._line, self._bus, self._events = window, line, bus, events
+        line.listen(events)
+
+    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes:  # noqa: ARG002 - none is taken
+        """Answer a register access."""
+        if op not in (protocol.OP_REG_READ, protocol.OP_REG_WRITE):
+            raise NodeError(errno.ENOTTY, "a UIO device has register accesses only")
+        if len(payload) != protocol.REG.size:
+            raise NodeError(errno.EINVAL, "a register access is a struct cm_node_reg")
+        number, width, offset, value = protocol.REG.unpack(payload)
+        if number != 0 or not self._window.spec.size:
+            raise NodeError(errno.EINVAL, "there is no such map")
+        if op == protocol.OP_REG_READ:
+            value = self._bus.read(self._window, offset, width)
+        else:
+            self._bus.write(self._window, offset, width, value)
+        return protocol.REG.pack(number, width, offset, value)
+
+    def write(self, data: bytes) -> None:
+        """Unmask (u32 1) or mask (0) the interrupt."""
+        if len(data) != 4:
+            raise NodeError(errno.EINVAL, "a UIO device takes 4 bytes")
+        self._line.control(int.from_bytes(data, "little"))
+
+    def close(self) -> None:
+        """The file was closed."""
+        self._line.forget(self._events)
+
+
+def write_sysfs(root: Root, index: int, window: Window) -> None:
+    """The device's folder under /sys/class/uio."""
+    base = f"sys/class/uio/uio{index}"
+    spec = window.spec
+    root.write(f"{base}/name", spec.name + "\n")
+    root.write(f"{base}/version", "sim\n")
+    root.write(f"{base}/event", "0\n")
+    if spec.size:
+        for name, text in (
+            ("addr", hex(spec.address)),
+            ("size", hex(spec.size)),
+            ("offset", "0x0"),
+            ("name", spec.name),
+        ):
+            root.write(f"{base}/maps/map0/{name}", text + "\n")
