@@ -40,11 +40,11 @@ enum state {
 	STATE_FAULT = 6,
 };
 
-/* CRC, FAR, FDRI, CMD, CTL0, MASK, COR0, MFWR, CBC, IDCODE, AXSS, COR1, WBSTAR, TIMER, RBCRC_SW, CTL1, DWC, BSPI */
+/* CRC, FAR, FDRI, CMD, CTL0, MASK, LOUT, COR0, MFWR, CBC, IDCODE, AXSS, COR1, WBSTAR, TIMER, RBCRC_SW, CTL1, DWC, BSPI */
 #define WRITABLE                                                                                 \
-	(1u << 0 | 1u << 1 | 1u << 2 | 1u << 4 | 1u << 5 | 1u << 6 | 1u << 9 | 1u << 10 |        \
-	 1u << 11 | 1u << 12 | 1u << 13 | 1u << 14 | 1u << 16 | 1u << 17 | 1u << 19 | 1u << 24 | \
-	 1u << 26 | 1u << 31)
+	(1u << 0 | 1u << 1 | 1u << 2 | 1u << 4 | 1u << 5 | 1u << 6 | 1u << 8 | 1u << 9 |         \
+	 1u << 10 | 1u << 11 | 1u << 12 | 1u << 13 | 1u << 14 | 1u << 16 | 1u << 17 | 1u << 19 | \
+	 1u << 24 | 1u << 26 | 1u << 31)
 
 /* tables[j][k][b]: what byte k with value b, fed j + 1 words before the end, adds to the CRC. */
 static uint32_t tables[SLICES][4][256];
@@ -345,27 +345,58 @@ static void register_word(struct cm_config_port *port, struct sink *sink, uint32
 	}
 }
 
+/* Compressed streams hold thousands of MFWR packets to neighbouring frames: one event for a run
+ * of them, which never goes on into the next column. */
+static int joins_last(const struct sink *sink, const struct cm_config_event *event)
+{
+	struct cm_config_event *last = sink->made > 0 ? &sink->events[sink->made - 1] : NULL;
+
+	if (last == NULL || last->kind != CM_CONFIG_MULTI || last->count != event->count ||
+	    last->value + last->frames != event->value || (event->value & 127) == 0)
+		return 0;
+	last->frames++;
+	last->extra |= event->extra;
+	return 1;
+}
+
+static void end_multi(struct cm_config_port *port, struct sink *sink)
+{
+	const struct cm_config_event event = { .word = port->start,
+					       .kind = CM_CONFIG_MULTI,
+					       .reg = port->reg,
+					       .value = port->far,
+					       .count = port->count,
+					       .extra = port->accumulated,
+					       .frames = 1 };
+
+	if (!joins_last(sink, &event))
+		emit(sink, event);
+}
+
+static void end_run(struct cm_config_port *port, struct sink *sink)
+{
+	emit(sink, (struct cm_config_event){ .word = port->start,
+					     .kind = CM_CONFIG_FRAMES,
+					     .reg = port->reg,
+					     .value = port->far,
+					     .count = port->count,
+					     .extra = port->far_words });
+	port->far_words += port->count;
+}
+
 static void end_bulk(struct cm_config_port *port, struct sink *sink)
 {
-	struct cm_config_event event = { .word = port->start,
-					 .reg = port->reg,
-					 .count = port->count };
-
 	port->state = STATE_HEADER;
 	cover(port, port->reg != REG_CBC);
-	if (port->reg == REG_CBC) {
-		event.kind = CM_CONFIG_WRITE;
-	} else if (port->reg == REG_MFWR) {
-		event.kind = CM_CONFIG_MULTI;
-		event.value = port->far;
-		event.extra = port->accumulated;
-	} else {
-		event.kind = CM_CONFIG_FRAMES;
-		event.value = port->far;
-		event.extra = port->far_words;
-		port->far_words += port->count;
-	}
-	emit(sink, event);
+	if (port->reg == REG_MFWR)
+		end_multi(port, sink);
+	else if (port->reg == REG_FDRI)
+		end_run(port, sink);
+	else
+		emit(sink, (struct cm_config_event){ .word = port->start,
+						     .kind = CM_CONFIG_WRITE,
+						     .reg = port->reg,
+						     .count = port->count });
 }
 
 static void keep_head(struct cm_config_port *port, const uint8_t *words, size_t count, int swapped)

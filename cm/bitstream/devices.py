@@ -35,7 +35,7 @@ class Family(Enum):
     """A device family: words in a frame, layout of FAR, and frames in its widest column by block type."""
 
     SERIES7 = ("7series", 101, FarLayout((23, 3), (17, 6), (7, 10), (0, 7)), (42, 128))
-    ULTRASCALE_PLUS = ("ultrascale+", 93, FarLayout((24, 3), (18, 6), (8, 10), (0, 8)), (256, 256))
+    ULTRASCALE_PLUS = ("ultrascale+", 93, FarLayout((24, 3), (18, 6), (8, 10), (0, 8)), (76, 256))
 
     def __init__(self, label: str, frame_words: int, far: FarLayout, widest: tuple[int, ...]) -> None:
         self.label = label

@@ -23,6 +23,7 @@ class Register(IntEnum):
     CMD = 4
     CTL0 = 5
     MASK = 6
+    LOUT = 8
     COR0 = 9
     MFWR = 10
     CBC = 11

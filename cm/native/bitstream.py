@@ -22,7 +22,7 @@ EVENT = np.dtype(
         ("value", "=u4"),
         ("count", "=u4"),
         ("extra", "=u4"),
-        ("reserved", "=u4"),
+        ("frames", "=u4"),
     ]
 )
 Event = np.void

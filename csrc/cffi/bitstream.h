@@ -21,7 +21,7 @@ struct cm_config_event {
 	uint32_t value;
 	uint32_t count;
 	uint32_t extra;
-	uint32_t reserved;
+	uint32_t frames;
 };
 
 struct cm_config_port {

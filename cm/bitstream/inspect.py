@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inspection: everything that can be said about a bitstream without knowing what it is meant for."""
+
+from __future__ import annotations
+
+import hashlib
+
+import numpy as np
+
+from cm.bitstream import frames
+from cm.bitstream.container import Image, Source, open_image, read_source
+from cm.bitstream.devices import Family, base_name, device_by_idcode, device_by_name, family_of
+from cm.bitstream.errors import BadContainer, UnknownDevice, WrongDevice
+from cm.bitstream.packets import Register
+from cm.bitstream.report import Refusal, Report, Section
+from cm.bitstream.rules import Event, Rules
+from cm.native import bitstream as native
+
+
+def _events(image: Image) -> tuple[native.Events, int]:
+    """Run the whole stream through a port; return its events and the phase it ends in."""
+    port = native.Port()
+    batches = []
+    done = 0
+    while done < len(image.stream) // 4:
+        used, events = port.feed(image.stream, image.swapped, done)
+        done += used
+        batches.append(events)
+    return (np.concatenate(batches) if batches else np.empty(0, native.EVENT)), port.phase
+
+
+def _apply(events: native.Events, phase: int, words: int, encrypted: bool) -> Rules:
+    rules = Rules()
+    rules.encrypted = encrypted
+    for row in events.tolist():
+        rules.take(Event(*row))
+    rules.finish(phase, words)
+    return rules
+
+
+def _identify(image: Image, rules: Rules) -> tuple[str | None, int | None, Family | None]:
+    """Return device, IDCODE and family; refusals for none, several, or another than the header's."""
+    part = image.header.part if image.header else None
+    idcode = rules.idcodes[0] if rules.idcodes else None
+    family = family_of(idcode, part)
+    known = device_by_idcode(idcode) if idcode is not None else None
+    if idcode is None and not rules.encrypted:
+        rules.refuse(UnknownDevice, "no IDCODE is written: the device would not check that the bitstream is its own")
+    elif family is None and not rules.encrypted:
+        rules.refuse(UnknownDevice, f"IDCODE {idcode:08X}: neither a 7-series nor an UltraScale+ device that is known")
+    if len(set(rules.idcodes)) > 1:
+        rules.refuse(WrongDevice, "sections for different devices: " + ", ".join(f"{x:08X}" for x in rules.idcodes))
+    named = device_by_name(part) if part else None
+    if known is not None and named is not None and known != named:
+        rules.refuse(WrongDevice, f"the header says {part}, the IDCODE {idcode:08X} is that of {known.name}")
+    return (known.name if known else base_name(part) if part else None), idcode, family
+
+
+def _sections(image: Image, rules: Rules, writes: native.Events, family: Family | None) -> tuple[Section, ...]:
+    ends = [*rules.desyncs, len(image.stream) // 4]
+    result = []
+    for sync, end in zip(rules.syncs, ends, strict=False):
+        count = frames.frames_between(writes, family, sync, end) if family else 0
+        result.append(Section(image.offset + 4 * sync, 4 * (end - sync), count))
+    return tuple(result)
+
+
+def _check_frames(rules: Rules, events: native.Events, writes: native.Events, family: Family | None) -> list[Refusal]:
+    if family is None or rules.encrypted:
+        return []
+    fills = events["count"][events["kind"] == native.FILL].tolist()
+    return [*frames.check_frames(writes, family), *frames.check_fills(fills, family)]
+
+
+def inspect(source: Source) -> Report:
+    """Read a bitstream whole and say what it is.
+
+    `source` is a path or the file's bytes. Raises `BadContainer`, `Truncated` or `NoSync` where
+    nothing can be said, OSError where a path cannot be read; all else stands in `Report.problems`.
+    """
+    data = read_source(source)
+    return inspect_image(open_image(data), data)
+
+
+def inspect_image(image: Image, data: memoryview) -> Report:
+    """`inspect` for a file that is open already; `data` is the whole file."""
+    events, phase = _events(image)
+    is_write = (events["kind"] == native.FRAMES) | (events["kind"] == native.MULTI)
+    writes = events[is_write]
+    rules = _apply(events[~is_write], phase, len(image.stream) // 4, image.encrypted)
+    if image.rest:
+        rules.refuse(BadContainer, f"{image.rest} bytes follow the last whole word")
+    device, idcode, family = _identify(image, rules)
+    rules.problems += _check_frames(rules, events, writes, family)
+    looks_partial = not rules.registers & {Register.TIMER, Register.WBSTAR}
+    compressed = bool((writes["kind"] == native.MULTI).any())
+    return Report(
+        container=image.container,
+        header=image.header,
+        device=device,
+        idcode=idcode,
+        family=family,
+        partial=image.header.partial if image.header else looks_partial,
+        looks_partial=looks_partial,
+        sections=_sections(image, rules, writes, family),
+        frames=frames.total_frames(writes, family) if family else 0,
+        crc=rules.crc,
+        footprint=frames.footprint(writes, family) if family else (),
+        encrypted=rules.encrypted,
+        compressed=compressed,
+        length=len(data),
+        sha256=hashlib.sha256(data).hexdigest(),
+        problems=tuple(rules.problems),
+    )

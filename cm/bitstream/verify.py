@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verification: does a bitstream fit what it is meant for?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cm.bitstream.devices import REVISION_MASK, base_name, device_by_name
+from cm.bitstream.errors import (
+    BitstreamError,
+    Encrypted,
+    FootprintOutside,
+    NotFull,
+    NotPartial,
+    Sha256Mismatch,
+    UnknownDevice,
+    WrongDevice,
+    errors_by_code,
+)
+from cm.bitstream.footprint import describe, outside
+from cm.bitstream.report import Refusal, Report
+from cm.schema.model import FrameRange
+
+_SHOWN = 4  # footprint entries named in a sentence
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """What a bitstream is meant for; what is None or empty is not checked.
+
+    `device`: a device or part name, ``xc7z020`` or ``xck26-sfvc784-2LV-c``. `idcode`: the word in
+    the bitstream, any revision. `footprint`: the frames of the region, stated or learned.
+    """
+
+    device: str | None = None
+    idcode: int | None = None
+    partial: bool | None = None
+    footprint: tuple[FrameRange, ...] = ()
+    allow_encrypted: bool = False
+    sha256: str | None = None
+
+
+def _refusal(error: type[BitstreamError], message: str) -> Refusal:
+    return Refusal(error.code, message)
+
+
+def _sha256(report: Report, expect: Expectation) -> Iterator[Refusal]:
+    if expect.sha256 is not None and report.sha256 != expect.sha256.lower():
+        yield _refusal(Sha256Mismatch, f"the file has sha256 {report.sha256}, recorded is {expect.sha256.lower()}")
+
+
+def _expected_idcode(expect: Expectation) -> int | None:
+    if expect.idcode is not None:
+        return expect.idcode
+    known = device_by_name(expect.device) if expect.device else None
+    return known.idcode if known else None
+
+
+def _device(report: Report, expect: Expectation) -> Iterator[Refusal]:
+    wanted = expect.device or (f"IDCODE {expect.idcode:08X}" if expect.idcode is not None else None)
+    if wanted is None:
+        return
+    found = f"{report.device or 'an unknown device'}" + (f" (IDCODE {report.idcode:08X})" if report.idcode else "")
+    idcode = _expected_idcode(expect)
+    if idcode is not None and report.idcode is not None:
+        if (idcode ^ report.idcode) & REVISION_MASK:
+            yield _refusal(WrongDevice, f"built for {found}, meant for {wanted} (IDCODE {idcode:08X})")
+    elif expect.device and report.device:
+        if base_name(expect.device) != report.device:
+            yield _refusal(WrongDevice, f"built for {found}, meant for {wanted}")
+    else:
+        yield _refusal(UnknownDevice, f"cannot tell whether {found} is {wanted}: give the device's IDCODE, or a .bit")
+
+
+def _partial(report: Report, expect: Expectation) -> Iterator[Refusal]:
+    if expect.partial is True and not (report.partial and report.looks_partial):
+        yield _refusal(NotPartial, f"a full bitstream{_evidence(report)}: a region needs a partial one")
+    if expect.partial is False and (report.partial or (report.looks_partial and not report.encrypted)):
+        yield _refusal(NotFull, f"a partial bitstream{_evidence(report)}: the whole device needs a full one")
+
+
+def _evidence(report: Report) -> str:
+    if report.partial == report.looks_partial:
+        return ""
+    kind = "partial" if report.partial else "full"
+    sets = "does not set" if report.looks_partial else "sets"
+    return f" (its header says {kind}, but it {sets} WBSTAR and TIMER)"
+
+
+def _encrypted(report: Report, expect: Expectation) -> Iterator[Refusal]:
+    if report.encrypted and not expect.allow_encrypted:
+        yield _refusal(
+            Encrypted, "encrypted, so its frames cannot be checked: set allow_encrypted for the region to permit it"
+        )
+
+
+def _footprint(report: Report, expect: Expectation) -> Iterator[Refusal]:
+    wrong = outside(report, expect.footprint)
+    if wrong:
+        named = "; ".join(str(item) for item in wrong[:_SHOWN])
+        more = f"; and {len(wrong) - _SHOWN} more" if len(wrong) > _SHOWN else ""
+        yield _refusal(FootprintOutside, f"writes {named}{more}; the region owns {describe(expect.footprint)}")
+
+
+def refusals(report: Report, expect: Expectation) -> tuple[Refusal, ...]:
+    """Return every reason not to load this bitstream for this purpose, the gravest first; empty: load it."""
+    return (
+        *_sha256(report, expect),
+        *report.problems,
+        *_device(report, expect),
+        *_partial(report, expect),
+        *_encrypted(report, expect),
+        *_footprint(report, expect),
+    )
+
+
+def verify(report: Report, expect: Expectation) -> None:
+    """Raise the error of the gravest refusal; its message holds the sentences of all."""
+    found = refusals(report, expect)
+    if found:
+        raise errors_by_code()[found[0].code](". ".join(item.message for item in found))
