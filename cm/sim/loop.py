@@ -93,13 +93,15 @@ class Loop:
         while self._running:
             self._run_soon()
             self._run_timers()
-            if not self._running:
-                break
-            self._dispatch(self._epoll.poll(self._timeout()))
+            self._wait()
 
     def close(self) -> None:
         """Release the epoll descriptor."""
         self._epoll.close()
+
+    def _wait(self) -> None:
+        if self._running:  # a call above may have stopped us
+            self._dispatch(self._epoll.poll(self._timeout()))
 
     def _timeout(self) -> float:
         if self._soon:

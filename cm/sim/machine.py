@@ -109,7 +109,7 @@ class Machine:
             "channels": {name: self._channel_state(name) for name in self.channels},
             "interrupts": {f"uio{index}": line.count for index, line in enumerate(self.interrupts.lines)},
             "connections": self.server.connections,
-            "buffers": sum(len(s.buffers) for n in (*self.dma_nodes.values(), self.icap_node) for s in n.sessions),
+            "buffers": self._buffers(),
             "memory": self.memory.used,
             "loads": self.engine.loads,
             "loading": self.engine.busy,
@@ -117,6 +117,10 @@ class Machine:
             "overlays": self.overlays.applied,
             "faults": self.faults.listing(),
         }
+
+    def _buffers(self) -> int:
+        channels = sum(len(session.buffers) for node in self.dma_nodes.values() for session in node.sessions)
+        return channels + sum(len(session.buffers) for session in self.icap_node.sessions)
 
     def _channel_state(self, name: str) -> dict[str, object]:
         channel, link = self.channels[name], self.links[name]

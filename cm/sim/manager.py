@@ -34,7 +34,7 @@ class FpgaManager:
         self._root.write(f"{BASE}/name", NAME + "\n")
         self._root.write(f"{BASE}/status", "\n")
         self._state("operating")
-        flags = AttributeNode(lambda: f"{self._flags:x}\n".encode(), self._set_flags)
+        flags = AttributeNode(self._get_flags, self._set_flags)
         server.listen(self._root.bind(f"{BASE}/flags"), flags)
         server.listen(self._root.bind(f"{BASE}/firmware"), AttributeNode(None, self._write_firmware))
 
@@ -79,6 +79,9 @@ class FpgaManager:
             return
         self._state("operating")
         later.finish()
+
+    def _get_flags(self) -> bytes:
+        return f"{self._flags:x}\n".encode()
 
     def _set_flags(self, data: bytes) -> None:
         try:

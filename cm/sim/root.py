@@ -124,7 +124,8 @@ class Root:
                 owner = os.read(fd, 32).decode("ascii", "replace").strip()
                 os.close(fd)
                 raise SimError(
-                    f"another simulator (process {owner or 'unknown'}) serves {self.path}; stop it or choose another --root"
+                    f"another simulator (process {owner or 'unknown'}) serves {self.path}; "
+                    "stop it or choose another --root"
                 ) from None
             if _same_file(fd, self.path / LOCK):
                 os.ftruncate(fd, 0)
