@@ -51,6 +51,9 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
         device=data.get("device"),
         bitstream=_path(data.get("bitstream")),
         sha256=_lower(data.get("sha256")),
+        loader=LoaderKind(data.get("loader", "fpga_manager")),
+        timeout=_float(data.get("timeout")),
+        allow_encrypted=data.get("allow_encrypted", False),
         default_mode=data.get("default_mode"),
         regions=MappingProxyType(regions),
         modules=modules,
@@ -78,7 +81,6 @@ def _regions(data: dict[str, Any], kind: ConfigType) -> dict[str, Region]:
 
 
 def _region(name: str, values: dict[str, Any]) -> Region:
-    timeout = values.get("timeout")
     return Region(
         name=name,
         loader=LoaderKind(values.get("loader", "icap")),
@@ -86,7 +88,7 @@ def _region(name: str, values: dict[str, Any]) -> Region:
         decoupler=Decoupler(**_integers(values["decoupler"])) if "decoupler" in values else None,
         footprint=tuple(_frames(_integers(frames)) for frames in values.get("footprint", ())),
         identity=Identity(**_integers(values["identity"])) if "identity" in values else None,
-        timeout=None if timeout is None else float(timeout),
+        timeout=_float(values.get("timeout")),
         allow_encrypted=values.get("allow_encrypted", False),
     )
 
@@ -182,6 +184,10 @@ def _integers(values: dict[str, Any]) -> dict[str, Any]:
 
 def _path(text: str | None) -> Path | None:
     return None if text is None else Path(text)
+
+
+def _float(value: float | None) -> float | None:
+    return None if value is None else float(value)
 
 
 def _lower(text: str | None) -> str | None:

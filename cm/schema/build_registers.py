@@ -9,7 +9,7 @@ from typing import Any
 
 from cm.schema.context import STATIC, Context, Owner
 from cm.schema.model import Access, BitField, Register
-from cm.schema.problems import KeyPath
+from cm.schema.problems import KeyPath, key_path
 
 
 def build_registers(data: dict[str, Any], owner: Owner, context: Context) -> Mapping[str, Register]:
@@ -17,7 +17,7 @@ def build_registers(data: dict[str, Any], owner: Owner, context: Context) -> Map
     found: dict[str, Register] = {}
     for path, name, window, values in _listed(data, owner.path):
         if name in found:
-            first = ".".join(map(str, context.where[owner.path, name]))
+            first = key_path(context.where[owner.path, name])
             context.report(path, "duplicate_name", f"register {name} is here twice", f"the other one is {first}")
             continue
         register = _register(path, name, window, values, owner, context)

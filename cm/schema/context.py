@@ -10,6 +10,7 @@ from cm.schema.problems import KeyPath
 
 STATIC = "static"  # what `region:` says for the static part
 IMPLIED_REGION = "prr0"
+IMAGE_KEYS = ("bitstream", "sha256", "loader", "timeout", "allow_encrypted")  # of a full configuration
 
 
 @dataclass(frozen=True, slots=True)

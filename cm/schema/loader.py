@@ -131,6 +131,7 @@ class _Loading:
         except Refused as refused:
             self._report_mark(refused.mark, refused.code, refused.message, refused.hint)
             raise self._error() from None
+        self._stop_if_wrong()
         self._shape(tree)
         context = Context(self._report)
         config = build_config(plain(self._root)["config"], context)

@@ -110,6 +110,7 @@ class _Builder:
             return Scalar(event.value, mark, event.value)
         if is_octal_trap(event.value):
             self._report(mark, "bad_value", f"{event.value} has a leading zero", "0x… is hexadecimal, 0o… octal")
+            return Scalar(int(event.value), mark, event.value)
         return Scalar(resolve(event.value), mark, event.value)
 
     def _refuse_tag(self, event: Any, mark: Mark) -> None:

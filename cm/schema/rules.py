@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import fields
 
-from cm.schema.context import STATIC, Context
+from cm.schema.context import IMAGE_KEYS, STATIC, Context
 from cm.schema.model import Config, ConfigType, Decoupler, Mode, Overlay, Region, Stream
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.rules_interrupts import check_interrupts
@@ -36,10 +37,16 @@ def _check_top(config: Config, context: Context) -> None:
             (*_TOP, "default_mode"), "unknown_mode", message, did_you_mean(config.default_mode, config.modes)
         )
     if config.type is ConfigType.PARTIAL:
-        for key in ("bitstream", "sha256"):
-            if getattr(config, key) is not None:
-                hint = "type: full, or a bitstream at each module"
-                context.report((*_TOP, key), "not_applicable", f"a partial configuration has no {key} of its own", hint)
+        _check_no_image(config, context)
+
+
+def _check_no_image(config: Config, context: Context) -> None:
+    """A partial configuration has no image of the whole device, so nothing can be said about one."""
+    for field in fields(config):
+        if field.name in IMAGE_KEYS and getattr(config, field.name) != field.default:
+            hint = "type: full, or the same key at a module or region"
+            message = f"{field.name} is of the image of the whole device, which a partial configuration does not have"
+            context.report((*_TOP, field.name), "not_applicable", message, hint)
 
 
 def _check_regions(regions: Mapping[str, Region], context: Context) -> None:

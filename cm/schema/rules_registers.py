@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from cm.schema.context import Context
 from cm.schema.model import Access, BitField, Config, Register
-from cm.schema.problems import KeyPath, did_you_mean
+from cm.schema.problems import KeyPath, did_you_mean, key_path
 
 _Placed = tuple[KeyPath, Register]  # where it stands in the file, and the register
 
@@ -134,5 +134,5 @@ def _report_pair(
     if (path, other[0]) in reported:  # the same pair is visible in several modes
         return
     reported.add((path, other[0]))
-    there = ".".join(map(str, other[0]))
+    there = key_path(other[0])
     context.report(path, code, message, f"{there} is at {other[1].address:#x}, {other[1].width} bits")

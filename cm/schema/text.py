@@ -24,8 +24,9 @@ def _hex(dumper: _Dumper, value: Hex) -> yaml.ScalarNode:
 
 
 def _text(dumper: _Dumper, value: str) -> yaml.ScalarNode:
-    """Quote what a reader might take for something else; PyYAML knows of YAML 1.1 only."""
-    plain = isinstance(resolve(value), str) and not is_octal_trap(value)
+    """Quote what a reader might take for something else: a YAML 1.2 number, or a line break that folds."""
+    printable = value.replace("\n", "").isprintable()
+    plain = printable and isinstance(resolve(value), str) and not is_octal_trap(value)
     return dumper.represent_scalar("tag:yaml.org,2002:str", value, style=None if plain else '"')
 
 

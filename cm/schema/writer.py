@@ -10,7 +10,7 @@ from pathlib import PurePath
 from typing import Any
 
 from cm.schema.build import default_region
-from cm.schema.context import STATIC
+from cm.schema.context import IMAGE_KEYS, STATIC
 from cm.schema.model import BitField, Config, Mode, Module, Overlay, Region, Register, Stream
 from cm.schema.text import Hex, to_yaml
 
@@ -28,8 +28,9 @@ def dump(config: Config) -> str:
 def to_plain(config: Config) -> dict[str, Any]:
     """`config` as dicts, lists and values in normal form; what is at its default is left out."""
     data: dict[str, Any] = {"name": config.name, "type": config.type.value}
-    for key in ("doc", "device", "default_mode", "bitstream", "sha256"):
+    for key in ("doc", "device", "default_mode"):
         _put(data, key, getattr(config, key))
+    data |= _simple(config, *(field.name for field in fields(config) if field.name not in IMAGE_KEYS))
     _put(data, "regions", {name: _region(region) for name, region in config.regions.items()})
     _put(data, "modules", {name: _module(module) for name, module in config.modules.items()})
     _put(data, "mmio", _windows(config.registers.values(), None))

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each mistake in a runtime schema is an error of its own, at its place, with what would be right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import cm.schema
+from cm.errors import NotFound
+from cm.schema import Problem, SchemaError
+
+
+def problems(text: str) -> list[Problem]:
+    with pytest.raises(SchemaError) as caught:
+        cm.schema.loads(text)
+    return list(caught.value.problems)
+
+
+def partial(body: str, modes: str = "modes: {default: {}}") -> str:
+    """A configuration with `body`, whose place of error is marked by §."""
+    lines = [f"  {line}" for line in f"name: c\n{body}\n{modes}".splitlines()]
+    return "\n".join(["config:", *lines])
+
+
+# Each: what is wrong, code, key below config, words of the message or hint, text; § is where it is.
+CASES = [
+    ("unknown key", "unknown_key", "defualt_mode", "did you mean default_mode?", "§defualt_mode: default"),
+    ("unknown key deep down", "unknown_key", "mmio[0].registers.r.ofset", "did you mean offset?",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, §ofset: 4}}}]"),
+    ("missing key", "missing_key", "mmio[0].registers.r", "offset is missing",
+     "mmio: [{base_address: 0, registers: {r: §{width: 32}}}]"),
+    ("register without a window", "missing_key", "registers.r", "mmio", "registers: {§r: {offset: 0}}"),
+    ("duplicate key", "duplicate_key", "type", "line 3", "type: partial\n§type: partial"),
+    ("duplicate module", "duplicate_name", "modules.a", "line 3", "modules: {a: {}, §a: {}}"),
+    ("duplicate module in a list", "duplicate_name", "modules.a", "again", "modules: [a, §a]"),
+    ("duplicate register in one window", "duplicate_name", "mmio[0].registers.r", "again",
+     "mmio: [{base_address: 0, registers: [r: [offset: 0], §r: [offset: 4]]}]"),
+    ("duplicate register in two windows", "duplicate_name", "mmio[1].registers.r", "twice",
+     "mmio:\n- {base_address: 0, registers: {r: {offset: 0}}}\n- {base_address: 16, registers: {§r: {offset: 0}}}"),
+    ("duplicate overlay", "duplicate_name", "overlays[1]", "already", "overlays: [a, §a]"),
+    ("bad name", "bad_name", "modules.a.b", "is not a name", "modules: {§a.b: {}}"),
+    ("bad type", "bad_type", "device", "found 7020", "§device: 7020"),
+    ("text where a number is meant", "bad_type", "mmio[0].base_address", "expected an integer, found 'x'",
+     "mmio: [{§base_address: x, registers: {}}]"),
+    ("list where a map is meant", "bad_type", "regions", "expected a map, found a list", "§regions: [[a]]"),
+    ("no such type", "bad_value", "type", "did you mean partial?", "§type: partail"),
+    ("width that no bus has", "bad_value", "mmio[0].registers.r.width", "8, 16, 32, 64",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, §width: 24}}}]"),
+    ("leading zero", "bad_value", "", "0o", "clocks: {fclk: §0100}"),
+    ("sha256 too short", "bad_value", "modules.a.sha256", "64 hexadecimal digits", "modules: {a: {§sha256: abc}}"),
+    ("negative address", "value_range", "mmio[0].base_address", "at least 0",
+     "mmio: [{§base_address: -4, registers: {}}]"),
+    ("default above max", "value_range", "mmio[0].registers.r.default", "from 0 to 3",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, max: 3, §default: 4}}}]"),
+    ("default below min", "value_range", "mmio[0].registers.r.default", "from 1 to 255",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, width: 8, min: 1, §default: 0}}}]"),
+    ("default wider than the register", "value_range", "mmio[0].registers.r.default", "at most 0xff",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, width: 8, §default: 0x100}}}]"),
+    ("reset wider than the register", "value_range", "mmio[0].registers.r.reset", "at most 0xff",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, width: 8, §reset: 0x100}}}]"),
+    ("min above max", "value_range", "mmio[0].registers.r.min", "above max",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, §min: 4, max: 3}}}]"),
+    ("default of a read-only register", "not_applicable", "mmio[0].registers.r.default", "reset",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, access: ro, §default: 4}}}]"),
+    ("misaligned offset", "misaligned_offset", "mmio[0].registers.r.offset", "multiple of 4",
+     "mmio: [{base_address: 0, registers: {r: {§offset: 2}}}]"),
+    ("misaligned decoupler", "misaligned_offset", "regions.a.decoupler.offset", "multiple of 4",
+     "regions: {a: {decoupler: {base_address: 0, §offset: 2}}}"),
+    ("overlapping registers", "overlapping_registers", "mmio[0].registers.b", "config.mmio[0].registers.a",
+     "mmio: [{base_address: 0, registers: {a: {offset: 0}, §b: {offset: 2, width: 16}}}]"),
+    ("overlap through different windows", "overlapping_registers", "mmio[1].registers.b", "0x10",
+     "mmio:\n- {base_address: 0, registers: {a: {offset: 16}}}\n- {base_address: 16, registers: {§b: {offset: 0}}}"),
+    ("field wider than the register", "value_range", "mmio[0].registers.r.fields.f", "bits 7:0",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, width: 8, fields: {§f: {bits: 8:4}}}}}]"),
+    ("overlapping fields", "field_overlap", "mmio[0].registers.r.fields.g", "f has bits 4:0",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, fields: {f: {bits: 4:0}, §g: {bits: 4}}}}}]"),
+    ("bits the wrong way round", "bad_value", "mmio[0].registers.r.fields.f.bits", "highest bit first",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, fields: {f: {§bits: 0:4}}}}}]"),
+    ("field without place", "missing_key", "mmio[0].registers.r.fields.f", "either bits",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, fields: {§f: {width: 4}}}}}]"),
+    ("name of a value that does not fit", "value_range", "mmio[0].registers.r.fields.f.values.on", "at most 0x1",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, fields: {f: {bits: 4, values: {§on: 2}}}}}}]"),
+    ("unknown region of a module", "unknown_region", "modules.a.region", "did you mean left?",
+     "regions: [left, right]\nmodules: {a: {§region: letf}}"),
+    ("unknown region of a register", "unknown_region", "mmio[0].registers.r.region", "there is no region x",
+     "mmio: [{base_address: 0, region: x, registers: {§r: {offset: 0}}}]"),
+    ("unknown region of a stream", "unknown_region", "streams.s.region", "known: prr0",
+     "streams: {s: {direction: s2mm, §region: x}}"),
+    ("region left open", "missing_key", "modules.a", "left, right", "regions: [left, right]\nmodules: {§a: {}}"),
+    ("region called static", "name_clash", "regions.static", "another name", "regions: [§static]"),
+    ("two regions on one decoupler", "region_conflict", "regions.b.decoupler", "same decoupler bit",
+     "regions:\n  a: {decoupler: {base_address: 0, offset: 0}}\n  b: {§decoupler: {base_address: 0, offset: 0}}"),
+    ("footprint backwards", "value_range", "regions.a.footprint[0].columns", "[first, last]",
+     "regions: {a: {footprint: [{row: 0, §columns: [4, 2]}]}}"),
+    ("identity without a register", "missing_identity", "modules.a.identity", "no identity register",
+     "modules: {a: {§identity: 1}}"),
+    ("identity twice", "duplicate_identity", "modules.b.identity", "module a",
+     "regions: {r: {identity: {base_address: 0, offset: 0}}}\nmodules: {a: {identity: 1}, b: {§identity: 1}}"),
+    ("identity too wide", "value_range", "modules.a.identity", "8 bits",
+     "regions: {r: {identity: {base_address: 0, offset: 0, width: 8}}}\nmodules: {a: {§identity: 256}}"),
+    ("unknown default mode", "unknown_mode", "default_mode", "known: default", "§default_mode: x"),
+    ("bitstream of a partial configuration", "not_applicable", "bitstream", "type: full", "§bitstream: a.bit"),
+    ("bad dtype", "bad_dtype", "streams.s.dtype", "did you mean uint8?",
+     "streams: {s: {direction: s2mm, §dtype: unit8}}"),
+    ("bad shape", "value_range", "streams.s.shape[1]", "at least 1",
+     "streams: {s: {direction: s2mm, shape: [1, §0]}}"),
+    ("stream without direction", "missing_key", "streams.s", "direction is missing", "streams: {s: §{shape: [1]}}"),
+    ("two streams on one channel", "channel_conflict", "streams.b", "channel dma0",
+     "streams:\n  a: {direction: s2mm, channel: dma0}\n  §b: {direction: s2mm, channel: dma0}"),
+    ("interrupt without line", "missing_key", "interrupts.i", "uio", "interrupts: {§i: {}}"),
+    ("interrupt with two lines", "name_clash", "interrupts.i.uio", "keep one",
+     "interrupts: {i: {base_address: 0, §uio: a}}"),
+    ("interrupt of an unknown register", "unknown_register", "interrupts.i.status", "did you mean stat?",
+     "mmio: [{base_address: 0, registers: {stat: {offset: 0}}}]\n"
+     "interrupts: {i: {base_address: 0, §status: sttat, bit: 0}}"),
+    ("interrupt bit outside its register", "value_range", "interrupts.i.bit", "0 to 31",
+     "mmio: [{base_address: 0, registers: {stat: {offset: 0}}}]\n"
+     "interrupts: {i: {base_address: 0, status: stat, §bit: 32}}"),
+    ("bit of no register", "missing_key", "interrupts.i.bit", "status", "interrupts: {i: {base_address: 0, §bit: 1}}"),
+    ("acknowledge without bit", "missing_key", "interrupts.i.acknowledge", "bit",
+     "mmio: [{base_address: 0, registers: {stat: {offset: 0}}}]\n"
+     "interrupts: {i: {base_address: 0, status: stat, §acknowledge: true}}"),
+    ("interrupts that cannot be told apart", "interrupt_conflict", "interrupts.j", "status register",
+     "interrupts:\n  i: {base_address: 0}\n  §j: {base_address: 0}"),
+    ("clock without rate", "missing_key", "clocks.fclk", "rate is missing", "clocks: {fclk: §{doc: x}}"),
+    ("timeout of nothing", "value_range", "regions.a.timeout", "more than 0", "regions: {a: {§timeout: 0}}"),
+]  # fmt: skip
+
+MODE_CASES = [
+    ("unknown module", "unknown_module", "modes.m.modules[0]", "did you mean edge?", "m: {modules: [§egde]}"),
+    ("module twice", "duplicate_name", "modes.m.modules[1]", "twice", "m: {modules: [edge, §edge]}"),
+    ("two modules for one region", "region_conflict", "modes.m.modules[1]", "region prr0",
+     "m: {modules: [edge, §blur]}"),
+    ("overlay of the configuration again", "duplicate_name", "modes.m.overlays[0]", "already",
+     "m: {overlays: [§base]}"),
+    ("overlap with the static part", "overlapping_registers", "modes.m.mmio[0].registers.r",
+     "config.mmio[0].registers.led",
+     "m: {mmio: [{base_address: 0, registers: {§r: {offset: 0}}}]}"),
+    ("overlap with the mode's module", "overlapping_registers", "modes.m.mmio[0].registers.r", "modules.edge",
+     "m: {modules: [edge], mmio: [{base_address: 16, registers: {§r: {offset: 0}}}]}"),
+    ("name of the static part elsewhere", "name_clash", "modes.m.mmio[0].registers.led", "elsewhere",
+     "m: {mmio: [{base_address: 64, registers: {§led: {offset: 0}}}]}"),
+    ("mistyped stream", "missing_key", "modes.m.streams.camra", "did you mean camera?",
+     "m: {streams: {§camra: {shape: [2]}}}"),
+    ("stream moved onto another's channel", "channel_conflict", "modes.m.streams.other", "channel camera",
+     "m: {streams: {§other: {direction: s2mm, channel: camera}}}"),
+]  # fmt: skip
+MODE_BASE = """\
+modules:
+  edge: {mmio: [{base_address: 16, registers: {threshold: {offset: 0}}}]}
+  blur: {}
+overlays: [base]
+mmio: [{base_address: 0, registers: {led: {offset: 0}}}]
+streams: {camera: {direction: s2mm}}"""
+
+
+def assert_one(text: str, code: str, key: str, words: str) -> None:
+    before = text[: text.index("§")]
+    line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+    (problem,) = problems(text.replace("§", ""))
+    assert (problem.code, problem.line, problem.column) == (code, line, column), problem
+    assert problem.key == (f"config.{key}" if key else "")
+    assert words in str(problem)
+
+
+@pytest.mark.parametrize(("code", "key", "words", "body"), [case[1:] for case in CASES], ids=[c[0] for c in CASES])
+def test_a_mistake_is_named_at_its_place(code: str, key: str, words: str, body: str) -> None:
+    assert_one(partial(body), code, key, words)
+
+
+@pytest.mark.parametrize(
+    ("code", "key", "words", "mode"), [case[1:] for case in MODE_CASES], ids=[c[0] for c in MODE_CASES]
+)
+def test_a_mistake_in_a_mode_is_named_at_its_place(code: str, key: str, words: str, mode: str) -> None:
+    assert_one(partial(MODE_BASE, f"modes:\n  {mode}"), code, key, words)
+
+
+def test_many_mistakes_are_reported_at_once_in_order() -> None:
+    text = partial("type: no\ndevise: x\nmodules: {a: {identity: x, region: 5}}\nclocks: {f: {}}")
+    assert [(p.line, p.code) for p in problems(text)] == [
+        (3, "bad_value"),
+        (4, "unknown_key"),
+        (5, "bad_type"),
+        (5, "bad_type"),
+        (6, "missing_key"),
+    ]
+
+
+def test_several_mistakes_of_meaning_are_reported_at_once() -> None:
+    text = partial("default_mode: x", "modes: {a: {modules: [b, c]}, d: {modules: [e]}}")
+    assert [p.code for p in problems(text)] == ["unknown_mode"] + ["unknown_module"] * 3
+
+
+def test_a_pair_that_overlaps_in_several_modes_is_reported_once() -> None:
+    body = "mmio: [{base_address: 0, registers: {a: {offset: 0}, b: {offset: 0}}}]"
+    assert len(problems(partial(body, "modes: {m: {}, n: {}}"))) == 1
+
+
+def test_a_configuration_without_modes_is_refused() -> None:
+    (problem,) = problems("config: {name: c}")
+    assert (problem.code, problem.key) == ("missing_key", "config")
+    assert "modes" in problem.message
+
+
+def test_the_message_reads_as_compilers_write_theirs(tmp_path: Path) -> None:
+    file = tmp_path / "bad.yaml"
+    file.write_text("config:\n  name: c\n  modes: {default: {}}\n  tipe: full\n")
+    with pytest.raises(SchemaError) as caught:
+        cm.schema.load(file)
+    assert str(caught.value) == f"{file}:4:3: config.tipe: unknown key 'tipe' (did you mean type?)"
+    assert caught.value.code == "schema_invalid"
+
+
+def test_check_returns_the_problems_and_nothing_for_a_good_file(tmp_path: Path) -> None:
+    bad, good = tmp_path / "bad.yaml", tmp_path / "good.yaml"
+    bad.write_text("config: {name: c}\n")
+    good.write_text("config: {name: c, modes: {default: {}}}\n")
+    assert [problem.path for problem in cm.schema.check(bad)] == [bad]
+    assert cm.schema.check(good) == []
+
+
+def test_a_file_that_does_not_exist_is_not_found(tmp_path: Path) -> None:
+    with pytest.raises(NotFound, match="no such file"):
+        cm.schema.load(tmp_path / "none.yaml")
+
+
+def test_a_folder_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
+    (problem,) = cm.schema.check(tmp_path)
+    assert problem.code == "unreadable"
