@@ -47,7 +47,7 @@ class ReportCache:
         Raises what `cm.bitstream.inspect` raises.
         """
         with path.open("rb") as file:
-            digest = self._by_inode.get(_state(file.fileno()))
+            digest = self._by_inode.get(_state(file.fileno()), "")
             if digest in self._by_hash:
                 self._by_hash.move_to_end(digest)
                 return self._by_hash[digest]

@@ -72,6 +72,7 @@ _SERIES7 = {
 }
 _ULTRASCALE_PLUS = {
     "xczu3eg": 0x04A42093,
+    "xczu7ev": 0x04A5A093,
     "xczu9eg": 0x0484A093,
     "xck26": 0x04A49093,
 }
@@ -82,15 +83,21 @@ DEVICES = tuple(
 )
 
 # Dies that are sold under several names: the configuration is the same, and so is the IDCODE.
-_ALIASES = {"xczu3cg": "xczu3eg", "xczu9cg": "xczu9eg", "xazu3eg": "xczu3eg", "k26": "xck26"}
+_ALIASES = {
+    "xczu3cg": "xczu3eg",
+    "xazu3eg": "xczu3eg",
+    "xczu7cg": "xczu7ev",
+    "xczu7eg": "xczu7ev",
+    "xczu9cg": "xczu9eg",
+    "k26": "xck26",
+}
 _PART = re.compile(r"x[acq]{1,2}(?:k\d+|7[asvzk][a-z]*\d+[st]?|zu\d+[a-z]{2}|[kva]u\d+p)|k26")
 
 
 def base_name(part: str) -> str:
     """Return a part's device without package, speed and temperature: ``7z020clg400`` → ``xc7z020``."""
     text = part.strip().lower()
-    if re.match(r"7[asvzk]", text):
-        text = "xc" + text
+    text = re.sub(r"^(?:x[aq])?(?=7[asvzk])", "xc", text)  # automotive and defence grades: the same die
     found = _PART.match(text)
     name = found.group(0) if found else text.split("-")[0]
     return _ALIASES.get(name, name)

@@ -43,12 +43,8 @@ def footprint_of(report: Report) -> tuple[FrameRange, ...]:
 
 
 def _owned(item: Footprint, allowed: Iterable[FrameRange]) -> bool:
-    return any(
-        item.block_type == area.block_type
-        and item.row == area.row
-        and area.column_first <= item.column <= area.column_last
-        for area in allowed
-    )
+    rows = (area for area in allowed if (area.block_type, area.row) == (item.block_type, item.row))
+    return any(area.column_first <= item.column <= area.column_last for area in rows)
 
 
 def _holds(item: Footprint, family: Family, allowed: Iterable[FrameRange]) -> bool:

@@ -8,7 +8,7 @@ padding, headers) may only be what real tools write there. `docs/bitstreams.md` 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 from cm.bitstream.errors import BadPacket, BitstreamError, CrcMismatch, CrcMissing, Truncated
 from cm.bitstream.packets import Command, Register
@@ -33,7 +33,8 @@ _FAULTS = {
 }
 
 
-class Event(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class Event:
     """One row of `cm.native.bitstream.EVENT` in plain integers."""
 
     word: int
@@ -103,9 +104,7 @@ class Rules:
 
     def _foreign(self, event: Event) -> None:
         if event.kind == native.FAULT:
-            self.refuse(
-                BadPacket, f"word {event.word}: {event.value:08X} {_FAULTS.get(event.reg, 'is not understood')}"
-            )
+            self.refuse(BadPacket, f"word {event.word}: {event.value:08X} {_FAULTS[event.reg]}")
         elif event.kind == native.STRAY:
             self.refuse(BadPacket, f"word {event.word}: {event.value:08X} stands outside of sync and is no padding")
 

@@ -90,9 +90,8 @@ def _evidence(report: Report) -> str:
 
 def _encrypted(report: Report, expect: Expectation) -> Iterator[Refusal]:
     if report.encrypted and not expect.allow_encrypted:
-        yield _refusal(
-            Encrypted, "encrypted, so its frames cannot be checked: set allow_encrypted for the region to permit it"
-        )
+        why = "encrypted, so its frames cannot be checked: set allow_encrypted for the region to permit it"
+        yield _refusal(Encrypted, why)
 
 
 def _footprint(report: Report, expect: Expectation) -> Iterator[Refusal]:

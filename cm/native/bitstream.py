@@ -39,7 +39,7 @@ STRAY: int = lib.CM_CONFIG_STRAY
 OPAQUE: int = lib.CM_CONFIG_OPAQUE
 FAULT: int = lib.CM_CONFIG_FAULT
 
-_BATCH = 4096
+_BATCH = 512
 
 
 def crc(value: int, register: int, words: Any, swapped: bool = False) -> int:
