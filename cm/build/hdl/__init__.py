@@ -8,3 +8,58 @@
 
 The types are in `cm.build.hdl.model` and need no parser; the parsers come with the extra `fpga-cm[build]`.
 """
+
+from __future__ import annotations
+
+from cm.build.hdl.compare import Difference, compare
+from cm.build.hdl.errors import HdlError, ModuleNotFound, ParserMissing
+from cm.build.hdl.extract import Reading, extract, read, roots
+from cm.build.hdl.ipxact import load_component_xml
+from cm.build.hdl.model import (
+    Clock,
+    FoundBy,
+    Interface,
+    Interrupt,
+    Language,
+    Leftover,
+    Mode,
+    ModuleInfo,
+    Parameter,
+    Polarity,
+    Port,
+    PortDirection,
+    Problem,
+    Reset,
+)
+from cm.build.hdl.protocols import Binding, UserProtocol, load_protocols, parse_protocols
+
+__all__ = [
+    "Binding",
+    "Clock",
+    "Difference",
+    "FoundBy",
+    "HdlError",
+    "Interface",
+    "Interrupt",
+    "Language",
+    "Leftover",
+    "Mode",
+    "ModuleInfo",
+    "ModuleNotFound",
+    "Parameter",
+    "ParserMissing",
+    "Polarity",
+    "Port",
+    "PortDirection",
+    "Problem",
+    "Reading",
+    "Reset",
+    "UserProtocol",
+    "compare",
+    "extract",
+    "load_component_xml",
+    "load_protocols",
+    "parse_protocols",
+    "read",
+    "roots",
+]

@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of reading HDL, IP-XACT and protocol files."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from cm.errors import CmError, NotFound
+
+
+class HdlError(CmError, ValueError):
+    """HDL, IP-XACT or a protocols file that could not be read; the sentence names file and line."""
+
+    code: ClassVar[str] = "hdl"
+
+
+class ModuleNotFound(HdlError, NotFound):
+    """No file given has a module of that name; the sentence lists those there are."""
+
+    code: ClassVar[str] = "not_found"
+
+
+class ParserMissing(CmError, ImportError):
+    """The parser for this language is not installed; the sentence says how to get it."""
+
+    code: ClassVar[str] = "parser_missing"
+
+
+def parser_missing(package: str, language: str) -> ParserMissing:
+    """The error for a parser package that cannot be imported."""
+    return ParserMissing(
+        f"reading {language} needs the Python package {package}, which is not installed: "
+        f"pip install 'fpga-cm[build]' (or pip install {package})"
+    )

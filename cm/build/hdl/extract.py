@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From files to modules with their interfaces: each file is read and parsed once, whatever the languages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+from cm.build.hdl.detect import Detector
+from cm.build.hdl.errors import HdlError, ModuleNotFound
+from cm.build.hdl.model import Language, ModuleInfo, Problem
+from cm.build.hdl.protocols import UserProtocol
+from cm.build.hdl.verilog import VerilogReader
+from cm.build.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
+
+_NONE: Mapping[str, str] = MappingProxyType({})
+HEADER_SUFFIXES = (".vh", ".svh", ".h", ".inc")
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """All modules asked for, and the problems of files that declare none of them."""
+
+    modules: tuple[ModuleInfo, ...]
+    problems: tuple[Problem, ...] = ()
+
+
+def extract(
+    files: Iterable[str | Path],
+    top: str | None = None,
+    include_dirs: Iterable[str | Path] = (),
+    defines: Mapping[str, str] = _NONE,
+    parameters: Mapping[str, str] = _NONE,
+    protocols: Sequence[UserProtocol] = (),
+) -> list[ModuleInfo]:
+    """The modules of these files in their order (with `top`: that one), with interfaces.
+
+    `defines` are Verilog macros; `parameters` are set on `top`, or on the modules that have them.
+    Raises `HdlError` for files that cannot be read or hold no module, `ModuleNotFound` for `top`,
+    `ParserMissing` where a parser is not installed. What is wrong inside a module is in its problems.
+    """
+    return list(read(files, top, include_dirs, defines, parameters, protocols).modules)
+
+
+def read(
+    files: Iterable[str | Path],
+    top: str | None = None,
+    include_dirs: Iterable[str | Path] = (),
+    defines: Mapping[str, str] = _NONE,
+    parameters: Mapping[str, str] = _NONE,
+    protocols: Sequence[UserProtocol] = (),
+) -> Reading:
+    """As `extract`, and tells the problems of files without modules too."""
+    sources = _Sources([Path(path) for path in include_dirs], defines)
+    for file in files:
+        sources.add(Path(file))
+    sources.check(top)
+    detector = Detector(protocols)
+    modules = [detector.detect(module) for module in sources.evaluate(top, parameters)]
+    _check_parameters(modules, parameters)
+    return Reading(tuple(modules), tuple(sources.problems))
+
+
+def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
+    """The modules that no other of these instantiates; all of them where each is instantiated by another."""
+    used = {name.lower() for module in modules for name in module.instantiates if name.lower() != module.name.lower()}
+    return [module for module in modules if module.name.lower() not in used] or list(modules)
+
+
+class _Sources:
+    """Files of both languages, and which module is in which."""
+
+    def __init__(self, include_dirs: Sequence[Path], defines: Mapping[str, str]) -> None:
+        self._include_dirs = include_dirs
+        self._defines = defines
+        self._verilog: VerilogReader | None = None
+        self._vhdl: VhdlReader | None = None
+        self._found: dict[str, tuple[Language, Path]] = {}
+        self.problems: list[Problem] = []
+
+    def add(self, path: Path) -> None:
+        text = _read_text(path)
+        if path.suffix.lower() in VHDL_SUFFIXES:
+            self._vhdl = self._vhdl or VhdlReader()
+            entities = self._vhdl.parse(path, text)
+            self._register([entity.name for entity in entities], Language.VHDL, path)
+            if not entities and "package" not in text.lower():
+                self.problems.append(Problem("no entity in this file", str(path)))
+            return
+        self._verilog = self._verilog or VerilogReader(self._include_dirs, self._defines)
+        tree = self._verilog.parse(path, text)
+        self._register([name for name, _ in tree.modules], tree.language, path)
+        if not tree.modules:
+            self.problems.extend(tree.errors)
+
+    def _register(self, names: Sequence[str], language: Language, path: Path) -> None:
+        for name in names:
+            if name in self._found:
+                first = self._found[name][1]
+                text = f"module {name} is declared in {first} too: the first one is taken"
+                self.problems.append(Problem(text, str(path)))
+            else:
+                self._found[name] = (language, path)
+
+    def check(self, top: str | None) -> None:
+        if not self._found:
+            detail = "; ".join(str(problem) for problem in self.problems[:3])
+            raise HdlError(f"no module and no entity in the files given{': ' + detail if detail else ''}")
+        if top is not None and self._name(top) is None:
+            raise ModuleNotFound(f"no module {top} in the files given; there are: {', '.join(self._found)}")
+
+    def _name(self, top: str) -> str | None:
+        """Verilog names exactly, VHDL names without regard to case."""
+        if top in self._found:
+            return top
+        vhdl = [name for name, (language, _) in self._found.items() if language is Language.VHDL]
+        return next((name for name in vhdl if name.lower() == top.lower()), None)
+
+    def evaluate(self, top: str | None, parameters: Mapping[str, str]) -> list[ModuleInfo]:
+        wanted = list(self._found) if top is None else [self._name(top) or top]
+        vhdl = [name for name in wanted if self._found[name][0] is Language.VHDL]
+        verilog = [name for name in wanted if self._found[name][0] is not Language.VHDL]
+        modules = self._verilog.read(verilog, parameters) if self._verilog else []
+        modules += self._vhdl.read(vhdl, parameters) if self._vhdl else []
+        order = {name: number for number, name in enumerate(self._found)}
+        return sorted(modules, key=lambda module: order[module.name])
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_bytes().decode("utf-8", errors="replace")
+    except OSError as error:
+        raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _check_parameters(modules: Sequence[ModuleInfo], parameters: Mapping[str, str]) -> None:
+    known = {p.name.lower() for module in modules for p in module.parameters if not p.local}
+    for name in parameters:
+        if name.lower() not in known:
+            names = ", ".join(p.name for module in modules for p in module.parameters if not p.local) or "none"
+            raise HdlError(f"no parameter {name} in {', '.join(m.name for m in modules)}; there are: {names}")

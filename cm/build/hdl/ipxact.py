@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: Apache-2.0
+"""IP-XACT component files (IEEE 1685-2009 `spirit`, as Vivado writes `component.xml`) as `ModuleInfo`.
+
+Names are compared without namespace, so that 1685-2014 files of the same shape load too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from xml.etree import ElementTree
+
+from cm.build.hdl.buses import axi_flavour, aximm
+from cm.build.hdl.errors import HdlError
+from cm.build.hdl.model import (
+    Clock,
+    FoundBy,
+    Interface,
+    Interrupt,
+    Language,
+    Leftover,
+    Mode,
+    ModuleInfo,
+    Parameter,
+    Polarity,
+    Port,
+    PortDirection,
+    Reset,
+)
+
+_DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDirection.INOUT}
+_MODES = {
+    "master": Mode.MASTER,
+    "mirroredSlave": Mode.MASTER,
+    "slave": Mode.SLAVE,
+    "mirroredMaster": Mode.SLAVE,
+    "monitor": Mode.MONITOR,
+}
+_SIGNALS = ("clock", "reset", "interrupt")
+_LEFT_OVER = "belongs to no bus interface of the component"
+
+
+def load_component_xml(path: str | Path) -> ModuleInfo:
+    """Read a component.xml. Raises `HdlError` where it is no IP-XACT component.
+
+    The name is the model name of the synthesis view (the HDL's top), else the component's.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+        # Files are met that have a licence comment before the declaration, which XML does not allow.
+        root = ElementTree.fromstring(data[max(data.find(b"<?xml"), 0) :])
+    except OSError as error:
+        raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise HdlError(f"{path}: no XML: {error}") from error
+    if _local(root.tag) != "component":
+        raise HdlError(f"{path}: no IP-XACT component: its root is <{_local(root.tag)}>, not <spirit:component>")
+    return _Component(root, str(path)).info()
+
+
+class _Component:
+    """Reads one component element."""
+
+    def __init__(self, root: ElementTree.Element, file: str) -> None:
+        self._root = root
+        self._file = file
+        self._ports = {port.name: port for port in self._read_ports()}
+
+    def info(self) -> ModuleInfo:
+        buses = [bus for group in _children(self._root, "busInterfaces") for bus in _children(group, "busInterface")]
+        kinds = {id(bus): _bus_type(bus) for bus in buses}
+        plain = [bus for bus in buses if kinds[id(bus)].get("library") != "signal" or not self._signal(bus)]
+        clocks = tuple(self._clock(bus) for bus in buses if self._signal(bus) == "clock" and _port_map(bus))
+        resets = tuple(self._reset(bus) for bus in buses if self._signal(bus) == "reset" and _port_map(bus))
+        irqs = tuple(self._interrupt(bus) for bus in buses if self._signal(bus) == "interrupt" and _port_map(bus))
+        interfaces = tuple(self._interface(bus, clocks, resets) for bus in plain)
+        used = {port for interface in interfaces for port in interface.ports.values()}
+        used |= {clock.port for clock in clocks} | {reset.port for reset in resets} | {irq.port for irq in irqs}
+        return ModuleInfo(
+            name=self._model_name(),
+            file=self._file,
+            language=Language.IPXACT,
+            parameters=tuple(self._parameters()),
+            ports=tuple(self._ports.values()),
+            interfaces=interfaces,
+            clocks=clocks,
+            resets=resets,
+            interrupts=irqs,
+            leftovers=tuple(Leftover(name, _LEFT_OVER) for name in self._ports if name not in used),
+        )
+
+    def _signal(self, bus: ElementTree.Element) -> str:
+        kind = _bus_type(bus)
+        return kind["name"] if kind.get("library") == "signal" and kind.get("name") in _SIGNALS else ""
+
+    def _model_name(self) -> str:
+        views = [view for node in self._root.iter() if _local(node.tag) == "view" for view in (node,)]
+        for wanted in ("synthesis", ""):
+            for view in views:
+                name = _text(view, "modelName")
+                if name and wanted in _text(view, "envIdentifier"):
+                    return name
+        return _text(self._root, "name")
+
+    def _read_ports(self) -> Iterator[Port]:
+        for model in _children(self._root, "model"):
+            for group in _children(model, "ports"):
+                for node in _children(group, "port"):
+                    yield self._port(node)
+
+    def _port(self, node: ElementTree.Element) -> Port:
+        wire = next(_children(node, "wire"), node)
+        width: int | None = 1
+        text = ""
+        for vector in (child for child in wire.iter() if _local(child.tag) == "vector"):
+            left, right = _text(vector, "left"), _text(vector, "right")
+            width, text = _span(left, right), f"[{left}:{right}]"
+        kind = next((_text(child, "typeName") for child in wire.iter() if _local(child.tag) == "wireTypeDef"), "")
+        direction = _DIRECTIONS.get(_text(wire, "direction"), PortDirection.UNKNOWN)
+        return Port(_text(node, "name"), direction, width, self._file, range=text, type=kind)
+
+    def _parameters(self) -> Iterator[Parameter]:
+        for model in _children(self._root, "model"):
+            for group in _children(model, "modelParameters"):
+                for node in _children(group, "modelParameter"):
+                    text = _text(node, "value")
+                    yield Parameter(_text(node, "name"), _number(text) if _number(text) is not None else text, text)
+
+    def _interface(self, bus: ElementTree.Element, clocks: tuple[Clock, ...], resets: tuple[Reset, ...]) -> Interface:
+        name, kind, ports = _text(bus, "name"), _bus_type(bus), _port_map(bus)
+        parameters = _bus_parameters(bus)
+        clock = next((c for c in clocks if name in c.interfaces), None)
+        reset = clock.reset if clock else None
+        polarity = next((r.polarity for r in resets if r.port == reset), None)
+        return Interface(
+            name=name,
+            protocol=self._protocol(kind.get("name", ""), ports, parameters),
+            mode=_mode(bus),
+            ports=MappingProxyType(ports),
+            clock=clock.port if clock else None,
+            reset=reset,
+            reset_polarity=polarity,
+            widths=MappingProxyType({s: self._ports[p].width if p in self._ports else None for s, p in ports.items()}),
+            found_by=FoundBy.IPXACT,
+            vlnv=":".join(kind.get(key, "") for key in ("vendor", "library", "name", "version")),
+            parameters=MappingProxyType(parameters),
+        )
+
+    def _protocol(self, kind: str, ports: Mapping[str, str], parameters: Mapping[str, str]) -> str:
+        if kind != aximm().name:
+            return kind
+        stated = parameters.get("PROTOCOL", "").lower()
+        if stated in ("axi4", "axi3", "axi4lite"):
+            return stated
+        return axi_flavour({signal: self._ports[port] for signal, port in ports.items() if port in self._ports})
+
+    def _clock(self, bus: ElementTree.Element) -> Clock:
+        parameters = _bus_parameters(bus)
+        port = next(iter(_port_map(bus).values()))
+        frequency = parameters.get("FREQ_HZ", "")
+        return Clock(
+            _text(bus, "name"),
+            port,
+            self._direction(port),
+            int(frequency) if frequency.isdigit() else None,
+            tuple(name for name in parameters.get("ASSOCIATED_BUSIF", "").split(":") if name),
+            parameters.get("ASSOCIATED_RESET", "").partition(":")[0] or None,
+            FoundBy.IPXACT,
+        )
+
+    def _reset(self, bus: ElementTree.Element) -> Reset:
+        port = next(iter(_port_map(bus).values()))
+        word = _bus_parameters(bus).get("POLARITY", "").upper()
+        polarity = {"ACTIVE_LOW": Polarity.LOW, "ACTIVE_HIGH": Polarity.HIGH}.get(word)
+        return Reset(_text(bus, "name"), port, polarity, self._direction(port), FoundBy.IPXACT)
+
+    def _interrupt(self, bus: ElementTree.Element) -> Interrupt:
+        port = next(iter(_port_map(bus).values()))
+        sense = _bus_parameters(bus).get("SENSITIVITY", "")
+        width = self._ports[port].width if port in self._ports else None
+        return Interrupt(_text(bus, "name"), port, _mode(bus), width, sense, FoundBy.IPXACT)
+
+    def _direction(self, port: str) -> PortDirection:
+        return self._ports[port].direction if port in self._ports else PortDirection.UNKNOWN
+
+
+def _local(tag: str) -> str:
+    return tag.rpartition("}")[2] if isinstance(tag, str) else ""
+
+
+def _children(node: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
+    return (child for child in node if _local(child.tag) == name)
+
+
+def _text(node: ElementTree.Element, name: str) -> str:
+    found = next(_children(node, name), None)
+    return (found.text or "").strip() if found is not None else ""
+
+
+def _bus_type(bus: ElementTree.Element) -> dict[str, str]:
+    found = next(_children(bus, "busType"), None)
+    return {_local(key): value for key, value in found.attrib.items()} if found is not None else {}
+
+
+def _mode(bus: ElementTree.Element) -> Mode:
+    return next((_MODES[_local(child.tag)] for child in bus if _local(child.tag) in _MODES), Mode.SLAVE)
+
+
+def _port_map(bus: ElementTree.Element) -> dict[str, str]:
+    found = {}
+    for node in bus.iter():
+        if _local(node.tag) == "portMap":
+            logical = next((_text(child, "name") for child in _children(node, "logicalPort")), "")
+            physical = next((_text(child, "name") for child in _children(node, "physicalPort")), "")
+            if logical and physical:
+                found[logical.upper()] = physical
+    return found
+
+
+def _bus_parameters(bus: ElementTree.Element) -> dict[str, str]:
+    """The interface's parameters; ENABLED is "false" where Vivado hides the interface with today's parameters."""
+    found = {}
+    for group in _children(bus, "parameters"):
+        for node in _children(group, "parameter"):
+            found[_text(node, "name").upper()] = _text(node, "value")
+    if any(_local(node.tag) == "isEnabled" and (node.text or "").strip() == "false" for node in bus.iter()):
+        found["ENABLED"] = "false"
+    return found
+
+
+def _span(left: str, right: str) -> int | None:
+    high, low = _number(left), _number(right)
+    return None if high is None or low is None else abs(high - low) + 1
+
+
+def _number(text: str) -> int | None:
+    """Decimal, or 0x…; None for anything else (an expression that was not resolved, a name)."""
+    try:
+        return int(text, 0)
+    except ValueError:
+        return int(text) if text.isascii() and text.isdigit() and len(text) < 20 else None

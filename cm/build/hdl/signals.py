@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clocks, resets and interrupts by the names people give them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+from cm.build.hdl.model import Mode, Polarity, Port, PortDirection
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+_CLOCK = re.compile(r"(?:[a-z]{0,4}clk|clock|[a-z]?clock|clk[a-z]{0,3}|ck)\d*[a-z]?(?<!sclk)")
+_NOT_CLOCK = _words(
+    "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
+    "gated good bad loss lost edge rise fall rate period freq frequency dis disable active status mux phase "
+    "src"
+)
+_RESET = re.compile(
+    r"(?P<n1>n)?(?:a|s|p|h|g|sys|cpu|peripheral|interconnect)?(?:rst|reset|areset|sreset|arst|srst)(?P<n2>n|b|_n)?\d*"
+)
+_NOT_RESET = _words(
+    "done cnt count busy req request ack ok en enable val value active status vector addr count time code data"
+)
+_LOW_WORDS = frozenset(("n", "b", "ni", "bar", "l"))
+_IO_WORDS = frozenset(("i", "o", "in", "out"))
+_INTERRUPT = re.compile(r"(?:irq|interrupt|interrupts|intr|intrpt|introut|irpt|irqs|int)\d*")
+_NOT_INTERRUPT = _words("en enable mask clr clear ack pending status id num sel vector")
+
+
+def words(name: str) -> list[str]:
+    """The words of a name, lower case: "S_AXI_ACLK" and "sAxiAclk" have three."""
+    return [word for word in _CAMEL.sub("_", name).lower().split("_") if word]
+
+
+def is_clock(port: Port) -> bool:
+    """A one-bit input named as clocks are; enables, selects and counters of clocks are none."""
+    found = words(port.name)
+    return (
+        port.direction is PortDirection.IN
+        and port.width == 1
+        and not _NOT_CLOCK & set(found)
+        and any(_CLOCK.fullmatch(word) for word in found)
+    )
+
+
+def drives_clock(port: Port) -> bool:
+    """A one-bit output named as clocks are."""
+    return port.direction is PortDirection.OUT and is_clock(replace(port, direction=PortDirection.IN))
+
+
+def is_reset(port: Port) -> bool:
+    """A one-bit input named as resets are."""
+    found = words(port.name)
+    return (
+        port.direction is PortDirection.IN
+        and port.width == 1
+        and not _NOT_RESET & set(found)
+        and any(_RESET.fullmatch(word) for word in found)
+    )
+
+
+def reset_polarity(name: str) -> Polarity:
+    """LOW for `aresetn`, `rst_n`, `nreset`, `rst_ni`; HIGH otherwise."""
+    found = words(name)
+    for number, word in enumerate(found):
+        match = _RESET.fullmatch(word)
+        if match and (match["n1"] or match["n2"] or _LOW_WORDS & set(found[number + 1 :])):
+            return Polarity.LOW
+        if match and "n" in found[:number]:
+            return Polarity.LOW
+    return Polarity.HIGH
+
+
+def interrupt_mode(port: Port) -> Mode | None:
+    """MASTER for an output named as interrupts are, SLAVE for an input, None for another port."""
+    found = words(port.name)
+    if _NOT_INTERRUPT & set(found) or not any(_INTERRUPT.fullmatch(word) for word in found):
+        return None
+    return {PortDirection.OUT: Mode.MASTER, PortDirection.IN: Mode.SLAVE}.get(port.direction)
+
+
+def stem(name: str) -> str:
+    """What remains of a clock's or reset's name without the words that say so: "s_axi_aclk" → "s_axi", "clk" → ""."""
+    rest = []
+    for word in words(name):
+        if _CLOCK.fullmatch(word) or _RESET.fullmatch(word) or word in _LOW_WORDS or word in _IO_WORDS:
+            continue
+        rest.append(word)
+    return "_".join(rest)

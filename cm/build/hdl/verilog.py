@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verilog and SystemVerilog through slang (pyslang): modules with evaluated ports and parameters, no interfaces yet.
+
+All files of one call make one compilation, so that packages and macros of included headers are known.
+Every module is elaborated as if it were a top, which evaluates its ports; bodies are not elaborated,
+so what a module instantiates need not be given.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from cm.build.hdl.errors import parser_missing
+from cm.build.hdl.model import Language, ModuleInfo, Problem
+from cm.build.hdl.verilog_ports import read_instance
+
+VERILOG_SUFFIXES = (".v", ".vh", ".vo", ".verilog")
+# `.v` files are Verilog-2005 to Vivado: `do`, `bit`, `final` are names there. On line 1, so that lines stay.
+_VERILOG_KEYWORDS = '`begin_keywords "1364-2005" '
+_FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePorts", "AllowInvalidTop")
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """One parsed file: slang's tree, what is wrong with it, and the modules it declares."""
+
+    path: Path
+    language: Language
+    syntax: Any
+    errors: tuple[Problem, ...]
+    modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, names of what it instantiates
+
+
+def load_slang() -> ModuleType:
+    """pyslang; `ParserMissing` where it is not installed."""
+    try:
+        import pyslang
+        import pyslang.ast
+        import pyslang.parsing
+        import pyslang.syntax
+    except ImportError as error:
+        raise parser_missing("pyslang", "Verilog and SystemVerilog") from error
+    return pyslang
+
+
+class VerilogReader:
+    """Parses files once each, then evaluates the modules asked for."""
+
+    def __init__(self, include_dirs: Sequence[Path] = (), defines: Mapping[str, str] | None = None) -> None:
+        self._slang = load_slang()
+        self._sources = self._slang.SourceManager()
+        self._engine = self._slang.DiagnosticEngine(self._sources)
+        self._includes = [str(path) for path in include_dirs]
+        self._defines = [f"{name}={value}" for name, value in (defines or {}).items()]
+        self._trees: list[Tree] = []
+
+    def parse(self, path: Path, text: str) -> Tree:
+        """Parse one file and keep it for `read`."""
+        tree = self._parse(path, text)
+        self._trees.append(tree)
+        return tree
+
+    def _parse(self, path: Path, text: str) -> Tree:
+        if path.suffix.lower() not in VERILOG_SUFFIXES:
+            return self._tree(path, text, Language.SYSTEMVERILOG)
+        tree = self._tree(path, _VERILOG_KEYWORDS + text, Language.VERILOG)
+        if not tree.errors:
+            return tree
+        # Many a `.v` file uses SystemVerilog all the same; the reading with fewer errors is the one that was meant.
+        other = self._tree(path, text, Language.SYSTEMVERILOG)
+        return other if len(other.errors) < len(tree.errors) else tree
+
+    def _tree(self, path: Path, text: str, language: Language) -> Tree:
+        includes = [str(path.parent), *self._includes]
+        options = self._slang.parsing.PreprocessorOptions()
+        options.additionalIncludePaths = includes
+        options.predefines = self._defines
+        # Two readings of one file need two names in slang's source manager; the folder stays for relative includes.
+        name = str(path) if language is Language.VERILOG else f"{path}\0sv"
+        bag = self._slang.Bag([options])
+        syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, str(path), name, bag)
+        return Tree(path, language, syntax, tuple(self._problems(path, syntax)), tuple(_modules(syntax.root)))
+
+    def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
+        for diagnostic in syntax.diagnostics:
+            if diagnostic.isError():
+                message = self._engine.formatMessage(diagnostic)
+                yield Problem(message, str(path), self._sources.getLineNumber(diagnostic.location))
+
+    def read(self, names: Iterable[str], parameters: Mapping[str, str] | None = None) -> list[ModuleInfo]:
+        """Evaluate the ports of the modules named, with `parameters` set on each of them."""
+        wanted = set(names)
+        if not wanted:
+            return []
+        compilation = self._compile(wanted, parameters or {})
+        owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
+        return [
+            read_instance(compilation, self._sources, instance, tree.path, tree.language, tree.errors, below)
+            for instance in compilation.getRoot().topInstances
+            for tree, below in [owners[instance.name]]
+        ]
+
+    def _compile(self, names: set[str], parameters: Mapping[str, str]) -> Any:
+        ast = self._slang.ast
+        options = ast.CompilationOptions()
+        for flag in _FLAGS:
+            options.flags |= getattr(ast.CompilationFlags, flag)
+        options.topModules = names
+        options.paramOverrides = [f"{name}={value}" for name, value in parameters.items()]
+        compilation = ast.Compilation(self._slang.Bag([options]))
+        for tree in self._trees:
+            compilation.addSyntaxTree(tree.syntax)
+        return compilation
+
+
+def _modules(root: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
+    declarations = root.members if root.kind.name == "CompilationUnit" else (root,)
+    for declaration in declarations:
+        if declaration.kind.name == "ModuleDeclaration" and declaration.header.name.valueText:
+            yield declaration.header.name.valueText, tuple(dict.fromkeys(_instances(declaration.members)))
+
+
+def _instances(members: Iterable[Any]) -> Iterator[str]:
+    """Names of the modules instantiated directly, through generate constructs; statements are not descended into."""
+    for member in members:
+        kind = member.kind.name
+        if kind == "HierarchyInstantiation":
+            yield member.type.valueText
+        elif kind in ("GenerateRegion", "GenerateBlock"):
+            yield from _instances(member.members)
+        elif kind == "LoopGenerate":
+            yield from _instances((member.block,))
+        elif kind == "IfGenerate":
+            yield from _instances((member.block,))
+            if member.elseClause is not None:
+                yield from _instances((member.elseClause.clause,))
+        elif kind == "CaseGenerate":
+            yield from _instances(item.clause for item in member.items)

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""VHDL as text: comments blanked, cut into design units, attributes and instances of architectures.
+
+Architectures are most of a file and hold only two things of interest, so they are searched, not parsed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+_COMMENT = re.compile(r"\"(?:[^\"\n]|\"\")*\"|'.'|--[^\n]*|/\*.*?\*/", re.DOTALL)
+_UNIT = re.compile(
+    r"\b(?P<kind>entity|architecture|package|configuration|context)\s+(?P<body>body\s+)?(?P<name>\w+|\\[^\\\n]+\\)\s+"
+    r"(?:of\s+(?:\w+\.)*(?P<of>\w+|\\[^\\\n]+\\)\s+)?is\b",
+    re.IGNORECASE,
+)
+_ATTRIBUTE = re.compile(
+    r"\battribute\s+(?P<attribute>\w+)\s+of\s+(?P<names>[\w\\\s,]+?)\s*:\s*signal\s+is\s+"
+    r"(?P<value>\"(?:[^\"]|\"\")*\"(?:\s*&\s*\"(?:[^\"]|\"\")*\")*)\s*;",
+    re.IGNORECASE,
+)
+_STRING = re.compile(r'"((?:[^"]|"")*)"')
+_INSTANCE = re.compile(
+    r"\b\w+\s*:\s*(?:(?:entity\s+(?:\w+\.)?|component\s+)(?P<unit>\w+)|(?P<plain>\w+)\s+(?:generic|port)\s+map)\b",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """One design unit: `start` is its offset in the text; `of` the entity of an architecture."""
+
+    kind: str
+    name: str
+    of: str
+    start: int
+    text: str
+
+
+def blank_comments(text: str) -> str:
+    """The text with every comment replaced by as many blanks, so that offsets and lines stay."""
+
+    def blank(match: re.Match[str]) -> str:
+        found = match.group()
+        return re.sub(r"[^\n]", " ", found) if found.startswith(("--", "/*")) else found
+
+    return _COMMENT.sub(blank, text)
+
+
+def design_units(text: str) -> Iterator[Unit]:
+    """Entities, architectures, packages (their bodies have the kind "package body") in order."""
+    found = list(_UNIT.finditer(text))
+    ends = [*(match.start() for match in found[1:]), len(text)][: len(found)]
+    for match, end in zip(found, ends, strict=True):
+        kind = match["kind"].lower() + (" body" if match["body"] else "")
+        yield Unit(kind, match["name"], match["of"] or "", match.start(), text[match.start() : end])
+
+
+def signal_attributes(text: str) -> Iterator[tuple[str, str, str]]:
+    """(signal, attribute, value), the first two in lower case, of `attribute A of S : signal is "…";`."""
+    for match in _ATTRIBUTE.finditer(text):
+        value = "".join(part.replace('""', '"') for part in _STRING.findall(match["value"]))
+        for name in match["names"].split(","):
+            yield name.strip().lower(), match["attribute"].lower(), value
+
+
+def instances(text: str) -> Iterator[str]:
+    """Names of the units instantiated in an architecture."""
+    for match in _INSTANCE.finditer(text):
+        yield match["unit"] or match["plain"]
