@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from dataclasses import dataclass
 
 from cm.schema.model import Interrupt
 
@@ -63,6 +63,16 @@ class Line:
             self.fire()
 
 
+@dataclass(frozen=True, slots=True)
+class _Wired:
+    """A named interrupt: its line, the status bit that it sets, the region that it belongs to."""
+
+    line: Line
+    status: Cell | None
+    bit: int | None
+    region: str | None
+
+
 class Interrupts:
     """The named interrupts of a board and the lines they are wired to."""
 
@@ -70,14 +80,9 @@ class Interrupts:
         self._faults = faults
         self._fabric = fabric
         self.lines = [Line() for _ in fabric.windows]
-        self._wiring: dict[str, tuple[Interrupt, Line, Cell | None]] = {}
+        self._wiring: dict[str, _Wired] = {}
         for name, interrupt in fabric.spec.interrupts.items():
             self._wire(name, interrupt)
-
-    @property
-    def names(self) -> Mapping[str, Interrupt]:
-        """All that are wired."""
-        return {name: wired[0] for name, wired in self._wiring.items()}
 
     def fire(self, name: str) -> bool:
         """Raise an interrupt by name; False where the board has none of that name."""
@@ -86,17 +91,22 @@ class Interrupts:
             return False
         if self._faults.take("drop_interrupt", name):
             return True
-        interrupt, line, status = wired
-        if status is not None and interrupt.bit is not None:
-            status.value |= 1 << interrupt.bit
-        line.fire()
+        if wired.status is not None and wired.bit is not None:
+            wired.status.value |= 1 << wired.bit
+        wired.line.fire()
         return True
 
-    def frame_done(self, channel: str) -> None:
-        """A packet has reached memory: `frame_done` and `<channel>_done` come, where they exist."""
-        if self._wiring:
-            self.fire("frame_done")
-            self.fire(f"{channel}_done")
+    def packet_done(self, channel: str, region: str | None) -> None:
+        """A packet has reached memory.
+
+        Interrupts called …_done in its region's window come, `<channel>_done` wherever it is, and
+        `frame_done` if that is in no region.
+        """
+        for name, wired in self._wiring.items():
+            in_region = wired.region is not None and wired.region == region and name.endswith("_done")
+            in_static = wired.region is None and name == "frame_done"
+            if name == f"{channel}_done" or in_region or in_static:
+                self.fire(name)
 
     def _wire(self, name: str, interrupt: Interrupt) -> None:
         index = self._find(interrupt)
@@ -108,7 +118,14 @@ class Interrupts:
             status = next((c for r in self._fabric.regions if (c := self._fabric.cell(interrupt.status, r))), None)
         if status is not None and interrupt.bit is not None and interrupt.acknowledge:
             line.add_level(status, interrupt.bit)
-        self._wiring[name] = (interrupt, line, status)
+        owner = status.region.name if status is not None and status.region else self._owner(index)
+        self._wiring[name] = _Wired(line, status, interrupt.bit, owner)
+
+    def _owner(self, index: int) -> str | None:
+        """The region whose registers, and nobody else's, are in a window."""
+        cells = [cell for here in self._fabric.windows[index].cells.values() for cell in here]
+        owners = {cell.region.name if cell.region else None for cell in cells}
+        return owners.pop() if len(owners) == 1 else None
 
     def _find(self, interrupt: Interrupt) -> int | None:
         windows: list[Window] = self._fabric.windows

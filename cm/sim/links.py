@@ -119,7 +119,7 @@ class Link:
         overflow = stored < len(data)
         channel.complete(stored, -errno.EIO if overflow else 0)
         self._path.count_frame()
-        self._interrupts.frame_done(channel.spec.name)
+        self._interrupts.packet_done(channel.spec.name, channel.spec.region)
 
 
 class LoopLink(Link):

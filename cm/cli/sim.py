@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm sim``: serve a simulated board; ``cm sim inject|state|…``: tell a running one what to do."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cm.sim import Control
+
+_FAULTS = """faults (TARGET, VALUE):
+  short_packet     channel, bytes      the next packet ends early
+  dma_error        channel             the next transfer fails with EIO
+  hang             channel             nothing moves until cleared
+  drop_interrupt   interrupt           the next one does not come
+  icap_crc, icap_id, icap_hang         how the next load fails
+  overlay_error    overlay             the next one cannot be applied
+  fpga_manager_error                   the next load fails at its end
+  register_stuck   register            writes are lost until cleared
+"""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    from cm.sim.main import add_arguments
+
+    parser = subparsers.add_parser(
+        "sim",
+        help="serve a simulated board",
+        description="Serve a simulated board under a folder, until it is interrupted.",
+        epilog=_FAULTS,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_arguments(parser)
+    parser.set_defaults(run=run)
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=False)
+    _add_actions(actions)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve, or carry out one action on a simulator that runs; the exit status."""
+    if getattr(args, "action", None) is None:
+        from cm.sim.main import run as serve
+
+        logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
+        return serve(args)
+    return _act(args)
+
+
+def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    inject = actions.add_parser("inject", help="order a fault")
+    inject.add_argument("name", metavar="FAULT")
+    inject.add_argument("target", nargs="?")
+    inject.add_argument("value", nargs="?", type=int, default=0)
+    inject.add_argument("--count", type=int, default=1, help="how often; 0: until cleared")
+    clear = actions.add_parser("clear", help="forget faults")
+    clear.add_argument("name", nargs="?", metavar="FAULT")
+    clear.add_argument("target", nargs="?")
+    interrupt = actions.add_parser("interrupt", help="raise an interrupt")
+    interrupt.add_argument("name")
+    for name, text in (("pause", "hold a camera"), ("resume", "let a camera run again")):
+        actions.add_parser(name, help=text).add_argument("channel")
+    step = actions.add_parser("step", help="let a held camera give frames")
+    step.add_argument("channel")
+    step.add_argument("frames", nargs="?", type=int, default=1)
+    actions.add_parser("state", help="print what the board holds, as JSON")
+    for parser in actions.choices.values():
+        parser.add_argument("--root", type=Path, default=argparse.SUPPRESS, help="folder that the simulator serves")
+
+
+def _act(args: argparse.Namespace) -> int:
+    from cm.errors import CmError
+    from cm.sim import Control
+
+    if args.root is None:
+        print("cm sim: --root is missing: the folder that the simulator serves", file=sys.stderr)
+        return 2
+    try:
+        _carry_out(Control(args.root), args)
+    except CmError as error:
+        print(f"cm sim: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _carry_out(control: Control, args: argparse.Namespace) -> None:
+    if args.action == "inject":
+        control.inject(args.name, args.target, args.count, args.value)
+    elif args.action == "clear":
+        control.clear(args.name, args.target)
+    elif args.action == "interrupt":
+        control.interrupt(args.name)
+    elif args.action == "step":
+        control.step(args.channel, args.frames)
+    elif args.action == "state":
+        print(json.dumps(control.state(), indent=2))
+    else:
+        getattr(control, args.action)(args.channel)
