@@ -52,7 +52,7 @@ def windows_of(
                 )
     lines = list(interrupts)
     for interrupt in lines:
-        if interrupt.base_address is not None:
+        if interrupt.base_address is not None and interrupt.base_address & ~(PAGE - 1) not in reach:
             need(interrupt.base_address, 4, None)
     merged = _merge(reach, owners)
     return _named(merged, [line.uio for line in lines if line.uio is not None])
