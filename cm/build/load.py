@@ -48,6 +48,10 @@ class Reporter:
         """A problem with the key at `path`."""
         self.at(locate(self.root, path), code, message, hint, key_path(path))
 
+    def fitted(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
+        """A problem that the walk along the schema found."""
+        self.at(mark, code, message, hint, key_path(path))
+
     def stop(self) -> None:
         """Raise what was found, in the order of the file."""
         if self.problems:
@@ -88,7 +92,7 @@ def _structure(text: str, report: Reporter) -> dict[str, Any]:
     except Refused as refused:
         report.at(refused.mark, refused.code, str(refused), refused.hint)
         return {}
-    tree = structure.fit(report.root, report.key)
+    tree = structure.fit(report.root, report.fitted)
     for finding in structure.values(tree):
         report.key(finding.path, finding.code, finding.message, finding.hint)
     data = plain(tree)

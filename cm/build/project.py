@@ -31,7 +31,9 @@ class Resources:
 
     def largest(self, other: Resources) -> Resources:
         """What holds either of both."""
-        return Resources(*(max(mine, theirs) for mine, theirs in zip(self.values(), other.values(), strict=True)))
+        return Resources(
+            max(self.lut, other.lut), max(self.ff, other.ff), max(self.bram, other.bram), max(self.dsp, other.dsp)
+        )
 
     def values(self) -> tuple[int, int, float, int]:
         """In the order lut, ff, bram, dsp."""

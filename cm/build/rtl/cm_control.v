@@ -1,18 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Registers of the static part (AXI4-Lite, 4 KiB):
-//   0x00 ID         ro   0x434D3031 ("CM01")
-//   0x04 SHAPE      ro   [7:0] regions, [15:8] interrupt lines
-//   0x08 DECOUPLE   rw   bit per region: cut it off
-//   0x0C DECOUPLED  ro   bit per region: cut off, nothing pending on the static side
-//   0x10 RESET      rw   bit per region: hold its module in reset
-//   0x14 IRQ_STATUS w1c  bit per interrupt line
-//   0x18 IRQ_ENABLE rw   bit per interrupt line
-//   0x1C IRQ_RAW    ro   bit per interrupt line
-//   0x20 STUCK      ro   bit per region: it left an access unanswered and was cut off
-//   0x24 ICAP       ro   [0] last load ended, [1] error
-//   0x28 ICAP_WORDS ro   words of the running or last load
-//   0x40 + 4*n IDENTITY  ro  what the module in region n says it is; 0 while decoupled
+//   0x000 ID         ro   0x434D3031 ("CM01")
+//   0x004 SHAPE      ro   [7:0] regions, [15:8] interrupt lines
+//   0x008 IRQ_STATUS w1c  bit per interrupt line
+//   0x00C IRQ_ENABLE rw   bit per interrupt line
+//   0x010 IRQ_RAW    ro   bit per interrupt line
+//   0x014 ICAP       ro   [0] last load ended, [1] error
+//   0x018 ICAP_WORDS ro   words of the running or last load
+// and for region n at 0x100 + 0x10 * n, so that a driver can own one region's register:
+//   +0x0 DECOUPLE    rw   [0] cut the region off
+//   +0x4 RESET       rw   [0] hold its module in reset
+//   +0x8 STATUS      ro   [0] cut off, nothing pending on the static side;
+//                         [1] it left an access unanswered and was cut off for that
+//   +0xC IDENTITY    ro   what the module in it says it is; 0 while decoupled
 `default_nettype none
 
 module cm_control #(
@@ -58,9 +59,15 @@ module cm_control #(
     wire [9:0] waddr = s_awaddr[11:2];
     wire [9:0] raddr = s_araddr[11:2];
 
+    integer i, n;
+
+    function [9:0] region_word(input [7:0] region, input [1:0] register);
+        region_word = 10'h040 + {region, register};
+    endfunction
+
     reg  [IRQS-1:0] irq_enable;
     wire [IRQS-1:0] irq_raw, irq_status;
-    wire [IRQS-1:0] irq_clear = bits[IRQS-1:0] & {IRQS{write && waddr == 10'h005}};
+    wire [IRQS-1:0] irq_clear = bits[IRQS-1:0] & {IRQS{write && waddr == 10'h002}};
 
     assign s_awready = write;
     assign s_wready  = write;
@@ -82,35 +89,33 @@ module cm_control #(
         end else begin
             if (write) s_bvalid <= 1'b1;
             else if (s_bready) s_bvalid <= 1'b0;
-            if (write && waddr == 10'h002)
-                decouple <= (decouple & ~lanes[REGIONS-1:0]) | bits[REGIONS-1:0];
-            if (write && waddr == 10'h004)
-                region_reset <= (region_reset & ~lanes[REGIONS-1:0]) | bits[REGIONS-1:0];
-            if (write && waddr == 10'h006)
+            if (write && waddr == 10'h003)
                 irq_enable <= (irq_enable & ~lanes[IRQS-1:0]) | bits[IRQS-1:0];
+            for (n = 0; n < REGIONS; n = n + 1) begin
+                if (write && s_wstrb[0] && waddr == region_word(n[7:0], 2'd0)) decouple[n] <= s_wdata[0];
+                if (write && s_wstrb[0] && waddr == region_word(n[7:0], 2'd1)) region_reset[n] <= s_wdata[0];
+            end
         end
     end
 
-    // every readable register in one padded vector per kind keeps widths plain
     reg [31:0] value;
-    integer i;
     always @* begin
         value = 32'd0;
         case (raddr)
             10'h000: value = ID;
             10'h001: value = {16'd0, IRQS[7:0], REGIONS[7:0]};
-            10'h002: value[REGIONS-1:0] = decouple;
-            10'h003: value[REGIONS-1:0] = decoupled;
-            10'h004: value[REGIONS-1:0] = region_reset;
-            10'h005: value[IRQS-1:0] = irq_status;
-            10'h006: value[IRQS-1:0] = irq_enable;
-            10'h007: value[IRQS-1:0] = irq_raw;
-            10'h008: value[REGIONS-1:0] = stuck;
-            10'h009: value[1:0] = icap_status;
-            10'h00A: value = icap_words;
+            10'h002: value[IRQS-1:0] = irq_status;
+            10'h003: value[IRQS-1:0] = irq_enable;
+            10'h004: value[IRQS-1:0] = irq_raw;
+            10'h005: value[1:0] = icap_status;
+            10'h006: value = icap_words;
             default:
-                for (i = 0; i < REGIONS; i = i + 1)
-                    if (raddr == 10'h010 + i[9:0]) value = identity[i*32+:32];
+                for (i = 0; i < REGIONS; i = i + 1) begin
+                    if (raddr == region_word(i[7:0], 2'd0)) value[0] = decouple[i];
+                    if (raddr == region_word(i[7:0], 2'd1)) value[0] = region_reset[i];
+                    if (raddr == region_word(i[7:0], 2'd2)) value[1:0] = {stuck[i], decoupled[i]};
+                    if (raddr == region_word(i[7:0], 2'd3)) value = identity[i*32+:32];
+                end
         endcase
     end
 
