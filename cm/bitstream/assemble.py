@@ -8,6 +8,7 @@ is the caller's: such a file configures a simulated port, and would do harm in a
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from cm.bitstream.packets import (
 from cm.native import bitstream as native
 
 _MFWR_WORDS = 14  # as Vivado writes
+_UNPRINTABLE = re.compile(r"[^!-:<-~]")  # in a header: all but visible ASCII, and the separator
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,5 +184,11 @@ def assemble(
     size = -(-len(runs) // sections)
     groups = [runs[start : start + size] for start in range(0, len(runs), size)]
     fields = {"UserID": "0XFFFFFFFF", **({"PARTIAL": "TRUE"} if partial else {}), "Version": version}
-    header = BitHeader(design=design, fields=tuple(fields.items()), part=part or known.name, date=date, time=time)
+    header = BitHeader(
+        design=_UNPRINTABLE.sub("_", design),
+        fields=tuple(fields.items()),
+        part=part or known.name,
+        date=date,
+        time=time,
+    )
     return pack_bit(header, assemble_stream(known, groups, partial=partial, crc=crc))

@@ -38,10 +38,13 @@ class Container(Enum):
 
 @dataclass(frozen=True, slots=True)
 class BitHeader:
-    """The header fields of a `.bit`: `fields` are the ``KEY=value`` pairs behind the design's name."""
+    """The header fields of a `.bit`: `fields` are the ``KEY=value`` pairs behind the design's name.
+
+    The value is None where only a word stands. Bytes that are no UTF-8 survive as surrogates.
+    """
 
     design: str
-    fields: tuple[tuple[str, str], ...]
+    fields: tuple[tuple[str, str | None], ...]
     part: str
     date: str
     time: str
@@ -82,7 +85,7 @@ def read_source(source: Source) -> memoryview:
 
 
 def _text(data: memoryview) -> str:
-    return bytes(data).rstrip(b"\0").decode("ascii", "replace")
+    return bytes(data).removesuffix(b"\0").decode("utf-8", "surrogateescape")
 
 
 def _text_field(data: memoryview, at: int, key: str) -> tuple[str, int]:
@@ -116,16 +119,17 @@ def _parse_header(data: memoryview) -> tuple[BitHeader, int]:
     if length < there:
         raise BadContainer(f".bit header says {length} bytes of configuration, {there - length} more follow")
     name, *pairs = texts[0].split(";")
-    fields = tuple((key, value) for key, _, value in (pair.partition("=") for pair in pairs))
+    fields = tuple((key, value if mark else None) for key, mark, value in (pair.partition("=") for pair in pairs))
     return BitHeader(name, fields, *texts[1:]), at + 5
 
 
 def pack_bit(header: BitHeader, stream: bytes) -> bytes:
     """Return the `.bit` file of big-endian configuration words."""
-    name = ";".join([header.design, *(f"{key}={value}" for key, value in header.fields)])
+    pairs = (key if value is None else f"{key}={value}" for key, value in header.fields)
+    name = ";".join([header.design, *pairs])
     parts = [_BIT_MAGIC]
     for key, text in zip("abcd", (name, header.part, header.date, header.time), strict=True):
-        raw = text.encode("ascii") + b"\0"
+        raw = text.encode("utf-8", "surrogateescape") + b"\0"
         parts.append(key.encode() + struct.pack(">H", len(raw)) + raw)
     parts.append(b"e" + struct.pack(">I", len(stream)) + stream)
     return b"".join(parts)

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import struct
+from contextlib import suppress
+
+import pytest
+from bitstream_support import HEADER, small
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cm.bitstream import BitstreamError, Container, Image, convert, inspect, open_image, to_dma_words
+from cm.bitstream.container import BitHeader, pack_bit
+from cm.bitstream.errors import BadContainer, NoSync, Truncated
+
+TEXT = st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters=";="), max_size=20)
+
+
+def boot_image(stream: bytes, encryption: int = 0) -> bytes:
+    """A boot image as bootgen lays it out: header with width word and signature, stream, zeros."""
+    header = bytearray(0x2800)
+    header[0x20:0x24] = bytes.fromhex("665599aa")
+    header[0x24:0x28] = b"XNLX"
+    struct.pack_into("<I", header, 0x28, encryption)
+    return bytes(header) + stream + bytes(200)
+
+
+def test_bit_header_is_read() -> None:
+    header = open_image(small(design="camera", part="7z020clg400")).header
+    assert header is not None
+    assert (header.design, header.part, header.date, header.time) == ("camera", "7z020clg400", "2024/01/01", "00:00:00")
+    assert header.partial
+    assert header.field("version") == "cm"
+
+
+@given(design=TEXT, part=TEXT, date=TEXT, time=TEXT)
+def test_bit_header_survives_packing(design: str, part: str, date: str, time: str) -> None:
+    header = BitHeader(design, (("UserID", "0"),), part, date, time)
+    assert open_image(pack_bit(header, bytes.fromhex("ffffffffaa995566"))).header == header
+
+
+@given(fields=st.binary(max_size=20).filter(lambda raw: not raw.endswith(bytes(1))))
+def test_odd_header_fields_survive_conversion(fields: bytes) -> None:
+    original = bytearray(small())
+    begin = original.index(b"UserID")
+    original[begin : begin + len(fields)] = fields
+    data = bytes(original)
+    header = open_image(data).header
+    assert convert(convert(data, Container.BIN_SWAPPED), Container.BIT, header) == data
+
+
+@pytest.mark.parametrize("form", [Container.BIN_SWAPPED, Container.BIN_STRAIGHT])
+def test_conversion_there_and_back_is_byte_exact(form: Container) -> None:
+    original = small()
+    there = convert(original, form)
+    assert open_image(there).container is form
+    assert convert(there, Container.BIT, open_image(original).header) == original
+
+
+def test_swapped_bin_has_the_sync_word_that_dma_wants() -> None:
+    assert bytes.fromhex("665599aa") in to_dma_words(small())
+    assert to_dma_words(small()) == convert(small(), Container.BIN_SWAPPED)
+    assert to_dma_words(convert(small(), Container.BIN_STRAIGHT)) == to_dma_words(small())
+
+
+def test_bit_from_bin_needs_a_header() -> None:
+    with pytest.raises(BadContainer, match="needs a header"):
+        convert(convert(small(), Container.BIN_SWAPPED), Container.BIT)
+
+
+def test_boot_image_is_opened_behind_its_own_sync_word() -> None:
+    stream = to_dma_words(small())
+    image = open_image(boot_image(stream))
+    assert (image.container, image.offset, bytes(image.stream)) == (Container.BOOTGEN, 0x2800, stream)
+
+
+def test_boot_image_converts_to_its_stream() -> None:
+    assert convert(boot_image(to_dma_words(small())), Container.BIN_STRAIGHT) == convert(
+        small(), Container.BIN_STRAIGHT
+    )
+
+
+def test_boot_image_says_that_it_is_encrypted() -> None:
+    assert open_image(boot_image(to_dma_words(small()), encryption=0xA5C3C5A3)).encrypted
+
+
+def test_boot_image_without_bitstream_has_no_sync() -> None:
+    with pytest.raises(NoSync, match="boot image"):
+        open_image(boot_image(b""))
+
+
+def test_boot_images_are_not_written() -> None:
+    with pytest.raises(BadContainer, match="bootgen"):
+        convert(small(), Container.BOOTGEN)
+
+
+def test_file_without_sync_is_refused() -> None:
+    with pytest.raises(NoSync):
+        open_image(b"MZ" * 500)
+
+
+def test_bit_with_swapped_words_is_refused() -> None:
+    with pytest.raises(BadContainer, match="byte-swapped"):
+        open_image(pack_bit(HEADER, bytes.fromhex("ffffffff665599aa")))
+
+
+def test_bit_with_bytes_behind_its_length_is_refused() -> None:
+    with pytest.raises(BadContainer, match="4 more follow"):
+        open_image(small() + bytes(4))
+
+
+@given(data=st.data())
+def test_every_truncation_of_a_bit_is_refused(data: st.DataObject) -> None:
+    whole = small()
+    cut = data.draw(st.integers(0, len(whole) - 1))
+    with pytest.raises((Truncated, NoSync)):
+        open_image(whole[:cut])
+
+
+@given(data=st.data())
+def test_every_truncation_of_a_bin_is_refused(data: st.DataObject) -> None:
+    whole = convert(small(), Container.BIN_SWAPPED)
+    cut = data.draw(st.integers(0, len(whole) - 16 * 4 - 1))  # what follows DESYNC may be missing
+    with suppress(BitstreamError):
+        assert inspect(whole[:cut]).problems
+
+
+@given(data=st.binary(max_size=300), prefix=st.sampled_from([b"", small()[:20], small()[:110], boot_image(b"")]))
+def test_any_bytes_are_opened_or_refused(data: bytes, prefix: bytes) -> None:
+    with suppress(BitstreamError):
+        assert isinstance(open_image(prefix + data), Image)
+        inspect(prefix + data)
