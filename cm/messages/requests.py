@@ -15,11 +15,13 @@ class ReadStatus:
 class ReadConfig:
     """A configuration's description; of the loaded one if `config_name` is empty.
 
-    `list_names`: the names of all that can be loaded. `plan_mode`: what going to that mode would do.
+    `list_names`: the names of all that can be loaded. `plan`: what going to `plan_mode` (its default mode
+    if empty) would do.
     """
 
     config_name: str = ""
     list_names: bool = False
+    plan: bool = False
     plan_mode: str = ""
 
 
@@ -127,6 +129,7 @@ class TakeLease:
     id: str = ""
     release: bool = False
     holder: str = ""
+    pid: int = 0  # of the holder's process on this machine: the lease ends with it
 
 
 Request = (

@@ -22,7 +22,7 @@ def status_to_pb(s: st.Status) -> pb.Status:
         config_name=s.config_name,
         mode=s.mode,
         fpga_busy=s.fpga_busy,
-        pr_mode=_PR_MODES.index(s.pr_mode),
+        pr_mode=pb.PrMode.Name(_PR_MODES.index(s.pr_mode)),
         sequence=s.sequence,
         regions=[pb.RegionState(name=r.name, module=r.module or "", state=r.state) for r in s.regions],
         streams=[stream_to_pb(x) for x in s.streams],

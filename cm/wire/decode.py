@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
-from google.protobuf.message import DecodeError
+from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
 from cm.messages import requests as rq
@@ -14,6 +15,7 @@ from cm.wire import cm_pb2 as pb
 from cm.wire import text, topics
 
 Frame = bytes | memoryview
+_Message = TypeVar("_Message", bound=Message)
 _Decoder = Callable[[bytes, Sequence[Frame]], rq.Request]
 
 
@@ -39,7 +41,7 @@ def decode_request(frames: Sequence[Frame]) -> rq.Request:
     return decoder(bytes(parts[1]) if len(parts) > 1 else b"", parts[2:])
 
 
-def _parse(message_type: Callable[[], pb.Message], topic: str, payload: bytes) -> pb.Message:
+def _parse(message_type: Callable[[], _Message], topic: str, payload: bytes) -> _Message:
     message = message_type()
     try:
         message.ParseFromString(payload)
@@ -62,7 +64,7 @@ def _read_status(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 def _read_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_read_config", payload)
     m = _parse(pb.ReadConfig, "cm_read_config", message)
-    return rq.ReadConfig(m.config_name, m.list, m.plan_mode)
+    return rq.ReadConfig(m.config_name, m.list, m.plan or bool(m.plan_mode), m.plan_mode)
 
 
 def _text_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
@@ -157,7 +159,7 @@ def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 def _lease(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_lease", payload)
     m = _parse(pb.Lease, "cm_lease", message)
-    return rq.TakeLease(m.scope or "board", m.exclusive, m.seconds, m.id, m.release, m.holder)
+    return rq.TakeLease(m.scope or "board", m.exclusive, m.seconds, m.id, m.release, m.holder, m.pid)
 
 
 _DECODERS: dict[bytes, _Decoder] = {

@@ -70,13 +70,19 @@ def _data_config(r: rq.DataConfig) -> list[Frame]:
 
 def _lease(r: rq.TakeLease) -> list[Frame]:
     message = pb.Lease(
-        id=r.id, scope=r.scope, exclusive=r.exclusive, seconds=r.seconds, release=r.release, holder=r.holder
+        id=r.id,
+        scope=r.scope,
+        exclusive=r.exclusive,
+        seconds=r.seconds,
+        release=r.release,
+        holder=r.holder,
+        pid=r.pid,
     )
     return [topics.LEASE, message.SerializeToString()]
 
 
 def _read_config(r: rq.ReadConfig) -> list[Frame]:
-    message = pb.ReadConfig(config_name=r.config_name, list=r.list_names, plan_mode=r.plan_mode)
+    message = pb.ReadConfig(config_name=r.config_name, list=r.list_names, plan_mode=r.plan_mode, plan=r.plan)
     return [topics.READ_CONFIG, message.SerializeToString()]
 
 

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a client asks and what the answers mean, without sockets: shared by `board` and `aio`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from cm.client.errors import request_error
+from cm.client.frame import Frame, frame_of
+from cm.errors import InvalidRequest
+from cm.messages import requests as rq
+from cm.messages.status import (
+    ChangeInfo,
+    ConfigInfo,
+    FrameInfo,
+    Irq,
+    LeaseInfo,
+    PlanInfo,
+    RegValues,
+    Reply,
+    Status,
+    StreamStatus,
+)
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True)
+class Call(Generic[_T]):
+    """A request, and how its reply becomes a result."""
+
+    request: rq.Request
+    result: Callable[[Reply], _T]
+
+
+def _body(reply: Reply, kind: type[_T]) -> _T:
+    if reply.error is not None:
+        raise request_error(reply.error)
+    if not isinstance(reply.body, kind):
+        raise InvalidRequest(f"the manager answered with {type(reply.body).__name__}, not {kind.__name__}")
+    return reply.body
+
+
+def status() -> Call[Status]:
+    """The current status."""
+    return Call(rq.ReadStatus(), lambda r: _body(r, Status))
+
+
+def config_names() -> Call[tuple[str, ...]]:
+    """Names of all configurations."""
+    return Call(rq.ReadConfig(list_names=True), lambda r: _body(r, ConfigInfo).names)
+
+
+def describe(name: str = "") -> Call[ConfigInfo]:
+    """A configuration."""
+    return Call(rq.ReadConfig(config_name=name), lambda r: _body(r, ConfigInfo))
+
+
+def plan(mode: str = "", config: str = "") -> Call[PlanInfo]:
+    """What going to a mode would do."""
+    return Call(rq.ReadConfig(config_name=config, plan=True, plan_mode=mode), lambda r: _body(r, PlanInfo))
+
+
+def load(config: str, mode: str, *, wait: bool, queue: bool, force: bool, lease: str) -> Call[ChangeInfo]:
+    """Go to a mode."""
+    request = rq.WriteConfig(
+        config_name=config, mode=mode, no_wait=not wait, no_queue=not queue, force=force, lease=lease
+    )
+    return Call(request, lambda r: _body(r, ChangeInfo))
+
+
+def cancel() -> Call[Status]:
+    """Cancel the running change."""
+    return Call(rq.WriteConfig(cancel=True), lambda r: _body(r, Status))
+
+
+def provision(schema: Path, files: tuple[Path, ...], lease: str) -> Call[ConfigInfo]:
+    """Send a schema file and the files that belong to it."""
+    request = rq.WriteConfig(
+        schema=schema.read_text(encoding="utf-8"),
+        files=tuple(rq.File(path.name, path.read_bytes()) for path in files),
+        provision_only=True,
+        lease=lease,
+    )
+    return Call(request, lambda r: _body(r, ConfigInfo))
+
+
+def read_registers(names: tuple[str, ...]) -> Call[RegValues]:
+    """Registers by name; all readable ones if none is named."""
+    return Call(rq.ReadReg(names), lambda r: _body(r, RegValues))
+
+
+def write_registers(values: dict[str, int], lease: str = "") -> Call[RegValues]:
+    """Registers by name, in order, all checked before the first is written."""
+    writes = tuple(rq.RegWrite(name, int(value)) for name, value in values.items())
+    return Call(rq.WriteReg(writes, lease), lambda r: _body(r, RegValues))
+
+
+def write_masked(name: str, value: int, mask: int, lease: str = "") -> Call[RegValues]:
+    """The bits in `mask` of a register."""
+    return Call(rq.WriteReg((rq.RegWrite(name, value, mask),), lease), lambda r: _body(r, RegValues))
+
+
+def data_config(request: rq.DataConfig) -> Call[StreamStatus]:
+    """Configure a stream."""
+    return Call(request, lambda r: _body(r, StreamStatus))
+
+
+def read_data(stream: str, timeout: float) -> Call[Frame]:
+    """The next frame of a stream."""
+
+    def result(reply: Reply) -> Frame:
+        info = _body(reply, FrameInfo)
+        return frame_of(info, reply.payload[0] if reply.payload else b"")
+
+    return Call(rq.ReadData(stream, timeout), result)
+
+
+def write_data(stream: str, data: Any, lease: str) -> Call[FrameInfo]:
+    """Send a frame; the reply comes when the hardware has taken it."""
+    view = memoryview(np.ascontiguousarray(data).data if isinstance(data, np.ndarray) else data).cast("B")
+    return Call(rq.WriteData(stream, view, lease), lambda r: _body(r, FrameInfo))
+
+
+def interrupt(name: str) -> Call[Irq]:
+    """Count and time of an interrupt."""
+    return Call(rq.ReadIrq(name), lambda r: _body(r, Irq))
+
+
+def lease(request: rq.TakeLease) -> Call[LeaseInfo]:
+    """Take, renew or give back a lease."""
+    return Call(request, lambda r: _body(r, LeaseInfo))
+
+
+def ended(status: Status, number: int) -> float:
+    """What a status says of a change that has ended: its seconds. Raises RequestFailed."""
+    if status.last_change == number:
+        if status.last_error is not None:
+            raise request_error(status.last_error)
+        return status.last_change_seconds
+    return 0.0

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong between a client and the manager."""
+
+from __future__ import annotations
+
+from cm.errors import Busy, CmError, InvalidRequest, NotFound, Timeout
+from cm.messages.status import ErrorInfo
+
+
+class RequestFailed(CmError):
+    """The manager refused a request or failed at it; `code` is the manager's (docs/reconfiguration.md)."""
+
+    def __init__(self, error: ErrorInfo) -> None:
+        super().__init__(error.message)
+        vars(self)["code"] = error.code  # that of this error, over the class's
+
+
+class RequestNotFound(RequestFailed, NotFound):
+    """Something was named that does not exist."""
+
+
+class RequestInvalid(RequestFailed, InvalidRequest):
+    """The request itself is wrong."""
+
+
+class RequestBusy(RequestFailed, Busy):
+    """It is in use; try again later."""
+
+
+class RequestTimeout(RequestFailed, Timeout):
+    """The manager waited in vain."""
+
+
+class NoAnswer(Timeout):
+    """The manager does not answer."""
+
+    code = "no_answer"
+
+
+class ConnectionLost(CmError, ConnectionError):
+    """The manager went away while a request was under way."""
+
+    code = "connection_lost"
+
+
+_KINDS: dict[str, type[RequestFailed]] = {
+    **dict.fromkeys(("busy", "region_busy", "held_by", "stream_stopped"), RequestBusy),
+    **dict.fromkeys(("invalid_request", "access", "out_of_range", "schema"), RequestInvalid),
+    **dict.fromkeys(("timeout", "step_timeout"), RequestTimeout),
+    **dict.fromkeys(
+        (
+            "not_found",
+            "unknown_config",
+            "unknown_mode",
+            "unknown_register",
+            "unknown_stream",
+            "unknown_interrupt",
+            "unknown_lease",
+            "file_missing",
+        ),
+        RequestNotFound,
+    ),
+}
+
+
+def request_error(error: ErrorInfo) -> RequestFailed:
+    """The exception for an error reply."""
+    return _KINDS.get(error.code, RequestFailed)(error)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A frame of a stream as a numpy array."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cm.errors import InvalidRequest
+from cm.messages.status import FrameInfo
+
+
+class Frame(np.ndarray[Any, np.dtype[Any]]):
+    """A read-only array over the frame's memory, with `info`: sequence, time, mode.
+
+    Slices and results of arithmetic are plain arrays without `info`; `copy()` gives one to keep.
+    """
+
+    info: FrameInfo
+
+    @property
+    def sequence(self) -> int:
+        """Number in the stream; a gap is a loss."""
+        return self.info.sequence
+
+    @property
+    def timestamp_ns(self) -> int:
+        """CLOCK_MONOTONIC of the manager's machine when the transfer had ended."""
+        return self.info.timestamp_ns
+
+    def copy(self, order: Any = "C") -> npt.NDArray[Any]:
+        """The content as a plain, writable array."""
+        return np.array(self, order=order, copy=True, subok=False)
+
+    def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
+        return array[()] if return_scalar else np.asarray(array)
+
+    def __getitem__(self, key: Any) -> Any:
+        return np.asarray(self)[key]
+
+
+def frame_of(info: FrameInfo, payload: Any) -> Frame:
+    """A payload as an array of the shape and dtype that stand beside it. Raises InvalidRequest if they disagree."""
+    try:
+        array = np.frombuffer(payload, np.dtype(info.dtype)).reshape(info.shape)
+    except (ValueError, TypeError) as error:
+        raise InvalidRequest(
+            f"frame {info.sequence} of {info.stream!r} does not fit {info.shape} {info.dtype}: {error}"
+        ) from error
+    array.flags.writeable = False
+    frame: Frame = array.view(Frame)
+    frame.info = info
+    return frame

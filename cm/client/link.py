@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Blocking request and reply over a DEALER, with a time-out and notice of a manager that goes away."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+from cm.client.address import Keys
+from cm.client.errors import ConnectionLost, NoAnswer
+
+Socket = zmq.Socket[bytes]
+
+
+def prepare(socket: Socket, keys: Keys | None) -> Socket:
+    """Options that every client socket has."""
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.IPV6, 1)
+    if keys is not None:
+        socket.curve_serverkey = keys.server_public
+        socket.curve_publickey = keys.public
+        socket.curve_secretkey = keys.secret
+    return socket
+
+
+class Link:
+    """One connection for requests; threads take turns."""
+
+    def __init__(self, context: zmq.Context[Socket], address: str, keys: Keys | None) -> None:
+        self._address = address
+        self._lock = threading.Lock()
+        self._numbers = itertools.count(1)
+        self._socket = prepare(context.socket(zmq.DEALER), keys)
+        # A lost peer must be heard of at once on ipc, and within seconds over a dead network.
+        self._socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
+        self._socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
+        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        self._socket.connect(address)
+        self._poller = zmq.Poller()
+        self._poller.register(self._socket, zmq.POLLIN)
+        self._poller.register(self._monitor, zmq.POLLIN)
+
+    def ask(
+        self,
+        frames: Sequence[Any],
+        timeout: float | None,
+        beside: Socket | None = None,
+        on_beside: Callable[[], None] | None = None,
+    ) -> list[bytes]:
+        """Send a message and wait for its reply; meanwhile `on_beside` takes what comes on `beside`.
+
+        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away.
+        """
+        with self._lock:
+            number = b"%d" % next(self._numbers)
+            self._drain_monitor()
+            self._socket.send_multipart([number, b"", *frames])
+            if beside is not None:
+                self._poller.register(beside, zmq.POLLIN)
+            try:
+                return self._wait(number, timeout, beside, on_beside)
+            finally:
+                if beside is not None:
+                    self._poller.unregister(beside)
+
+    def _wait(
+        self, number: bytes, timeout: float | None, beside: Socket | None, on_beside: Callable[[], None] | None
+    ) -> list[bytes]:
+        until = None if timeout is None else time.monotonic() + timeout
+        while True:
+            ready = dict(self._poller.poll(_milliseconds(until)))
+            if beside in ready and on_beside is not None:
+                on_beside()
+            if self._socket in ready:
+                frames = self._socket.recv_multipart()
+                if frames[0] == number:  # others answer requests that timed out
+                    return frames[2:]
+            elif self._monitor in ready:
+                self._drain_monitor()
+                raise ConnectionLost(f"the configuration manager at {self._address} went away")
+            elif not ready and until is not None and time.monotonic() >= until:
+                raise NoAnswer(f"no answer from a configuration manager at {self._address} within {timeout:g} s")
+
+    def _drain_monitor(self) -> None:
+        while self._monitor.poll(0):
+            recv_monitor_message(self._monitor)
+
+    def close(self) -> None:
+        """Disconnect; twice is fine."""
+        if not self._socket.closed:
+            self._socket.disable_monitor()
+            self._socket.close()
+
+
+def _milliseconds(until: float | None) -> int | None:
+    return None if until is None else max(0, int((until - time.monotonic()) * 1000) + 1)

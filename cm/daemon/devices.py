@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The board's devices for the manager: opened when first needed, kept, and closed together."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+
+from cm.device import AxiDma, FpgaManager, Icap, Overlays, Root, Uio, find_uio
+from cm.manager.ports import Window
+
+_BOOT_ID = "proc/sys/kernel/random/boot_id"
+
+
+class BoardDevices:
+    """`cm.manager.ports.Devices` over `cm.device`. Both threads of the daemon use it."""
+
+    def __init__(self, root: Root) -> None:
+        self._root = root
+        self._lock = threading.RLock()
+        self._uios: dict[str, Uio] = {}
+        self._windows: dict[tuple[int, int], Window] = {}
+        self._icaps: dict[str, Icap] = {}
+
+    @property
+    def root(self) -> Path:
+        """Where the board's /dev and /sys begin."""
+        return self._root.join()
+
+    def boot_id(self) -> str:
+        """The kernel's boot id (the simulated board has its own); empty where it cannot be read."""
+        try:
+            return (self.root / _BOOT_ID).read_text(encoding="ascii").strip()
+        except OSError:
+            return ""
+
+    def window(self, address: int, width: int) -> Window:
+        """Where a register is mapped. Raises DeviceNotFound with the windows that there are."""
+        window = self._windows.get((address, width))
+        if window is not None:
+            return window
+        with self._lock:
+            info, index = find_uio(address, width // 8, self._root)
+            uio = self.uio(info.node)
+            window = Window(uio, index, address - uio.maps[index].address)
+            self._windows[address, width] = window
+        return window
+
+    def uio(self, name: str) -> Uio:
+        """An open UIO device, by its node's or its own name."""
+        with self._lock:
+            found = self._uios.get(name)
+            if found is None:
+                found = self._uios[name] = Uio.open(name, self._root)
+            return found
+
+    def icap(self, name: str | None) -> Icap:
+        """An open configuration port; ``cm_icap0`` if no name is given."""
+        name = name or "cm_icap0"
+        with self._lock:
+            found = self._icaps.get(name)
+            if found is None:
+                found = self._icaps[name] = Icap.open(name, self._root)
+            return found
+
+    def fpga_manager(self, name: str | None) -> FpgaManager:
+        """The kernel's FPGA manager: ``fpga0`` if no name is given."""
+        return FpgaManager(int((name or "fpga0").removeprefix("fpga")), self._root)
+
+    def overlays(self) -> Overlays:
+        """The overlays in configfs."""
+        return Overlays(self._root)
+
+    def dma(self, channel: str) -> AxiDma:
+        """A DMA channel, opened anew: its handle belongs to the caller, who closes it."""
+        return AxiDma.open(channel, self._root)
+
+    def forget(self) -> None:
+        """Close UIO handles and ports; the next use opens them anew."""
+        with self._lock:
+            for handle in (*self._uios.values(), *self._icaps.values()):
+                handle.close()
+            self._uios.clear()
+            self._windows.clear()
+            self._icaps.clear()
+
+    def close(self) -> None:
+        """Close everything."""
+        self.forget()

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The configuration manager as a daemon: puts sockets, loop, manager and streams together."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket as net
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import zmq
+
+from cm.daemon.devices import BoardDevices
+from cm.daemon.files import BoardFiles
+from cm.daemon.handlers import Handlers, Respond, Services, error_info
+from cm.daemon.holders import Holders
+from cm.daemon.interrupts import Interrupts
+from cm.daemon.loop import Loop
+from cm.daemon.provision import Provisioner
+from cm.daemon.publisher import Publisher
+from cm.daemon.sockets import FolderLock, Security, Sockets
+from cm.daemon.streams import Streams
+from cm.device import Root
+from cm.errors import CmError, InvalidRequest
+from cm.manager.manager import Environment, Manager, Settings
+from cm.manager.store import Store
+from cm.messages.requests import Request, WriteConfig
+from cm.messages.status import ErrorInfo, Irq, RegValues, Reply, Status
+from cm.schema import load
+from cm.schema.model import Config
+from cm.wire.decode import decode_request, split_text
+from cm.wire.encode import encode_reply
+
+_LOG = logging.getLogger("cm")
+_TICK = 1.0  # seconds between two looks at streams, records and a lost board
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to serve. `load` is ``config`` or ``config/mode``, entered at start where nothing is loaded."""
+
+    runtime_dir: Path
+    state_dir: Path
+    root: Root
+    configs: Mapping[str, Config]
+    listen: tuple[str, ...] = ()
+    security: Security | None = None
+    load: str = ""
+    settings: Settings = Settings()  # noqa: RUF009 (frozen)
+
+
+class _Clock:
+    def monotonic(self) -> float:
+        return time.monotonic()
+
+
+class Server:
+    """Serves until `stop()`. Everything but `stop` and the observer's calls runs in the calling thread."""
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+        self._lock = FolderLock(options.runtime_dir)
+        self._loop = Loop()
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._sockets = Sockets(self._context, options.runtime_dir)
+        self._devices = BoardDevices(options.root)
+        self._streams = Streams(self._loop, self._devices, self._note_error)
+        self._provisioner = Provisioner(options.state_dir / "configs")
+        self._store = Store(options.state_dir)
+        self._aside = ThreadPoolExecutor(1, "cm-files")
+        self._manager = self._make_manager()
+        self._publisher = Publisher(self._sockets.pub, self._status, self._streams.refresh)
+        self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
+        self._holders = Holders(self._loop, self._manager.leases)
+        self._handlers = Handlers(self._services())
+        self._statuses: deque[Status] = deque()
+        self._boot_id = ""
+        self._last_logged = ""
+
+    def _make_manager(self) -> Manager:
+        o = self._options
+        self._provisioner.recover()
+        configs = {**o.configs, **_stored(self._provisioner)}
+        files = BoardFiles(o.root.join())
+        env = Environment(self._devices, files, self._store, self._streams, _Clock(), self, o.settings)
+        return Manager(configs, env)
+
+    def _services(self) -> Services:
+        return Services(
+            loop=self._loop,
+            manager=self._manager,
+            streams=self._streams,
+            interrupts=self._interrupts,
+            provisioner=self._provisioner,
+            status=self._complete_status,
+            watch_holder=self._holders.watch,
+            aside=self._aside,
+        )
+
+    # ---- life ---------------------------------------------------------------------
+
+    def serve(self, on_ready: Callable[[], None] = lambda: None) -> None:
+        """Bind, reconcile, serve. Returns after `stop()`. Raises CmError where it cannot begin."""
+        try:
+            self._bind()
+            self._streams.wanted_by(self._publisher.wants_stream)
+            self._streams.add_sink(self._publisher)
+            self._start_manager()
+            self._loop.every(_TICK, self._tick)
+            self._sockets.announce()
+            _notify_ready()
+            on_ready()
+            self._loop.run()
+        finally:
+            self._close()
+
+    def stop(self) -> None:
+        """End; safe in a signal handler."""
+        self._loop.stop()
+
+    def _bind(self) -> None:
+        self._sockets.bind_ipc()
+        for address in self._options.listen:
+            bound = self._sockets.bind_tcp(address, self._options.security)
+            _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
+        self._loop.add(self._sockets.pub, self._publisher.subscription)
+        self._loop.add(self._sockets.sub, self._on_sub)
+        self._loop.add(self._sockets.req, self._on_req)
+
+    def _start_manager(self) -> None:
+        for note in self._manager.start():
+            _LOG.warning("%s", note)
+        self._boot_id = self._devices.boot_id()
+        self._interrupts.watch(self._manager.loaded_config())
+        self._autoload()
+
+    def _autoload(self) -> None:
+        if self._options.load and self._manager.state.config is None:
+            config, _, mode = self._options.load.partition("/")
+            self._manager.submit(WriteConfig(config_name=config, mode=mode))
+
+    def _close(self) -> None:
+        self._manager.stop()
+        self._streams.close()
+        self._interrupts.close()
+        self._holders.close()
+        self._aside.shutdown()
+        self._devices.close()
+        self._store.close()
+        self._sockets.close()
+        self._context.term()
+        self._loop.close()
+        self._lock.release()
+
+    # ---- observer: any thread ---------------------------------------------------------
+
+    def status_changed(self) -> None:
+        """Every status is told, in order, even if the next follows at once."""
+        self._statuses.append(self._manager.status())
+        self._loop.call_threadsafe(self._flush_statuses)
+
+    def registers_changed(self, values: RegValues) -> None:
+        """Registers are written in the loop's thread only."""
+        self._publisher.registers(values)
+
+    def interrupt(self, irq: Irq) -> None:
+        """Told by `Interrupts`."""
+        self._publisher.interrupt(irq)
+
+    def _flush_statuses(self) -> None:
+        while self._statuses:
+            status = self._statuses.popleft()
+            if not status.fpga_busy:
+                self._interrupts.watch(self._manager.loaded_config())
+            self._publisher.status(replace(status, streams=self._streams.status()))
+            self._log_error(status.last_error)
+
+    def _log_error(self, error: ErrorInfo | None) -> None:
+        """Each error once, however often its status is published."""
+        text = f"{error.code}: {error.message}" if error else ""
+        if text and text != self._last_logged:
+            _LOG.warning("%s", text)
+        self._last_logged = text
+
+    def _note_error(self, error: ErrorInfo) -> None:
+        self._manager.note_error(error)
+
+    def _status(self) -> Status:
+        return replace(self._manager.status(), streams=self._streams.status())
+
+    def _complete_status(self) -> Status:
+        return self._publisher.complete(self._status())
+
+    # ---- sockets ------------------------------------------------------------------------
+
+    def _on_req(self) -> None:
+        while (frames := _receive(self._sockets.req)) is not None:
+            envelope, message = split_envelope(frames)
+            topic = bytes(split_text(message)[0]) if message else b""
+            self._dispatch(message, lambda reply, e=envelope, t=topic: self._reply(e, t, reply))  # type: ignore[misc]
+
+    def _reply(self, envelope: list[bytes], topic: bytes, reply: Reply) -> None:
+        reply = replace(reply, sequence=self._publisher.sequence)
+        self._sockets.req.send_multipart([*envelope, *encode_reply(topic, reply)])
+
+    def _on_sub(self) -> None:
+        while (frames := _receive(self._sockets.sub)) is not None:
+            self._dispatch(frames, self._fire_and_forget)
+
+    def _fire_and_forget(self, reply: Reply) -> None:
+        if reply.error is not None:
+            self._note_error(reply.error)
+
+    def _dispatch(self, frames: Sequence[bytes], respond: Respond) -> None:
+        try:
+            request: Request = decode_request(frames)
+        except InvalidRequest as error:
+            respond(Reply(error=error_info(error)))
+            return
+        self._handlers.handle(request, respond)
+
+    # ---- regular work ---------------------------------------------------------------------
+
+    def _tick(self) -> None:
+        self._manager.flush()
+        self._streams.refresh()
+        self._look_for_board()
+        if self._streams.any_open:
+            self._publisher.status(self._status())
+
+    def _look_for_board(self) -> None:
+        """A board that was started anew holds nothing of what is recorded."""
+        boot_id = self._devices.boot_id()
+        if boot_id == self._boot_id or not boot_id or self._manager.status().fpga_busy:
+            return
+        self._streams.close()
+        self._interrupts.close()
+        try:
+            self._manager.board_restarted()
+        except (CmError, OSError) as error:
+            _LOG.info("the board is there again but does not answer yet: %s", error)
+            return
+        self._boot_id = boot_id
+        self._autoload()
+
+
+def split_envelope(frames: list[bytes]) -> tuple[list[bytes], list[bytes]]:
+    """What a ROUTER received → return path, message.
+
+    A REQ socket puts an empty frame between them; a DEALER may, with frames of its own before it, or
+    may send the message straight away.
+    """
+    if len(frames) < 2 or frames[1].startswith(b"cm_") or b"" not in frames[1:]:
+        return frames[:1], frames[1:]
+    cut = frames.index(b"", 1) + 1
+    return frames[:cut], frames[cut:]
+
+
+def _receive(socket: zmq.Socket[bytes]) -> list[bytes] | None:
+    try:
+        return socket.recv_multipart(zmq.NOBLOCK)
+    except zmq.Again:
+        return None
+
+
+def _stored(provisioner: Provisioner) -> dict[str, Config]:
+    found = {}
+    for path in provisioner.stored():
+        try:
+            config = load(path)
+        except CmError as error:
+            _LOG.error("a provisioned configuration is left out: %s", error)
+        else:
+            found[config.name] = config
+    return found
+
+
+def _notify_ready() -> None:
+    """Tell systemd (Type=notify), sd_notify(3)."""
+    address = os.environ.get("NOTIFY_SOCKET")
+    if not address:
+        return
+    if address.startswith("@"):
+        address = "\0" + address[1:]
+    with net.socket(net.AF_UNIX, net.SOCK_DGRAM) as sock:
+        sock.sendto(b"READY=1", address)

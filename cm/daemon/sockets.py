@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manager's ZeroMQ sockets: bound in the runtime folder, and over TCP when asked for."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import zmq
+
+from cm.errors import Busy, InvalidRequest
+from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
+
+ENDPOINTS_FILE = "endpoints.json"
+_HWM_PUB = 1000  # messages waiting for one slow subscriber; frames have a limit of their own
+
+
+class AlreadyServed(Busy):
+    """Another manager serves this runtime folder."""
+
+    code = "already_served"
+
+
+class FolderLock:
+    """An flock on the runtime folder: it ends with the process, however that dies."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(mode=0o750, parents=True, exist_ok=True)
+        self._fd = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            pid = os.read(self._fd, 32).decode("ascii", "replace").strip()
+            os.close(self._fd)
+            raise AlreadyServed(
+                f"a configuration manager (pid {pid}) serves {folder} already; stop it, or choose another --runtime-dir"
+            ) from None
+        os.ftruncate(self._fd, 0)
+        os.write(self._fd, str(os.getpid()).encode())
+
+    def release(self) -> None:
+        """Give it back."""
+        os.close(self._fd)
+
+
+@dataclass(frozen=True, slots=True)
+class Security:
+    """CURVE keys of the server (Z85), for TCP; None: plain."""
+
+    public_key: bytes
+    secret_key: bytes
+
+
+class Sockets:
+    """XPUB, SUB and ROUTER, bound."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], runtime_dir: Path) -> None:
+        self._folder = runtime_dir
+        self.ipc = ipc_endpoints(runtime_dir)
+        self.pub = context.socket(zmq.XPUB)
+        self.sub = context.socket(zmq.SUB)
+        self.req = context.socket(zmq.ROUTER)
+        self.pub.setsockopt(zmq.XPUB_VERBOSE, 1)  # every new subscriber gets the status at once
+        self.pub.setsockopt(zmq.SNDHWM, _HWM_PUB)
+        self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_")
+        self.req.setsockopt(zmq.ROUTER_HANDOVER, 1)
+        for socket in self.all:
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.setsockopt(zmq.IPV6, 1)
+            socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+        self.tcp: list[Endpoints] = []
+
+    @property
+    def all(self) -> tuple[zmq.Socket[bytes], ...]:
+        """The three sockets."""
+        return self.pub, self.sub, self.req
+
+    def bind_ipc(self) -> None:
+        """Bind in the runtime folder; sockets left by a killed manager are replaced (the folder is locked)."""
+        for socket, address in zip(self.all, (self.ipc.pub, self.ipc.sub, self.ipc.req), strict=True):
+            Path(address.removeprefix("ipc://")).unlink(missing_ok=True)
+            _bind(socket, address)
+
+    def bind_tcp(self, address: str, security: Security | None) -> Endpoints:
+        """Bind three ports in a row (or any three, for port 0); returns where. Raises InvalidRequest."""
+        wanted = tcp_endpoints(address)
+        bound = []
+        for socket, endpoint in zip(self.all, (wanted.pub, wanted.sub, wanted.req), strict=True):
+            if security is not None:
+                socket.curve_server = True
+                socket.curve_publickey = security.public_key
+                socket.curve_secretkey = security.secret_key
+            _bind(socket, endpoint)
+            bound.append(socket.getsockopt_string(zmq.LAST_ENDPOINT))
+        self.tcp.append(Endpoints(*bound))
+        return self.tcp[-1]
+
+    def announce(self) -> None:
+        """Write where this manager listens, for clients and people."""
+        text = json.dumps({"pid": os.getpid(), "ipc": asdict(self.ipc), "tcp": [asdict(e) for e in self.tcp]}, indent=1)
+        new = self._folder / (ENDPOINTS_FILE + ".new")
+        new.write_text(text + "\n", encoding="utf-8")
+        new.replace(self._folder / ENDPOINTS_FILE)
+
+    def close(self) -> None:
+        """Close and remove what lies in the runtime folder."""
+        for socket in self.all:
+            socket.close()
+        for name in ("pub", "sub", "req", ENDPOINTS_FILE):
+            (self._folder / name).unlink(missing_ok=True)
+
+
+def _bind(socket: zmq.Socket[bytes], address: str) -> None:
+    try:
+        socket.bind(address)
+    except zmq.ZMQError as error:
+        raise InvalidRequest(f"cannot listen on {address}: {error}") from error

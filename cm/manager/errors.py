@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the manager, each with its stable code."""
+
+from __future__ import annotations
+
+from cm.errors import Busy, CmError, InvalidRequest, NotFound, Timeout
+
+
+class UnknownConfig(NotFound):
+    """No configuration of that name."""
+
+    code = "unknown_config"
+
+
+class UnknownMode(NotFound):
+    """No mode (or module that exactly one mode consists of) of that name."""
+
+    code = "unknown_mode"
+
+
+class UnknownRegister(NotFound):
+    """No such register, or not in this mode."""
+
+    code = "unknown_register"
+
+
+class UnknownStream(NotFound):
+    """No such stream, or not in this mode."""
+
+    code = "unknown_stream"
+
+
+class UnknownInterrupt(NotFound):
+    """No such interrupt."""
+
+    code = "unknown_interrupt"
+
+
+class NothingLoaded(CmError):
+    """The request needs a loaded configuration."""
+
+    code = "nothing_loaded"
+
+
+class AccessDenied(InvalidRequest):
+    """A write of a read-only register, or a read of a write-only one."""
+
+    code = "access"
+
+
+class OutOfRange(InvalidRequest):
+    """A value outside what the register or field takes."""
+
+    code = "out_of_range"
+
+
+class RegionBusy(Busy):
+    """The region is being reconfigured, or stands decoupled after a failure."""
+
+    code = "region_busy"
+
+
+class ChangeBusy(Busy):
+    """Another change runs and the queue is full, or the request did not want to wait."""
+
+    code = "busy"
+
+
+class HeldBy(Busy):
+    """Somebody else holds a lease on it."""
+
+    code = "held_by"
+
+
+class Cancelled(CmError):
+    """The change was cancelled."""
+
+    code = "cancelled"
+
+
+class StepFailed(CmError):
+    """A step of a change failed; the board went back, or the sentence says what it holds now."""
+
+    code = "step_failed"
+
+    def __init__(self, message: str, code: str) -> None:
+        super().__init__(message)
+        self.cause_code = code
+
+
+class StepTimeout(Timeout):
+    """A step took longer than its time-out."""
+
+    code = "step_timeout"
+
+
+class LoadFailed(CmError):
+    """The configuration port reported an error."""
+
+    code = "load_failed"
+
+
+class IdentityMismatch(CmError):
+    """The region's identity register does not read what the module's schema says."""
+
+    code = "identity_mismatch"
+
+
+class VerifyFailed(CmError):
+    """A register did not read back what was written."""
+
+    code = "verify_failed"
+
+
+class UndoFailed(CmError):
+    """A change failed and so did the way back: the regions named stay decoupled."""
+
+    code = "undo_failed"
+
+
+class StoreCorrupt(CmError):
+    """The state record cannot be read; it was set aside."""
+
+    code = "store_corrupt"

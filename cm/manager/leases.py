@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Leases: a client holds the board, a configuration, a region or a register, alone or with others.
+
+A lease ends when it is given back, when its time is over, or when its holder's process dies (told by
+whoever watches processes). Scopes overlap where one contains the other.
+"""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass, replace
+
+from cm.errors import InvalidRequest, NotFound
+from cm.manager.errors import HeldBy
+from cm.manager.ports import Clock
+from cm.messages.requests import TakeLease
+from cm.messages.status import LeaseInfo
+
+MAX_SECONDS = 3600.0
+_KINDS = ("board", "config", "region", "registers")
+
+
+class UnknownLease(NotFound):
+    """The lease has ended, or never was."""
+
+    code = "unknown_lease"
+
+
+@dataclass(frozen=True, slots=True)
+class _Lease:
+    info: LeaseInfo
+    until: float
+
+
+class Leases:
+    """All leases that are held now."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._held: dict[str, _Lease] = {}
+
+    def request(self, request: TakeLease) -> LeaseInfo:
+        """Take, renew or give back. Raises HeldBy, UnknownLease, InvalidRequest."""
+        self._expire()
+        if request.release:
+            return self._take(request.id, remove=True).info
+        seconds = request.seconds or 30.0
+        if not 0 < seconds <= MAX_SECONDS:
+            raise InvalidRequest(f"a lease of {seconds} s: it can be held for up to {MAX_SECONDS:.0f} s, then renewed")
+        if request.id:
+            return self._renew(request.id, seconds)
+        return self._new(request, seconds)
+
+    def check(self, scopes: tuple[str, ...], lease: str = "") -> None:
+        """Raise HeldBy if somebody without `lease` must keep off any of these scopes."""
+        if not self._held:
+            return
+        self._expire()
+        own = self._held.get(lease)
+        for held in self._held.values():
+            shared = own is not None and not held.info.exclusive
+            if held is not own and not shared and any(_overlap(held.info.scope, scope) for scope in scopes):
+                raise HeldBy(_held_by(held.info, self._left(held)))
+
+    def drop(self, lease: str) -> bool:
+        """End a lease whose holder has died."""
+        return self._held.pop(lease, None) is not None
+
+    def _new(self, request: TakeLease, seconds: float) -> LeaseInfo:
+        _checked_scope(request.scope)
+        for held in self._held.values():
+            alone = request.exclusive or held.info.exclusive
+            if alone and _overlap(held.info.scope, request.scope):
+                raise HeldBy(_held_by(held.info, self._left(held)))
+        info = LeaseInfo(secrets.token_hex(8), request.scope, request.exclusive, seconds, request.holder or "somebody")
+        self._held[info.id] = _Lease(info, self._clock.monotonic() + seconds)
+        return info
+
+    def _renew(self, lease: str, seconds: float) -> LeaseInfo:
+        held = self._take(lease, remove=False)
+        info = replace(held.info, seconds=seconds)
+        self._held[lease] = _Lease(info, self._clock.monotonic() + seconds)
+        return info
+
+    def _take(self, lease: str, remove: bool) -> _Lease:
+        held = self._held.get(lease)
+        if held is None:
+            raise UnknownLease(f"no lease {lease!r} is held; it may have ended after its time")
+        if remove:
+            del self._held[lease]
+        return held
+
+    def _expire(self) -> None:
+        now = self._clock.monotonic()
+        self._held = {k: x for k, x in self._held.items() if x.until > now}
+
+    def _left(self, held: _Lease) -> float:
+        return max(0.0, held.until - self._clock.monotonic())
+
+
+def _checked_scope(scope: str) -> None:
+    kind, colon, name = scope.partition(":")
+    if kind not in _KINDS or (kind in ("region", "registers")) != bool(colon and name):
+        raise InvalidRequest(f"scope {scope!r}: it is one of board, config, region:NAME, registers:NAME")
+
+
+def _overlap(a: str, b: str) -> bool:
+    return a == b or "board" in (a, b) or "config" in (a, b)
+
+
+def _held_by(info: LeaseInfo, left: float) -> str:
+    how = "alone" if info.exclusive else "shared"
+    return f"{info.scope} is held by {info.holder} ({how}), for {left:.0f} s more unless renewed"

@@ -1,0 +1,417 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The manager: configurations, the state of the board, changes one after the other, registers by name.
+
+Threads: requests come from one thread (the daemon's loop); one worker thread runs changes. The state is
+an immutable value that is swapped; `_access` keeps register accesses of requests and the moments at
+which a change takes regions away from overlapping.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+from cm.errors import CmError
+from cm.manager import resolve
+from cm.manager.changes import Change, ChangeRunner
+from cm.manager.cost import Throughput
+from cm.manager.describe import config_info, region_states
+from cm.manager.errors import Cancelled, ChangeBusy, NothingLoaded, RegionBusy
+from cm.manager.leases import Leases
+from cm.manager.loaders import Job, Loaders
+from cm.manager.plan import Goal
+from cm.manager.ports import Clock, DataPlane, Devices, Files, Observer
+from cm.manager.reconcile import reconcile
+from cm.manager.registers import RegisterAccess, checked_write, find, split_name, value_of
+from cm.manager.state import BoardState, RegionPhase
+from cm.manager.steps import ApplyOverlay, RemoveOverlay, Step
+from cm.manager.store import Pending, Record, Store
+from cm.manager.transaction import Tools
+from cm.messages.requests import RegWrite, WriteConfig
+from cm.messages.status import ConfigInfo, ErrorInfo, PlanInfo, PrMode, Progress, RegValue, RegValues, Status
+from cm.schema.model import Access, Config, ConfigType, LoaderKind, Register
+
+QUEUE_LENGTH = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What an operator may set."""
+
+    prefetch_bytes: int = 64 << 20  # DMA memory that images of the loaded configuration may take
+
+
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """Everything the manager is given."""
+
+    devices: Devices
+    files: Files
+    store: Store
+    data_plane: DataPlane
+    clock: Clock
+    observer: Observer
+    settings: Settings = Settings()
+
+
+class Manager:
+    """One per board. `start()` reconciles and starts the worker; `stop()` ends it between two changes."""
+
+    def __init__(self, configs: Mapping[str, Config], env: Environment) -> None:
+        self._configs: Mapping[str, Config] = MappingProxyType(dict(configs))
+        self._env = env
+        self.registers = RegisterAccess(env.devices)
+        self.leases = Leases(env.clock)
+        self._loaders = Loaders(env.devices, env.files, env.clock, env.settings.prefetch_bytes)
+        tools = Tools(env.devices, self.registers, self._loaders, env.data_plane, env.clock)
+        self._runner = ChangeRunner(self, tools, env.files, lambda: self._configs, lambda: self.throughput)
+        self._access = threading.RLock()
+        self._queue: queue.Queue[Change | None] = queue.Queue(QUEUE_LENGTH)
+        self._worker = threading.Thread(target=self._work, name="cm-changes", daemon=True)
+        self._state = BoardState()
+        self.throughput = Throughput()
+        self._boot_id = ""
+        self._locked: frozenset[str] = frozenset()
+        self._progress: Progress | None = None
+        self._running: Change | None = None
+        self._pending: Pending | None = None
+        self._error: ErrorInfo | None = None
+        self._failed = False
+        self._number = 0
+        self._last: tuple[int, float] = (0, 0.0)
+        self._dirty = False
+
+    # ---- life -------------------------------------------------------------------
+
+    def start(self) -> tuple[str, ...]:
+        """Find out what the board holds; returns what was noticed, in sentences. Raises DeviceError.
+
+        A change that was cut short is undone: the board goes back to the mode before it, as a change
+        of its own that the worker runs first.
+        """
+        notes = self.reconcile()
+        self._worker.start()
+        return notes
+
+    def reconcile(self) -> tuple[str, ...]:
+        """Compare record and board (again). Called before the worker starts, or when it is idle."""
+        record = self._env.store.read()
+        finding = reconcile(record, self._configs, self._env.devices, self.registers)
+        self._state, self._boot_id = finding.state, self._env.devices.boot_id()
+        if record is not None:
+            self.throughput, self._number = record.throughput, record.number
+        if finding.notes:
+            self._error = ErrorInfo("reconciled", "; ".join(finding.notes))
+        self._repair(interrupted=finding.interrupted)
+        self._env.data_plane.resume(self.loaded_config(), self.state.mode)
+        self.record(None)
+        self._env.observer.status_changed()
+        return finding.notes
+
+    def _repair(self, interrupted: Pending | None) -> None:
+        """Queue what brings the board back to a whole mode, where it is not in one."""
+        config, mode = self.loaded_config(), self.state.mode
+        if config is None or mode is None or mode not in config.modes:
+            self.update(lambda state: replace(state, config=None, mode=None))
+            return
+        regions = {config.modules[m].region for m in config.modes[mode].modules}
+        whole = all(self.state.region(r).phase is RegionPhase.READY for r in regions)
+        if interrupted is not None or not whole:
+            self._enqueue(Change(self._next_number(), config.name, mode))
+
+    def board_restarted(self) -> None:
+        """The board was started anew: nothing that is recorded is true any more. Raises DeviceError."""
+        self.registers.forget()
+        self._loaders.forget()
+        self.reconcile()
+
+    def stop(self) -> None:
+        """End after the running change; queued ones are refused as cancelled."""
+        if self._worker.is_alive():
+            self._queue.put(None)
+            self._worker.join()
+        self.flush()
+
+    # ---- configurations and changes -----------------------------------------------
+
+    @property
+    def configs(self) -> Mapping[str, Config]:
+        """All configurations that can be loaded."""
+        return self._configs
+
+    def add_config(self, config: Config) -> None:
+        """Make a configuration known (again). Raises ChangeBusy while it is being changed to."""
+        running = self._running
+        if running is not None and running.config == config.name:
+            raise ChangeBusy(f"configuration {config.name!r} is being loaded; provision it when the change has ended")
+        self._configs = MappingProxyType({**self._configs, config.name: config})
+        self._env.observer.status_changed()
+
+    def loaded_config(self) -> Config | None:
+        """The configuration that is loaded."""
+        return self._configs.get(self.state.config) if self.state.config else None
+
+    def submit(self, request: WriteConfig, on_done: Callable[[Change], None] | None = None) -> Change:
+        """Accept a change; it runs when those before it have ended. Nothing is touched if this raises.
+
+        `on_done` is called at its end, from the worker's thread.
+        """
+        config, mode = resolve.target(request, self._configs, self.state.config)
+        regions = {f"region:{config.modules[m].region}" for m in config.modes[mode].modules}
+        self.leases.check((*regions, "config"), request.lease)
+        if request.no_queue and self._busy():
+            raise ChangeBusy(f"a change to {self._target_text()} is running")
+        return self._enqueue(Change(self._next_number(), config.name, mode, request.force, on_done=on_done))
+
+    def cancel(self) -> bool:
+        """Cancel the running change, if there is one."""
+        running = self._running
+        if running is not None:
+            running.cancel()
+        return running is not None
+
+    def plan(self, request: WriteConfig) -> PlanInfo:
+        """What a change would do; touches nothing, but reads and validates all files."""
+        config, mode = resolve.target(request, self._configs, self.state.config)
+        return self._runner.plan(Goal(config, mode, request.force)).info(self.throughput)
+
+    def describe(self, name: str, counts: Mapping[str, int]) -> ConfigInfo:
+        """A configuration, with its schema's text; the loaded one if `name` is empty."""
+        if not name and self.state.config is None:
+            raise NothingLoaded("nothing is loaded: name a configuration")
+        config = resolve.config_named(name or self.state.config or "", self._configs)
+        mode = self.state.mode if self.state.config == config.name else ""
+        text = config.source.read_text(encoding="utf-8") if config.source and config.source.exists() else ""
+        return config_info(config, mode or "", counts, text)
+
+    def _next_number(self) -> int:
+        self._number += 1
+        return self._number
+
+    def _busy(self) -> bool:
+        return self._running is not None or not self._queue.empty()
+
+    def _target_text(self) -> str:
+        running = self._running
+        return f"{running.config}/{running.mode}" if running else "another mode"
+
+    def _enqueue(self, change: Change) -> Change:
+        try:
+            self._queue.put_nowait(change)
+        except queue.Full:
+            raise ChangeBusy(f"{QUEUE_LENGTH} changes wait already; try again when one has ended") from None
+        return change
+
+    def _work(self) -> None:
+        while (change := self._queue.get()) is not None:
+            self._run(change)
+        while not self._queue.empty():
+            left = self._queue.get_nowait()
+            if left is not None:
+                left.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
+
+    def _run(self, change: Change) -> None:
+        started = self._env.clock.monotonic()
+        self._running, self._failed = change, False
+        config = self._configs[change.config]
+        self._pending = Pending(change.number, change.config, change.mode, self.state.config, self.state.mode)
+        self.progress(Progress(change.number, change.config, change.mode, "validate"))
+        error: ErrorInfo | None = None
+        try:
+            if change.cancelled:
+                raise Cancelled("the change was cancelled before it began")
+            self._runner.run(Goal(config, change.mode, change.force), change.number, lambda: change.cancelled)
+        except CmError as problem:
+            error = ErrorInfo(getattr(problem, "cause_code", problem.code), str(problem))
+        except Exception as problem:  # noqa: BLE001 (a defect of ours must not end the worker)
+            error = ErrorInfo("internal", f"{type(problem).__name__}: {problem}")
+        self._end(change, error, self._env.clock.monotonic() - started)
+
+    def _end(self, change: Change, error: ErrorInfo | None, seconds: float) -> None:
+        self._pending, self._progress, self._running = None, None, None
+        self._last = (change.number, seconds)
+        self._error, self._failed = error, error is not None and error.code != "cancelled"
+        self.lock_regions(frozenset())
+        self._try_record()
+        self._env.observer.status_changed()
+        change.finish(error, seconds)
+        if error is None and self._queue.empty():
+            self._prefetch()
+
+    def _try_record(self) -> None:
+        try:
+            self.record(None)
+        except OSError as problem:
+            self._error = ErrorInfo("store", f"the state record could not be written: {problem}")
+
+    def _prefetch(self) -> None:
+        """Hold the loaded configuration's other images ready. What is wrong with them shows when they are used."""
+        config = self.loaded_config()
+        for module in config.modules.values() if config else ():
+            if not self._queue.empty() or config is None:
+                return
+            try:
+                image = self._env.files.image(config, module)
+                self._loaders.prefetch(Job(config, image, config.regions[module.region], module))
+            except (CmError, OSError):
+                continue
+
+    # ---- what a transaction needs (cm.manager.transaction.Board) ---------------------
+
+    @property
+    def state(self) -> BoardState:
+        """What the board holds, as far as is known."""
+        return self._state
+
+    def update(self, change: Callable[[BoardState], BoardState]) -> None:
+        """Replace the state in one piece; both threads do."""
+        with self._access:
+            self._state = change(self._state)
+
+    def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
+        """Keep a measurement for plans and time-outs."""
+        self.throughput = self.throughput.observed(kind, length, seconds)
+
+    def record(self, step: Step | None) -> None:
+        """Write state and pending step to the store. Raises OSError."""
+        with self._access:
+            pending = self._pending
+            if pending is not None and step is not None:
+                overlay = _overlay_name(step)
+                pending = replace(pending, step=step.kind, subject=step.subject, overlay=overlay)
+            elif step is None:
+                pending = None
+            self._env.store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
+            self._dirty = False
+
+    def lock_regions(self, regions: frozenset[str]) -> None:
+        """Keep requests off these regions' registers; waits for an access under way."""
+        with self._access:
+            self._locked = regions
+
+    def progress(self, progress: Progress) -> None:
+        """Publish how far the running change is."""
+        self._progress = progress
+        self._env.observer.status_changed()
+
+    # ---- registers -----------------------------------------------------------------
+
+    def read_registers(self, names: tuple[str, ...]) -> RegValues:
+        """Values by name; of all that can be read if none is given."""
+        visible = self._visible()
+        chosen = [find(visible, n, self._elsewhere(n, visible)) for n in names] if names else self._readable(visible)
+        with self._access:
+            values = tuple(self._read(r, f.name if f else None) for r, f in chosen)
+        return RegValues(values, self.state.config or "", self.state.mode or "")
+
+    def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "") -> RegValues:
+        """Check all, then write in order; returns and publishes what the registers then hold."""
+        visible = self._visible()
+        checked = [checked_write(visible, w, self._elsewhere(w.name, visible)) for w in writes]
+        self._check_leases([r for r, _, _ in checked], lease)
+        with self._access:
+            for register, _, _ in checked:
+                self._check_free(register)
+            values = tuple(self._write(register, value, mask) for register, value, mask in checked)
+        result = RegValues(values, self.state.config or "", self.state.mode or "")
+        self._env.observer.registers_changed(result)
+        return result
+
+    def flush(self) -> None:
+        """Record register values that were written since the last record."""
+        if self._dirty:
+            self._try_record()
+
+    def _visible(self) -> Mapping[str, Register]:
+        config = self.loaded_config()
+        if config is None:
+            raise NothingLoaded(
+                f"nothing is loaded, so there are no registers; there are {resolve.listed(self._configs)}"
+            )
+        return config.visible_registers(self.state.mode)
+
+    def _elsewhere(self, name: str, visible: Mapping[str, Register]) -> str:
+        """Says in which modes a register can be named, when it cannot be in this one."""
+        register, config = split_name(name)[0], self.loaded_config()
+        if config is None or register in visible:
+            return ""
+        modes = [m for m in config.modes if register in config.visible_registers(m)]
+        return f" ({self.state.mode}); modes {', '.join(modes)} have it" if modes else ""
+
+    def _readable(self, visible: Mapping[str, Register]) -> list[tuple[Register, None]]:
+        return [(r, None) for r in visible.values() if r.access is not Access.WO and r.region not in self._locked]
+
+    def _read(self, register: Register, field: str | None) -> RegValue:
+        self._check_free(register)
+        value = value_of(register, self.registers.read(register))
+        if field is None:
+            return value
+        return RegValue(f"{register.name}.{field}", dict(value.fields)[field])
+
+    def _write(self, register: Register, value: int, mask: int) -> RegValue:
+        written = self.registers.write(register, value, mask, self.state.values.get(register.name))
+        self.update(lambda state: state.with_value(register.name, written))
+        self._dirty = True
+        shown = written if register.access is not Access.RW else self.registers.read(register)
+        return value_of(register, shown)
+
+    def _check_free(self, register: Register) -> None:
+        if register.region is None:
+            return
+        phase = self.state.region(register.region).phase
+        if register.region in self._locked or phase is not RegionPhase.READY:
+            raise RegionBusy(
+                f"register {register.name!r} lies in region {register.region}, which is "
+                + ("being reconfigured" if register.region in self._locked else phase.value)
+            )
+
+    def _check_leases(self, registers: list[Register], lease: str) -> None:
+        scopes = {f"registers:{r.name}" for r in registers} | {f"region:{r.region}" for r in registers if r.region}
+        self.leases.check(tuple(scopes), lease)
+
+    # ---- status --------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """The state as it is told; streams, sequence and version are the daemon's to add."""
+        running, progress, state = self._running, self._progress, self.state
+        return Status(
+            config_name=state.config or "",
+            mode=state.mode or "",
+            fpga_busy=running is not None,
+            pr_mode=self._pr_mode(running),
+            progress=progress,
+            last_error=self._error,
+            regions=region_states(self.loaded_config(), state),
+            configs=tuple(sorted(self._configs)),
+            last_change=self._last[0],
+            last_change_seconds=self._last[1],
+        )
+
+    def _pr_mode(self, running: Change | None) -> PrMode:
+        if running is not None:
+            full = self._configs[running.config].type is ConfigType.FULL and self.state.config != running.config
+            return PrMode.FULL if full else PrMode.PARTIAL
+        return PrMode.ERROR if self._failed else PrMode.IDLE
+
+    def note_error(self, error: ErrorInfo) -> None:
+        """Tell an error of a request that has no reply."""
+        self._error = error
+        self._env.observer.status_changed()
+
+    def board_lost(self, error: Exception) -> None:
+        """The board does not answer any more: nothing is known of it."""
+        with self._access:
+            self.registers.forget()
+            self._loaders.forget()
+            self._failed = True
+            self._error = ErrorInfo("device_gone", f"the board does not answer: {error}")
+        self._env.observer.status_changed()
+
+
+def _overlay_name(step: Step) -> str | None:
+    if isinstance(step, ApplyOverlay):
+        return step.overlay.name
+    return step.name if isinstance(step, RemoveOverlay) else None

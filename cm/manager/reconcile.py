@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""At start: compare what the record says with what the board shows, and keep only what both say.
+
+Looks at the boot id, the overlays in configfs, the regions' identity registers and the step that was
+under way when the manager died. Touches nothing but leftover overlays of a step that was cut short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from cm.errors import CmError
+from cm.manager.ports import Devices
+from cm.manager.registers import RegisterAccess
+from cm.manager.state import BoardState, RegionEvent, RegionPhase, RegionState
+from cm.manager.store import Pending, Record
+from cm.schema.model import Config, Module, Region
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is known of the board, what was cut short, and what was found out (sentences)."""
+
+    state: BoardState
+    interrupted: Pending | None = None
+    notes: tuple[str, ...] = ()
+
+
+def reconcile(
+    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterAccess
+) -> Finding:
+    """What the board holds, as far as record and board agree. Raises DeviceError where the board cannot be asked."""
+    if record is None:
+        return Finding(BoardState())
+    if record.boot_id != devices.boot_id():
+        held = f" ({record.state.config}/{record.state.mode})" if record.state.config else ""
+        return Finding(BoardState(), None, (f"the board was restarted; what it held{held} is gone",))
+    state = record.state
+    notes: list[str] = []
+    state = _distrust_pending(state, record.pending)
+    state = _overlays(state, record.pending, devices, notes)
+    state = _regions(state, configs.get(state.config or ""), registers, notes)
+    if record.pending is not None:
+        notes.append(
+            f"the change to {record.pending.config}/{record.pending.mode} was cut short at {record.pending.step}"
+        )
+    return Finding(state, record.pending, tuple(notes))
+
+
+def _distrust_pending(state: BoardState, pending: Pending | None) -> BoardState:
+    """The step that was about to be taken may have been taken: what it touches is not known."""
+    if pending is None:
+        return state
+    if pending.step in ("decouple", "load", "recouple"):
+        region = state.region(pending.subject)
+        return state.with_region(pending.subject, region.after(RegionEvent.LOSE))
+    if pending.step == "registers":
+        return state.without_values({pending.subject})
+    return state
+
+
+def _overlays(state: BoardState, pending: Pending | None, devices: Devices, notes: list[str]) -> BoardState:
+    overlays = devices.overlays()
+    present = set(overlays.list()) if overlays.available() else set()
+    kept = tuple(o for o in state.overlays if o.name in present)
+    for gone in (o.name for o in state.overlays if o.name not in present):
+        notes.append(f"overlay {gone} is no longer applied")
+    if pending is not None and pending.overlay in present and pending.overlay not in {o.name for o in kept}:
+        overlays.remove(pending.overlay)
+        notes.append(f"overlay {pending.overlay}, left over from the change that was cut short, was removed")
+    return replace(state, overlays=kept)
+
+
+def _regions(state: BoardState, config: Config | None, registers: RegisterAccess, notes: list[str]) -> BoardState:
+    for name, region in state.regions.items():
+        checked = _region(name, region, config, registers, notes)
+        if checked is not region:
+            state = state.with_region(name, checked)
+    return state
+
+
+def _region(
+    name: str, region: RegionState, config: Config | None, registers: RegisterAccess, notes: list[str]
+) -> RegionState:
+    if region.phase is not RegionPhase.READY:
+        notes.append(f"region {name} was {region.phase.value}; its content is not trusted")
+        return region.after(RegionEvent.LOSE)
+    module = config.modules.get(region.module or "") if config else None
+    if module is None or config is None or name not in config.regions:
+        return region
+    wrong = _cut_off(config.regions[name], registers) or _wrong_identity(config, module, registers)
+    if wrong is None:
+        return region
+    notes.append(f"region {name}: {wrong}; its content is not trusted")
+    return region.after(RegionEvent.LOSE)
+
+
+def _cut_off(region: Region, registers: RegisterAccess) -> str | None:
+    decoupler = region.decoupler
+    if decoupler is None:
+        return None
+    try:
+        value = registers.read_address(decoupler.base_address + decoupler.offset, decoupler.width)
+    except (CmError, OSError) as error:
+        return f"its decoupler cannot be read ({error})"
+    cut = bool(value >> decoupler.bit & 1) == decoupler.active_high
+    return "it stands decoupled" if cut else None
+
+
+def _wrong_identity(config: Config, module: Module, registers: RegisterAccess) -> str | None:
+    identity = config.regions[module.region].identity
+    if identity is None or module.identity is None:
+        return None
+    try:
+        value = registers.read_address(identity.base_address + identity.offset, identity.width)
+    except (CmError, OSError) as error:
+        return f"its identity register cannot be read ({error})"
+    if value == module.identity:
+        return None
+    return f"its identity register reads {value:#x}, {module.name} is {module.identity:#x}"

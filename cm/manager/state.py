@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The state table: what the hardware holds, as frozen data, and which transitions a region may make.
+
+An illegal transition raises and changes nothing. `docs/reconfiguration.md` shows the table as a
+diagram that `diagram()` generates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from types import MappingProxyType
+from typing import Any
+
+
+class RegionPhase(str, Enum):
+    """Where a region is."""
+
+    UNKNOWN = "unknown"  # nothing is known of its content
+    READY = "ready"  # holds a module and is coupled
+    DECOUPLED = "decoupled"  # cut off; content as before, or not to be trusted
+    LOADING = "loading"  # a bitstream is on its way into it
+    LOADED = "loaded"  # holds the new module, still cut off
+    FAILED = "failed"  # a change failed and so did the way back; stays cut off
+
+
+class RegionEvent(str, Enum):
+    """What happens to a region."""
+
+    DECOUPLE = "decouple"
+    LOAD = "load"
+    LOAD_DONE = "load_done"
+    LOAD_FAILED = "load_failed"
+    RECOUPLE = "recouple"
+    ABANDON = "abandon"
+    LOSE = "lose"
+
+
+_P, _E = RegionPhase, RegionEvent
+
+TRANSITIONS: Mapping[tuple[RegionPhase, RegionEvent], RegionPhase] = MappingProxyType(
+    {
+        (_P.UNKNOWN, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.READY, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.FAILED, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.DECOUPLED, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.LOADED, _E.DECOUPLE): _P.DECOUPLED,
+        (_P.DECOUPLED, _E.LOAD): _P.LOADING,
+        (_P.LOADING, _E.LOAD_DONE): _P.LOADED,
+        (_P.LOADING, _E.LOAD_FAILED): _P.DECOUPLED,
+        (_P.LOADED, _E.RECOUPLE): _P.READY,
+        (_P.DECOUPLED, _E.RECOUPLE): _P.READY,
+        (_P.DECOUPLED, _E.ABANDON): _P.FAILED,
+        (_P.LOADED, _E.ABANDON): _P.FAILED,
+        (_P.LOADING, _E.ABANDON): _P.FAILED,
+        (_P.FAILED, _E.ABANDON): _P.FAILED,
+        (_P.UNKNOWN, _E.ABANDON): _P.FAILED,
+        (_P.UNKNOWN, _E.LOSE): _P.UNKNOWN,
+        (_P.READY, _E.LOSE): _P.UNKNOWN,
+        (_P.DECOUPLED, _E.LOSE): _P.UNKNOWN,
+        (_P.LOADING, _E.LOSE): _P.UNKNOWN,
+        (_P.LOADED, _E.LOSE): _P.UNKNOWN,
+        (_P.FAILED, _E.LOSE): _P.UNKNOWN,
+    }
+)
+
+
+class IllegalTransition(RuntimeError):
+    """An event that the table has not: a defect of the manager, never of a request."""
+
+
+@dataclass(frozen=True, slots=True)
+class RegionState:
+    """A region's phase and what it holds; `module` and `sha256` are None when that is not known."""
+
+    phase: RegionPhase = RegionPhase.UNKNOWN
+    module: str | None = None
+    sha256: str | None = None
+
+    def after(self, event: RegionEvent) -> RegionState:
+        """The state after an event; LOAD, LOAD_FAILED and LOSE forget the content."""
+        phase = TRANSITIONS.get((self.phase, event))
+        if phase is None:
+            raise IllegalTransition(f"region in phase {self.phase.value} cannot {event.value}")
+        if event in (RegionEvent.LOAD, RegionEvent.LOAD_FAILED, RegionEvent.LOSE):
+            return RegionState(phase)
+        return replace(self, phase=phase)
+
+    def holding(self, module: str, sha256: str) -> RegionState:
+        """The same phase with content."""
+        return replace(self, module=module, sha256=sha256)
+
+
+@dataclass(frozen=True, slots=True)
+class OverlayState:
+    """An applied overlay: its name in configfs and the hash of its file."""
+
+    name: str
+    sha256: str
+
+
+def _empty() -> Mapping[str, Any]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class BoardState:
+    """What the hardware holds, as far as the manager knows."""
+
+    config: str | None = None
+    mode: str | None = None
+    static_sha256: str | None = None  # of a full image that this manager loaded
+    regions: Mapping[str, RegionState] = field(default_factory=_empty)
+    overlays: tuple[OverlayState, ...] = ()  # in the order they were applied
+    values: Mapping[str, int] = field(default_factory=_empty)  # registers written since their region was loaded
+
+    def region(self, name: str) -> RegionState:
+        """State of a region; one never heard of is unknown."""
+        return self.regions.get(name, RegionState())
+
+    def with_region(self, name: str, region: RegionState) -> BoardState:
+        """A copy with one region changed."""
+        return replace(self, regions=MappingProxyType({**self.regions, name: region}))
+
+    def with_value(self, register: str, value: int) -> BoardState:
+        """A copy that remembers a register's written value."""
+        return replace(self, values=MappingProxyType({**self.values, register: value}))
+
+    def without_values(self, registers: set[str]) -> BoardState:
+        """A copy that has forgotten values which a load has reset."""
+        kept = {name: value for name, value in self.values.items() if name not in registers}
+        return replace(self, values=MappingProxyType(kept))
+
+
+def diagram() -> str:
+    """The table as a Mermaid state diagram, for the documentation."""
+    lines = ["stateDiagram-v2", "    [*] --> unknown"]
+    lines += [f"    {a.value} --> {b.value}: {event.value}" for (a, event), b in TRANSITIONS.items() if a is not b]
+    return "\n".join(lines) + "\n"
