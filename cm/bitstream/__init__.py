@@ -33,5 +33,7 @@ from cm.bitstream.report import Footprint as Footprint
 from cm.bitstream.report import Refusal as Refusal
 from cm.bitstream.report import Report as Report
 from cm.bitstream.verify import Expectation as Expectation
+from cm.bitstream.verify import expect_module as expect_module
+from cm.bitstream.verify import expect_static as expect_static
 from cm.bitstream.verify import refusals as refusals
 from cm.bitstream.verify import verify as verify

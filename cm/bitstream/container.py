@@ -7,12 +7,14 @@ No length in a file is trusted: each is compared with the bytes that are there b
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TypeAlias
 
-from cm.bitstream.errors import BadContainer, NoSync, Truncated
+from cm.bitstream.errors import BadContainer, BitstreamError, NoSync, Truncated
 
 Source: TypeAlias = "bytes | bytearray | memoryview | Path | str"
 
@@ -200,12 +202,27 @@ def _open_boot_image(data: memoryview) -> Image:
     return Image(Container.BOOTGEN, None, stream, begin, swapped, rest, encryption != 0)
 
 
+@contextmanager
+def named(source: Source) -> Iterator[None]:
+    """Put the file's name in front of what is refused, where `source` is a path."""
+    try:
+        yield
+    except BitstreamError as error:
+        if isinstance(source, (str, Path)):
+            raise type(error)(f"{source}: {error}") from error
+        raise
+
+
 def open_image(source: Source) -> Image:
     """Recognise the container and find the configuration words, without looking into them.
 
     Raises `BadContainer`, `Truncated` or `NoSync`; OSError where a path cannot be read.
     """
-    data = read_source(source)
+    with named(source):
+        return _open(read_source(source))
+
+
+def _open(data: memoryview) -> Image:
     if bytes(data[: len(_BIT_MAGIC)]) == _BIT_MAGIC:
         return _open_bit(data)
     if _is_boot_image(data):

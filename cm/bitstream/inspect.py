@@ -8,7 +8,7 @@ import hashlib
 import numpy as np
 
 from cm.bitstream import frames
-from cm.bitstream.container import Image, Source, open_image, read_source
+from cm.bitstream.container import Image, Source, named, open_image, read_source
 from cm.bitstream.devices import Family, base_name, device_by_idcode, device_by_name, family_of
 from cm.bitstream.errors import BadContainer, UnknownDevice, WrongDevice
 from cm.bitstream.packets import Register
@@ -79,7 +79,8 @@ def inspect(source: Source) -> Report:
     nothing can be said, OSError where a path cannot be read; all else stands in `Report.problems`.
     """
     data = read_source(source)
-    return inspect_image(open_image(data), data)
+    with named(source):
+        return inspect_image(open_image(data), data)
 
 
 def inspect_image(image: Image, data: memoryview) -> Report:

@@ -20,7 +20,7 @@ from cm.bitstream.errors import (
 )
 from cm.bitstream.footprint import describe, outside
 from cm.bitstream.report import Refusal, Report
-from cm.schema.model import FrameRange
+from cm.schema.model import Config, FrameRange, Module
 
 _SHOWN = 4  # footprint entries named in a sentence
 
@@ -119,3 +119,23 @@ def verify(report: Report, expect: Expectation) -> None:
     found = refusals(report, expect)
     if found:
         raise errors_by_code()[found[0].code](". ".join(item.message for item in found))
+
+
+def expect_module(config: Config, module: Module, learned: tuple[FrameRange, ...] = ()) -> Expectation:
+    """Return what the runtime schema says of a module's bitstream.
+
+    `learned` is the footprint of another module of the region, for where the schema states none.
+    """
+    region = config.regions[module.region]
+    return Expectation(
+        device=config.device,
+        partial=True,
+        footprint=region.footprint or learned,
+        allow_encrypted=region.allow_encrypted,
+        sha256=module.sha256,
+    )
+
+
+def expect_static(config: Config) -> Expectation:
+    """Return what the runtime schema says of the image of a full configuration."""
+    return Expectation(device=config.device, partial=False, sha256=config.sha256)
