@@ -33,7 +33,7 @@ class Problem:
 
     def __str__(self) -> str:
         """One line in the form that compilers use, which editors can jump to."""
-        where = f"{self.path or '<text>'}:{self.line}:{self.column}"
+        where = str(self.path or "<text>") + (f":{self.line}:{self.column}" if self.line else "")
         key = f" {self.key}:" if self.key else ""
         hint = f" ({self.hint})" if self.hint else ""
         return f"{where}:{key} {self.message}{hint}"

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm check FILE…``: what is wrong with runtime schemas, as compilers say it."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cm.cli.common import add_json_option, print_json
+from cm.errors import NotFound
+from cm.schema import Problem, SchemaError, json_schema, load, schema_files
+from cm.schema.model import Config
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "check",
+        help="check runtime schemas",
+        description="Check runtime schemas. Exit status 0 if all are good. A folder stands for its *.yaml and *.yml"
+        " files that have a config:.",
+    )
+    parser.add_argument("paths", nargs="*", type=Path, metavar="FILE", help="a runtime schema, or a folder of them")
+    parser.add_argument("--print-schema", action="store_true", help="print the JSON Schema, for editors, and end")
+    add_json_option(parser)
+    parser.set_defaults(run=run, usage_error=parser.error)
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """A file, and its configuration or what is wrong with it."""
+
+    path: Path
+    config: Config | None
+    problems: tuple[Problem, ...]
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check; 0 if all is good, 1 otherwise."""
+    if args.print_schema:
+        print_json(json_schema())
+        return 0
+    if not args.paths:
+        args.usage_error("which FILE?")
+    results = check_files(args.paths)
+    if args.json:
+        print_json(_report(results))
+    else:
+        _print(results)
+    return 1 if any(result.problems for result in results) else 0
+
+
+def check_files(paths: Iterable[Path]) -> list[Checked]:
+    """Every file of `paths`, folders opened out; a name that two files of a folder share is a problem."""
+    results: list[Checked] = []
+    for path in paths:
+        results += _check_folder(path) if path.is_dir() else [_check_file(path)]
+    return results
+
+
+def _check_file(path: Path) -> Checked:
+    try:
+        return Checked(path, load(path), ())
+    except SchemaError as error:
+        return Checked(path, None, error.problems)
+    except NotFound:
+        return Checked(path, None, (_problem(path, "not_found", "no such file"),))
+
+
+def _check_folder(folder: Path) -> list[Checked]:
+    found: dict[str, Path] = {}
+    results = [_apart(_check_file(file), found) for file in schema_files(folder)]
+    if not results:
+        sentence = "no runtime schema here: no *.yaml or *.yml file with a config:"
+        return [Checked(folder, None, (_problem(folder, "not_found", sentence),))]
+    return results
+
+
+def _apart(result: Checked, found: dict[str, Path]) -> Checked:
+    """`result`, with a problem more where its configuration has the name of one before it."""
+    if result.config is None:
+        return result
+    first = found.setdefault(result.config.name, result.path)
+    if first is result.path:
+        return result
+    message = f"configuration {result.config.name} is already in {first}"
+    return Checked(result.path, result.config, (_problem(result.path, "duplicate_name", message),))
+
+
+def _problem(path: Path, code: str, message: str) -> Problem:
+    return Problem(path, 0, 0, "", code, message)
+
+
+def _print(results: list[Checked]) -> None:
+    for result in results:
+        for problem in result.problems:
+            print(problem)
+        if result.config is not None and not result.problems:
+            config = result.config
+            print(f"{result.path}: good: configuration {config.name}, {_count(config.modes)}")
+
+
+def _count(modes: Any) -> str:
+    return f"{len(modes)} mode" + ("s" if len(modes) != 1 else "")
+
+
+def _report(results: list[Checked]) -> dict[str, Any]:
+    files = [
+        {
+            "path": str(result.path),
+            "good": not result.problems,
+            "config_name": result.config.name if result.config else None,
+            "problems": [_as_dict(problem) for problem in result.problems],
+        }
+        for result in results
+    ]
+    return {"good": all(file["good"] for file in files), "files": files}
+
+
+def _as_dict(problem: Problem) -> dict[str, Any]:
+    keys = ("line", "column", "key", "code", "message", "hint")
+    return {key: getattr(problem, key) for key in keys}

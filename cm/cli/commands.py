@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commands of `cm`: a static table, so that ``cm --help`` imports none of them."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import import_module
+from typing import ClassVar, NamedTuple, Protocol, cast
+
+from cm.errors import CmError
+
+
+class Command(NamedTuple):
+    """A command, the module that has it, and its help in one line."""
+
+    name: str
+    module: str
+    help: str
+
+
+class CommandModule(Protocol):
+    """What a command's module has. `add_parser` adds a parser with ``set_defaults(run=run)``."""
+
+    def add_parser(self, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None: ...
+
+
+class CommandMissing(CmError):
+    """A command of the table whose module, or a package that it needs, is not installed."""
+
+    code: ClassVar[str] = "command_missing"
+
+
+COMMANDS = (
+    Command("serve", "cm.cli.serve", "run the configuration manager"),
+    Command("sim", "cm.cli.sim", "serve a simulated board"),
+    Command("status", "cm.cli.status", "show what is loaded and what goes on"),
+    Command("watch", "cm.cli.watch", "follow the status as it changes"),
+    Command("configs", "cm.cli.configs", "list the configurations and their modes"),
+    Command("load", "cm.cli.load", "load a configuration"),
+    Command("mode", "cm.cli.mode", "change the mode"),
+    Command("plan", "cm.cli.plan", "show what a change of mode would do"),
+    Command("reg", "cm.cli.reg", "list, read and write registers"),
+    Command("irq", "cm.cli.irq", "list interrupts and wait for them"),
+    Command("stream", "cm.cli.stream", "list, capture and play data streams"),
+    Command("data", "cm.cli.data", "configure the data channels"),
+    Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams"),
+    Command("import", "cm.cli.import_", "make a runtime schema from a dfx-mgr or PYNQ package"),
+    Command("build", "cm.cli.build", "make bitstreams, overlays and runtime schemas from HDL"),
+    Command("keygen", "cm.cli.keygen", "make keys for connections over TCP"),
+    Command("doctor", "cm.cli.doctor", "say what this machine has, and what to do about what it lacks"),
+    Command("demo", "cm.cli.demo", "run the camera demonstration on a simulated board"),
+    Command("bench", "cm.cli.bench", "measure latency and throughput"),
+    Command("check", "cm.cli.check", "check runtime schemas"),
+    Command("completion", "cm.cli.completion", "print a completion script for a shell"),
+)
+
+
+def find_command(name: str) -> Command | None:
+    """The command called `name`."""
+    return next((command for command in COMMANDS if command.name == name), None)
+
+
+def add_command(command: Command, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Import `command` and add its parser; raises `CommandMissing` where it, or what it needs, is not there."""
+    try:
+        cast(CommandModule, import_module(command.module)).add_parser(subparsers)
+    except ModuleNotFoundError as error:
+        if error.name == command.module:
+            raise CommandMissing(f"the command {command.name} is not part of this installation") from error
+        sentence = f"the command {command.name} needs the Python module {error.name}, which is not installed"
+        raise CommandMissing(sentence) from error
+    except ImportError as error:  # a library of another version, or our own that was not built
+        raise CommandMissing(f"the command {command.name} cannot be used here: {error}") from error

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command `cm`: find the command, run it, and turn what goes wrong into a sentence and a status.
+
+Exit status: 0 done, 1 refused or failed, 2 wrong usage; 130 after Ctrl-C and 141 when the reader of
+our output went away, as shells report a program that these signals ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from cm.cli.parser import build_parser, chosen_command, refuse_unknown
+from cm.errors import CmError
+
+EXIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_INTERRUPTED = 130
+EXIT_PIPE = 141
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run `cm` with `arguments` (default: those of the process); the exit status.
+
+    Wrong usage ends in SystemExit(2), as argparse has it.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    as_json = "--json" in words
+    try:
+        status = _run(words)
+        sys.stdout.flush()  # a reader that is gone shows here, not at the interpreter's end
+    except CmError as error:
+        return _fail(str(error), error.code, as_json)
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        _drop_output()
+        return EXIT_PIPE
+    except OSError as error:
+        return _fail(_sentence(error), "io", as_json)
+    return status
+
+
+def _run(words: list[str]) -> int:
+    chosen = chosen_command(words)
+    if chosen is None:
+        return _run_without(build_parser(None), words)
+    refuse_unknown(build_parser(None), chosen)
+    args = build_parser(chosen).parse_args(words)
+    status: int = args.run(args)
+    return status
+
+
+def _run_without(parser: argparse.ArgumentParser, words: list[str]) -> int:
+    parser.parse_args(words)  # --help and --version end here
+    parser.print_help(sys.stderr)
+    return EXIT_USAGE
+
+
+def _fail(message: str, code: str, as_json: bool) -> int:
+    """Say what went wrong: to people on stderr, to scripts on stdout."""
+    if as_json:
+        from cm.cli.common import print_json
+
+        print_json({"error": {"code": code, "message": message}})
+    else:
+        print(f"cm: {message}", file=sys.stderr)
+    return EXIT_FAILED
+
+
+def _sentence(error: OSError) -> str:
+    reason = error.strerror or str(error)
+    return f"{error.filename}: {reason}" if error.filename else reason
+
+
+def _drop_output() -> None:
+    """Send what is still buffered nowhere, so that the interpreter's end does not complain of it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
