@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator as a process: start, end, crash, neighbours, clients that die or do not read."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sim_support import Dma, Icap, Node, Uio
+
+from cm.bitstream.convert import to_dma_words
+from cm.sim import Board, Control, SimError
+from cm.sim import protocol as p
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+FAST = ["--hold", "0", "--rate", "0"]
+
+
+def until(condition: Callable[[], bool], timeout: float = 10.0) -> bool:
+    """Whether a condition that nothing announces comes true in time."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        select.select([], [], [], 0.02)
+    return True
+
+
+def test_a_board_that_is_stopped_removes_all_it_made(tmp_path):
+    root = tmp_path / "root"
+    (root / "lib/firmware").mkdir(parents=True)
+    (root / "lib/firmware/mine.bin").write_bytes(b"mine")
+    board = Board(root=root, arguments=FAST).start()
+    assert (root / "dev/uio0").is_socket()
+    assert board.stop() == 0
+    assert [path.relative_to(root).as_posix() for path in root.rglob("*") if path.is_file()] == [
+        "lib/firmware/mine.bin"
+    ]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_with_status_zero_and_removes_a_root_of_its_own(tmp_path, number):
+    root = tmp_path / "root"
+    board = Board(root=root, arguments=FAST).start()
+    os.kill(board.pid, number)
+    assert until(lambda: not board.alive)
+    assert board.stop() == 0
+    assert not root.exists()
+
+
+def test_a_board_starts_where_another_was_killed(tmp_path):
+    board = Board(root=tmp_path / "root", arguments=FAST).start()
+    with Node(board.root, "sys/kernel/config/device-tree/overlays/.node") as folder:
+        folder.call(p.OP_MKDIR, b"left")
+    first = (board.root / "proc/sys/kernel/random/boot_id").read_text()
+    board.kill()
+    assert (board.root / "dev/uio0").exists()
+    board.restart()
+    assert (board.root / "proc/sys/kernel/random/boot_id").read_text() != first
+    assert not (board.root / "sys/kernel/config/device-tree/overlays/left").exists()
+    with Uio(board.root, "dev/uio0") as uio:
+        assert uio.read(0x14) == 0
+    board.stop()
+    assert not board.root.exists()
+
+
+def test_a_second_board_on_one_root_is_refused_with_the_first_ones_process(tmp_path, capfd):
+    with Board(root=tmp_path, arguments=FAST) as board:
+        with pytest.raises(SimError, match="status 1"):
+            Board(root=tmp_path, arguments=FAST).start()
+        assert f"another simulator (process {board.pid})" in capfd.readouterr().err
+        assert board.control.state()["pid"] == board.pid
+
+
+def test_the_length_of_the_root_does_not_matter(tmp_path):
+    root = tmp_path / ("a" * 100) / ("b" * 100)
+    with Board(root=root, arguments=FAST) as board, Uio(board.root, "dev/uio0") as uio:
+        uio.write(0x14, 1)
+        assert uio.read(0x14) == 1
+
+
+def test_a_board_that_cannot_start_says_why(tmp_path, capfd):
+    (tmp_path / "bad.yaml").write_text("config:\n  name: x\n  device: zx81\n  modes: {}\n")
+    with pytest.raises(SimError):
+        Board([tmp_path / "bad.yaml"]).start()
+    assert "cm sim:" in capfd.readouterr().err
+
+
+def test_control_of_a_root_without_a_simulator_says_so(tmp_path):
+    with pytest.raises(SimError, match="no simulator"):
+        Control(tmp_path).state()
+
+
+# --- clients
+
+
+def fill(sock: socket.socket, packet: bytes) -> int:
+    """Send until nothing more is taken; how many went."""
+    sent = 0
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            sock.send(packet)
+            sent += 1
+    return sent
+
+
+CLIENT = """
+import sys, os
+sys.path[:0] = [{repository!r}, {here!r}]
+from sim_support import Dma
+channel = Dma({root!r}, "dev/cm_dma/from_pl")
+handle, memory = channel.alloc(1 << 20)
+channel.submit(handle, 1 << 20)
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture(scope="module")
+def board():
+    with Board(arguments=FAST) as started:
+        yield started
+
+
+def test_a_client_that_is_killed_gives_back_its_channel_and_buffers(board):
+    script = CLIENT.format(repository=str(REPOSITORY), here=str(Path(__file__).parent), root=str(board.root))
+    client = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert client.stdout.readline() == b"held\n"
+    assert board.control.state()["memory"] == 1 << 20
+    client.kill()
+    client.communicate()
+    with Dma(board.root, "dev/cm_dma/from_pl"):
+        state = board.control.state()
+        assert state["memory"] == 0
+        assert state["channels"]["from_pl"]["queued"] == 0
+
+
+def test_a_client_that_reads_no_replies_stalls_nobody(board):
+    with Node(board.root, "dev/uio0") as deaf, Uio(board.root, "dev/uio0") as uio:
+        deaf.sock.setblocking(False)
+        request = p.REQUEST.pack(p.OP_REG_READ, p.REG.size) + p.REG.pack(0, 32, 0x14, 0)
+        sent = fill(deaf.sock, request)
+        uio.write(0x14, 77)
+        assert uio.read(0x14) == 77
+        deaf.sock.settimeout(10)
+        for _ in range(sent):
+            assert deaf._reply()[0]
+
+
+def test_a_client_that_reads_no_interrupts_stalls_nobody(board):
+    with Uio(board.root, "dev/uio0") as deaf, Uio(board.root, "dev/uio0") as uio:
+        deaf.events.setblocking(False)
+        for _ in range(50):
+            assert fill(deaf.events, b"\1\0\0\0") >= 0
+            uio.write(0x14, 5)
+            assert uio.read(0x14) == 5
+
+
+def test_other_nodes_answer_while_a_bitstream_is_loaded(tmp_path):
+    with Board(arguments=[*FAST, "--icap-rate", "1000000"]) as board:
+        data = to_dma_words(board.root / "lib/firmware/cm/camera/edge.bit")
+        with Icap(board.root, "dev/cm_icap0") as icap, Uio(board.root, "dev/uio0") as uio:
+            icap.start(data)
+            seen = set()
+            while icap.quiet(0):
+                uio.write(0x14, 3)
+                assert uio.read(0x14) == 3
+                state, _, done, total, _ = icap.status()
+                if state == p.STATE_LOADING:
+                    seen.add(done)
+            assert icap.finished() == (0, 0)
+            assert len(seen) > 5
+            assert max(seen) <= total
+
+
+def test_a_region_gives_garbage_while_it_is_loaded_and_a_second_load_is_busy(tmp_path):
+    with Board(arguments=[*FAST, "--icap-rate", "500000"]) as board:
+        folder = board.root / "lib/firmware/cm/camera"
+        with Icap(board.root, "dev/cm_icap0") as icap, Dma(board.root, "dev/cm_dma/camera") as channel:
+            icap.start(to_dma_words(folder / "edge.bit"))
+            assert until(lambda: board.control.state()["regions"]["prr0"]["loading"])
+            with pytest.raises(OSError) as caught:
+                icap.start(to_dma_words(folder / "edge.bit"))
+            assert caught.value.errno == errno.EBUSY
+            handle, memory = channel.alloc(480 * 640)
+            channel.submit(handle, 480 * 640)
+            channel.done()
+            assert np.bincount(memory[: 480 * 640], minlength=256).min() > 1000
+            assert icap.finished() == (0, 0)
+
+
+def test_a_port_that_is_closed_while_it_loads_finishes_the_load(tmp_path):
+    with Board(arguments=[*FAST, "--icap-rate", "2000000"]) as board:
+        with Icap(board.root, "dev/cm_icap0") as icap:
+            icap.start(to_dma_words(board.root / "lib/firmware/cm/camera/edge.bit"))
+        assert until(lambda: board.control.state()["regions"]["prr0"]["module"] == "edge")
+        assert board.control.state()["buffers"] == 0
+
+
+def test_an_idle_board_uses_no_processor_time(board):
+    def used() -> float:
+        fields = Path(f"/proc/{board.pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    before, begun = used(), time.monotonic()
+    select.select([], [], [], 1.0)
+    assert (used() - before) / (time.monotonic() - begun) < 0.05
+
+
+def test_a_board_ends_when_its_parent_has_died_and_nobody_uses_it(tmp_path):
+    root = tmp_path / "root"
+    script = (
+        "import subprocess, sys, os\n"
+        f"board = subprocess.Popen([sys.executable, '-m', 'cm.sim', '--root', {str(root)!r}, '--linger', '0.5'],"
+        " stdout=subprocess.PIPE)\n"
+        "board.stdout.readline()\n"
+        "print(board.pid, flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    parent = subprocess.Popen(
+        [sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment
+    )
+    parent.stdout.readline()
+    with Uio(root, "dev/uio0") as uio:
+        parent.kill()
+        parent.communicate()
+        assert uio.quiet(1.5)
+        uio.write(0x14, 1)
+        assert uio.read(0x14) == 1
+    assert until(lambda: not root.exists())
