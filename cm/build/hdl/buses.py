@@ -7,8 +7,8 @@ A `Protocol` is data, and a user's own protocol is one too. Directions are the m
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 
 from cm.build.hdl.model import Port, PortDirection
@@ -38,24 +38,22 @@ class Protocol:
     halves: tuple[frozenset[str], ...] = ()
     vlnv: str = ""
     pattern: re.Pattern[str] = field(default=re.compile(r"(?!)"), repr=False)
+    spelled: Mapping[str, str] = field(default_factory=dict, repr=False)  # spelling, lower case → logical name
     company: bool = False  # one signal alone is not enough to tell the protocol
-
-    def spelled(self, text: str) -> str:
-        """The logical name of a spelling, lower case."""
-        for signal in self.signals.values():
-            if text == signal.name.lower() or text in signal.spellings:
-                return signal.name
-        raise KeyError(text)
 
 
 def make_protocol(
     name: str, signals: list[Signal], halves: tuple[frozenset[str], ...] = (), vlnv: str = "", company: bool = False
 ) -> Protocol:
     """A protocol with the pattern by which its signals are told in port names: prefix, signal, tail."""
-    spellings = {spelling for signal in signals for spelling in (signal.name.lower(), *signal.spellings)}
+    spelled = {spelling: s.name for s in signals for spelling in (s.name.lower(), *s.spellings)}
+    by_name = MappingProxyType({s.name: s for s in signals})
+    return Protocol(name, by_name, halves, vlnv, _pattern(".*?", spelled), MappingProxyType(spelled), company)
+
+
+def _pattern(prefix: str, spellings: Iterable[str]) -> re.Pattern[str]:
     names = "|".join(re.escape(spelling) for spelling in sorted(spellings, key=len, reverse=True))
-    pattern = re.compile(rf"(?P<prefix>.*?)(?P<signal>{names})(?P<tail>(?:_(?:i|o|in|out|\d+))*)", re.IGNORECASE)
-    return Protocol(name, MappingProxyType({s.name: s for s in signals}), halves, vlnv, pattern, company)
+    return re.compile(rf"(?P<prefix>{prefix})(?P<signal>{names})(?P<tail>(?:_(?:i|o|in|out|\d+))*)", re.IGNORECASE)
 
 
 def _signals(text: str, direction: PortDirection, *, handshake: bool = False) -> list[Signal]:
@@ -97,6 +95,18 @@ def axis() -> Protocol:
         *_signals("TREADY", _IN, handshake=True),
     ]
     return make_protocol("axis", signals, (frozenset({"TVALID"}),), "xilinx.com:interface:axis:1.0", company=True)
+
+
+def axis_short() -> Protocol:
+    """AXI4-Stream without the standard's T, where the prefix says axis: `i_axis_valid`, `m_axis_video_data`.
+
+    The names are common ones, so data, valid and ready must all be there.
+    """
+    standard = axis()
+    spelled = {name[1:].lower(): name for name in standard.signals}
+    word = r"(?:.*_)?(?:axis|axi_?stream|axi4_?stream|axi4s)\d*_(?:.*_)?"
+    halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
+    return replace(standard, halves=halves, pattern=_pattern(word, spelled), spelled=MappingProxyType(spelled))
 
 
 _FULL_ONLY = frozenset(["AWLEN", "ARLEN", "AWSIZE", "ARSIZE", "AWBURST", "ARBURST", "WLAST", "RLAST", "WID"])

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from cm.build.hdl import attributes
 from cm.build.hdl.associate import associate
-from cm.build.hdl.buses import Protocol, aximm, axis
+from cm.build.hdl.buses import Protocol, aximm, axis, axis_short
 from cm.build.hdl.judge import judge, make_interface
 from cm.build.hdl.model import (
     Clock,
@@ -34,7 +34,7 @@ class Detector:
     """Finds interfaces in any number of modules; the protocols are prepared once."""
 
     def __init__(self, user: Sequence[UserProtocol] = ()) -> None:
-        self._builtin: tuple[Protocol, ...] = (aximm(), axis())
+        self._builtin: tuple[Protocol, ...] = (aximm(), axis(), axis_short())
         self._user = tuple(user)
 
     def detect(self, module: ModuleInfo) -> ModuleInfo:
@@ -58,7 +58,7 @@ class _Detection:
     def result(self) -> ModuleInfo:
         module = self._module
         self._bind()
-        tagged = read_tags(module.ports, {p.name: p for p in self._builtin})
+        tagged = read_tags(module.ports, {p.name: p for p in reversed(self._builtin)})
         self._take_tagged(tagged)
         self._drop_ignored()
         for protocol in self._builtin:
@@ -165,9 +165,9 @@ class _Detection:
             self._add(make_interface(name, protocol, verdict.mode, candidate.ports, found_by, stated))
 
     def _reject(self, candidate: Candidate, reason: str) -> None:
-        for port in candidate.ports.values():
-            self._reasons[port.name] = reason
-        if len(candidate.ports) > 1:
+        if len(candidate.ports) > 1:  # one port alone may be named so by chance
+            for port in candidate.ports.values():
+                self._reasons[port.name] = reason
             self._rejected.append((candidate, reason))
 
     def _unique(self, name: str) -> str:

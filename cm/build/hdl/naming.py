@@ -55,10 +55,13 @@ def candidates(ports: Iterable[Port], protocol: Protocol) -> Iterator[Candidate]
     """Candidates for buses of this protocol, in the order of their first ports."""
     named = [found for port in ports if (found := _split(port, protocol)) is not None]
     groups: dict[tuple[str, str], list[_Named]] = {}
+    agreeing: dict[tuple[str, str], bool] = {}
     for item in named:
-        groups.setdefault(item.bare()[0], []).append(item)
+        key, agrees = item.bare()
+        groups.setdefault(key, []).append(item)
+        agreeing[key] = agreeing.get(key, True) and agrees
     for (prefix, tail), group in groups.items():
-        if len({item.signal for item in group}) == len(group) and all(item.bare()[1] for item in group):
+        if len({item.signal for item in group}) == len(group) and agreeing[prefix, tail]:
             yield _candidate(group, prefix + tail, protocol)
         else:
             yield from _split_group(group, protocol)
@@ -92,7 +95,7 @@ def _split(port: Port, protocol: Protocol) -> _Named | None:
         return None
     prefix = match["prefix"]
     return _Named(
-        port, protocol.spelled(match["signal"].lower()), prefix.rstrip("_") + "_" if prefix else "", match["tail"]
+        port, protocol.spelled[match["signal"].lower()], prefix.rstrip("_") + "_" if prefix else "", match["tail"]
     )
 
 

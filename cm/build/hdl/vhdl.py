@@ -98,13 +98,14 @@ class VhdlReader:
     def _entity(self, unit: Unit, units: Iterable[Unit], path: Path, text: str) -> Entity:
         root = self._parser.parse(unit.text.encode()).root_node
         first = _line(text, unit.start)
+        clauses = {node.type: node for node in _find(root, ("generic_clause", "port_clause"))}
         bodies = [other for other in units if other.kind == "architecture" and other.of.lower() == unit.name.lower()]
         return Entity(
             name=unit.name,
             path=path,
             line=first,
-            generics=tuple(_clause(root, "generic_clause", first)),
-            ports=tuple(_clause(root, "port_clause", first)),
+            generics=tuple(_interface_list(clauses.get("generic_clause"), first)),
+            ports=tuple(_interface_list(clauses.get("port_clause"), first)),
             attributes=_attributes([unit, *bodies]),
             instantiates=tuple(dict.fromkeys(name for body in bodies for name in instances(body.text))),
             errors=tuple(_errors(root, path, first)),
@@ -201,10 +202,9 @@ def _attributes(units: Iterable[Unit]) -> Mapping[str, Mapping[str, str]]:
     return found
 
 
-def _clause(root: Any, kind: str, first: int) -> Iterator[Declaration]:
-    for clause in _find(root, (kind,)):
-        for node in _find(clause, ("interface_declaration",)):
-            yield from _declarations(node, first)
+def _interface_list(clause: Any | None, first: int) -> Iterator[Declaration]:
+    for node in _find(clause, ("interface_declaration",)) if clause is not None else ():
+        yield from _declarations(node, first)
 
 
 def _declarations(node: Any, first: int) -> Iterator[Declaration]:
