@@ -2,14 +2,27 @@
 """The simulated board: a process that serves device nodes under ``$CM_ROOT``.
 
 `Board` starts one and stops it; `Control` injects faults and reads its state; `BoardSpec` derives
-its hardware from runtime schemas. See ``docs/simulator.md``.
+its hardware from runtime schemas. See ``docs/simulator.md``. They are imported when they are first
+used: who only starts a board does not pay for what the board itself needs.
 """
 
 from __future__ import annotations
 
-from .board import BoardSpec
-from .control import Control
-from .errors import SimError
-from .process import Board
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .board import BoardSpec
+    from .control import Control
+    from .errors import SimError
+    from .process import Board
 
 __all__ = ["Board", "BoardSpec", "Control", "SimError"]
+
+_HOMES = {"Board": "process", "BoardSpec": "board", "Control": "control", "SimError": "errors"}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -53,11 +53,11 @@ class ConfigMemory:
             if not region.loading:
                 self._fabric.start_load(region)
 
-    def settle(self, ok: bool, digest: str) -> None:
+    def settle(self, ok: bool, stream: bytes) -> None:
         """The load is over: regions that it covered run their module if it went well, others nothing."""
         for name, touched in self._touched.items():
             region = self._fabric.regions[name]
-            module = self._module(region.spec, touched, digest) if ok else None
+            module = self._module(region.spec, touched, stream) if ok else None
             self._fabric.end_load(region, module)
         self._touched.clear()
 
@@ -67,9 +67,9 @@ class ConfigMemory:
                 return region
         return None
 
-    def _module(self, region: RegionSpec, touched: _Touched, digest: str) -> ModuleSpec | None:
+    def _module(self, region: RegionSpec, touched: _Touched, stream: bytes) -> ModuleSpec | None:
         if touched.module is None:
-            known = self._known.get(digest)
+            known = self._known.get(digest(stream)) if self._known else None
             return known if known is not None and _begun(region, touched.addresses) else None
         if not _covered(region, touched.addresses):
             _log.warning("a bitstream of %s does not cover region %s", touched.module.name, region.name)
@@ -88,11 +88,10 @@ def module_named(spec: BoardSpec, identity: ModuleIdentity, region: str) -> Modu
 def digest(words: bytes | memoryview) -> str:
     """Of a configuration stream in memory order, from its sync word on, without padding behind it."""
     data = bytes(words)
-    start = data.find(_SYNC)
-    data = data[start:] if start >= 0 else data
-    while data.endswith((_NOP, bytes(4))):
-        data = data[:-4]
-    return hashlib.sha256(data).hexdigest()
+    start, end = max(0, data.find(_SYNC)), len(data)
+    while end - start >= 4 and data[end - 4 : end] in (_NOP, bytes(4)):
+        end -= 4
+    return hashlib.sha256(memoryview(data)[start:end]).hexdigest()
 
 
 def _inside(address: FrameAddress, frames: FrameRange) -> bool:

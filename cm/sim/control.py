@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from . import protocol
-from .control_node import PATH
 from .errors import SimError
 from .faults import KINDS
 
+PATH = "sim/control"
 _TIMEOUT = 10.0
 
 

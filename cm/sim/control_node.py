@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from .attributes import AttributeNode
+from .control import PATH
 from .errors import NodeError
 from .faults import KINDS
 from .links import CameraLink
@@ -16,7 +17,6 @@ from .links import CameraLink
 if TYPE_CHECKING:
     from .machine import Machine
 
-PATH = "sim/control"
 Order = dict[str, Any]
 
 

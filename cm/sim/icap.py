@@ -15,7 +15,7 @@ from cm.bitstream.devices import Device
 from cm.bitstream.port import ConfigPort, PortError
 
 from . import protocol
-from .configmem import ConfigMemory, digest
+from .configmem import ConfigMemory
 from .errors import NodeError
 from .fabric import Fabric
 from .faults import Faults
@@ -113,7 +113,7 @@ class Engine:
         self.state = protocol.STATE_ERROR if status else protocol.STATE_IDLE
         if run.full and status == 0:
             self._fabric.reset()
-        self._memory.settle(status == 0, digest(run.data))
+        self._memory.settle(status == 0, run.data)
         run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
 
 

@@ -61,6 +61,14 @@ class Loop:
             self._writers[fd] = on_writable
             self._epoll.modify(fd, select.EPOLLOUT)
 
+    def pause(self, fd: int) -> None:
+        """Call nothing for `fd` but at its peer's end, until `resume`."""
+        self._epoll.modify(fd, 0)
+
+    def resume(self, fd: int) -> None:
+        """Call the reader again."""
+        self._epoll.modify(fd, select.EPOLLIN)
+
     def remove(self, fd: int) -> None:
         """Forget `fd`; call it before the descriptor is closed."""
         if self._readers.pop(fd, None) is None:

@@ -25,7 +25,8 @@ from .loop import Loop
 SIOCOUTQ = 0x5411  # bytes sent and not yet read, linux/sockios.h
 _FDS_MAX = 4
 _ANCILLARY = socket.CMSG_LEN(_FDS_MAX * 4)
-_BURST = 16  # requests of one connection served before others have their turn
+_CLOEXEC = int(socket.MSG_CMSG_CLOEXEC)
+_CUT = int(socket.MSG_TRUNC | socket.MSG_CTRUNC)
 
 
 class Later:
@@ -122,7 +123,6 @@ class Connection:
         self._server = server
         self._loop = server.loop
         self._sock = sock
-        self._waiting = False  # for a Later
         self._unsent: tuple[bytes, Sequence[int]] | None = None
         self._events: socket.socket | None = None
         self._session: Session | None = None
@@ -158,40 +158,29 @@ class Connection:
         self._reply(protocol.OP_OPEN, 0, b"", [theirs.detach()])
 
     def _readable(self) -> None:
-        for _ in range(_BURST):
-            if self._waiting or self._unsent is not None or not self._serve_one():
-                return
-
-    def _serve_one(self) -> bool:
-        """Serve one request; False when there is none or the client has gone."""
-        if self._sock.fileno() < 0:
-            return False
+        """Serve one request: more of them make the descriptor ready again, after others had their turn."""
         try:
-            data, ancillary, flags, _ = self._sock.recvmsg(
-                protocol.PAYLOAD_MAX + protocol.REQUEST.size, _ANCILLARY, socket.MSG_CMSG_CLOEXEC
-            )
+            length, ancillary, flags, _ = self._sock.recvmsg_into([self._server.inbox], _ANCILLARY, _CLOEXEC)
         except BlockingIOError:
-            return False
+            return
         except OSError:
+            length, ancillary, flags = 0, [], 0
+        if not length:
             self.close()
-            return False
-        if not data:
-            self.close()
-            return False
+            return
         fds = _received(ancillary) if ancillary else []
         try:
-            self._request(data, flags, fds)
+            self._request(bytes(self._server.inbox[:length]), flags, fds)
         finally:
             if fds:
                 _close_all(fds)
-        return True
 
     def _request(self, data: bytes, flags: int, fds: Sequence[int]) -> None:
         if len(data) < protocol.REQUEST.size:
             self._reply(0, errno.EPROTO)
             return
         op, length = protocol.REQUEST.unpack_from(data)
-        if flags & (socket.MSG_TRUNC | socket.MSG_CTRUNC) or length != len(data) - protocol.REQUEST.size:
+        if flags & _CUT or length != len(data) - protocol.REQUEST.size:
             self._reply(op, errno.EMSGSIZE)
             return
         assert self._session is not None
@@ -208,16 +197,17 @@ class Connection:
         elif isinstance(answer, Answer):
             self._reply(op, 0, answer.payload, answer.fds)
         else:
-            self._waiting = True
+            self._loop.pause(self._sock.fileno())
             answer.then(lambda result: self._finish(op, result))
 
     def _finish(self, op: int, result: bytes | NodeError) -> None:
-        self._waiting = False
+        if self._sock.fileno() < 0:
+            return
+        self._loop.resume(self._sock.fileno())
         if isinstance(result, NodeError):
             self._reply(op, result.number)
         else:
             self._reply(op, 0, result)
-        self._loop.soon(self._readable)
 
     def _reply(self, op: int, error: int, payload: bytes = b"", fds: Sequence[int] = ()) -> None:
         if self._sock.fileno() < 0:
@@ -275,6 +265,7 @@ class Server:
     def __init__(self, loop: Loop) -> None:
         self.loop = loop
         self.cost = packet_cost()
+        self.inbox = memoryview(bytearray(protocol.PAYLOAD_MAX + protocol.REQUEST.size))
         self._listeners: dict[socket.socket, Node] = {}
         self._connections: set[Connection] = set()
 
