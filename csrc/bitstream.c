@@ -216,8 +216,6 @@ static void type1_header(struct cm_config_port *port, struct sink *sink, uint32_
 
 static void header_word(struct cm_config_port *port, struct sink *sink, uint32_t word)
 {
-	if (word == NOP_WORD)
-		return;
 	if (word >> 29 == 1) {
 		type1_header(port, sink, word);
 	} else if (word == 0) {
@@ -229,6 +227,20 @@ static void header_word(struct cm_config_port *port, struct sink *sink, uint32_t
 	} else {
 		fault(port, sink, CM_FAULT_TYPE, word);
 	}
+}
+
+/* NOPs come in hundreds: all that are here, or else the one packet header. */
+static size_t header_words(struct cm_config_port *port, struct sink *sink, const uint8_t *words,
+			   size_t count, int swapped)
+{
+	size_t nops = 0;
+
+	while (nops < count && load(words + 4 * nops, swapped) == NOP_WORD)
+		nops++;
+	if (nops > 0)
+		return nops;
+	header_word(port, sink, load(words, swapped));
+	return 1;
 }
 
 static void type2_word(struct cm_config_port *port, struct sink *sink, uint32_t word)
@@ -447,8 +459,7 @@ static size_t step(struct cm_config_port *port, struct sink *sink, const uint8_t
 		unsynced_word(port, sink, load(words, swapped));
 		return 1;
 	case STATE_HEADER:
-		header_word(port, sink, load(words, swapped));
-		return 1;
+		return header_words(port, sink, words, count, swapped);
 	case STATE_TYPE2:
 		type2_word(port, sink, load(words, swapped));
 		return 1;

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 
@@ -85,6 +86,11 @@ def inspect(source: Source) -> Report:
 
 def inspect_image(image: Image, data: memoryview) -> Report:
     """`inspect` for a file that is open already; `data` is the whole file."""
+    return replace(analyse(image), length=len(data), sha256=hashlib.sha256(data).hexdigest())
+
+
+def analyse(image: Image) -> Report:
+    """Everything but the hash of the file and its length."""
     events, phase = _events(image)
     is_write = (events["kind"] == native.FRAMES) | (events["kind"] == native.MULTI)
     writes = events[is_write]
@@ -94,7 +100,6 @@ def inspect_image(image: Image, data: memoryview) -> Report:
     device, idcode, family = _identify(image, rules)
     rules.problems += _check_frames(rules, events, writes, family)
     looks_partial = not rules.registers & {Register.TIMER, Register.WBSTAR}
-    compressed = bool((writes["kind"] == native.MULTI).any())
     return Report(
         container=image.container,
         header=image.header,
@@ -108,8 +113,8 @@ def inspect_image(image: Image, data: memoryview) -> Report:
         crc=rules.crc,
         footprint=frames.footprint(writes, family) if family else (),
         encrypted=rules.encrypted,
-        compressed=compressed,
-        length=len(data),
-        sha256=hashlib.sha256(data).hexdigest(),
+        compressed=bool((writes["kind"] == native.MULTI).any()),
+        length=len(image.stream),
+        sha256="",
         problems=tuple(rules.problems),
     )
