@@ -32,19 +32,32 @@ class Structure:
     def __init__(self, schema: dict[str, Any]) -> None:
         self._schema = schema
         self._normal: dict[str, Any] = normal_form(schema)
-        self._validate: Callable[[Any], Any] | None = None
+        self._good: Callable[[Any], Any] | None = None
+        self._explain: Callable[[Any], Any] | None = None
 
     def fit(self, root: Node, report: Report) -> Node:
         """`root` in normal form, without what is unknown; everything odd about keys is reported."""
         return _Walk(self._normal, report).node(root, self._normal, ())
 
     def values(self, root: Node) -> list[Finding]:
-        """What is wrong with the values of a tree in normal form."""
-        if self._validate is None:
-            import fastjsonschema
+        """What is wrong with the values of a tree in normal form.
 
-            self._validate = fastjsonschema.compile(_for_values(self._normal))
-        return findings(plain(root), self._validate)
+        Two validators: one that is compiled quickly says whether anything is wrong; fastjsonschema
+        (2.16 at least) gives the path of an error only where no ``$ref`` lies on it, so that what is
+        wrong is found by a second, without any, which takes longer to compile.
+        """
+        import fastjsonschema
+
+        data = plain(root)
+        if self._good is None:
+            self._good = fastjsonschema.compile(_for_values(self._normal))
+        try:
+            self._good(data)
+        except fastjsonschema.JsonSchemaValueException:
+            if self._explain is None:
+                self._explain = fastjsonschema.compile(_without_references(_for_values(self._normal)))
+            return findings(data, self._explain)
+        return []
 
 
 def load_structure() -> Structure:
@@ -78,6 +91,32 @@ def _for_values(schema: Any) -> Any:
     return {key: _for_values(value) for key, value in keep.items()}
 
 
+def _without_references(schema: dict[str, Any]) -> dict[str, Any]:
+    """`schema`, which is not recursive, with every definition in place of the ``$ref`` to it."""
+
+    def inline(part: Any) -> Any:
+        if isinstance(part, list):
+            return [inline(item) for item in part]
+        if not isinstance(part, dict):
+            return part
+        if "$ref" in part:
+            return inline(_follow(schema, part))
+        return {key: inline(value) for key, value in part.items() if key != "definitions"}
+
+    whole: dict[str, Any] = inline(schema)
+    return whole
+
+
+def _follow(root: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
+    """The definition that ``$ref`` names."""
+    while "$ref" in schema:
+        steps = schema["$ref"].removeprefix("#/").split("/")
+        schema = root
+        for step in steps:
+            schema = schema[step]
+    return schema
+
+
 class _Walk:
     def __init__(self, root: dict[str, Any], report: Report) -> None:
         self._root, self._report = root, report
@@ -93,11 +132,7 @@ class _Walk:
     def _resolve(self, schema: dict[str, Any]) -> dict[str, Any]:
         """Follow ``$ref``; what a choice was made from stays beside it."""
         short = schema.get("short", [])
-        while "$ref" in schema:
-            steps = schema["$ref"].removeprefix("#/").split("/")
-            schema = self._root
-            for step in steps:
-                schema = schema[step] if step in schema else schema["properties"][step]
+        schema = _follow(self._root, schema)
         return schema | {"short": short} if short else schema
 
     def _object(self, node: Node, shape: dict[str, Any], path: KeyPath) -> Node:

@@ -80,11 +80,15 @@ def _finding(path: KeyPath, error: Any) -> Finding:
         choices = ", ".join(map(str, wanted))
         return Finding(path, code, f"{_found(value)} is not one of {choices}", _near(value, wanted, about))
     if rule in _RANGES:
-        return Finding(path, "value_range", f"{value} is out of range", f"{_limit(rule, wanted)}; {about}")
+        return Finding(path, "value_range", f"{value} is out of range", _joined(_limit(rule, wanted), about))
     if rule in ("minItems", "maxItems"):
         limit = f"at {'least' if rule == 'minItems' else 'most'} {wanted} items"
-        return Finding(path, "bad_value", f"{len(value)} items", f"{limit}; {about}")
+        return Finding(path, "bad_value", f"{len(value)} items", _joined(limit, about))
     return Finding(path, "bad_value", f"{_found(value)} does not fit", about)
+
+
+def _joined(*parts: str) -> str:
+    return "; ".join(part for part in parts if part)
 
 
 def _near(value: object, wanted: list[Any], about: str) -> str:
