@@ -28,11 +28,13 @@ static inline struct timespec cm_clock_timespec(int64_t timeout_ns)
 	return limit;
 }
 
-/* The moment a relative timeout ends, INT64_MAX if never. */
+/* The moment a relative timeout ends, now if it is over, INT64_MAX if never. */
 static inline int64_t cm_clock_deadline(int64_t timeout_ns)
 {
 	int64_t now = cm_clock_ns();
 
+	if (timeout_ns <= 0)
+		return now;
 	return timeout_ns > INT64_MAX - now ? INT64_MAX : now + timeout_ns;
 }
 

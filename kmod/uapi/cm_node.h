@@ -15,7 +15,11 @@
  * request is a struct cm_node_request and the ioctl's structure; where an
  * ioctl takes a file descriptor it travels as SCM_RIGHTS, and so does one
  * that it returns.  The reply's structure is that of the ioctl, as filled in.
- * The connection's end is close().
+ * The connection's end is close().  The client shuts down its writing side and
+ * waits until the server has closed its own, so a server first releases what
+ * the file held and then closes: as with a driver's release(), the node can be
+ * opened again when close() returns.  An attribute's client does not wait, and
+ * its server may leave out the event socket.
  */
 #ifndef _UAPI_CM_NODE_H
 #define _UAPI_CM_NODE_H
