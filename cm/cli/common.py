@@ -24,6 +24,7 @@ def add_connection_options(parser: argparse.ArgumentParser) -> None:
         help="folder of the manager's sockets (default: /run/cm, or $XDG_RUNTIME_DIR/cm)",
     )
     choice.add_argument("--connect", metavar="ENDPOINT", help="a manager elsewhere, such as tcp://kria.local")
+    group.add_argument("--keys", type=Path, metavar="FILE", help="this client's key file, for TCP with keys")
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from cm.client.address import Keys, load_keys, resolve
 from cm.client.calls import Call
 from cm.client.frame import Frame, frame_of
 from cm.client.lease import BoardLease
-from cm.client.link import Link, Socket, prepare
+from cm.client.link import STREAM_HWM, Link, Socket, prepare
 from cm.errors import Timeout
 from cm.messages.requests import DataConfig
 from cm.messages.status import (
@@ -33,7 +33,6 @@ from cm.wire import topics
 from cm.wire.encode import decode_event, decode_reply, encode_request
 
 _T = TypeVar("_T")
-_STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
 
 
 def connect(
@@ -228,10 +227,14 @@ class Registers(MutableMapping[str, int]):
         raise TypeError("a register cannot be deleted")
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.info)
+        """Names of all that can be read now."""
+        return iter(self.read())
 
     def __len__(self) -> int:
-        return len(self.info)
+        return len(self.read())
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name.partition(".")[0] in self.info
 
     @property
     def info(self) -> dict[str, RegisterInfo]:
@@ -303,7 +306,7 @@ class Stream:
         if self._socket is None:
             self._board.ask(calls.data_config(DataConfig(self.name)))  # raises for an unknown stream
             self._socket = self._board.subscribe()
-            self._socket.setsockopt(zmq.RCVHWM, _STREAM_HWM)
+            self._socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
             self._socket.setsockopt(zmq.SUBSCRIBE, topics.STREAM_PREFIX + self.name.encode())
         return self._socket
 

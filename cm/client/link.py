@@ -7,7 +7,7 @@ import itertools
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
@@ -18,7 +18,12 @@ from cm.client.errors import ConnectionLost, NoAnswer
 Socket = zmq.Socket[bytes]
 
 
-def prepare(socket: Socket, keys: Keys | None) -> Socket:
+STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
+
+_AnySocket = TypeVar("_AnySocket", bound=zmq.Socket[Any])
+
+
+def prepare(socket: _AnySocket, keys: Keys | None) -> _AnySocket:
     """Options that every client socket has."""
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.IPV6, 1)

@@ -76,14 +76,17 @@ class BoardDevices:
         return AxiDma.open(channel, self._root)
 
     def forget(self) -> None:
-        """Close UIO handles and ports; the next use opens them anew."""
+        """Close UIO handles; the next use opens them anew."""
         with self._lock:
-            for handle in (*self._uios.values(), *self._icaps.values()):
+            for handle in self._uios.values():
                 handle.close()
             self._uios.clear()
             self._windows.clear()
-            self._icaps.clear()
 
-    def close(self) -> None:
-        """Close everything."""
+    def lost(self) -> None:
+        """Close everything; the next use opens it anew."""
         self.forget()
+        with self._lock:
+            for handle in self._icaps.values():
+                handle.close()
+            self._icaps.clear()

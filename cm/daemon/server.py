@@ -25,6 +25,7 @@ from cm.daemon.provision import Provisioner
 from cm.daemon.publisher import Publisher
 from cm.daemon.sockets import FolderLock, Security, Sockets
 from cm.daemon.streams import Streams
+from cm.daemon.zap import Doorkeeper
 from cm.device import Root
 from cm.errors import CmError, InvalidRequest
 from cm.manager.manager import Environment, Manager, Settings
@@ -79,6 +80,7 @@ class Server:
         self._holders = Holders(self._loop, self._manager.leases)
         self._handlers = Handlers(self._services())
         self._statuses: deque[Status] = deque()
+        self._doorkeeper: Doorkeeper | None = None
         self._boot_id = ""
         self._last_logged = ""
 
@@ -125,8 +127,12 @@ class Server:
 
     def _bind(self) -> None:
         self._sockets.bind_ipc()
+        security = self._options.security
+        if security is not None:
+            self._doorkeeper = Doorkeeper(self._context, security.clients)
+            self._loop.add(self._doorkeeper.socket, self._doorkeeper.answer)
         for address in self._options.listen:
-            bound = self._sockets.bind_tcp(address, self._options.security)
+            bound = self._sockets.bind_tcp(address, security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
         self._loop.add(self._sockets.pub, self._publisher.subscription)
         self._loop.add(self._sockets.sub, self._on_sub)
@@ -150,9 +156,11 @@ class Server:
         self._interrupts.close()
         self._holders.close()
         self._aside.shutdown()
-        self._devices.close()
+        self._devices.lost()
         self._store.close()
         self._sockets.close()
+        if self._doorkeeper is not None:
+            self._doorkeeper.close()
         self._context.term()
         self._loop.close()
         self._lock.release()

@@ -48,10 +48,11 @@ class FolderLock:
 
 @dataclass(frozen=True, slots=True)
 class Security:
-    """CURVE keys of the server (Z85), for TCP; None: plain."""
+    """CURVE keys of the server, and of the clients that it lets in (Z85, 40 characters)."""
 
     public_key: bytes
     secret_key: bytes
+    clients: frozenset[bytes]
 
 
 class Sockets:
@@ -90,6 +91,7 @@ class Sockets:
         bound = []
         for socket, endpoint in zip(self.all, (wanted.pub, wanted.sub, wanted.req), strict=True):
             if security is not None:
+                socket.setsockopt_string(zmq.ZAP_DOMAIN, "cm")
                 socket.curve_server = True
                 socket.curve_publickey = security.public_key
                 socket.curve_secretkey = security.secret_key

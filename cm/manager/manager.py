@@ -124,8 +124,8 @@ class Manager:
 
     def board_restarted(self) -> None:
         """The board was started anew: nothing that is recorded is true any more. Raises DeviceError."""
-        self.registers.forget()
         self._loaders.forget()
+        self.registers.forget(lost=True)
         self.reconcile()
 
     def stop(self) -> None:
@@ -342,7 +342,7 @@ class Manager:
         return f" ({self.state.mode}); modes {', '.join(modes)} have it" if modes else ""
 
     def _readable(self, visible: Mapping[str, Register]) -> list[tuple[Register, None]]:
-        return [(r, None) for r in visible.values() if r.access is not Access.WO and r.region not in self._locked]
+        return [(r, None) for r in visible.values() if r.access is not Access.WO and self._is_free(r)]
 
     def _read(self, register: Register, field: str | None) -> RegValue:
         self._check_free(register)
@@ -358,15 +358,16 @@ class Manager:
         shown = written if register.access is not Access.RW else self.registers.read(register)
         return value_of(register, shown)
 
-    def _check_free(self, register: Register) -> None:
+    def _is_free(self, register: Register) -> bool:
         if register.region is None:
-            return
-        phase = self.state.region(register.region).phase
-        if register.region in self._locked or phase is not RegionPhase.READY:
-            raise RegionBusy(
-                f"register {register.name!r} lies in region {register.region}, which is "
-                + ("being reconfigured" if register.region in self._locked else phase.value)
-            )
+            return True
+        return register.region not in self._locked and self.state.region(register.region).phase is RegionPhase.READY
+
+    def _check_free(self, register: Register) -> None:
+        if not self._is_free(register):
+            locked = register.region in self._locked
+            how = "being reconfigured" if locked else self.state.region(register.region or "").phase.value
+            raise RegionBusy(f"register {register.name!r} lies in region {register.region}, which is {how}")
 
     def _check_leases(self, registers: list[Register], lease: str) -> None:
         scopes = {f"registers:{r.name}" for r in registers} | {f"region:{r.region}" for r in registers if r.region}
@@ -404,8 +405,8 @@ class Manager:
     def board_lost(self, error: Exception) -> None:
         """The board does not answer any more: nothing is known of it."""
         with self._access:
-            self.registers.forget()
             self._loaders.forget()
+            self.registers.forget(lost=True)
             self._failed = True
             self._error = ErrorInfo("device_gone", f"the board does not answer: {error}")
         self._env.observer.status_changed()

@@ -42,7 +42,10 @@ class Devices(Protocol):
         """The device-tree overlays."""
 
     def forget(self) -> None:
-        """Close handles: devices may have come or gone (overlay changed, board lost)."""
+        """Close register windows: UIO devices may have come or gone with an overlay."""
+
+    def lost(self) -> None:
+        """Close everything: the board is gone, or is another one now."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,10 +88,13 @@ class RegisterAccess:
         self._devices = devices
         self._lock = threading.Lock()
 
-    def forget(self) -> None:
-        """Close the devices' handles: they may have come or gone."""
+    def forget(self, lost: bool = False) -> None:
+        """Close register windows, which may have come or gone; with `lost` all devices."""
         with self._lock:
-            self._devices.forget()
+            if lost:
+                self._devices.lost()
+            else:
+                self._devices.forget()
 
     def read(self, register: Register) -> int:
         """The register's value. Raises AccessDenied for a write-only one, DeviceError."""

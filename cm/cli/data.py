@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm data STREAM …``: configure a data channel."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from cm.cli.client import connected, plain
+from cm.cli.common import add_connection_options, add_json_option, print_json
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser("data", help="configure the data channels")
+    parser.add_argument("stream", metavar="STREAM")
+    parser.add_argument("--shape", type=_shape, metavar="480x640", help="of one frame")
+    parser.add_argument("--dtype", metavar="TYPE", help="a numpy dtype, such as uint8")
+    parser.add_argument("--slots", type=int, metavar="N", help="buffers in the ring")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="hand on so many frames a second at most")
+    parser.add_argument("--start", dest="enable", action="store_const", const=True, help="run it, listened to or not")
+    parser.add_argument("--stop", dest="enable", action="store_const", const=False, help="stop it for all")
+    parser.add_argument("--force", action="store_true", help="although it is in use")
+    add_connection_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def _shape(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no shape such as 480x640 or 480x640x3") from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """Configure, and print what it is then; the exit status."""
+    wanted: dict[str, Any] = {n: getattr(args, n) for n in ("shape", "dtype", "slots", "rate", "enable", "force")}
+    with connected(args) as board:
+        state = board.configure_stream(args.stream, **{n: v for n, v in wanted.items() if v is not None})
+    if args.json:
+        print_json(plain(state))
+    else:
+        shape = "x".join(map(str, state.shape)) or "as it comes"
+        print(f"{state.name}: {state.direction} {shape} {state.dtype}, {state.slots} slots, {_open(state.open)}")
+    return 0
+
+
+def _open(is_open: bool) -> str:
+    return "open" if is_open else "closed"

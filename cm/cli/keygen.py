@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm keygen server|client``: keys for connections over TCP."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from cm.cli.keys import read_key_file, write_key_file
+from cm.errors import InvalidRequest
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "keygen",
+        help="make keys for connections over TCP",
+        description="Make CURVE keys. The folder holds server.key for 'cm serve --keys', and for each client a "
+        "NAME.key to take along and, in clients/, the NAME.pub by which the server knows it.",
+    )
+    parser.add_argument("folder", metavar="DIR", type=Path)
+    parser.add_argument("client", metavar="CLIENT", nargs="*", default=[], help="names of clients to make keys for")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write key files; the exit status."""
+    import zmq
+
+    if not zmq.has("curve"):
+        raise InvalidRequest("this ZeroMQ library was built without CURVE; keys cannot be made")
+    (args.folder / "clients").mkdir(mode=0o700, parents=True, exist_ok=True)
+    server = args.folder / "server.key"
+    if not server.exists():
+        public, secret = zmq.curve_keypair()
+        write_key_file(server, {"public": public, "secret": secret}, "server: keep it on the board")
+        print(f"{server}: for cm serve --keys")
+    server_public = read_key_file(server)["public"]
+    for name in args.client:
+        public, secret = zmq.curve_keypair()
+        path = args.folder / f"{name}.key"
+        keys = {"server-public": server_public, "public": public, "secret": secret}
+        write_key_file(path, keys, f"client {name}: for cm.connect(keys=...)")
+        write_key_file(args.folder / "clients" / f"{name}.pub", {"public": public}, f"client {name}")
+        print(f"{path}: for the client; cm.connect('tcp://...', keys='{path.name}')")
+    return 0

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm load CONFIG [MODE]`` and ``cm mode MODE``: go to a mode, with a progress bar."""
+
+from __future__ import annotations
+
+import argparse
+
+from cm.cli.client import connected
+from cm.cli.common import Progress, add_connection_options, add_json_option, print_json
+from cm.client.board import Board
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser("load", help="load a configuration")
+    parser.add_argument("config", metavar="CONFIG")
+    parser.add_argument("mode", metavar="MODE", nargs="?", default="", help="default: the configuration's default mode")
+    add_options(parser)
+    parser.set_defaults(run=run)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add what `load` and `mode` share."""
+    add_connection_options(parser)
+    add_json_option(parser)
+    parser.add_argument("--force", action="store_true", help="load again what is loaded already")
+    parser.add_argument("--no-wait", action="store_true", help="do not wait for the end")
+    parser.add_argument("--no-queue", action="store_true", help="fail rather than wait for a running change")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Go there; the exit status."""
+    with connected(args) as board:
+        return go(board, args, args.config, args.mode)
+
+
+def go(board: Board, args: argparse.Namespace, config: str, mode: str) -> int:
+    """Ask for the mode and tell how it went."""
+    if args.no_wait:
+        change = board.load_async(config, mode, queue=not args.no_queue, force=args.force)
+        _tell(args, {"change": change.number, "done": False}, f"change {change.number} is under way")
+        return 0
+    with Progress(f"{config}/{mode}" if config else mode) as progress:
+        seconds = board.load(
+            config,
+            mode,
+            progress=lambda p: progress.update(p.fraction, f"{p.step} {p.subject}"),
+            queue=not args.no_queue,
+            force=args.force,
+        )
+    status = board.status
+    told = {"config_name": status.config_name, "mode": status.mode, "seconds": seconds, "done": True}
+    _tell(args, told, f"{status.config_name}/{status.mode} after {seconds * 1000:.1f} ms")
+    return 0
+
+
+def _tell(args: argparse.Namespace, value: dict[str, object], text: str) -> None:
+    if args.json:
+        print_json(value)
+    else:
+        print(text)

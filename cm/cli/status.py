@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm status``: what is loaded and what goes on."""
+
+from __future__ import annotations
+
+import argparse
+
+from cm.cli.client import connected, plain
+from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.messages.status import Status
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser("status", help="show what is loaded and what goes on")
+    add_connection_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the status; the exit status."""
+    with connected(args) as board:
+        status = board.status
+    if args.json:
+        print_json(plain(status))
+    else:
+        show(status)
+    return 0
+
+
+def show(status: Status) -> None:
+    """Print a status for people."""
+    loaded = f"{status.config_name}/{status.mode}" if status.config_name else "nothing loaded"
+    print(f"{loaded}   {headline(status)}")
+    if status.last_error:
+        print(f"last error: {status.last_error.code}: {status.last_error.message}")
+    if status.regions:
+        print()
+        print_table([(r.name, r.module or "-", r.state) for r in status.regions], ("REGION", "MODULE", "STATE"))
+    if status.streams:
+        print()
+        rows = [
+            (
+                s.name,
+                s.direction,
+                "x".join(map(str, s.shape)) or "-",
+                s.dtype,
+                _flow(s.open, s.rate),
+                s.frames,
+                s.dropped,
+            )
+            for s in status.streams
+        ]
+        print_table(rows, ("STREAM", "DIRECTION", "SHAPE", "DTYPE", "FLOW", "FRAMES", "DROPPED"))
+
+
+def headline(status: Status) -> str:
+    """What goes on, in a few words."""
+    if status.progress:
+        p = status.progress
+        return f"{status.pr_mode.value}: {p.target_config}/{p.target_mode}, {p.step} {p.subject} ({p.fraction:.0%})"
+    return status.pr_mode.value
+
+
+def _flow(is_open: bool, rate: float) -> str:
+    return f"{rate:.1f}/s" if is_open else "closed"

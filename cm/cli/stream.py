@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm stream list|capture|play|ping``: data streams."""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from cm.cli.client import connected, plain
+from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.errors import InvalidRequest
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser("stream", help="list, capture and play data streams")
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    listing = actions.add_parser("list", help="the streams of the current mode")
+    listing.set_defaults(run=run_list)
+    capture = actions.add_parser("capture", help="write frames to a .npy file, or to PNG files")
+    capture.add_argument("stream", metavar="STREAM")
+    capture.add_argument("file", metavar="FILE", type=Path, help="NAME.npy, or NAME.png (numbered if several)")
+    capture.add_argument("--count", type=int, default=1, metavar="N", help="so many frames")
+    capture.set_defaults(run=run_capture)
+    play = actions.add_parser("play", help="send the frames of a .npy file to the hardware")
+    play.add_argument("stream", metavar="STREAM")
+    play.add_argument("file", metavar="FILE.npy", type=Path, help="one frame, or frames along the first axis")
+    play.set_defaults(run=run_play)
+    ping = actions.add_parser("ping", help="measure how long frames take from completion to here")
+    ping.add_argument("stream", metavar="STREAM")
+    ping.add_argument("--count", type=int, default=20, metavar="N", help="so many frames")
+    ping.set_defaults(run=run_ping)
+    for action in (listing, capture, play, ping):
+        add_connection_options(action)
+        add_json_option(action)
+
+
+def run_list(args: argparse.Namespace) -> int:
+    """Print the streams; the exit status."""
+    with connected(args) as board:
+        streams = board.status.streams
+    if args.json:
+        print_json([plain(s) for s in streams])
+        return 0
+    rows = [(s.name, s.channel, s.direction, "x".join(map(str, s.shape)) or "-", s.dtype, s.slots) for s in streams]
+    print_table(rows, ("NAME", "CHANNEL", "DIRECTION", "SHAPE", "DTYPE", "SLOTS"))
+    return 0
+
+
+def run_capture(args: argparse.Namespace) -> int:
+    """Write frames to files; the exit status."""
+    with connected(args) as board, board.stream(args.stream) as stream:
+        frames = [(frame.copy(), frame.sequence) for frame in islice(stream, args.count)]
+    arrays = [array for array, _ in frames]
+    if args.file.suffix == ".npy":
+        files = [args.file]
+        np.save(args.file, arrays[0] if args.count == 1 else np.stack(arrays))
+    elif args.file.suffix == ".png":
+        files = _numbered(args.file, args.count)
+        for path, array in zip(files, arrays, strict=True):
+            _write_png(path, array)
+    else:
+        raise InvalidRequest(f"{args.file}: frames are written as .npy or .png")
+    told = {"files": [str(f) for f in files], "sequences": [n for _, n in frames], "shape": arrays[0].shape}
+    if args.json:
+        print_json(told)
+    else:
+        print(f"{len(frames)} frames of {arrays[0].shape} {arrays[0].dtype} in {', '.join(map(str, files))}")
+    return 0
+
+
+def _numbered(path: Path, count: int) -> list[Path]:
+    if count == 1:
+        return [path]
+    return [path.with_name(f"{path.stem}-{i:04d}{path.suffix}") for i in range(count)]
+
+
+def _write_png(path: Path, array: np.ndarray) -> None:
+    try:
+        from PIL import Image
+    except ModuleNotFoundError:
+        raise InvalidRequest("PNG files need Pillow: pip install 'fpga-cm[demo]', or write a .npy file") from None
+    Image.fromarray(array).save(path)
+
+
+def run_play(args: argparse.Namespace) -> int:
+    """Send frames; the exit status."""
+    try:
+        data = np.load(args.file, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise InvalidRequest(f"{args.file} cannot be read as .npy: {error}") from error
+    with connected(args) as board:
+        shape = next((s.shape for s in board.status.streams if s.name == args.stream), ())
+        frames = data if data.ndim == len(shape) + 1 else data[np.newaxis]
+        for frame in frames:
+            board.write(args.stream, frame)
+    told = {"frames": len(frames), "bytes": int(data.nbytes)}
+    if args.json:
+        print_json(told)
+    else:
+        print(f"{len(frames)} frames, {data.nbytes} bytes sent to {args.stream}")
+    return 0
+
+
+def run_ping(args: argparse.Namespace) -> int:
+    """Print the time from a frame's completion to this process (both on one machine); the exit status."""
+    times = []
+    with connected(args) as board, board.stream(args.stream) as stream:
+        for frame in islice(stream, args.count):
+            times.append((time.monotonic_ns() - frame.timestamp_ns) / 1000)
+    told = {"frames": len(times), "median_us": statistics.median(times), "max_us": max(times), "min_us": min(times)}
+    if args.json:
+        print_json(told)
+    else:
+        print(
+            f"{len(times)} frames: median {told['median_us']:.0f} us, "
+            f"min {told['min_us']:.0f} us, max {told['max_us']:.0f} us from completion to here"
+        )
+    return 0

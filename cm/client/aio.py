@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The asyncio client: `connect()` gives a `Board` whose methods are those of `cm.client.board`, awaited.
+
+async with cm.aio.connect() as board:
+    await board.load("camera", mode="default")
+    await board.registers.write({"focus": 2})
+    async for frame in board.stream("camera"):
+        ...
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+import zmq
+import zmq.asyncio
+
+from cm.client import calls
+from cm.client.address import Keys, load_keys, resolve
+from cm.client.calls import Call
+from cm.client.errors import NoAnswer
+from cm.client.frame import Frame, frame_of
+from cm.client.link import STREAM_HWM, prepare
+from cm.errors import Timeout
+from cm.messages.requests import DataConfig, TakeLease
+from cm.messages.status import ConfigInfo, FrameInfo, Irq, LeaseInfo, PlanInfo, Progress, Status, StreamStatus
+from cm.wire import topics
+from cm.wire.encode import decode_event, decode_reply, encode_request
+
+_T = TypeVar("_T")
+
+
+def connect(
+    endpoint: str | None = None,
+    *,
+    runtime_dir: str | os.PathLike[str] | None = None,
+    timeout: float = 5.0,
+    keys: str | os.PathLike[str] | Keys | None = None,
+) -> Board:
+    """A board, to be entered with ``async with``; arguments and errors as in `cm.connect`."""
+    return Board(endpoint, runtime_dir=runtime_dir, timeout=timeout, keys=keys)
+
+
+class Board:
+    """A board behind a configuration manager. One event loop; several requests may be under way."""
+
+    def __init__(
+        self,
+        endpoint: str | None = None,
+        *,
+        runtime_dir: str | os.PathLike[str] | None = None,
+        timeout: float = 5.0,
+        keys: str | os.PathLike[str] | Keys | None = None,
+    ) -> None:
+        self._endpoints = resolve(endpoint, runtime_dir)
+        self._keys = keys if keys is None or isinstance(keys, Keys) else load_keys(keys)
+        self._timeout = timeout
+        self._context = zmq.asyncio.Context()
+        self._numbers = itertools.count(1)
+        self._pending: dict[bytes, asyncio.Future[list[bytes]]] = {}
+        self._socket: zmq.asyncio.Socket | None = None
+        self._reader: asyncio.Task[None] | None = None
+        self.registers = Registers(self)
+        self.interrupts = Interrupts(self)
+
+    async def __aenter__(self) -> Board:
+        self._socket = self._context.socket(zmq.DEALER)
+        prepare(self._socket, self._keys)
+        self._socket.connect(self._endpoints.req)
+        self._reader = asyncio.create_task(self._read())
+        try:
+            await self.status()
+        except BaseException:
+            await self.close()
+            raise
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Disconnect; twice is fine."""
+        if self._reader is not None:
+            self._reader.cancel()
+            await asyncio.gather(self._reader, return_exceptions=True)
+            self._reader = None
+        self._context.destroy(linger=0)
+
+    async def _read(self) -> None:
+        assert self._socket is not None
+        while True:
+            frames = await self._socket.recv_multipart()
+            waiting = self._pending.pop(frames[0], None)
+            if waiting is not None and not waiting.done():
+                waiting.set_result(frames[2:])
+
+    async def ask(self, call: Call[_T], timeout: float | None = 0.0) -> _T:
+        """Make a call. `timeout` in seconds; None waits for ever, 0 as long as `connect` said."""
+        assert self._socket is not None, "enter the board first: async with cm.aio.connect() as board"
+        number = b"%d" % next(self._numbers)
+        waiting: asyncio.Future[list[bytes]] = asyncio.get_running_loop().create_future()
+        self._pending[number] = waiting
+        limit = self._timeout if timeout == 0.0 else timeout
+        try:
+            await self._socket.send_multipart([number, b"", *encode_request(call.request)])
+            frames = await asyncio.wait_for(waiting, limit)
+        except asyncio.TimeoutError:
+            where = self._endpoints.req
+            raise NoAnswer(f"no answer from a configuration manager at {where} within {limit:g} s") from None
+        finally:
+            self._pending.pop(number, None)
+        return call.result(decode_reply(frames))
+
+    def subscribe(self, *names: bytes) -> zmq.asyncio.Socket:
+        """A SUB socket on topics; the caller closes it."""
+        socket = self._context.socket(zmq.SUB)
+        prepare(socket, self._keys)
+        for name in names:
+            socket.setsockopt(zmq.SUBSCRIBE, name)
+        socket.connect(self._endpoints.pub)
+        return socket
+
+    async def status(self) -> Status:
+        """The state of the PL now."""
+        return await self.ask(calls.status())
+
+    async def watch(self, timeout: float | None = None) -> AsyncIterator[Status]:
+        """Every status from now on, the current one first."""
+        socket = self.subscribe(topics.STATUS)
+        try:
+            while True:
+                yield await _next_event(socket, timeout, Status)
+        finally:
+            socket.close()
+
+    async def configs(self) -> tuple[str, ...]:
+        """Names of the configurations that can be loaded."""
+        return await self.ask(calls.config_names())
+
+    async def config(self, name: str = "") -> ConfigInfo:
+        """A configuration; the loaded one's if no name is given."""
+        return await self.ask(calls.describe(name))
+
+    async def load(
+        self,
+        config: str = "",
+        mode: str = "",
+        *,
+        progress: Callable[[Progress], None] | None = None,
+        timeout: float | None = None,
+        queue: bool = True,
+        force: bool = False,
+        lease: str = "",
+    ) -> float:
+        """Go to a mode and wait until the board is there; returns the seconds it took."""
+        call = calls.load(config, mode, wait=True, queue=queue, force=force, lease=lease)
+        teller = asyncio.create_task(self._tell(progress)) if progress else None
+        try:
+            return (await self.ask(call, timeout)).seconds
+        finally:
+            if teller is not None:
+                teller.cancel()
+                await asyncio.gather(teller, return_exceptions=True)
+
+    async def _tell(self, progress: Callable[[Progress], None]) -> None:
+        async for status in self.watch():
+            if status.progress is not None:
+                progress(status.progress)
+
+    async def set_mode(self, mode: str) -> float:
+        """Go to a mode of the loaded configuration."""
+        return await self.load(mode=mode)
+
+    async def cancel(self) -> None:
+        """Cancel the running change before its next load; the board goes back."""
+        await self.ask(calls.cancel())
+
+    async def plan(self, mode: str = "", config: str = "") -> PlanInfo:
+        """What going to a mode would do; touches nothing."""
+        return await self.ask(calls.plan(mode, config), timeout=30.0)
+
+    async def provision(self, schema: str | os.PathLike[str], *files: str | os.PathLike[str]) -> ConfigInfo:
+        """Send a schema file with the bitstreams and overlays that belong to it."""
+        return await self.ask(calls.provision(Path(schema), tuple(map(Path, files)), ""), timeout=60.0)
+
+    async def take_lease(self, scope: str = "board", *, exclusive: bool = True, seconds: float = 30.0) -> LeaseInfo:
+        """Hold part of the board for some seconds; give it back with `return_lease`."""
+        pid = os.getpid() if self._endpoints.req.startswith("ipc://") else 0
+        return await self.ask(calls.lease(TakeLease(scope, exclusive, seconds, holder=f"pid {os.getpid()}", pid=pid)))
+
+    async def return_lease(self, lease: LeaseInfo) -> None:
+        """Give a lease back."""
+        await self.ask(calls.lease(TakeLease(lease.scope, id=lease.id, release=True)))
+
+    async def read(self, stream: str = "", timeout: float = 1.0) -> Frame:
+        """The next frame of a stream."""
+        return await self.ask(calls.read_data(stream, timeout), timeout=timeout + self._timeout)
+
+    async def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
+        """Send an array or bytes to the hardware; returns when it has taken them."""
+        return await self.ask(calls.write_data(stream, data, lease), timeout=self._timeout + 5.0)
+
+    async def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
+        """Set properties of a stream (`cm.messages.requests.DataConfig`)."""
+        return await self.ask(calls.data_config(DataConfig(stream, **settings)))
+
+    async def stream(self, name: str, timeout: float | None = 5.0) -> AsyncIterator[Frame]:
+        """The frames of a stream; frames lost to slowness show in `sequence`."""
+        await self.configure_stream(name)  # raises for an unknown stream
+        socket = self.subscribe()
+        socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
+        socket.setsockopt(zmq.SUBSCRIBE, topics.STREAM_PREFIX + name.encode())
+        try:
+            while True:
+                frames = await _receive(socket, timeout)
+                info = decode_event(frames)
+                assert isinstance(info, FrameInfo)
+                yield frame_of(info, frames[2])
+        finally:
+            socket.close()
+
+
+class Registers:
+    """Registers and fields of the current mode by name."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    async def read(self, *names: str) -> dict[str, int]:
+        """Values by name; all that can be read if none is named."""
+        return {v.name: v.value for v in (await self._board.ask(calls.read_registers(names))).values}
+
+    async def write(self, values: dict[str, int], lease: str = "") -> dict[str, int]:
+        """Several in order, all checked before the first is written; returns what they hold then."""
+        return {v.name: v.value for v in (await self._board.ask(calls.write_registers(values, lease))).values}
+
+    async def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:
+        """Only the bits in `mask`; returns the register's value."""
+        return (await self._board.ask(calls.write_masked(name, value, mask, lease))).values[0].value
+
+
+class Interrupts:
+    """Interrupts of the loaded configuration by name."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    async def count(self, name: str) -> int:
+        """How often one came since the configuration was loaded."""
+        return (await self._board.ask(calls.interrupt(name))).count
+
+    async def wait(self, name: str, timeout: float | None = None) -> Irq:
+        """Wait for the next one. Raises Timeout."""
+        events = self.events(name, timeout)
+        try:
+            return await events.__anext__()
+        finally:
+            await events.aclose()
+
+    async def events(self, name: str, timeout: float | None = None) -> AsyncGenerator[Irq, None]:
+        """Each one from now on."""
+        socket = self._board.subscribe(topics.IRQ)
+        try:
+            start = await self.count(name)
+            while True:
+                irq = await _next_event(socket, timeout, Irq)
+                if irq.name == name and irq.count > start:
+                    yield irq
+        finally:
+            socket.close()
+
+
+async def _receive(socket: zmq.asyncio.Socket, timeout: float | None) -> list[bytes]:
+    try:
+        return await asyncio.wait_for(socket.recv_multipart(), timeout)
+    except asyncio.TimeoutError:
+        raise Timeout(f"nothing came within {timeout:g} s") from None
+
+
+async def _next_event(socket: zmq.asyncio.Socket, timeout: float | None, kind: type[_T]) -> _T:
+    while True:
+        event = decode_event(await _receive(socket, timeout))
+        if isinstance(event, kind):
+            return event
