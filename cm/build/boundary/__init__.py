@@ -3,3 +3,10 @@
 
 boundary(modules) -> Boundary
 """
+
+from __future__ import annotations
+
+from cm.build.boundary.make import boundary
+from cm.build.boundary.model import Adaptation, Boundary, BoundaryPort, Connection, Fit, Role
+
+__all__ = ["Adaptation", "Boundary", "BoundaryPort", "Connection", "Fit", "Role", "boundary"]

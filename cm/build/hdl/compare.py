@@ -17,6 +17,9 @@ class Difference:
     name: str
     message: str
 
+    def __str__(self) -> str:
+        return self.message
+
 
 def compare(extracted: ModuleInfo, ipxact: ModuleInfo) -> list[Difference]:
     """All differences, of bus interfaces first; interfaces are matched by the ports they share, not by name.

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 _COMMENT = re.compile(r"\"(?:[^\"\n]|\"\")*\"|'.'|--[^\n]*|/\*.*?\*/", re.DOTALL)
 _UNIT = re.compile(
-    r"(?:^|;)[ \t]*(?P<kind>entity|architecture|package|configuration|context)\s+(?P<body>body\s+)?(?P<name>\w+|\\[^\\\n]+\\)\s+"
+    r"(?:^|;)[ \t]*(?P<kind>entity|architecture|package|configuration|context)\s+(?P<body>body\s+)?"
+    r"(?P<name>\w+|\\[^\\\n]+\\)\s+"
     r"(?:of\s+(?:\w+\.)*(?P<of>\w+|\\[^\\\n]+\\)\s+)?is\b",
     re.IGNORECASE | re.MULTILINE,
 )

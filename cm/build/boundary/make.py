@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`boundary`: the union of what a region's modules need, widths reconciled, and each module's way to fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import MappingProxyType
+
+from cm.build.boundary.buses import Fitting, bus_interface, bus_ports, fit_bus
+from cm.build.boundary.loose import (
+    Clocks,
+    Single,
+    clock_ports,
+    fit_clocks,
+    fit_single,
+    make_clocks,
+    make_interrupts,
+    make_signals,
+)
+from cm.build.boundary.model import Adaptation, Boundary, BoundaryPort
+from cm.build.boundary.slots import Names, Slot, make_slots
+from cm.build.hdl.model import Interface, ModuleInfo, Polarity
+
+_NO_NAMES: Names = MappingProxyType({})
+
+
+def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES) -> Boundary:
+    """The boundary that all `modules` of a region share; the order of modules is that of the result.
+
+    `names` says for (module, interface) which interface of the boundary it is, where names and kinds
+    do not tell. Modules that cannot be fitted are in the result with the reasons in `refused`;
+    they do not keep the others from being fitted. Two modules of one name are one module.
+    """
+    modules = list({module.name: module for module in modules}.values())
+    slots = make_slots(modules, names)
+    clocks = make_clocks(modules)
+    ports = clock_ports(clocks)
+    for slot in slots.slots:
+        ports.extend(bus_ports(slot, modules))
+    interrupts = make_interrupts(modules)
+    signals, refused = make_signals(modules, [*(port.name for port in ports), *(item.name for item in interrupts)])
+    singles = [*interrupts, *signals]
+    ports.extend(single.port() for single in singles)
+    fittings = {module.name: Fitting() for module in modules}
+    for module in modules:
+        fitting = fittings[module.name]
+        fitting.refused.extend(str(problem) for problem in module.problems if problem.fatal)
+        fitting.refused.extend(refused.get(module.name, ()))
+        fitting.refused.extend(slots.refused.get(module.name, ()))
+        fitting.notes.extend(slots.notes.get(module.name, ()))
+        _fit(module, fitting, clocks, slots.slots, ports, singles)
+    interfaces = tuple(_interface(slot, ports, clocks, fittings) for slot in slots.slots)
+    return Boundary(tuple(ports), interfaces, tuple(_adaptation(name, item) for name, item in fittings.items()))
+
+
+def _fit(
+    module: ModuleInfo,
+    fitting: Fitting,
+    clocks: Clocks,
+    slots: Sequence[Slot],
+    ports: Sequence[BoundaryPort],
+    singles: Sequence[Single],
+) -> None:
+    fit_clocks(clocks, module, fitting)
+    for slot in slots:
+        fit_bus(slot, ports, module, fitting)
+    for single in singles:
+        fit_single(single, module, fitting)
+
+
+def _interface(slot: Slot, ports: Sequence[BoundaryPort], clocks: Clocks, fittings: dict[str, Fitting]) -> Interface:
+    """The slot's clock is the first module's; a module that runs it on another is refused."""
+    clock: str | None = None
+    owner = ""
+    for module, interface in slot.members.items():
+        mine = clocks.of.get((module, interface.clock or ""))
+        if mine is None and len(clocks.names) == 1:
+            mine = clocks.names[0]
+        if mine is None:
+            if interface.protocol.startswith("axi"):
+                fittings[module].refused.append(f"the clock of {interface.name} is not known")
+        elif clock is None:
+            clock, owner = mine, module
+        elif mine != clock:
+            text = f"{interface.name} runs on {mine}, but the {slot.name} of {owner} on {clock}: it needs a crossing"
+            fittings[module].refused.append(text)
+    found = bus_interface(slot, ports, clock, clocks.reset(clock) if clock else None)
+    return replace(found, reset_polarity=Polarity.LOW if clock else None)
+
+
+def _adaptation(module: str, fitting: Fitting) -> Adaptation:
+    refused = tuple(dict.fromkeys(fitting.refused))
+    return Adaptation(module, tuple(fitting.connections), tuple(dict.fromkeys(fitting.notes)), refused)
