@@ -27,7 +27,7 @@ _FAULTS = """faults (TARGET, VALUE):
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    from cm.sim.main import add_arguments
+    from cm.sim.arguments import add_arguments
 
     parser = subparsers.add_parser(
         "sim",

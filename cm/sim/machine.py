@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from cm.schema.model import Direction
 
 from . import uio
+from .arguments import PCAP_RATE
 from .board import BoardSpec
 from .buffers import Memory
 from .bus import Bus
@@ -27,7 +28,7 @@ from .icap_node import IcapNode
 from .interrupts import Interrupts
 from .links import CameraLink, Datapath, Link, LoopLink, SinkLink
 from .loop import Loop
-from .manager import PCAP_RATE, FpgaManager
+from .manager import FpgaManager
 from .models import Models
 from .overlays import Overlays
 from .root import Root

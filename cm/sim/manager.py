@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .arguments import PCAP_RATE
 from .attributes import AttributeNode
 from .errors import NodeError
 from .faults import Faults
@@ -19,7 +20,6 @@ BASE = "sys/class/fpga_manager/fpga0"
 NAME = "Xilinx Zynq FPGA Manager"
 PARTIAL = 1  # FPGA_MGR_PARTIAL_RECONFIG
 SYNC_SWAPPED = b"\x66\x55\x99\xaa"
-PCAP_RATE = 145e6  # bytes per second that the kernel's driver reaches through PCAP
 
 
 class FpgaManager:

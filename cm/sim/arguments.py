@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The options of ``cm sim``, apart from what they need when it runs."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+PCAP_RATE = 145e6  # bytes per second that the kernel's driver reaches through PCAP
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options of ``cm sim`` and ``python -m cm.sim``."""
+    add = parser.add_argument
+    add("--root", type=Path, help="folder to serve (default: a fresh one in memory)")
+    add("--config", type=Path, action="append", default=[], metavar="PATH",
+        help="runtime schema, or folder of them; may be repeated (default: the shipped camera example)")  # fmt: skip
+    add("--images", type=Path, metavar="DIR", help="pictures for the camera (default: three photographs)")
+    add("--hold", type=int, default=150, metavar="FRAMES", help="frames for which a picture stays; 0: for ever")
+    add("--rate", type=float, metavar="FPS", help="frames per second of every camera; 0: as fast as they are taken")
+    add("--icap-rate", type=float, metavar="BYTES", help="bytes per second of ICAP (default: the device's); 0: at once")
+    add("--pcap-rate", type=float, default=PCAP_RATE, metavar="BYTES", help="bytes per second of the fpga_manager")
+    add("--memory", type=int, default=512, metavar="MIB", help="DMA memory of the board")
+    add(
+        "--bitstream-size", type=int, metavar="BYTES", help="frame data in assembled bitstreams (default: the region's)"
+    )
+    add("--seed", type=int, default=1, help="of the garbage")
+    add("--models", action="append", default=[], metavar="MODULE", help="module or .py file with a mapping MODELS")
+    add("--linger", type=float, metavar="SECONDS",
+        help="end when the parent has died and no client was connected for so long")  # fmt: skip
+    add("--ready-fd", type=int, metavar="N", help="descriptor for the ready line (default: standard output)")
