@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from cm.build.hdl.buses import Protocol, axi_flavour
-from cm.build.hdl.model import FoundBy, Interface, Mode, Port, PortDirection
+from cm.build.hdl.model import FoundBy, Interface, Mode, Port
 
-_OTHER = {PortDirection.IN: PortDirection.OUT, PortDirection.OUT: PortDirection.IN}
+_TITLES = {"aximm": "AXI", "axis": "AXI4-Stream"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +23,7 @@ class Verdict:
 
 def judge(name: str, protocol: Protocol, ports: Mapping[str, Port], *, trusted: bool = False) -> Verdict:
     """Whether these ports are one bus of the protocol; `trusted`: the designer said so, so parts may be missing."""
-    what = f"looks like the {protocol.name} bus {name}"
+    what = f"looks like the {_TITLES.get(protocol.name, protocol.name)} bus {name}"
     if wide := _wide(protocol, ports):
         return Verdict(None, f"{what}, but {wide}")
     masters, slaves = _directions(protocol, ports)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -79,7 +80,9 @@ def _value(symbol: Any, text: str) -> int | float | str | None:
     if _STRING.fullmatch(text) and not symbol.isOverridden:
         constant = constant.convertToStr()
     value = constant.value
-    if value is None or isinstance(value, (str, float, int)):
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (str, int)):
         return value
     return _integer(value)
 

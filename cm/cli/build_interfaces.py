@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm build interfaces FILE…``: the bus interfaces, clocks, resets and interrupts of HDL modules."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from cm.build.hdl import (
+    Difference,
+    Interface,
+    ModuleInfo,
+    Problem,
+    compare,
+    load_component_xml,
+    load_protocols,
+    read,
+    roots,
+)
+from cm.cli.common import add_json_option, print_json, print_table
+
+_ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)(?:=(.*))?", re.DOTALL)
+_DESCRIPTION = """\
+Find AXI4, AXI4-Lite, AXI4-Stream and your own protocols, clocks, resets and interrupts in HDL: by Vivado's
+attributes first, then by names. Ports that belong to none of them are told with the reason. Without --top, the
+modules that no other of the files instantiates are shown."""
+
+
+def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "interfaces", help="find the bus interfaces of HDL modules", description=_DESCRIPTION
+    )
+    parser.add_argument(
+        "files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL; component.xml"
+    )
+    parser.add_argument("--top", metavar="NAME", help="this module or entity")
+    parser.add_argument("--all", action="store_true", help="every module of the files")
+    parser.add_argument("-I", "--include", action="append", default=[], type=Path, metavar="DIR", help="include folder")
+    parser.add_argument(
+        "-D", "--define", action="append", default=[], type=_assignment, metavar="NAME[=VALUE]", help="define a macro"
+    )
+    parser.add_argument(
+        "-P", "--parameter", action="append", default=[], type=_parameter, metavar="NAME=VALUE", help="set a parameter"
+    )
+    parser.add_argument("--protocols", type=Path, metavar="FILE", help="your own protocols (YAML)")
+    parser.add_argument("--ipxact", type=Path, metavar="FILE", help="compare with this component.xml")
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def _assignment(text: str) -> tuple[str, str]:
+    match = _ASSIGNMENT.fullmatch(text)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    return match[1], match[2] if match[2] is not None else "1"
+
+
+def _parameter(text: str) -> tuple[str, str]:
+    if "=" not in text:
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE")
+    return _assignment(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what was found; 0 also where something could not be told."""
+    modules, problems = _modules(args)
+    stated = load_component_xml(args.ipxact) if args.ipxact else None
+    differences = {
+        m.name: compare(m, stated) for m in modules if stated and (len(modules) == 1 or m.name == stated.name)
+    }
+    if args.json:
+        found = [as_dict(module, differences.get(module.name)) for module in modules]
+        found[0]["problems"] += [_problem(problem) for problem in problems]
+        print_json(found[0] if len(found) == 1 else found)
+        return 0
+    for module in modules:
+        _print(module, differences.get(module.name))
+    for problem in problems:
+        print(f"warning: {problem}")
+    return 0
+
+
+def _modules(args: argparse.Namespace) -> tuple[list[ModuleInfo], Sequence[Problem]]:
+    components = [load_component_xml(path) for path in args.files if path.suffix.lower() == ".xml"]
+    files = [path for path in args.files if path.suffix.lower() != ".xml"]
+    if not files:
+        return components, ()
+    protocols = load_protocols(args.protocols) if args.protocols else ()
+    reading = read(files, args.top, args.include, dict(args.define), dict(args.parameter), protocols)
+    chosen = list(reading.modules) if args.top or args.all else roots(reading.modules)
+    return chosen + components, reading.problems
+
+
+def as_dict(module: ModuleInfo, differences: Sequence[Difference] | None = None) -> dict[str, Any]:
+    """A module as JSON has it: interfaces, and what was left over."""
+    result: dict[str, Any] = {
+        "module": module.name,
+        "file": module.file,
+        "line": module.line,
+        "language": module.language.value,
+        "parameters": {p.name: p.value for p in module.parameters if not p.local},
+        "interfaces": [_interface(interface) for interface in module.interfaces],
+        "clocks": [
+            {
+                "name": clock.name,
+                "port": clock.port,
+                "direction": clock.direction.value,
+                "frequency_hz": clock.frequency_hz,
+                "interfaces": list(clock.interfaces),
+                "reset": clock.reset,
+            }
+            for clock in module.clocks
+        ],
+        "resets": [
+            {"name": r.name, "port": r.port, "polarity": r.polarity.value if r.polarity else None}
+            for r in module.resets
+        ],
+        "interrupts": [
+            {"name": i.name, "port": i.port, "mode": i.mode.value, "width": i.width, "sensitivity": i.sensitivity}
+            for i in module.interrupts
+        ],
+        "leftover": _leftover(module),
+        "problems": [_problem(problem) for problem in module.problems],
+    }
+    if differences is not None:
+        result["differences"] = [{"kind": d.kind, "name": d.name, "message": d.message} for d in differences]
+    return result
+
+
+def _interface(interface: Interface) -> dict[str, Any]:
+    return {
+        "name": interface.name,
+        "protocol": interface.protocol,
+        "mode": interface.mode.value,
+        "ports": dict(interface.ports),
+        "clock": interface.clock,
+        "reset": interface.reset,
+        "reset_polarity": interface.reset_polarity.value if interface.reset_polarity else None,
+        "data_width": interface.data_width,
+        "addr_width": interface.addr_width,
+        "id_width": interface.id_width,
+        "widths": dict(interface.widths),
+        "found_by": interface.found_by.value,
+    }
+
+
+def _leftover(module: ModuleInfo) -> list[dict[str, Any]]:
+    return [
+        {"name": left.port, "direction": port.direction.value, "width": port.width, "reason": left.reason}
+        for left in module.leftovers
+        for port in [module.port(left.port)]
+    ]
+
+
+def _problem(problem: Problem) -> dict[str, Any]:
+    return {"message": problem.message, "file": problem.file, "line": problem.line, "fatal": problem.fatal}
+
+
+def _print(module: ModuleInfo, differences: Sequence[Difference] | None) -> None:
+    print(f"{module.name} ({module.language.value}, {module.file})\n")
+    _interfaces(module)
+    _section("clocks", (f"{c.port} → {', '.join(c.interfaces) or 'no bus'}" for c in module.clocks))
+    _section("resets", (f"{r.port}, active {r.polarity.value if r.polarity else '?'}" for r in module.resets))
+    _section("interrupts", (f"{i.port} ({'out' if i.mode.value == 'master' else 'in'})" for i in module.interrupts))
+    _print_leftovers(module)
+    _section("problems", map(str, module.problems))
+    if differences is not None:
+        _section("differences to IP-XACT", [str(d) for d in differences] or ["none"])
+    print()
+
+
+def _interfaces(module: ModuleInfo) -> None:
+    if not module.interfaces:
+        print("no bus interface found")
+        return
+    rows = [
+        (i.name, i.protocol, i.mode.value, len(i.ports), i.data_width, i.addr_width, i.clock, i.reset, i.found_by.value)
+        for i in module.interfaces
+    ]
+    print_table(rows, ("interface", "protocol", "mode", "ports", "data", "addr", "clock", "reset", "found by"))
+
+
+def _print_leftovers(module: ModuleInfo) -> None:
+    reasons: dict[str, list[str]] = {}
+    for left in module.leftovers:
+        reasons.setdefault(left.reason, []).append(left.port)
+    lines: list[str] = []
+    for reason, ports in reasons.items():
+        lines += [f"{reason}:", *textwrap.wrap(", ".join(ports), 100, initial_indent="  ", subsequent_indent="  ")]
+    _section("left over", lines)
+
+
+def _section(title: str, lines: Iterable[str]) -> None:
+    found = list(lines)
+    if found:
+        print(f"\n{title}:")
+        for line in found:
+            print(f"  {line}")
