@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from cm.build.errors import BuildError
 from cm.build.hdl.model import Interface, PortDirection
 
-ADDRESS = ("ADDR", "SIZE", "BURST", "LOCK", "CACHE", "PROT", "QOS", "REGION", "USER")
+ADDRESS = ("ADDR", "SIZE", "BURST", "LOCK", "CACHE", "PROT", "QOS", "REGION")
 STREAM = ("TDATA", "TKEEP", "TSTRB", "TID", "TDEST", "TUSER")
 _FROM_SLAVE = ("AWREADY", "WREADY", "BVALID", "BRESP", "BID", "BUSER", "ARREADY", "RVALID", "RDATA", "RRESP", "RLAST")
 FROM_SLAVE = frozenset((*_FROM_SLAVE, "RID", "RUSER", "TREADY"))

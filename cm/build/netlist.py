@@ -48,12 +48,14 @@ class Signal:
     name: str
     width: int = 1
     direction: PortDirection | None = None
+    indexed: bool = False  # a vector even where it has one bit
 
     @property
     def declaration(self) -> str:
         """As in a port list."""
         keyword = _KEYWORD[self.direction] if self.direction else "wire"
-        return " ".join(part for part in (keyword, vector(self.width), self.name) if part)
+        bits = "[0:0]" if self.indexed and self.width == 1 else vector(self.width)
+        return " ".join(part for part in (keyword, bits, self.name) if part)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,7 @@ class Netlist:
 
     name: str
     doc: str = ""
+    black_box: bool = False
     ports: list[Signal] = field(default_factory=list)
     wires: list[Signal] = field(default_factory=list)
     assigns: list[tuple[str, str]] = field(default_factory=list)
@@ -84,10 +87,15 @@ class Netlist:
         self.ports.append(Signal(name, width, direction))
         return name
 
-    def wire(self, name: str, width: int = 1) -> str:
+    def wire(self, name: str, width: int = 1, indexed: bool = False) -> str:
         """Add a wire; returns its name."""
-        self.wires.append(Signal(name, width))
+        self.wires.append(Signal(name, width, None, indexed))
         return name
+
+    @property
+    def open_pins(self) -> bool:
+        """Whether an instance leaves a pin open."""
+        return any(None in instance.connections.values() for instance in self.instances)
 
     def assign(self, left: str, right: str) -> None:
         """Add a continuous assignment."""

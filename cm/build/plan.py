@@ -121,7 +121,7 @@ class _Planner:
             self._interface(spec, interface, boundary, parts)
         lines: list[Line] = []
         for port in boundary.ports:
-            self._single(spec, port, lines, parts)
+            self._single(spec, port, boundary, lines, parts)
         return RegionPlan(
             spec,
             index,
@@ -179,12 +179,14 @@ class _Planner:
             return RegisterBus(interface, self._addresses.wide(name, min(size, 1 << 24)), full=True)
         return RegisterBus(interface, self._addresses.registers(name, size, region.clock))
 
-    def _single(self, region: RegionSpec, port: BoundaryPort, lines: list[Line], parts: _Region) -> None:
+    def _single(
+        self, region: RegionSpec, port: BoundaryPort, boundary: Boundary, lines: list[Line], parts: _Region
+    ) -> None:
         """Ports that belong to no bus."""
         if port.role is Role.INTERRUPT and port.direction is PortDirection.OUT:
             connect = region.interfaces.get(port.name, ConnectionSpec()).connect or "interrupt"
             if connect == "interrupt":
-                lines.extend(self._interrupts(region, port))
+                lines.extend(self._interrupts(region, port, boundary))
                 return
         elif port.role not in (Role.INTERRUPT, Role.SIGNAL) or port.interface:
             return
@@ -192,10 +194,11 @@ class _Planner:
             connect = region.interfaces.get(port.name, ConnectionSpec()).connect or "external"
         (parts.external if connect == "external" else parts.unused).append(port)
 
-    def _interrupts(self, region: RegionSpec, port: BoundaryPort) -> Iterator[Line]:
+    def _interrupts(self, region: RegionSpec, port: BoundaryPort, boundary: Boundary) -> Iterator[Line]:
         several = len(self._project.regions) > 1
+        own = _name_in_modules(port, boundary)
         for index in range(port.width):
-            name = f"{region.name}_{port.name}" if several else port.name
+            name = f"{region.name}_{own}" if several else own
             if port.width > 1:
                 name += f"_{index}"
             # one clock of a module must not be missed, so a rising edge is what counts
@@ -230,6 +233,17 @@ class _Planner:
             region: module if len(self._project.modules[module].regions) == 1 else f"{module}_{region}"
             for region, module in run.items()
         }
+
+
+def _name_in_modules(port: BoundaryPort, boundary: Boundary) -> str:
+    """What the modules call `port` where they agree: the boundary may have given it a plainer name."""
+    names = {
+        connection.module
+        for adaptation in boundary.adaptations
+        for connection in adaptation.connections
+        if connection.boundary == port.name and connection.module
+    }
+    return names.pop() if len(names) == 1 else port.name
 
 
 def dma_width(bits: int) -> int:

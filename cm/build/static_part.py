@@ -62,9 +62,9 @@ def _control(net: Netlist, system: System) -> None:
     domain = system.domains[0]
     count, lines = len(system.regions), len(system.lines)
     for name in ("decouple", "region_reset", "decoupled", "stuck"):
-        net.wire(name, count)
+        net.wire(name, count, indexed=True)
     net.wire("identity", 32 * count)
-    net.wire("irq_lines", max(1, lines))
+    net.wire("irq_lines", max(1, lines), indexed=True)
     if not lines:
         net.assign("irq_lines", "1'b0")
     net.wire("icap_status", 2)
@@ -83,7 +83,7 @@ def _control(net: Netlist, system: System) -> None:
     edges = "".join("1" if line.edge else "0" for line in reversed(system.lines)) or "0"
     parameters = {"REGIONS": count, "IRQS": max(1, lines), "IRQ_EDGE": f"{max(1, lines)}'b{edges}"}
     net.instance("cm_control", "control", connections, parameters, "Control registers")
-    net.unused += [f"{entry.clock}_{signal}" for entry in system.domains for signal in ("awprot", "arprot")]
+    net.unused += [f"{entry.clock}_{signal}" for entry in system.domains for signal in SHARED if signal[0] == "a"]
 
 
 def _icap(net: Netlist, system: System) -> None:

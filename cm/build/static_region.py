@@ -213,8 +213,8 @@ class RegionBuilder:
         groups = {
             "AW": axi.fields(interface, (*axi.ADDRESS, "ID"), "AW"),
             "AR": axi.fields(interface, (*axi.ADDRESS, "LEN", "ID"), "AR"),
-            "B": axi.fields(interface, ("RESP", "ID", "USER"), "B"),
-            "R": axi.fields(interface, ("DATA", "RESP", "ID", "USER"), "R"),
+            "B": axi.fields(interface, ("RESP", "ID"), "B"),
+            "R": axi.fields(interface, ("DATA", "RESP", "ID"), "R"),
         }
         for channel, packed in groups.items():
             lane = f"{channel.lower()}payload"

@@ -19,7 +19,7 @@ IN, OUT = PortDirection.IN, PortDirection.OUT
 
 def black_box(region: RegionPlan) -> Netlist:
     """The region as the static part sees it: ports only."""
-    net = Netlist(region.module, f"Black box of region {region.name}: its modules come as checkpoints.")
+    net = Netlist(region.module, f"Black box of region {region.name}: its modules come as checkpoints.", True)
     _ports(net, region)
     return net
 
@@ -27,7 +27,7 @@ def black_box(region: RegionPlan) -> Netlist:
 def wrapper(implementation: Implementation) -> Netlist:
     """``cm_region_<region>`` around the module; BuildError where it does not fit."""
     module, region = implementation.module, implementation.region
-    adaptation = region.boundary.adaptation(module.top)
+    adaptation = region.boundary.adaptation(module.name)
     if not adaptation.ok:
         raise BuildError(f"{module.name} does not fit region {region.name}: {'; '.join(adaptation.refused)}")
     net = Netlist(region.module, f"Module {module.name} ({module.top}) fitted to the boundary of region {region.name}.")
@@ -41,7 +41,7 @@ def wrapper(implementation: Implementation) -> Netlist:
             _connect(net, connection, pins)
     for interface in absent:
         _refuse(net, region, interface)
-    net.instance(module.top, "module", pins, _parameters(module), f"{module.name}")
+    net.instance(module.top, "inner", pins, _parameters(module), f"{module.name}")
     return net
 
 

@@ -6,7 +6,8 @@
 //   0x008 IRQ_STATUS w1c  bit per interrupt line
 //   0x00C IRQ_ENABLE rw   bit per interrupt line
 //   0x010 IRQ_RAW    ro   bit per interrupt line
-//   0x014 ICAP       ro   [0] last load ended, [1] error
+//   0x014 ICAP       ro   [0] and [2] last load ended, [1] error: DONE and EOS where AXI HWICAP
+//                         (PG134) has them, so that one driver reads either
 //   0x018 ICAP_WORDS ro   words of the running or last load
 // and for region n at 0x100 + 0x10 * n, so that a driver can own one region's register:
 //   +0x0 DECOUPLE    rw   [0] cut the region off
@@ -107,7 +108,7 @@ module cm_control #(
             10'h002: value[IRQS-1:0] = irq_status;
             10'h003: value[IRQS-1:0] = irq_enable;
             10'h004: value[IRQS-1:0] = irq_raw;
-            10'h005: value[1:0] = icap_status;
+            10'h005: value[2:0] = {icap_status[0], icap_status};
             10'h006: value = icap_words;
             default:
                 for (i = 0; i < REGIONS; i = i + 1) begin

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""HDL of a project → interfaces per module and a boundary per region."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from cm.build import hdl
+from cm.build.boundary import boundary
+from cm.build.boundary.model import Boundary
+from cm.build.errors import BuildError
+from cm.build.hdl import UserProtocol
+from cm.build.hdl.model import ModuleInfo
+from cm.build.project import ModuleSpec, Project
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What the HDL says: `modules` by the project's name of the module, `boundaries` by region.
+
+    `differences` are those between extraction and IP-XACT, one sentence each, by module.
+    """
+
+    modules: Mapping[str, ModuleInfo]
+    boundaries: Mapping[str, Boundary]
+    differences: Mapping[str, tuple[str, ...]]
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Why modules do not fit their regions, one sentence each."""
+        return tuple(
+            f"{adaptation.module} in {region}: {sentence}"
+            for region, found in self.boundaries.items()
+            for adaptation in found.adaptations
+            for sentence in adaptation.refused
+        )
+
+
+def analyse(project: Project) -> Analysis:
+    """Parse all modules of `project`; raises the HDL half's errors for files that cannot be read."""
+    protocols = tuple(protocol for path in project.protocols for protocol in hdl.load_protocols(path))
+    modules: dict[str, ModuleInfo] = {}
+    differences: dict[str, tuple[str, ...]] = {}
+    for spec in project.modules.values():
+        modules[spec.name], differences[spec.name] = _module(spec, protocols)
+    # by the project's names: two modules may be one top with different parameters
+    named = {name: replace(info, name=name) for name, info in modules.items()}
+    boundaries = {name: boundary([named[spec.name] for spec in project.modules_of(name)]) for name in project.regions}
+    return Analysis(modules, boundaries, differences)
+
+
+def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:
+    if not spec.readable:
+        if spec.component is None:
+            raise BuildError(f"{spec.name}: nothing tells its interfaces; give sources, sim_sources or component")
+        return hdl.load_component_xml(spec.component), ()
+    found = hdl.extract(
+        spec.readable,
+        top=spec.top,
+        include_dirs=spec.include_dirs,
+        defines=spec.defines,
+        parameters={name: str(value) for name, value in spec.parameters.items()},
+        protocols=protocols,
+    )
+    info = found[0]
+    if spec.component is None:
+        return info, ()
+    return info, tuple(str(difference) for difference in hdl.compare(info, hdl.load_component_xml(spec.component)))

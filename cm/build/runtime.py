@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A system → the runtime schema that the CM loads (`cm.schema.model.Config`)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cm.build.answers import Answers
+from cm.build.errors import BuildError
+from cm.build.project import FieldSpec, ModuleSpec, RegisterSpec
+from cm.build.system import RegionPlan, System
+from cm.schema.model import (
+    Access,
+    BitField,
+    Clock,
+    Config,
+    ConfigType,
+    Decoupler,
+    Direction,
+    Identity,
+    Interrupt,
+    Mode,
+    Module,
+    Overlay,
+    Region,
+    Register,
+    Stream,
+)
+
+REGION_BLOCK = 0x100  # of cm_control.v
+REGION_STRIDE = 0x10
+IDENTITY = 0xC
+IRQ_STATUS, IRQ_ENABLE = 0x08, 0x0C
+
+
+def runtime_config(system: System, answers: Answers = Answers()) -> Config:  # noqa: B008 - frozen
+    """The configuration that `system` is on the target."""
+    project = system.project
+    overlays = (Overlay(f"{project.name}_static"),) if answers.static_overlay else ()
+    return Config(
+        name=project.name,
+        type=ConfigType.PARTIAL,
+        device=system.device,
+        default_mode=answers.default_mode or project.default_mode,
+        regions={region.name: _region(system, region) for region in system.regions},
+        modules=dict(_module(system, module, answers) for module in _targets(system)),
+        modes={mode.name: _mode(system, mode.name) for mode in project.modes.values()},
+        registers=_static_registers(system),
+        overlays=overlays,
+        streams={stream.name: stream for stream in _streams(system, answers)},
+        interrupts={line.name: _interrupt(system, line.name, line.bit) for line in system.lines},
+        clocks={clock.name: Clock(clock.name, clock.rate, clock.doc) for clock in project.clocks.values()},
+        doc=project.doc,
+    )
+
+
+def register_base(region: RegionPlan, module: ModuleSpec) -> int:
+    """Address that the offsets of the module's registers count from."""
+    buses = {bus.interface.name: bus for bus in region.registers}
+    if module.interface is not None:
+        if module.interface not in buses:
+            raise BuildError(
+                f"{module.name}: region {region.name} has no register interface {module.interface!r}; "
+                f"there is {', '.join(buses) or 'none'}"
+            )
+        return buses[module.interface].window.base
+    if len(buses) != 1:
+        raise BuildError(
+            f"{module.name} has registers, and region {region.name} has {len(buses)} register interfaces "
+            f"({', '.join(buses) or 'none'}): write interface: in the module"
+        )
+    return next(iter(buses.values())).window.base
+
+
+def _targets(system: System) -> list[tuple[str, ModuleSpec, RegionPlan, int]]:
+    return [(one.name, one.module, one.region, one.identity) for one in system.implementations]
+
+
+def _region(system: System, region: RegionPlan) -> Region:
+    block = REGION_BLOCK + REGION_STRIDE * region.index
+    decoupler = Decoupler(system.control.base, block) if region.spec.decoupling else None
+    identity = Identity(system.control.base, block + IDENTITY)
+    return Region(name=region.name, loader=region.spec.loader, decoupler=decoupler, identity=identity)
+
+
+def _module(system: System, target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
+    name, module, region, identity = target
+    registers = {}
+    if module.registers:
+        base = register_base(region, module)
+        registers = {
+            key: _register(spec, base, region.name, answers.registers.get((name, key)))
+            for key, spec in module.registers.items()
+        }
+    file = Path(f"{name}.bin")
+    model = module.model or (module.name if module.name != name else None)
+    return name, Module(name, region.name, file, None, identity, model, registers, module.doc)
+
+
+def _register(spec: RegisterSpec, base: int, region: str | None, default: int | None = None) -> Register:
+    return Register(
+        name=spec.name,
+        base_address=base,
+        offset=spec.offset,
+        width=spec.width,
+        access=spec.access,
+        default=spec.default if default is None else default,
+        reset=spec.reset,
+        minimum=spec.minimum,
+        maximum=spec.maximum,
+        fields={key: _field(value) for key, value in spec.fields.items()},
+        region=region,
+        volatile=spec.volatile,
+        doc=spec.doc,
+    )
+
+
+def _field(spec: FieldSpec) -> BitField:
+    return BitField(spec.name, spec.lsb, spec.width, spec.doc, spec.values)
+
+
+def _mode(system: System, name: str) -> Mode:
+    mode = system.project.modes[name]
+    chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
+    registers = {}
+    for one in chosen:
+        for key, value in mode.registers.items():
+            if key in one.module.registers:
+                spec = one.module.registers[key]
+                registers[key] = _register(spec, register_base(one.region, one.module), one.region.name, value)
+    overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
+    return Mode(
+        name=name, modules=tuple(one.name for one in chosen), registers=registers, overlays=overlays, doc=mode.doc
+    )
+
+
+def _static_registers(system: System) -> dict[str, Register]:
+    base = system.control.base
+    found = {
+        "cm_id": Register("cm_id", base, 0, access=Access.RO, doc="0x434D3031: the generated static part"),
+        "cm_shape": Register("cm_shape", base, 4, access=Access.RO, doc="regions, interrupt lines"),
+    }
+    if system.lines:
+        mask = (1 << len(system.lines)) - 1
+        doc = "interrupts that happened, write 1 to clear"
+        status = Register("irq_status", base, IRQ_STATUS, access=Access.W1C, volatile=True, doc=doc)
+        enable = Register("irq_enable", base, IRQ_ENABLE, default=mask, maximum=mask, doc="interrupts that are told")
+        found |= {"irq_status": status, "irq_enable": enable}
+    for name, spec in system.project.static.registers.items():
+        found[name] = _register(spec, 0, None)
+    return found
+
+
+def _streams(system: System, answers: Answers) -> list[Stream]:
+    found = []
+    for region in system.regions:
+        for bus in region.streams:
+            if bus.dma is None:
+                continue
+            own = answers.streams.get(bus.name)
+            shape, dtype, slots = bus.spec.shape, bus.spec.dtype, bus.spec.slots
+            if own is not None:
+                shape, dtype, slots = own.shape or shape, own.dtype or dtype, own.slots or slots
+            direction = Direction(bus.dma.direction.value)
+            found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region.name))
+    return found
+
+
+def _interrupt(system: System, name: str, bit: int) -> Interrupt:
+    return Interrupt(name, system.control.base, status="irq_status", bit=bit, acknowledge=True)
