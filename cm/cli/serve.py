@@ -18,6 +18,7 @@ from cm.errors import CmError, InvalidRequest
 if TYPE_CHECKING:
     from cm.daemon.server import Options, Server
     from cm.daemon.sockets import Security
+    from cm.device import Root
     from cm.schema.model import Config
 
 
@@ -50,6 +51,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--insecure", action="store_true", help="allow TCP beyond this machine without keys")
     parser.add_argument("--prefetch", type=int, default=64, metavar="MIB", help="DMA memory for images held ready")
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
+    parser.add_argument("--sim-hold", type=int, metavar="FRAMES", help="with --sim: frames that a photograph stays")
     parser.add_argument("-v", "--verbose", action="store_true", help="log what goes on")
     parser.set_defaults(run=run)
 
@@ -116,16 +118,13 @@ def _load_configs(paths: list[Path]) -> dict[str, Config]:
     return found
 
 
-def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], stack: ExitStack):  # type: ignore[no-untyped-def]
-    """Start a board below the runtime folder, or take the one over that a killed manager has left there."""
-    from cm.device import Root
-    from cm.sim.process import Board
+def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], stack: ExitStack) -> Root:
+    from cm.cli.simboard import simulated_board
 
-    runtime.mkdir(mode=0o750, parents=True, exist_ok=True)
-    root = Path(args.root) if args.root else runtime / "board"
     arguments = ["--images", str(args.images)] if args.images else []
-    board = stack.enter_context(Board(paths, root=root, arguments=arguments))
-    return Root.of(board.root)
+    arguments += ["--hold", str(args.sim_hold)] if args.sim_hold is not None else []
+    root = Path(args.root) if args.root else runtime / "board"
+    return stack.enter_context(simulated_board(runtime, root, paths, arguments))
 
 
 def _default_state_dir(runtime: Path, sim: bool) -> Path:

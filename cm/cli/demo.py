@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm demo``: the camera demonstration on a simulated board."""
+
+from __future__ import annotations
+
+import argparse
+import time
+from pathlib import Path
+
+from cm.errors import InvalidRequest
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "demo",
+        help="run the camera demonstration on a simulated board",
+        description="Streams photographs through a reconfigurable region, changes its module and registers as it "
+        "goes, and writes a contact sheet of what came out. Needs no hardware and no root.",
+    )
+    parser.add_argument("--images", type=Path, metavar="DIR", help="PNG or JPEG files instead of the shipped ones")
+    parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write to")
+    parser.add_argument("--keep-frames", action="store_true", help="also write the raw frames (frames.npz)")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run it; the exit status."""
+    try:
+        from PIL import Image  # noqa: F401 (asked for before anything is started)
+    except ModuleNotFoundError:
+        raise InvalidRequest("the demo writes a picture with Pillow: pip install 'fpga-cm[demo]'") from None
+    from cm.demo.runner import run_demo
+
+    started = time.monotonic()
+    sheet = run_demo(args.images, args.out, args.keep_frames)
+    print(f"wrote     {sheet} after {time.monotonic() - started:.1f} s")
+    return 0

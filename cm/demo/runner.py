@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starts a simulated board with a manager on it, then the application, and clears everything away."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from cm.errors import CmError, Timeout
+
+_HOLD = 10  # frames for which the camera looks at one photograph
+_START_TIMEOUT = 30.0
+_STOP_TIMEOUT = 15.0
+SHEET = "contact-sheet.png"
+FRAMES = "frames.npz"
+
+
+class DemoFailed(CmError):
+    """A part of the demonstration ended with an error."""
+
+    code = "demo_failed"
+
+
+def run_demo(images: Path | None, out: Path, keep_frames: bool = False) -> Path:
+    """Run all of it; returns the path of the contact sheet. Raises DemoFailed."""
+    from cm.demo.sheet import contact_sheet
+
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="cm-demo-") as folder, _Signals():
+        runtime, frames = Path(folder, "run"), Path(folder, FRAMES)
+        with _manager(runtime, images):
+            _application(runtime, frames)
+        rows = _rows(frames)
+        contact_sheet(rows, out / SHEET)
+        if keep_frames:
+            (out / FRAMES).write_bytes(frames.read_bytes())
+    return out / SHEET
+
+
+class _Signals:
+    """SIGTERM ends the demo as Ctrl-C does, so that it is cleared away too."""
+
+    def __enter__(self) -> None:
+        self._before = signal.signal(signal.SIGTERM, _interrupt)
+
+    def __exit__(self, *_: object) -> None:
+        signal.signal(signal.SIGTERM, self._before)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def _manager(runtime: Path, images: Path | None) -> Iterator[None]:
+    """A manager with its board, in a process group of its own: Ctrl-C reaches it through us, in order."""
+    command = [sys.executable, "-m", "cm.cli.main", "serve", "--sim", "--runtime-dir", str(runtime)]
+    command += ["--sim-hold", str(_HOLD), *(["--images", str(images)] if images else [])]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, env=_environment(), start_new_session=True)
+    try:
+        _await_ready(process)
+        yield
+    finally:
+        _end(process)
+
+
+def _await_ready(process: subprocess.Popen[bytes]) -> None:
+    assert process.stderr is not None
+    said = b""
+    while b"ready at" not in said:
+        ready, _, _ = select.select([process.stderr], [], [], _START_TIMEOUT)
+        piece = os.read(process.stderr.fileno(), 4096) if ready else b""
+        if not piece:
+            raise DemoFailed(f"the configuration manager did not start: {said.decode(errors='replace').strip()}")
+        said += piece
+
+
+def _application(runtime: Path, frames: Path) -> None:
+    command = [sys.executable, "-m", "cm.demo.application", str(runtime), str(frames)]
+    process = subprocess.Popen(command, env=_environment())
+    try:
+        status = process.wait()
+    finally:
+        _end(process)
+    if status != 0:
+        raise DemoFailed(f"the application ended with status {status}")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    if process.poll() is None:
+        process.terminate()
+    try:
+        process.wait(_STOP_TIMEOUT)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        raise Timeout(f"{' '.join(process.args)} did not end and was killed") from None  # type: ignore[arg-type]
+    finally:
+        if process.stderr is not None:
+            process.stderr.close()
+
+
+def _rows(frames: Path) -> dict[str, list[np.ndarray]]:
+    """Label → pictures, from the application's file."""
+    rows: dict[str, list[np.ndarray]] = {}
+    with np.load(frames) as archive:
+        for name in archive.files:
+            label = name.partition(" ")[2].rpartition(" ")[0]
+            rows.setdefault(label, []).append(archive[name])
+    return rows
+
+
+def _environment() -> dict[str, str]:
+    """Ours, with this package importable where it is not installed."""
+    package = str(Path(__file__).resolve().parents[2])
+    paths = [package, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
