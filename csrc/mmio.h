@@ -19,6 +19,8 @@ static inline void cm_mmio_before_write(void)
 	__asm__ volatile("dmb oshst" ::: "memory");
 #elif defined(__arm__) && __ARM_ARCH >= 7
 	__asm__ volatile("dsb st" ::: "memory");
+#elif defined(__x86_64__) || defined(__i386__)
+	__asm__ volatile("" ::: "memory"); /* uncached accesses keep their order */
 #else
 	__atomic_thread_fence(__ATOMIC_SEQ_CST);
 #endif
@@ -30,6 +32,8 @@ static inline void cm_mmio_after_read(void)
 	__asm__ volatile("dmb oshld" ::: "memory");
 #elif defined(__arm__) && __ARM_ARCH >= 7
 	__asm__ volatile("dmb" ::: "memory");
+#elif defined(__x86_64__) || defined(__i386__)
+	__asm__ volatile("" ::: "memory"); /* uncached accesses keep their order */
 #else
 	__atomic_thread_fence(__ATOMIC_SEQ_CST);
 #endif

@@ -36,12 +36,12 @@ struct fake_node {
 
 struct packet {
 	struct cm_node_request header;
-	unsigned char payload[CM_NODE_PAYLOAD_MAX];
+	unsigned char payload[CM_NODE_PAYLOAD_MAX] __attribute__((aligned(8)));
 };
 
 struct answer {
 	struct cm_node_reply header;
-	unsigned char payload[CM_NODE_PAYLOAD_MAX + 16];
+	unsigned char payload[CM_NODE_PAYLOAD_MAX + 16] __attribute__((aligned(8)));
 	int fd;
 };
 
