@@ -133,7 +133,7 @@ def _mode(
         modules=named,
         registers=build_registers(values, Owner(path, default_region(named, modules)), context),
         overlays=_overlays(values),
-        streams=MappingProxyType({**streams, **own}),
+        streams=MappingProxyType({**streams, **own}) if own else streams,
         doc=values.get("doc", ""),
     )
 

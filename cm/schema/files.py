@@ -32,10 +32,17 @@ def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str
     names = list(candidates)
     places = [folder / name for folder in _folders(config, Path(root)) for name in names]
     for place in places:
-        if place.is_file():
+        if _is_file(place):
             return place
     looked = ", ".join(dict.fromkeys(map(str, places)))
     raise FileMissing(f"configuration {config.name}: no file {' or '.join(map(str, names))}; looked for {looked}")
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except PermissionError:  # in a folder that is closed to us: as good as not there
+        return False
 
 
 def bitstream_path(config: Config, module: Module | str | None, root: Path | str = "/") -> Path:

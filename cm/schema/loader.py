@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -21,6 +22,8 @@ from cm.schema.structure import SCHEMA_FILE, Structure, load_structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
 
 MAX_FILE_BYTES = 1 << 20
+MAX_PROBLEMS = 100  # a file with so many is another kind of file
+_CONFIG = re.compile(rb"^[{ ]*[\"']?config[\"']?\s*:", re.MULTILINE)
 SUFFIXES = (".yaml", ".yml")
 
 
@@ -104,11 +107,14 @@ def _bytes(path: Path) -> bytes:
 
 
 def _is_schema(file: Path) -> bool:
-    """Whether `file` has a ``config:``; a file that cannot be read as YAML counts too, so that its error is told."""
+    """Whether `file` has a ``config:``; where it is not good YAML, whether it looks as if it was meant to."""
     try:
-        tree = read(_bytes(file).decode("utf-8-sig"), lambda *_: None)
-    except (Refused, UnicodeDecodeError, SchemaError):
-        return True
+        data = _bytes(file)
+        tree = read(data.decode("utf-8-sig"), lambda *_: None)
+    except SchemaError:
+        return True  # cannot be read: to be told
+    except (Refused, UnicodeDecodeError):
+        return _CONFIG.search(data) is not None
     return isinstance(tree, Table) and "config" in tree.entries
 
 
@@ -157,6 +163,8 @@ class _Loading:
     def _report_at(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
         problem = Problem(self._source, mark.line, mark.column, key_path(path), code, message, hint)
         self._problems.append(problem)
+        if len(self._problems) >= MAX_PROBLEMS:
+            raise self._error()
 
     def _error(self) -> SchemaError:
         return SchemaError(sorted(self._problems, key=lambda problem: (problem.line, problem.column)))

@@ -12,6 +12,8 @@ from typing import ClassVar
 from cm.errors import CmError
 
 KeyPath = tuple[str | int, ...]
+_LONGEST_NAME = 64
+_MOST_NAMES = 40  # that a hint lists
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +55,17 @@ def key_path(path: Iterable[str | int]) -> str:
     """``("config", "mmio", 0, "registers")`` as ``config.mmio[0].registers``."""
     text = ""
     for step in path:
-        text += f"[{step}]" if isinstance(step, int) else f".{step}" if text else step
+        name = step if isinstance(step, int) else step[:_LONGEST_NAME]
+        text += f"[{name}]" if isinstance(name, int) else f".{name}" if text else name
     return text
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """The hint for a name that is not known: the nearest one, or all there are."""
     names = list(known)
-    near = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(word[:_LONGEST_NAME], names, n=1, cutoff=0.6)
     if near:
         return f"did you mean {near[0]}?"
-    return f"known: {', '.join(names)}" if names else "there are none"
+    if not names:
+        return "there are none"
+    return f"known: {', '.join(names[:_MOST_NAMES])}" + (", …" if len(names) > _MOST_NAMES else "")

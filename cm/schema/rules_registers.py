@@ -39,12 +39,15 @@ def _owners(config: Config) -> Iterator[tuple[KeyPath, Mapping[str, Register]]]:
 
 
 def _visible_sets(config: Config) -> Iterator[list[tuple[KeyPath, Mapping[str, Register]]]]:
-    """For each mode, the owners whose registers are visible together in it."""
+    """The configuration's own, and for each mode that has more the owners that are visible together in it."""
     owners = dict(_owners(config))
     top: KeyPath = ("config",)
+    yield [(top, config.registers)]
     for name, mode in config.modes.items():
         modules = [("config", "modules", module) for module in dict.fromkeys(mode.modules) if module in config.modules]
-        yield [(path, owners[path]) for path in (top, *modules, ("config", "modes", name))]
+        more = [(path, owners[path]) for path in (*modules, ("config", "modes", name)) if owners[path]]
+        if more:
+            yield [(top, config.registers), *more]
 
 
 def _check_place(register: Register, path: KeyPath, config: Config, context: Context) -> None:

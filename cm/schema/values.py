@@ -84,6 +84,8 @@ def _finding(path: KeyPath, error: Any) -> Finding:
     if rule in ("minItems", "maxItems"):
         limit = f"at {'least' if rule == 'minItems' else 'most'} {wanted} items"
         return Finding(path, "bad_value", f"{len(value)} items", _joined(limit, about))
+    if rule == "maxProperties":
+        return Finding(path, "too_large", f"{len(value)} entries", _joined(f"at most {wanted}", about))
     return Finding(path, "bad_value", f"{_found(value)} does not fit", about)
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import pytest
@@ -150,3 +151,41 @@ def test_any_structure_is_loaded_or_refused(tree: Any) -> None:
 @given(st.dictionaries(st.sampled_from(sorted(cm.schema.json_schema()["definitions"]["config"]["properties"])), trees))
 def test_any_values_of_known_keys_are_loaded_or_refused(values: Any) -> None:
     outcome(yaml.safe_dump({"config": {"name": "c", "modes": {"default": {}}, **values}}))
+
+
+def many(count: int, entry: str) -> str:
+    return "{" + ", ".join(entry.format(index) for index in range(count)) + "}"
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        many(20_000, "k{}: 1")[1:-1].replace(", ", "\n  "),  # unknown keys
+        "modes: " + many(20_000, "m{}: {{}}") + "\n  streams: " + many(10_000, "s{}: {{direction: tx}}"),
+        "modules: [" + "a, " * 20_000 + "]",
+        "regions: " + many(60, "r{}: {{}}") + "\n  modules: " + many(2000, "a{}: {{region: r1}}"),
+        "mmio: [" + "{base_address: 0, registers: {r: {offset: 0}}}, " * 2000 + "]",
+        "mmio: [{base_address: 0, registers: {r: {offset: 0, fields: " + many(5000, "f{}: {{bits: 0}}") + "}}}]",
+        "default_mode: " + "x" * 900_000,
+        "? " + "x" * 900_000 + "\n  : 1",
+    ],
+    ids=["keys", "modes", "list", "modules", "windows", "fields", "name", "key"],
+)
+def test_a_hostile_file_is_refused_in_bounded_time_with_bounded_output(body: str) -> None:
+    modes = "" if body.startswith("modes") else "  modes: {m: {}}\n"
+    start = time.perf_counter()
+    with pytest.raises(SchemaError) as caught:
+        cm.schema.loads(f"config:\n  name: c\n{modes}  {body}\n")
+    assert len(caught.value.problems) <= 100
+    assert len(str(caught.value)) < 100_000
+    assert time.perf_counter() - start < 10  # 0.1 to 1 s measured
+
+
+def test_a_large_and_good_file_loads_in_bounded_time() -> None:
+    registers = many(4000, "r{0}: {{offset: 0x{0}000}}")
+    modes = many(200, "m{0}: {{mmio: [{{base_address: 0, registers: {{s: {{offset: 4}}}}}}]}}")
+    start = time.perf_counter()
+    mmio = f"[{{base_address: 0, registers: {registers}}}]"
+    config = cm.schema.loads(f"config:\n  name: c\n  mmio: {mmio}\n  modes: {modes}")
+    assert len(config.visible_registers("m1")) == 4001
+    assert time.perf_counter() - start < 20  # 1.5 s measured
