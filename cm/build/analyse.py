@@ -13,6 +13,7 @@ from cm.build.errors import BuildError
 from cm.build.hdl import UserProtocol
 from cm.build.hdl.model import ModuleInfo
 from cm.build.project import ModuleSpec, Project
+from cm.build.register_maps import read_register_map
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,16 @@ class Analysis:
             for adaptation in found.adaptations
             for sentence in adaptation.refused
         )
+
+    def completed(self, project: Project) -> Project:
+        """`project` with the registers of its modules' register maps; what the build schema says goes first."""
+        return replace(project, modules={name: _with_registers(spec) for name, spec in project.modules.items()})
+
+
+def _with_registers(spec: ModuleSpec) -> ModuleSpec:
+    if spec.register_map is None:
+        return spec
+    return replace(spec, registers={**read_register_map(spec.register_map, spec.top), **spec.registers})
 
 
 def analyse(project: Project) -> Analysis:

@@ -19,7 +19,7 @@ class Renderer:
 
     def __init__(self, base: Path, out: Path, banner: str) -> None:
         try:
-            import jinja2  # noqa: PLC0415 - of the extra `build`
+            import jinja2  # of the extra `build`
         except ImportError:
             raise MissingTool("generating files needs Jinja2: pip install 'fpga-cm[build]'") from None
         self._base, self._banner = base, banner
@@ -29,7 +29,7 @@ class Renderer:
             trim_blocks=True,
             lstrip_blocks=True,
             keep_trailing_newline=True,
-            autoescape=False,  # noqa: S701 - Tcl, Verilog and such, escaped by the filters below
+            autoescape=False,  # Tcl, Verilog and such, escaped by the filters below
         )
         self._environment.filters |= {
             "tcl": self._tcl,

@@ -33,7 +33,7 @@ IDENTITY = 0xC
 IRQ_STATUS, IRQ_ENABLE = 0x08, 0x0C
 
 
-def runtime_config(system: System, answers: Answers = Answers()) -> Config:  # noqa: B008 - frozen
+def runtime_config(system: System, answers: Answers) -> Config:
     """The configuration that `system` is on the target."""
     project = system.project
     overlays = (Overlay(f"{project.name}_static"),) if answers.static_overlay else ()
@@ -43,7 +43,7 @@ def runtime_config(system: System, answers: Answers = Answers()) -> Config:  # n
         device=system.device,
         default_mode=answers.default_mode or project.default_mode,
         regions={region.name: _region(system, region) for region in system.regions},
-        modules=dict(_module(system, module, answers) for module in _targets(system)),
+        modules=dict(_module(module, answers) for module in _targets(system)),
         modes={mode.name: _mode(system, mode.name) for mode in project.modes.values()},
         registers=_static_registers(system),
         overlays=overlays,
@@ -83,7 +83,7 @@ def _region(system: System, region: RegionPlan) -> Region:
     return Region(name=region.name, loader=region.spec.loader, decoupler=decoupler, identity=identity)
 
 
-def _module(system: System, target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
+def _module(target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
     name, module, region, identity = target
     registers = {}
     if module.registers:

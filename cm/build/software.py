@@ -15,7 +15,7 @@ from cm.schema.model import Config, LoaderKind, Register
 Entry = tuple[str, str, Mapping[str, Any]]
 
 
-def software_outputs(system: System, answers: Answers = Answers()) -> Iterator[Entry]:  # noqa: B008 - frozen
+def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
     """Path, template and its variables of every file."""
     name = system.project.name
     config = runtime_config(system, answers)

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`cm build generate`: build schema → tree of files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.build.analyse import Analysis, analyse
+from cm.build.answers import Answers, load_answers
+from cm.build.errors import BuildError
+from cm.build.load import load_project
+from cm.build.manifest import Tree, Written
+from cm.build.outputs import render_all
+from cm.build.plan import plan_system
+from cm.build.project import Project
+from cm.build.system import System
+
+OUT = "build"
+ANSWERS = "answers.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """A project with what its HDL says and the system planned round it."""
+
+    project: Project
+    analysis: Analysis
+    system: System
+
+
+def load_design(path: Path | str) -> Design:
+    """Read, parse and plan; `SchemaError`, the HDL half's errors or `BuildError` where that cannot be done."""
+    project = load_project(path)
+    analysis = analyse(project)
+    if analysis.refused:
+        raise BuildError("modules that do not fit their region:\n  " + "\n  ".join(analysis.refused))
+    return Design(project, analysis, plan_system(analysis.completed(project), analysis.boundaries))
+
+
+def output_folder(project: Project, out: Path | str | None) -> Path:
+    """Where generated files go: `out`, else ``build/`` beside the build schema."""
+    return Path(out).absolute() if out is not None else project.folder / OUT
+
+
+def generate(design: Design, out: Path, answers: Answers | None = None) -> Written:
+    """Write everything below `out`; what `cm build configure` was told is taken from there."""
+    if answers is None:
+        answers = load_answers(out / ANSWERS)
+    return Tree(out).write(render_all(design.system, out, answers))

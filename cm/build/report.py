@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `cm build check` says: as data for scripts, as lines for people."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from cm.build.analyse import Analysis
+from cm.build.boundary.model import Adaptation, Boundary, Fit
+from cm.build.hdl.model import ModuleInfo
+from cm.build.project import Project
+from cm.build.system import System
+
+_PLAIN = (Fit.CONNECT,)
+
+
+def as_dict(project: Project, analysis: Analysis, system: System | None) -> dict[str, Any]:
+    """The report for ``--json``."""
+    found: dict[str, Any] = {
+        "project": project.name,
+        "modules": {name: _module(info, analysis.differences[name]) for name, info in analysis.modules.items()},
+        "regions": {name: _region(found) for name, found in analysis.boundaries.items()},
+        "refused": list(analysis.refused),
+    }
+    if system is not None:
+        found["runs"] = [dict(run) for run in system.runs]
+        found["fewest"] = {"runs": len(system.runs), "bound": system.cover.bound, "proved": system.cover.exact}
+        found["notes"] = list(system.notes)
+    return found
+
+
+def _module(info: ModuleInfo, differences: tuple[str, ...]) -> dict[str, Any]:
+    return {
+        "top": info.name,
+        "interfaces": [
+            {"name": i.name, "protocol": i.protocol, "mode": i.mode.value, "ports": dict(i.ports)}
+            for i in info.interfaces
+        ],
+        "interrupts": [interrupt.port for interrupt in info.interrupts],
+        "leftover": {left.port: left.reason for left in info.leftovers},
+        "problems": [str(problem) for problem in info.problems],
+        "differences": list(differences),
+    }
+
+
+def _region(boundary: Boundary) -> dict[str, Any]:
+    return {
+        "ports": {port.name: port.width for port in boundary.ports},
+        "interfaces": {i.name: {"protocol": i.protocol, "mode": i.mode.value} for i in boundary.interfaces},
+        "modules": {
+            a.module: {"fits": a.ok, "adapted": list(adapted(a)), "notes": list(a.notes), "refused": list(a.refused)}
+            for a in boundary.adaptations
+        },
+    }
+
+
+def adapted(adaptation: Adaptation) -> Iterator[str]:
+    """What the wrapper does beyond plain connections, one phrase per port."""
+    for connection in adaptation.connections:
+        if connection.fit in _PLAIN:
+            continue
+        name = connection.module or connection.boundary
+        if connection.fit in (Fit.EXTEND, Fit.TRUNCATE):
+            yield f"{name}: {connection.module_width} to {connection.boundary_width} bits"
+        elif connection.fit is Fit.INVERT:
+            yield f"{name}: inverted"
+        elif connection.fit is Fit.TIE:
+            yield f"{name}: tied to {connection.value}"
+        else:
+            yield f"{name}: open"
+
+
+def lines(project: Project, analysis: Analysis, system: System | None) -> Iterator[str]:
+    """The report for people."""
+    for name, info in analysis.modules.items():
+        yield f"module {name} ({info.name}, {info.language.value})"
+        for interface in info.interfaces:
+            width = f", {interface.data_width} bits" if interface.data_width else ""
+            yield f"  {interface.name}: {interface.protocol} {interface.mode.value}{width}"
+        for interrupt in info.interrupts:
+            yield f"  {interrupt.port}: interrupt"
+        for left in info.leftovers:
+            yield f"  {left.port}: left over, {left.reason}"
+        for problem in info.problems:
+            yield f"  problem: {problem}"
+        for difference in analysis.differences[name]:
+            yield f"  differs from {project.modules[name].component}: {difference}"
+    for region, boundary in analysis.boundaries.items():
+        yield from _region_lines(region, boundary)
+    if system is not None:
+        yield f"{system.cover}"
+        for number, run in enumerate(system.runs, 1):
+            yield f"  run_{number}: " + ", ".join(f"{region}: {module}" for region, module in run.items())
+        for note in system.notes:
+            yield f"note: {note}"
+
+
+def _region_lines(region: str, boundary: Boundary) -> Iterator[str]:
+    bits = sum(port.width for port in boundary.ports)
+    yield f"region {region}: {len(boundary.ports)} ports, {bits} bits"
+    for interface in boundary.interfaces:
+        yield f"  {interface.name}: {interface.protocol} {interface.mode.value}"
+    for adaptation in boundary.adaptations:
+        phrases = list(adapted(adaptation))
+        how = "refused" if not adaptation.ok else "adapted: " + "; ".join(phrases) if phrases else "fits as it is"
+        yield f"  {adaptation.module}: {how}"
+        for sentence in adaptation.refused:
+            yield f"    {sentence}"
+        for note in adaptation.notes:
+            yield f"    {note}"
