@@ -57,6 +57,14 @@ class Control:
         """Empty all regions and reset all registers, as power-up does."""
         self._order("reset")
 
+    def adopt(self) -> None:
+        """Make this process the owner of a simulator whose owner has died.
+
+        Raises:
+            SimError: its owner is alive, or it has none, or nobody serves the root.
+        """
+        self._order("adopt", pid=os.getpid())
+
     def state(self) -> dict[str, Any]:
         """Modules, decoupling, channels, buffers, connections and waiting faults."""
         state: dict[str, Any] = json.loads(self._call(protocol.OP_ATTR_READ, b""))

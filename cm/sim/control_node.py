@@ -33,6 +33,7 @@ class ControlNode:
             "step": self._step,
             "resume": self._resume,
             "reset": self._reset,
+            "adopt": self._adopt,
         }
 
     def serve(self) -> None:
@@ -76,6 +77,11 @@ class ControlNode:
     def _reset(self, order: Order) -> None:  # noqa: ARG002 - an order like the others
         self._machine.fabric.reset()
         self._machine.kick()
+
+    def _adopt(self, order: Order) -> None:
+        if self._machine.parent is None:
+            raise NodeError(errno.EBUSY, "this simulator was started by hand, and ends by hand")
+        self._machine.parent.replace(int(order["pid"]))
 
     def _camera(self, order: Order) -> CameraLink:
         link = self._machine.links.get(str(order["channel"]))

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import os
+import sys
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cm.schema.model import Direction
+from cm.schema.model import Direction, LoaderKind
 
 from . import uio
 from .arguments import PCAP_RATE
@@ -31,6 +32,7 @@ from .loop import Loop
 from .manager import FpgaManager
 from .models import Models
 from .overlays import Overlays
+from .parent import Parent
 from .root import Root
 from .server import Server
 
@@ -57,6 +59,7 @@ class Machine:
     def __init__(self, loop: Loop, root: Root, spec: BoardSpec, models: Models, options: Options) -> None:
         self.loop, self.root, self.spec, self.options = loop, root, spec, options
         self.models = models
+        self.parent: Parent | None = None  # if the board ends with its owner
         self.server = Server(loop)
         self.faults = Faults()
         self.fabric = Fabric(spec, options.seed)
@@ -81,7 +84,8 @@ class Machine:
             self.server.listen(self.root.bind(f"dev/uio{index}"), node)
         for name, dma_node in self.dma_nodes.items():
             self.server.listen(self.root.bind(f"dev/cm_dma/{name}"), dma_node)
-        self.server.listen(self.root.bind("dev/cm_icap0"), self.icap_node)
+        for name in _icap_names(self.spec):
+            self.server.listen(self.root.bind(f"dev/{name}"), self.icap_node)
         self.manager.serve(self.server)
         self.overlays.serve(self.server)
         ControlNode(self).serve()
@@ -99,6 +103,7 @@ class Machine:
         """What the board holds now, for tests and people."""
         return {
             "pid": os.getpid(),
+            "arguments": sys.argv[1:],
             "regions": {
                 name: {
                     "module": region.module.name if region.module else None,
@@ -172,3 +177,10 @@ class Machine:
         link = LoopLink(self.loop, self.faults, self.interrupts, path, source, sink)
         source.kick = sink.kick = link.kick
         return {one: link, other: link}
+
+
+def _icap_names(spec: BoardSpec) -> list[str]:
+    """The ports that regions name; all of them lead to the one configuration engine."""
+    regions = [region for config in spec.configs for region in config.regions.values()]
+    named = {r.loader_name for r in regions if r.loader is LoaderKind.ICAP and r.loader_name}
+    return sorted({"cm_icap0", *named})

@@ -8,7 +8,6 @@ import contextlib
 import json
 import logging
 import os
-import select
 import signal
 import socket
 import sys
@@ -25,9 +24,8 @@ from .errors import SimError
 from .loop import Loop
 from .machine import Machine, Options
 from .models import Models
+from .parent import Linger, Parent
 from .root import Root
-
-_LINGER_CHECK = 0.25
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -40,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Serve until a signal or the linger time ends it."""
-    parent = _Parent() if args.linger is not None else None
+    parent = Parent() if args.linger is not None else None
     try:
         configs, models = _configs(args.config), _models(args.models)
         spec, options = BoardSpec.from_configs(configs), _options(args)
@@ -50,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         return 1
     try:
         _serve(args, root, spec, models, options, parent)
-    except CmError as error:
+    except (CmError, OSError) as error:
         print(f"cm sim: {error}", file=sys.stderr)
         return 1
     finally:
@@ -59,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _serve(
-    args: argparse.Namespace, root: Root, spec: BoardSpec, models: Models, options: Options, parent: _Parent | None
+    args: argparse.Namespace, root: Root, spec: BoardSpec, models: Models, options: Options, parent: Parent | None
 ) -> None:
     loop = Loop()
     with contextlib.ExitStack() as stack:
@@ -69,7 +67,8 @@ def _serve(
         stack.callback(machine.close)
         machine.serve()
         if parent is not None:
-            _Linger(loop, machine, parent, args.linger).check()
+            machine.parent = parent
+            Linger(loop, lambda: machine.server.connections, parent, args.linger).check()
         _say_ready(args.ready_fd, root)
         loop.run()
 
@@ -142,38 +141,3 @@ class _Signals:
         signal.set_wakeup_fd(-1)
         self._ours.close()
         self._theirs.close()
-
-
-class _Parent:
-    """Knows whether the process that started us is alive, also if it dies before we look."""
-
-    def __init__(self) -> None:
-        self._pid = os.getppid()
-        try:
-            self._fd = os.pidfd_open(self._pid)
-        except OSError:
-            self._fd = -1
-
-    @property
-    def dead(self) -> bool:
-        """Whether it has ended."""
-        if self._fd < 0 or os.getppid() != self._pid:
-            return True
-        return bool(select.select([self._fd], [], [], 0)[0])
-
-
-class _Linger:
-    """Stops the loop when the parent is dead and nobody was connected for a while."""
-
-    def __init__(self, loop: Loop, machine: Machine, parent: _Parent, seconds: float) -> None:
-        self._loop, self._machine, self._parent = loop, machine, parent
-        self._left = self._seconds = seconds
-
-    def check(self) -> None:
-        """Look now, and again."""
-        idle = self._parent.dead and not self._machine.server.connections
-        self._left = self._left - _LINGER_CHECK if idle else self._seconds
-        if self._left < 0:
-            self._loop.stop()
-        else:
-            self._loop.after(_LINGER_CHECK, self.check)

@@ -24,6 +24,7 @@ class Overlays:
     def __init__(self, root: Root, manager: FpgaManager, faults: Faults) -> None:
         self._root, self._manager, self._faults = root, manager, faults
         self._server: Server | None = None
+        self._targets: dict[str, str] = {}  # target of a firmware overlay → the overlay
         self._folders: dict[str, _Folder] = {}
 
     def serve(self, server: Server) -> None:
@@ -40,7 +41,7 @@ class Overlays:
         if name in self._folders:
             raise NodeError(errno.EEXIST, f"overlay {name} exists")
         assert self._server is not None
-        folder = _Folder(name, self._root, self._manager, self._faults)
+        folder = _Folder(name, self._root, self._manager, self._faults, self._targets)
         folder.listen(self._server)
         self._folders[name] = folder
 
@@ -56,8 +57,9 @@ class Overlays:
 class _Folder:
     """One overlay: ``dtbo`` and ``path`` are sockets, ``status`` is a plain file."""
 
-    def __init__(self, name: str, root: Root, manager: FpgaManager, faults: Faults) -> None:
+    def __init__(self, name: str, root: Root, manager: FpgaManager, faults: Faults, targets: dict[str, str]) -> None:
         self._name, self._root, self._manager, self._faults = name, root, manager, faults
+        self._targets = targets
         self._blob = b""
         self._path = b"\n"
         self.applied = False
@@ -83,6 +85,8 @@ class _Folder:
         for name in ("dtbo", "path", "status"):
             self._root.remove(f"{self._base}/{name}")
         self._root.remove(self._base)
+        for target in [target for target, name in self._targets.items() if name == self._name]:
+            del self._targets[target]
 
     def _write_path(self, data: bytes) -> Later | None:
         name = data.rstrip(b"\n").decode("utf-8", "replace")
@@ -106,27 +110,31 @@ class _Folder:
             tree = unpack(blob)
         except FdtError as error:
             raise NodeError(errno.EINVAL, str(error)) from error
-        contents = [fragment.child("__overlay__") for fragment in tree.children]
-        found = [node for node in contents if node is not None]
+        found = [fragment for fragment in tree.children if fragment.child("__overlay__") is not None]
         if not found:
             raise NodeError(errno.EINVAL, "no fragment has an __overlay__")
         return self._apply(blob, found)
 
-    def _apply(self, blob: bytes, contents: list[FdtNode]) -> Later | None:
-        for node in contents:
-            firmware = node.text("firmware-name")
-            if firmware:
-                return self._load(blob, firmware, "partial-fpga-config" in node.properties)
+    def _apply(self, blob: bytes, fragments: list[FdtNode]) -> Later | None:
+        for fragment in fragments:
+            node = fragment.child("__overlay__")
+            firmware = node.text("firmware-name") if node is not None else None
+            if node is not None and firmware:
+                return self._load(blob, _target(fragment), firmware, "partial-fpga-config" in node.properties)
         self._done(blob)
         return None
 
-    def _load(self, blob: bytes, firmware: str, partial: bool) -> Later:
+    def _load(self, blob: bytes, target: str, firmware: str, partial: bool) -> Later:
+        if target in self._targets:
+            # of_fpga_region_notify_pre_apply: "Region already has overlay applied."
+            raise NodeError(errno.EINVAL, f"{target} has overlay {self._targets[target]} applied")
         self.loading = True
         later = Later()
 
         def finished(result: bytes | NodeError) -> None:
             self.loading = False
             if not isinstance(result, NodeError):
+                self._targets[target] = self._name
                 self._done(blob)
             later.finish(result)
 
@@ -139,3 +147,8 @@ class _Folder:
 
     def _status(self) -> None:
         self._root.write(f"{self._base}/status", "applied\n" if self.applied else "unapplied\n")
+
+
+def _target(fragment: FdtNode) -> str:
+    """What a fragment changes: a path, or the number of a label."""
+    return fragment.text("target-path") or fragment.properties.get("target", b"").hex()

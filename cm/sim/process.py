@@ -19,6 +19,7 @@ from types import TracebackType
 
 from .control import Control
 from .errors import SimError
+from .handle import Adopted, Child, Handle
 from .root import PREFIX, default_parent
 
 LINGER = 5.0
@@ -45,7 +46,7 @@ class Board:
         self._own_root = root is None
         self.root = Path(tempfile.mkdtemp(prefix=PREFIX, dir=default_parent())) if root is None else Path(root)
         self.control = Control(self.root)
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Handle | None = None
 
     @property
     def pid(self) -> int:
@@ -55,38 +56,27 @@ class Board:
     @property
     def alive(self) -> bool:
         """Whether the process runs."""
-        return self._process is not None and self._process.poll() is None
+        return self._process is not None and self._process.alive
 
     def start(self) -> Board:
         """Start the process and wait until its nodes are there.
 
+        If one serves the root whose owner has died, started with the same arguments, it is taken over
+        with all that it holds; one with other arguments is stopped first.
+
         Raises:
             SimError: it ended instead, with what it said, or did not become ready in time.
         """
-        command = [sys.executable, "-m", "cm.sim", "--root", str(self.root), "--linger", str(LINGER)]
-        for path in self._configs:
-            command += ["--config", path]
-        self._process = subprocess.Popen(
-            [*command, *self._arguments], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, env=_environment()
-        )
-        try:
-            self._await_ready(self._process)
-        except BaseException:
-            self.close()
-            raise
+        self._process = self._take_over() or self._spawn()
         return self
 
     def stop(self, timeout: float = 10.0) -> int:
         """End it as SIGTERM does; its exit status."""
-        process = self._running()
-        process.send_signal(signal.SIGTERM)
-        return self._reap(process, timeout)
+        return self._end(signal.SIGTERM, timeout)
 
     def kill(self) -> None:
         """End it as a crash does: nothing is cleaned up, the root stays."""
-        process = self._running()
-        process.kill()
-        self._reap(process, 10.0)
+        self._end(signal.SIGKILL, 10.0)
 
     def restart(self) -> Board:
         """Start it again on the same root."""
@@ -110,17 +100,54 @@ class Board:
     ) -> None:
         self.close()
 
-    def _running(self) -> subprocess.Popen[bytes]:
+    def _running(self) -> Handle:
         if self._process is None:
             raise SimError("the board was not started, or has been stopped")
         return self._process
 
-    def _reap(self, process: subprocess.Popen[bytes], timeout: float) -> int:
+    def _end(self, number: int, timeout: float) -> int:
+        process = self._running()
+        process.send(number)
         status = process.wait(timeout)
-        if process.stdout is not None:
-            process.stdout.close()
         self._process = None
         return status
+
+    @property
+    def _command(self) -> list[str]:
+        options = ["--root", str(self.root), "--linger", str(LINGER)]
+        for path in self._configs:
+            options += ["--config", path]
+        return [*options, *self._arguments]
+
+    def _take_over(self) -> Handle | None:
+        try:
+            self.control.adopt()
+            state = self.control.state()
+            found = Adopted(state["pid"])
+        except (SimError, OSError):
+            return None
+        if state["arguments"] == self._command:
+            return found
+        found.send(signal.SIGTERM)
+        found.wait(self._timeout)
+        return None
+
+    def _spawn(self) -> Handle:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "cm.sim", *self._command],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            env=_environment(),
+        )
+        try:
+            self._await_ready(process)
+        except BaseException:
+            process.kill()
+            Child(process).wait(10.0)
+            if self._own_root:
+                shutil.rmtree(self.root, ignore_errors=True)
+            raise
+        return Child(process)
 
     def _await_ready(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdout is not None

@@ -12,6 +12,7 @@ import array
 import contextlib
 import errno
 import fcntl
+import logging
 import os
 import socket
 import struct
@@ -24,7 +25,9 @@ from .loop import Loop
 
 SIOCOUTQ = 0x5411  # bytes sent and not yet read, linux/sockios.h
 _FDS_MAX = 4
+_log = logging.getLogger(__name__)
 _ANCILLARY = socket.CMSG_LEN(_FDS_MAX * 4)
+_REST = 0.1  # seconds
 _CLOEXEC = int(socket.MSG_CMSG_CLOEXEC)
 _CUT = int(socket.MSG_TRUNC | socket.MSG_CTRUNC)
 
@@ -126,7 +129,6 @@ class Connection:
         self._unsent: tuple[bytes, Sequence[int]] | None = None
         self._events: socket.socket | None = None
         self._session: Session | None = None
-        self._loop.add(sock.fileno(), self._readable)
         self._open(node)
 
     def close(self) -> None:
@@ -145,6 +147,7 @@ class Connection:
     def _open(self, node: Node) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
+        self._loop.add(self._sock.fileno(), self._readable)
         try:
             self._session = node.open(Events(ours, self._server.cost))
         except NodeError as error:
@@ -188,6 +191,9 @@ class Connection:
             answer = self._session.request(op, data[protocol.REQUEST.size :], fds)
         except NodeError as error:
             self._reply(op, error.number)
+        except Exception:  # noqa: BLE001 - one client's request must not end the board
+            _log.exception("request %#x failed", op)
+            self._reply(op, errno.EIO)
         else:
             self._answer(op, answer)
 
@@ -301,12 +307,32 @@ class Server:
         # One at a time: what closed before this client connected has been served by now.
         try:
             sock, _ = listener.accept()
-        except OSError:
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._rest(listener, error)
             return
         sock.setblocking(False)
-        connection = Connection(self, sock, self._listeners[listener])
+        try:
+            connection = Connection(self, sock, self._listeners[listener])
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                sock.send(protocol.REPLY.pack(protocol.OP_OPEN, error.errno or errno.EMFILE, 0, 0))
+            sock.close()
+            self._rest(listener, error)
+            return
         if sock.fileno() >= 0:
             self._connections.add(connection)
+
+    def _rest(self, listener: socket.socket, error: OSError) -> None:
+        """Out of descriptors or memory: the client waits, and we do not spin."""
+        _log.warning("a client could not be served at once: %s", error)
+        self.loop.pause(listener.fileno())
+        self.loop.after(_REST, lambda: self._resume(listener))
+
+    def _resume(self, listener: socket.socket) -> None:
+        if listener in self._listeners:
+            self.loop.resume(listener.fileno())
 
 
 def _received(ancillary: Sequence[tuple[int, int, bytes]]) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -15,6 +15,7 @@ from cm.sim.models import Colorise, Models, default, edge
 GX = ((-1, 0, 1), (-2, 0, 2), (-1, 0, 1))
 GY = ((-1, -2, -1), (0, 0, 0), (1, 2, 1))
 
+QUICK = settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
 pictures = arrays(np.uint8, st.tuples(st.integers(1, 9), st.integers(1, 9)))
 
 
@@ -38,7 +39,7 @@ def sobel(picture: np.ndarray, threshold: int = 0) -> np.ndarray:
 
 
 @given(pictures, st.integers(0, 300))
-@settings(max_examples=60, deadline=None)
+@QUICK
 def test_edge_is_the_sobel_magnitude_saturated_with_zero_borders(picture, threshold):
     assert np.array_equal(edge(picture, {"threshold": threshold}), sobel(picture, threshold))
 
@@ -88,7 +89,7 @@ def test_a_file_without_models_is_refused_with_what_is_missing(tmp_path):
 
 
 @given(pictures, st.integers(1, 4))
-@settings(max_examples=60, deadline=None)
+@QUICK
 def test_blur_is_the_mean_of_the_neighbours_with_repeated_borders(picture, radius):
     height, width = picture.shape
     expected = np.zeros_like(picture)
@@ -119,7 +120,7 @@ def test_focus_one_is_sharp_and_either_side_of_it_is_blurred_alike():
 
 
 @given(pictures, st.tuples(st.integers(1, 12), st.integers(1, 12)))
-@settings(max_examples=60, deadline=None)
+@QUICK
 def test_resize_takes_the_nearest_pixel(picture, shape):
     result = camera.resize(picture, shape)
     for row in range(shape[0]):

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import resource
 import select
 import signal
 import socket
@@ -105,6 +106,25 @@ def test_control_of_a_root_without_a_simulator_says_so(tmp_path):
 # --- clients
 
 
+def connect(root: Path, relative: str) -> socket.socket:
+    """A client that waits to be served."""
+    sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    fd = os.open(root / relative, os.O_PATH)
+    sock.connect(f"/proc/self/fd/{fd}")
+    os.close(fd)
+    return sock
+
+
+def opening(sock: socket.socket) -> int | None:
+    """The errno of its open, or None where there is no answer."""
+    if not select.select([sock], [], [], 0.3)[0]:
+        return None
+    data, fds, _, _ = socket.recv_fds(sock, 100, 1)
+    for fd in fds:
+        os.close(fd)
+    return p.REPLY.unpack(data)[1]
+
+
 def fill(sock: socket.socket, packet: bytes) -> int:
     """Send until nothing more is taken; how many went."""
     sent = 0
@@ -165,6 +185,21 @@ def test_a_client_that_reads_no_interrupts_stalls_nobody(board):
             assert fill(deaf.events, b"\1\0\0\0") >= 0
             uio.write(0x14, 5)
             assert uio.read(0x14) == 5
+
+
+def test_a_board_out_of_descriptors_serves_new_clients_when_others_have_gone(tmp_path):
+    with Board(arguments=FAST) as board:
+        used = len(list(Path(f"/proc/{board.pid}/fd").iterdir()))
+        resource.prlimit(board.pid, resource.RLIMIT_NOFILE, (used + 10, used + 10))
+        clients = [connect(board.root, "dev/uio0") for _ in range(20)]
+        opened = [opening(client) for client in clients]
+        assert opened[0] == 0
+        assert set(opened) - {0}
+        assert set(opened) <= {0, errno.EMFILE, None}
+        for client in clients:
+            client.close()
+        with Uio(board.root, "dev/uio0") as uio:
+            assert uio.read(0x14) == 0
 
 
 def test_other_nodes_answer_while_a_bitstream_is_loaded(tmp_path):
@@ -240,3 +275,45 @@ def test_a_board_ends_when_its_parent_has_died_and_nobody_uses_it(tmp_path):
         uio.write(0x14, 1)
         assert uio.read(0x14) == 1
     assert until(lambda: not root.exists())
+
+
+STARTER = """
+import sys
+sys.path.insert(0, {repository!r})
+from cm.sim import Board
+Board(root={root!r}, arguments={arguments!r}).start()
+print("started", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def orphaned(tmp_path):
+    """A root whose board has lost its owner; the module `edge` runs on it."""
+    root = tmp_path / "root"
+    script = STARTER.format(repository=str(REPOSITORY), root=str(root), arguments=FAST)
+    owner = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert owner.stdout.readline() == b"started\n"
+    with pytest.raises(SimError, match="busy"):
+        Control(root).adopt()
+    with Icap(root, "dev/cm_icap0") as icap:
+        assert icap.load(to_dma_words(root / "lib/firmware/cm/camera/edge.bit")) == (0, 0)
+    owner.kill()
+    owner.communicate()
+    return root
+
+
+def test_a_board_whose_owner_was_killed_is_taken_over_with_what_it_holds(orphaned):
+    pid = Control(orphaned).state()["pid"]
+    with Board(root=orphaned, arguments=FAST) as board:
+        assert board.pid == pid
+        assert board.alive
+        assert board.control.state()["regions"]["prr0"]["module"] == "edge"
+    assert not orphaned.exists()
+
+
+def test_an_orphaned_board_with_other_arguments_is_replaced(orphaned):
+    pid = Control(orphaned).state()["pid"]
+    with Board(root=orphaned, arguments=["--hold", "7"]) as board:
+        assert board.pid != pid
+        assert board.control.state()["regions"]["prr0"]["module"] is None
