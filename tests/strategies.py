@@ -78,7 +78,7 @@ def registers(draw: st.DrawFn, name: str, base: int, offset: int, region: str | 
         offset=offset,
         width=width,
         access=access,
-        default=draw(maybe(st.just(default))) if access is not Access.RO else None,
+        default=draw(maybe(st.just(default))) if access in (Access.RW, Access.WO) else None,
         reset=draw(maybe(st.integers(0, (1 << width) - 1))),
         minimum=draw(maybe(st.just(low))),
         maximum=draw(maybe(st.just(high))),

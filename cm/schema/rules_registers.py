@@ -70,8 +70,9 @@ def _check_values(register: Register, path: KeyPath, context: Context) -> None:
         context.report((*path, "min"), "value_range", f"min {low} is above max {high}", "min is the smaller one")
     if register.default is None:
         return
-    if register.access is Access.RO:
-        message = "the default of a read-only register cannot be written"
+    if register.access in (Access.RO, Access.W1C):
+        kind = "read-only" if register.access is Access.RO else "write-one-to-clear"
+        message = f"a {kind} register has no value to be written when a mode is entered"
         context.report((*path, "default"), "not_applicable", message, "reset says what it reads after loading")
     elif (low is not None and register.default < low) or (high is not None and register.default > high):
         hint = f"from {0 if low is None else low} to {(1 << register.width) - 1 if high is None else high}"

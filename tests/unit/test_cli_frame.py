@@ -124,6 +124,12 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(f"  {command.name} " in out and command.help in out for command in COMMANDS)
 
 
+def test_the_page_of_the_docs_has_every_command() -> None:
+    page = (CAMERA.parents[3] / "docs" / "cli.md").read_text()
+    rows = "\n".join(f"| `cm {command.name}` | {command.help} |" for command in COMMANDS)
+    assert rows in page
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--version"])

@@ -64,6 +64,8 @@ CASES = [
      "mmio: [{base_address: 0, registers: {r: {offset: 0, §min: 4, max: 3}}}]"),
     ("default of a read-only register", "not_applicable", "mmio[0].registers.r.default", "reset",
      "mmio: [{base_address: 0, registers: {r: {offset: 0, access: ro, §default: 4}}}]"),
+    ("default of a write-one-to-clear register", "not_applicable", "mmio[0].registers.r.default", "write-one-to-clear",
+     "mmio: [{base_address: 0, registers: {r: {offset: 0, access: w1c, §default: 4}}}]"),
     ("misaligned offset", "misaligned_offset", "mmio[0].registers.r.offset", "multiple of 4",
      "mmio: [{base_address: 0, registers: {r: {§offset: 2}}}]"),
     ("misaligned decoupler", "misaligned_offset", "regions.a.decoupler.offset", "multiple of 4",
