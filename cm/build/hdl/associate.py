@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from cm.build.hdl.model import Clock, Interface, Problem, Reset
+from cm.build.hdl.model import Clock, FoundBy, Interface, Problem, Reset
 from cm.build.hdl.signals import stem, words
 
 _BARE = ("", "ap", "axi", "axis")  # what is left of aclk, ap_clk, axi_aclk
@@ -59,6 +59,8 @@ def _clock(interface: Interface, clocks: Sequence[Clock], sure: bool) -> str | N
     for clock in clocks:
         if interface.name.lower() in (name.lower() for name in clock.interfaces):
             return clock.port
+    if not _clocked(interface):
+        return None
     return _by_name(interface.name, [clock.port for clock in clocks], sure=sure)
 
 
@@ -68,8 +70,15 @@ def _reset(interface: Interface, clock: str | None, clocks: Sequence[Clock], res
     stated = next((item.reset for item in clocks if item.port == clock and item.reset), None)
     if stated:
         return stated
+    if not _clocked(interface):
+        return None
     ports = [reset.port for reset in resets]
     return _by_name(interface.name, ports) or (_by_name(stem(clock), ports) if clock else None)
+
+
+def _clocked(interface: Interface) -> bool:
+    """Of a synchronous protocol; of others (gpio, iic, …) only attributes tell a clock."""
+    return interface.protocol.startswith("axi") or interface.found_by is FoundBy.PROTOCOL_FILE
 
 
 def _by_name(name: str, ports: Sequence[str], *, sure: bool = True) -> str | None:

@@ -82,9 +82,9 @@ def _pairs(pairs: list[tuple[str, str]]) -> str:
 def _ports(extracted: ModuleInfo, ipxact: ModuleInfo) -> Iterator[Difference]:
     ours = {port.name.lower(): port for port in extracted.ports}
     theirs = {port.name.lower(): port for port in ipxact.ports}
-    for name in theirs.keys() - ours.keys():
+    for name in (name for name in theirs if name not in ours):
         yield Difference("port", theirs[name].name, f"port {theirs[name].name} is in IP-XACT only")
-    for name in ours.keys() - theirs.keys():
+    for name in (name for name in ours if name not in theirs):
         yield Difference("port", ours[name].name, f"port {ours[name].name} is in the HDL only")
     for name, port in ours.items():
         other = theirs.get(name)

@@ -8,6 +8,7 @@ so what a module instantiates need not be given.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from cm.build.hdl.verilog_ports import read_instance
 VERILOG_SUFFIXES = (".v", ".vh", ".vo", ".verilog")
 # `.v` files are Verilog-2005 to Vivado: `do`, `bit`, `final` are names there. On line 1, so that lines stay.
 _VERILOG_KEYWORDS = '`begin_keywords "1364-2005" '
+_NUMBER = re.compile(r"[-+~(\d'].*", re.DOTALL)
 _FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePorts", "AllowInvalidTop")
 
 
@@ -45,6 +47,14 @@ def load_slang() -> ModuleType:
     except ImportError as error:
         raise parser_missing("pyslang", "Verilog and SystemVerilog") from error
     return pyslang
+
+
+def expression(value: str) -> str:
+    """A parameter's value as a Verilog expression: numbers as they are, anything else as a string literal."""
+    text = value.strip()
+    if text in ("True", "False"):
+        return str(int(text == "True"))
+    return text if _NUMBER.fullmatch(text) or (len(text) > 1 and text[0] == text[-1] == '"') else f'"{text}"'
 
 
 class VerilogReader:
@@ -96,10 +106,11 @@ class VerilogReader:
         wanted = set(names)
         if not wanted:
             return []
-        compilation = self._compile(wanted, parameters or {})
+        given = {name: expression(value) for name, value in (parameters or {}).items()}
+        compilation = self._compile(wanted, given)
         owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
         return [
-            read_instance(compilation, self._sources, instance, tree.path, tree.language, tree.errors, below)
+            read_instance(compilation, self._sources, instance, tree.path, tree.language, tree.errors, below, given)
             for instance in compilation.getRoot().topInstances
             for tree, below in [owners[instance.name]]
         ]

@@ -28,11 +28,12 @@ def read_instance(
     language: Language,
     errors: tuple[Problem, ...],
     instantiates: tuple[str, ...],
+    given: Mapping[str, str],
 ) -> ModuleInfo:
     """One top instance as `ModuleInfo` without interfaces; its problems begin with those of its file."""
     body = instance.body
     problems = list(errors)
-    parameters = tuple(_parameters(body, str(path), problems))
+    parameters = tuple(_parameters(body, str(path), problems, given))
     types = {p.name for p in body.parameters if p.kind.name == "TypeParameter"}
     ports = tuple(_Ports(compilation, sources, str(path), types, problems).read(body.portList))
     line = sources.getLineNumber(body.definition.location)
@@ -48,7 +49,7 @@ def read_instance(
     )
 
 
-def _parameters(body: Any, file: str, problems: list[Problem]) -> Iterator[Parameter]:
+def _parameters(body: Any, file: str, problems: list[Problem], given: Mapping[str, str]) -> Iterator[Parameter]:
     for symbol in body.parameters:
         if symbol.kind.name == "TypeParameter":
             if not symbol.isLocalParam:
@@ -57,10 +58,10 @@ def _parameters(body: Any, file: str, problems: list[Problem]) -> Iterator[Param
             yield Parameter(symbol.name, None, local=symbol.isLocalParam)
             continue
         text = _default_text(symbol)
-        value = _value(symbol, text)
+        value = _value(symbol, given.get(symbol.name, text))
         if value is None and not symbol.isLocalParam:
             problems.append(Problem(_no_value(symbol.name, text), file))
-        yield Parameter(symbol.name, value, text, bool(symbol.isOverridden), symbol.isLocalParam)
+        yield Parameter(symbol.name, value, text, symbol.name in given and not symbol.isLocalParam, symbol.isLocalParam)
 
 
 def _no_value(name: str, text: str) -> str:
@@ -77,7 +78,7 @@ def _default_text(symbol: Any) -> str:
 def _value(symbol: Any, text: str) -> int | float | str | None:
     constant = symbol.value
     # An untyped parameter with a string literal is an integer to slang.
-    if _STRING.fullmatch(text) and not symbol.isOverridden:
+    if _STRING.fullmatch(text):
         constant = constant.convertToStr()
     value = constant.value
     if isinstance(value, float):
