@@ -87,7 +87,7 @@ def read_source(source: Source) -> memoryview:
 
 
 def _text(data: memoryview) -> str:
-    return bytes(data).removesuffix(b"\0").decode("utf-8", "surrogateescape")
+    return bytes(data).decode("utf-8", "surrogateescape")
 
 
 def _text_field(data: memoryview, at: int, key: str) -> tuple[str, int]:
@@ -100,7 +100,9 @@ def _text_field(data: memoryview, at: int, key: str) -> tuple[str, int]:
     end = at + 3 + length
     if end > len(data):
         raise Truncated(f".bit header: field {key!r} says {length} bytes, the file ends {end - len(data)} bytes before")
-    return _text(data[at + 3 : end]), end
+    if length == 0 or data[end - 1] != 0:
+        raise BadContainer(f".bit header: field {key!r} at byte {at} does not end with NUL")
+    return _text(data[at + 3 : end - 1]), end
 
 
 def _parse_header(data: memoryview) -> tuple[BitHeader, int]:

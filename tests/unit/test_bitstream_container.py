@@ -99,6 +99,11 @@ def test_file_without_sync_is_refused() -> None:
         open_image(b"MZ" * 500)
 
 
+def test_bit_header_whose_text_does_not_end_is_refused() -> None:
+    with pytest.raises(BadContainer, match="field 'b' at byte .* does not end with NUL"):
+        open_image(small().replace(b"xc7z020\0", b"xc7z020!"))
+
+
 def test_bit_with_swapped_words_is_refused() -> None:
     with pytest.raises(BadContainer, match="byte-swapped"):
         open_image(pack_bit(HEADER, bytes.fromhex("ffffffff665599aa")))

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm import dfx-mgr|pynq``: runtime schemas from the packages of other managers."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from cm.cli.common import add_json_option, print_json
+from cm.importers import Imported, import_dfx_mgr, import_pynq, write
+from cm.schema import dump
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "import",
+        help="make a runtime schema from a dfx-mgr or PYNQ package",
+        description="Make runtime schemas that load another manager's package where it is, and say what could not be"
+        " carried over.",
+    )
+    formats = parser.add_subparsers(dest="format", metavar="FORMAT", required=True)
+    dfx = formats.add_parser("dfx-mgr", help="a base folder of dfx-mgr, the one with shell.json")
+    dfx.add_argument("source", type=Path, metavar="DIR")
+    dfx.set_defaults(importer=import_dfx_mgr)
+    pynq = formats.add_parser("pynq", help="a PYNQ overlay: a .bit with its .hwh beside it")
+    pynq.add_argument("source", type=Path, metavar="FILE.bit")
+    pynq.set_defaults(importer=import_pynq)
+    for each in (dfx, pynq):
+        each.add_argument("--out", type=Path, metavar="DIR", help="write the schemas into this folder, else print them")
+        add_json_option(each)
+        each.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Import; 0 unless the package is refused."""
+    imported: Imported = args.importer(args.source)
+    files = write(imported, args.out) if args.out else []
+    if args.json:
+        print_json(_report(imported, files))
+        return 0
+    for path in files:
+        print(f"{path}: written")
+    if not files:
+        print("---\n".join(dump(config) for config in imported.configs), end="")
+    for note in imported.notes:
+        print(f"# not carried over: {note}" if not files else f"  note: {note}")
+    return 0
+
+
+def _report(imported: Imported, files: list[Path]) -> dict[str, object]:
+    return {
+        "configs": [config.name for config in imported.configs],
+        "files": [str(path) for path in files],
+        "schemas": {config.name: dump(config) for config in imported.configs},
+        "notes": list(imported.notes),
+    }

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Questions to a block design: windows, interrupts, DMA channels, decouplers, clocks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cm.hwh.model import Connection, Hwh, MemoryRange, ModuleInstance
+
+_PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
+_PS_INTERRUPTS = re.compile(r"IRQ_F2P|pl_ps_irq[01]|Core[01]_n(FIQ|IRQ)")
+_DEPTH = 8  # concatenations and slices in a row
+_GPIO_OUTPUTS = {"gpio_io_o": 0, "gpio2_io_o": 8}  # port → offset of its data register (PG144)
+
+
+@dataclass(frozen=True, slots=True)
+class InterruptLine:
+    """An interrupt source. `index`: its bit at `controller` (an axi_intc), or at the PS port if that is None."""
+
+    instance: str
+    port: str
+    controller: str | None
+    index: int
+
+
+@dataclass(frozen=True, slots=True)
+class DmaChannel:
+    """One direction of a DMA engine; `base` is that of the engine's registers, `width` bits of its stream."""
+
+    instance: str
+    kind: str  # axi_dma, axi_vdma or axi_mcdma
+    direction: str  # mm2s or s2mm
+    base: int | None
+    width: int
+
+
+@dataclass(frozen=True, slots=True)
+class DecouplerInfo:
+    """A DFX decoupler: the register bit that drives it (1 decouples), and the instances behind it."""
+
+    instance: str
+    base: int | None  # None: driven by something that is no register of the PL
+    offset: int
+    bit: int
+    driver: str  # instance that drives it
+    neighbours: frozenset[str]  # instances on either side of it
+
+
+@dataclass(frozen=True, slots=True)
+class ClockInfo:
+    """A clock that the PS gives the PL, in Hz."""
+
+    name: str
+    rate: int
+
+
+def processor(hwh: Hwh) -> ModuleInstance | None:
+    """The processing system, where the design has one."""
+    return next((module for module in hwh.modules.values() if module.type in _PROCESSORS), None)
+
+
+def windows(hwh: Hwh) -> tuple[MemoryRange, ...]:
+    """Register windows in the PL as the processor sees them, by address; in a partial's file, relative ones."""
+    ps = processor(hwh)
+    found = ps.ranges if ps else hwh.external_ranges
+    own = ps.instance if ps else ""
+    kept = {(x.base, x.instance): x for x in found if x.kind == "REGISTER" and x.instance != own}
+    return tuple(kept[key] for key in sorted(kept))
+
+
+def _base(hwh: Hwh, instance: str) -> int | None:
+    return next((item.base for item in windows(hwh) if item.instance == instance), None)
+
+
+def _sources(hwh: Hwh, instance: str, port: str, depth: int = _DEPTH) -> Iterator[Connection]:
+    """What drives the bits of an input, lowest first; concatenations are looked through."""
+    module = hwh.modules.get(instance)
+    if module is None or port not in module.ports or depth == 0:
+        return
+    for end in module.ports[port].connections:
+        driver = hwh.modules.get(end.instance)
+        if driver is not None and driver.type in ("xlconcat", "ilconcat"):
+            inputs = [name for name in driver.ports if re.fullmatch(r"[Ii]n\d+", name)]
+            for name in sorted(inputs, key=lambda text: int(text[2:])):
+                found = list(_sources(hwh, driver.instance, name, depth - 1))
+                yield from found or [Connection("", "")] * driver.ports[name].width
+        else:
+            yield end
+
+
+def interrupts(hwh: Hwh) -> tuple[InterruptLine, ...]:
+    """Every interrupt that reaches the processor, also through axi_intc."""
+    ps = processor(hwh)
+    if ps is None:
+        return ()
+    ports = [name for name in ps.ports if _PS_INTERRUPTS.fullmatch(name)]
+    return tuple(line for port in sorted(ports) for line in _lines(hwh, ps.instance, port, None))
+
+
+def _lines(hwh: Hwh, instance: str, port: str, controller: str | None) -> Iterator[InterruptLine]:
+    for index, source in enumerate(_sources(hwh, instance, port)):
+        driver = hwh.modules.get(source.instance)
+        if driver is not None and driver.type == "axi_intc" and controller is None:
+            yield from _lines(hwh, driver.instance, "intr", driver.instance)
+        elif source.instance:
+            yield InterruptLine(source.instance, source.port, controller, index)
+
+
+def dma_channels(hwh: Hwh) -> tuple[DmaChannel, ...]:
+    """The channels of every axi_dma, axi_vdma and axi_mcdma."""
+    found = []
+    for module in hwh.modules.values():
+        if module.type in ("axi_dma", "axi_vdma", "axi_mcdma"):
+            for direction, stream in (("mm2s", "M_AXIS_MM2S"), ("s2mm", "S_AXIS_S2MM")):
+                if module.parameters.get(f"C_INCLUDE_{direction.upper()}", "1") != "0":
+                    width = module.parameters.get(f"C_{stream}_TDATA_WIDTH", "")
+                    base = _base(hwh, module.instance)
+                    bits = int(width) if width.isdecimal() else 0
+                    found.append(DmaChannel(module.instance, module.type, direction, base, bits))
+    return tuple(found)
+
+
+def decouplers(hwh: Hwh) -> tuple[DecouplerInfo, ...]:
+    """Every DFX decoupler (pr_decoupler before 2020) and the register bit that drives it."""
+    kinds = ("dfx_decoupler", "pr_decoupler")
+    return tuple(_decoupler(hwh, module) for module in hwh.modules.values() if module.type in kinds)
+
+
+def _decoupler(hwh: Hwh, module: ModuleInstance) -> DecouplerInfo:
+    base, offset, bit, driver = _base(hwh, module.instance), 0, 0, module.instance  # PG375: bit 0 of register 0
+    if base is None:
+        driver, base, offset, bit = _gpio_bit(hwh, module.instance, "decouple")
+    return DecouplerInfo(module.instance, base, offset, bit, driver, frozenset(_neighbours(hwh, module)))
+
+
+def _gpio_bit(hwh: Hwh, instance: str, port: str) -> tuple[str, int | None, int, int]:
+    """Follow an input through slices to the bit of an axi_gpio."""
+    bit = 0
+    for _ in range(_DEPTH):
+        module = hwh.modules.get(instance)
+        ends = module.ports[port].connections if module is not None and port in module.ports else ()
+        driver = hwh.modules.get(ends[0].instance) if ends else None
+        if driver is None:
+            return (ends[0].instance if ends else ""), None, 0, 0
+        if driver.type in ("xlslice", "ilslice"):
+            low = min(int(driver.parameters.get(key) or 0) for key in ("DIN_FROM", "DIN_TO"))
+            bit, instance, port = bit + low, driver.instance, "Din"
+            continue
+        offset = _GPIO_OUTPUTS.get(ends[0].port)
+        base = _base(hwh, driver.instance) if driver.type == "axi_gpio" and offset is not None else None
+        return driver.instance, base, offset or 0, bit
+    return "", None, 0, 0
+
+
+def _neighbours(hwh: Hwh, decoupler: ModuleInstance) -> Iterator[str]:
+    """Instances that share a net with the decoupler: designs mix up which of its sides is which."""
+    nets = {item.bus for item in decoupler.interfaces} - {"", "__NOC__"}
+    ends = {end.instance for port in decoupler.ports.values() for end in port.connections}
+    for name, module in hwh.modules.items():
+        if name != decoupler.instance and (name in ends or any(item.bus in nets for item in module.interfaces)):
+            yield name
+
+
+def clocks(hwh: Hwh) -> tuple[ClockInfo, ...]:
+    """The clocks of the PS for the PL (FCLK or PL clocks) that are switched on."""
+    ps = processor(hwh)
+    if ps is None:
+        return ()
+    found = []
+    for index in range(4):
+        for name, enable, rate in (
+            (f"fclk{index}", f"PCW_FPGA_FCLK{index}_ENABLE", f"PCW_ACT_FPGA{index}_PERIPHERAL_FREQMHZ"),
+            (f"pl{index}", f"PSU__FPGA_PL{index}_ENABLE", f"PSU__CRL_APB__PL{index}_REF_CTRL__ACT_FREQMHZ"),
+        ):
+            text = ps.parameters.get(rate, "")
+            if ps.parameters.get(enable) == "1" and re.fullmatch(r"\d+(\.\d+)?", text):
+                found.append(ClockInfo(name, round(float(text) * 1e6)))
+    return tuple(found)

@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packages of other managers as runtime schemas: dfx-mgr (Kria) and PYNQ.
+
+Nothing is copied: the schemas point at the package's own files, so that it is loaded in place.
+What a package says that the runtime schema has no word for is told in `Imported.notes`.
+"""
+
+from cm.importers.dfx_mgr import import_dfx_mgr as import_dfx_mgr
+from cm.importers.pynq import import_pynq as import_pynq
+from cm.importers.result import Imported as Imported
+from cm.importers.result import ImportRefused as ImportRefused
+from cm.importers.result import write as write
