@@ -11,7 +11,8 @@ from cm.bitstream.assemble import FrameRun, assemble
 from cm.bitstream.convert import to_dma_words
 from cm.bitstream.far import FrameAddress
 from cm.bitstream.module import assemble_module
-from cm.schema.model import Config, Module, Overlay
+from cm.schema.files import FileMissing, bitstream_path, overlay_path
+from cm.schema.model import Config, ConfigType, LoaderKind, Module, Overlay
 
 from . import fdt
 from .board import BoardSpec, ModuleSpec
@@ -21,8 +22,7 @@ from .root import Root
 _log = logging.getLogger(__name__)
 _COLUMN_BYTES = 16 * 1024  # about a column of frames
 _STATIC_FRAMES = 256
-_STATIC_ROW = 31
-_SUFFIXES = (".bit", ".bin", ".bit.bin")
+_STATIC_ROW = 31  # where no region of ours lies
 
 
 class Firmware:
@@ -37,58 +37,76 @@ class Firmware:
         known: dict[str, ModuleSpec] = {}
         for config in self._spec.configs:
             for module in config.modules.values():
-                path = _find(config, module.bitstream, module.name, _SUFFIXES)
-                if path is None:
-                    self._write_module(config, module)
-                else:
+                path = self._module(config, module)
+                if path is not None:
                     known.update(self._recognise(path, config, module))
-            if config.bitstream is not None and _find(config, config.bitstream, "", ()) is None:
-                self._write(config, config.bitstream.name, self._full(config))
+            if config.type is ConfigType.FULL:
+                self._static(config)
             for overlay in _overlays(config):
-                if _find(config, overlay.file, overlay.name, (".dtbo",)) is None:
-                    name = overlay.file.name if overlay.file else f"{overlay.name}.dtbo"
-                    self._write(config, name, _overlay_blob(overlay.name))
+                self._overlay(config, overlay)
         return known
 
-    def _write(self, config: Config, name: str, data: bytes) -> None:
-        self._root.write(f"lib/firmware/cm/{config.name}/{name}", data)
+    def _module(self, config: Config, module: Module) -> Path | None:
+        """Where the module's bitstream is; None where there was none and it was made."""
+        try:
+            found = bitstream_path(config, module, self._root.path)
+        except FileMissing:
+            found = None
+        data = self._assembled(module) if found is None else found.read_bytes()
+        if found is None:
+            name = module.bitstream.name if module.bitstream else f"{module.name}.bit"
+            self._write(config, name, to_dma_words(data) if name.endswith(".bin") else data)
+        region = config.regions.get(module.region)
+        if region is not None and region.loader is LoaderKind.OVERLAY:
+            self._loading_overlay(config, module, data)
+        return found
 
-    def _write_module(self, config: Config, module: Module) -> None:
+    def _assembled(self, module: Module) -> bytes:
         region = self._spec.regions.get(module.region)
         footprint = region.footprint if region else ()
         columns = sum(frames.column_last - frames.column_first + 1 for frames in footprint)
-        data = assemble_module(
-            module.name,
-            model=module.model,
-            device=self._spec.device,
-            footprint=footprint,
-            size=self._size or columns * _COLUMN_BYTES,
+        size = self._size or columns * _COLUMN_BYTES
+        return assemble_module(
+            module.name, model=module.model, device=self._spec.device, footprint=footprint, size=size
         )
-        name = module.bitstream.name if module.bitstream else f"{module.name}.bit"
-        self._write(config, name, to_dma_words(data) if name.endswith(".bin") else data)
 
-    def _full(self, config: Config) -> bytes:
-        frames = bytes(4 * self._spec.device.family.frame_words * _STATIC_FRAMES)
-        run = FrameRun(FrameAddress(0, _STATIC_ROW, 0), frames)
-        data = assemble(self._spec.device, [run], design=config.name, partial=False)
-        assert config.bitstream is not None
-        return to_dma_words(data) if config.bitstream.name.endswith(".bin") else data
+    def _loading_overlay(self, config: Config, module: Module, data: bytes) -> None:
+        """What the kernel needs to load through an fpga-region: a .bin, and an overlay that names it."""
+        try:
+            overlay_path(config, module.name, self._root.path)
+        except FileMissing:
+            binary = f"{module.name}.bin"
+            self._write(config, binary, to_dma_words(data))
+            properties = {"firmware-name": f"cm/{config.name}/{binary}\0".encode(), "partial-fpga-config": b""}
+            tree = fdt.overlay(f"/fpga-region-{module.region}", fdt.FdtNode("", properties))
+            self._write(config, f"{module.name}.dtbo", fdt.pack(tree))
+
+    def _static(self, config: Config) -> None:
+        try:
+            bitstream_path(config, None, self._root.path)
+        except FileMissing:
+            name = config.bitstream.name if config.bitstream else f"{config.name}.bit"
+            frames = bytes(4 * self._spec.device.family.frame_words * _STATIC_FRAMES)
+            run = FrameRun(FrameAddress(0, _STATIC_ROW, 0), frames)
+            data = assemble(self._spec.device, [run], design=config.name, partial=False)
+            self._write(config, name, to_dma_words(data) if name.endswith(".bin") else data)
+
+    def _overlay(self, config: Config, overlay: Overlay) -> None:
+        try:
+            overlay_path(config, overlay, self._root.path)
+        except FileMissing:
+            name = overlay.file.name if overlay.file else f"{overlay.name}.dtbo"
+            self._write(config, name, _node_overlay(overlay.name))
 
     def _recognise(self, path: Path, config: Config, module: Module) -> Iterator[tuple[str, ModuleSpec]]:
         spec = next(s for s in self._spec.modules if (s.config, s.name) == (config.name, module.name))
         try:
-            yield digest(to_dma_words(path.read_bytes())), spec
+            yield digest(to_dma_words(path)), spec
         except (OSError, ValueError) as error:
             _log.warning("%s is not readable as a bitstream: %s", path, error)
 
-
-def _find(config: Config, written: Path | None, name: str, suffixes: tuple[str, ...]) -> Path | None:
-    """A file that stands beside the schema, by the manager's rule."""
-    if config.source is None:
-        return None
-    folder = config.source.parent
-    candidates = [folder / written] if written else [folder / (name + suffix) for suffix in suffixes]
-    return next((path for path in candidates if path.is_file()), None)
+    def _write(self, config: Config, name: str, data: bytes) -> None:
+        self._root.write(f"lib/firmware/cm/{config.name}/{name}", data)
 
 
 def _overlays(config: Config) -> Iterator[Overlay]:
@@ -97,7 +115,7 @@ def _overlays(config: Config) -> Iterator[Overlay]:
         yield from mode.overlays
 
 
-def _overlay_blob(name: str) -> bytes:
+def _node_overlay(name: str) -> bytes:
     """An overlay that adds one node, and loads nothing: bitstreams go through ICAP."""
     node = fdt.FdtNode(name, {"compatible": b"cm,sim-overlay\0", "status": b"okay\0"})
-    return fdt.pack(fdt.overlay("/", fdt.FdtNode("__overlay__", {}, [node])))
+    return fdt.pack(fdt.overlay("/", fdt.FdtNode("", {}, [node])))

@@ -18,7 +18,7 @@ from .server import Later, Server
 
 BASE = "sys/class/fpga_manager/fpga0"
 NAME = "Xilinx Zynq FPGA Manager"
-PARTIAL = 1  # FPGA_MGR_PARTIAL_RECONFIG
+PARTIAL = 1  # FPGA_MGR_PARTIAL_RECONFIG; the others say how the bitstream is encrypted
 SYNC_SWAPPED = b"\x66\x55\x99\xaa"
 
 
@@ -38,27 +38,31 @@ class FpgaManager:
         server.listen(self._root.bind(f"{BASE}/flags"), flags)
         server.listen(self._root.bind(f"{BASE}/firmware"), AttributeNode(None, self._write_firmware))
 
-    def load(self, name: str, partial: bool) -> Later:
+    def load(self, name: str, flags: int) -> Later:
         """Load a file of lib/firmware; the answer comes when the device has taken it."""
         later = Later()
         try:
-            self._start(name, partial, later)
+            self._start(name, flags, later)
         except NodeError as error:
             later.finish(error)
         return later
 
-    def _start(self, name: str, partial: bool, later: Later) -> None:
+    def _start(self, name: str, flags: int, later: Later) -> None:
         if self._engine.busy:
             raise NodeError(errno.EBUSY, "the device is being configured")
         data = self._request(name)
         self._state("write init")
+        if flags & ~PARTIAL:
+            # zynq-fpga without SEC_EN: "Device not secure, can't use crypted bitstreams"
+            self._state("write init error")
+            raise NodeError(errno.EINVAL, "the simulated device has no key")
         if SYNC_SWAPPED not in data[:4096] or len(data) % 4:
             # zynq-fpga: "Invalid bitstream, could not find a sync word. Bitstream must be a byte swapped .bin file"
             self._state("write init error")
             raise NodeError(errno.EINVAL, "no sync word: not a byte-swapped .bin")
         self._state("write")
         words = np.frombuffer(data, np.uint8)
-        self._engine.start(words, lambda result: self._finished(result, later), not partial, self._rate)
+        self._engine.start(words, lambda result: self._finished(result, later), not flags & PARTIAL, self._rate)
 
     def _request(self, name: str) -> bytes:
         self._state("firmware request")
@@ -91,7 +95,7 @@ class FpgaManager:
 
     def _write_firmware(self, data: bytes) -> Later:
         name = data.rstrip(b"\n").decode("utf-8", "replace")
-        return self.load(name, bool(self._flags & PARTIAL))
+        return self.load(name, self._flags)
 
     def _state(self, text: str) -> None:
         self._root.write(f"{BASE}/state", text + "\n")

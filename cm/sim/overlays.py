@@ -11,7 +11,7 @@ from .attributes import AttributeNode, FolderNode
 from .errors import NodeError
 from .faults import Faults
 from .fdt import FdtError, FdtNode, unpack
-from .manager import FpgaManager
+from .manager import PARTIAL, FpgaManager
 from .root import Root
 from .server import Later, Server
 
@@ -138,7 +138,7 @@ class _Folder:
                 self._done(blob)
             later.finish(result)
 
-        self._manager.load(firmware, partial).then(finished)
+        self._manager.load(firmware, PARTIAL if partial else 0).then(finished)
         return later
 
     def _done(self, blob: bytes) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import shutil
 import socket
 import tempfile
 from pathlib import Path
@@ -40,7 +41,7 @@ class Root:
             SimError: another simulator is alive there, or the folder cannot be made.
         """
         self._made: list[str] = []
-        self._own = False
+        self._own = self._fresh = False
         try:
             self.path = self._create(path)
             self._lock = self._acquire()
@@ -103,12 +104,14 @@ class Root:
             _remove(self.path / name)
         os.close(self._lock)
         os.close(self._dir)
-        if self._own:
+        if self._fresh:
+            shutil.rmtree(self.path, ignore_errors=True)  # nobody else's: what clients wrote goes too
+        elif self._own:
             _remove(self.path)
 
     def _create(self, path: Path | None) -> Path:
         if path is None:
-            self._own = True
+            self._fresh = self._own = True
             return Path(tempfile.mkdtemp(prefix=PREFIX, dir=default_parent()))
         if not path.is_dir():
             path.mkdir(parents=True)
