@@ -26,6 +26,11 @@ command -v "$triplet-gcc" >/dev/null || {
 	exit 1
 }
 
+# the headers' configuration is that of the compiler the kernel was built with
+if ! echo | "$triplet-gcc" -fmin-function-alignment=8 -E - >/dev/null 2>&1; then
+	set -- CONFIG_CC_HAS_MIN_FUNCTION_ALIGNMENT= "$@"
+fi
+
 mkdir -p "$out"
 work=$(mktemp -d "$out/.work.XXXXXX")
 trap 'rm -rf "$work"' EXIT

@@ -32,7 +32,7 @@ write_sources() {
 	uri=$(mirror)
 	[ -n "$uri" ] || die "no Debian mirror in the host's apt configuration"
 	mkdir -p "$state/lists/partial" "$state/archives/partial" "$state/etc"
-	printf 'deb [arch=%s,%s] %s %s main\n' "$arch" "$host" "$uri" "$suite" >"$state/sources.list"
+	printf 'deb [arch=%s,%s,i386] %s %s main\n' "$arch" "$host" "$uri" "$suite" >"$state/sources.list"
 	: >"$state/status"
 }
 
@@ -42,7 +42,7 @@ apt() {
 	"$tool" -o Dir::Etc::sourcelist="$state/sources.list" -o Dir::Etc::sourceparts=/nonexistent \
 		-o Dir::State="$state" -o Dir::State::status="$state/status" -o Dir::State::lists="$state/lists" \
 		-o Dir::Cache="$state" -o Dir::Cache::archives="$state/archives" \
-		-o APT::Architecture="$host" -o APT::Architectures::="$host" -o APT::Architectures::="$arch" \
+		-o APT::Architecture="$host" -o APT::Architectures::="$host" -o APT::Architectures::="$arch" -o APT::Architectures::=i386 \
 		-o APT::Get::List-Cleanup=false -o Acquire::Languages=none -o APT::Sandbox::User=root "$@"
 }
 
@@ -65,7 +65,7 @@ update() {
 	fi
 }
 
-# unpack [--host] PACKAGE...: download and extract below $tree
+# unpack PACKAGE...: download and extract below $tree
 unpack() {
 	mkdir -p "$tree.new/debs"
 	(cd "$tree.new/debs" && apt apt-get -q -q download "$@" >&2) || die "cannot download $*"
@@ -75,25 +75,33 @@ unpack() {
 	done
 }
 
-# let a host tool run with the suite's C library, where it needs that
+# wrap_tools LIBC FILE...: run programs with the C library unpacked in LIBC
 wrap_tools() {
-	loader=$(find "$tree.new/libc" -name 'ld-linux*.so.*' -print -quit)
-	libs=$(dirname "$loader" | sed "s|^$tree.new|$tree|"):$(find "$tree.new/libc" -name 'libc.so.6' -printf '%h' -quit |
-		sed "s|^$tree.new|$tree|")
-	loader=$(echo "$loader" | sed "s|^$tree.new|$tree|")
-	find "$tree.new/usr/lib" -type f -perm -u+x | while read -r tool; do
-		head -c 4 "$tool" | grep -q ELF || continue
-		real=$tool.elf
-		mv "$tool" "$real"
-		printf '#!/bin/sh\nexec %s --library-path %s %s "$@"\n' "$loader" "$libs" \
-			"$(echo "$real" | sed "s|^$tree.new|$tree|")" >"$tool"
+	loader=$(find "$1/" -name 'ld-linux*.so.*' ! -type d -print -quit)
+	libs=$(find "$1/" -name libc.so.6 -printf '%h' -quit)
+	shift
+	for tool in "$@"; do
+		mv "$tool" "$tool.elf"
+		printf '#!/bin/sh\nexec %s --library-path %s %s "$@"\n' "$loader" "$libs" "$tool.elf" |
+			sed "s|$tree.new|$tree|g" >"$tool"
 		chmod +x "$tool"
 	done
 }
 
+# the programs among the build tools, not their scripts
+programs() {
+	find "$tree.new/usr/lib" -type f -perm -u+x | while read -r tool; do
+		[ "$(head -c 4 "$tool" | tail -c 3)" = ELF ] && echo "$tool" || :
+	done
+}
+
+# whether the host can run the build tools as they are
 tools_run() {
-	find "$tree.new/usr/lib" -name modpost -type f | while read -r tool; do
-		"$tool" --help 2>&1 | grep -q GLIBC && return 1
+	for tool in $(find "$tree.new/usr/lib" -name fixdep -type f); do
+		"$tool" 2>&1 | grep -q -e GLIBC -e 'not found' && return 1
+	done
+	for tool in $(find "$tree.new/usr/lib" -name 'modpost.real-lsb-64' -type f); do
+		"$tool" -n 2>&1 | grep -q -e GLIBC -e 'not found' && return 1
 	done
 	return 0
 }
@@ -102,6 +110,20 @@ tools_run() {
 relocate() {
 	find "$tree.new/usr/src" -maxdepth 2 \( -name Makefile -o -name '.kernelvariables' \) -exec \
 		sed -i "s|/usr/src/|$tree/usr/src/|g; s|/usr/lib/linux|$tree/usr/lib/linux|g" {} +
+}
+
+# modpost knows the structures of one word size, that of the machine it was built for
+use_32bit_modpost() {
+	whole=$tree
+	tree=$whole.part
+	unpack "$kbuild:i386" libc6:i386
+	mv "$tree.new" "$whole.new/32"
+	tree=$whole
+	modpost=$(find "$tree.new/32" -name modpost.real-lsb-32)
+	wrap_tools "$tree.new/32" "$modpost"
+	for tool in $(find "$tree.new/usr/lib" -name modpost); do
+		cp "$modpost" "$tool"
+	done
 }
 
 write_sources
@@ -117,14 +139,15 @@ if [ ! -e "$tree/.done" ]; then
 	echo "headers.sh: $suite/$arch: downloading $headers, $common, $kbuild" >&2
 	unpack "$headers:$arch" "$common" "$kbuild:$host"
 	if ! tools_run; then
+		echo "headers.sh: $suite/$arch: its build tools need the suite's own C library" >&2
 		whole=$tree
-		tree=$whole/libc
-		mkdir -p "$whole.new"
-		unpack "libc6:$host" "libelf1t64:$host" "zlib1g:$host" "libzstd1:$host"
+		tree=$whole.part
+		unpack "libc6:$host"
 		mv "$tree.new" "$whole.new/libc"
 		tree=$whole
-		wrap_tools
+		wrap_tools "$tree.new/libc" $(programs)
 	fi
+	if [ "$host/$arch" = amd64/armhf ]; then use_32bit_modpost; fi
 	relocate
 	mv "$tree.new" "$tree"
 	touch "$tree/.done"

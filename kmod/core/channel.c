@@ -3,6 +3,7 @@
 #include <linux/debugfs.h>
 #include <linux/ktime.h>
 #include <linux/log2.h>
+#include <linux/math64.h>
 #include <linux/of.h>
 #include <linux/seq_file.h>
 #include <linux/slab.h>
@@ -85,7 +86,7 @@ static int channel_describe(struct cm_channel *channel, const struct cm_channel_
 	info->caps = channel_caps(channel->chan);
 	info->alignment = max(config->alignment, align);
 	info->max_length = config->max_length ?: engine_max_length(channel->chan);
-	info->max_length = rounddown(info->max_length, info->alignment);
+	info->max_length = round_down(info->max_length, info->alignment);
 	return 0;
 }
 
@@ -132,7 +133,7 @@ struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel
 	channel->chan = chan;
 	/* with a memory-region of its own the client's device has the memory */
 	channel->alloc_dev = get_device(of_find_property(dev->of_node, "memory-region", NULL) ?
-					dev : dmaengine_get_dma_device(chan));
+					dev : cm_dma_device(chan));
 	ret = channel_describe(channel, config);
 	if (ret) {
 		cm_channel_remove(channel);
@@ -435,10 +436,15 @@ static int check_video(const struct cm_channel *channel, const struct cm_request
 
 static int check_cyclic(const struct cm_channel *channel, const struct cm_request *request)
 {
+	u64 rest;
+
 	if (!(channel->info.caps & CM_DMA_CAP_CYCLIC))
 		return -EOPNOTSUPP;
 	if (!request->period || request->period > request->length ||
-	    request->length % request->period || request->period % channel->info.alignment)
+	    request->period & (channel->info.alignment - 1))
+		return -EINVAL;
+	div64_u64_rem(request->length, request->period, &rest);
+	if (rest)
 		return -EINVAL;
 	return request->period > channel->info.max_length ? -EMSGSIZE : 0;
 }

@@ -314,7 +314,7 @@ static long ioctl_import(struct cm_file *self, void __user *arg)
 
 	mutex_lock(&channel->lock);
 	if (channel->chan)
-		dev = get_device(dmaengine_get_dma_device(channel->chan));
+		dev = get_device(cm_dma_device(channel->chan));
 	mutex_unlock(&channel->lock);
 	if (dev)
 		ret = cm_buffer_ioctl_import(&self->table, dev, cm_channel_direction(channel), arg);

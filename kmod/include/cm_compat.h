@@ -8,6 +8,7 @@
 
 #include <linux/dma-buf.h>
 #include <linux/dma-mapping.h>
+#include <linux/dmaengine.h>
 #include <linux/mm.h>
 #include <linux/module.h>
 #include <linux/version.h>
@@ -41,6 +42,16 @@ static inline void cm_unmap_attachment(struct dma_buf_attachment *attachment,
 	dma_buf_unmap_attachment_unlocked(attachment, table, dir);
 #else
 	dma_buf_unmap_attachment(attachment, table, dir);
+#endif
+}
+
+/* 5.12: an engine may map memory for another device than its own */
+static inline struct device *cm_dma_device(struct dma_chan *chan)
+{
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(5, 12, 0)
+	return dmaengine_get_dma_device(chan);
+#else
+	return chan->device->dev;
 #endif
 }
 

@@ -1,0 +1,41 @@
+/* SPDX-License-Identifier: GPL-2.0 */
+/* What a configuration port does with the words it is given. */
+#ifndef _CM_CONFIGPORT_H
+#define _CM_CONFIGPORT_H
+
+#include <linux/types.h>
+
+/**
+ * struct cm_configport - a configuration port between two words
+ * @idcode: of the device; 0 accepts any
+ * @synced: a sync word was seen and no DESYNC since
+ * @seen_sync: a sync word was seen in this load
+ * @crc: running value
+ * @remaining: data words of the packet under way
+ * @address: register that they go to
+ * @writing: they are written, not read
+ * @words: words taken in this load
+ * @frame_words: words written to FDRI in this load
+ * @crc_checks: CRC words compared in this load
+ * @errors: CM_ICAP_ERR_* of this load
+ */
+struct cm_configport {
+	u32 idcode;
+	bool synced;
+	bool seen_sync;
+	u32 crc;
+	u32 remaining;
+	u32 address;
+	bool writing;
+	u64 words;
+	u64 frame_words;
+	u32 crc_checks;
+	u32 errors;
+};
+
+void cm_configport_begin(struct cm_configport *port);
+void cm_configport_word(struct cm_configport *port, u32 word);
+u32 cm_configport_end(struct cm_configport *port);
+u32 cm_configport_crc(u32 crc, u32 address, u32 data);
+
+#endif /* _CM_CONFIGPORT_H */

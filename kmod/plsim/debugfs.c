@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: GPL-2.0
+/* Faults to inject, and what the simulated logic saw. */
+#include <linux/debugfs.h>
+
+#include "plsim.h"
+
+struct dentry *plsim_debugfs_root;
+
+/* a channel that was held goes on when the fault is taken back */
+static int hang_get(void *data, u64 *value)
+{
+	*value = READ_ONCE(((struct plsim_chan *)data)->faults.hang);
+	return 0;
+}
+
+static int hang_set(void *data, u64 value)
+{
+	struct plsim_chan *chan = data;
+
+	WRITE_ONCE(chan->faults.hang, !!value);
+	if (!value)
+		plsim_kick(chan);
+	return 0;
+}
+DEFINE_DEBUGFS_ATTRIBUTE(hang_fops, hang_get, hang_set, "%llu\n");
+
+static void channel_debugfs(struct plsim_chan *chan, struct dentry *parent)
+{
+	struct dentry *folder = debugfs_create_dir(chan->label, parent);
+
+	debugfs_create_u32("delay_us", 0644, folder, &chan->faults.delay_us);
+	debugfs_create_u32("fail_next", 0644, folder, &chan->faults.fail_next);
+	debugfs_create_u32("short_next", 0644, folder, &chan->faults.short_next);
+	debugfs_create_file_unsafe("hang", 0644, folder, chan, &hang_fops);
+	debugfs_create_u64("bytes", 0444, folder, &chan->bytes);
+	if (chan->kind == PLSIM_SOURCE) {
+		debugfs_create_u64("frames", 0444, folder, &chan->frames);
+		debugfs_create_u64("lost", 0444, folder, &chan->lost);
+		debugfs_create_u32("interval_us", 0644, folder, &chan->interval_us);
+	}
+	if (chan->kind == PLSIM_SINK || chan->kind == PLSIM_ICAP)
+		debugfs_create_x32("crc32", 0444, folder, &chan->crc32);
+	if (chan->kind == PLSIM_ICAP) {
+		debugfs_create_u64("loads", 0444, folder, &chan->loads);
+		debugfs_create_x32("errors", 0444, folder, &chan->load_errors);
+		debugfs_create_u32("words", 0444, folder, &chan->load_words);
+		debugfs_create_u64("frame_words", 0444, folder, &chan->port.frame_words);
+		debugfs_create_u32("crc_checks", 0444, folder, &chan->port.crc_checks);
+		debugfs_create_bool("synced", 0444, folder, &chan->port.synced);
+		debugfs_create_x32("inject_errors", 0644, folder, &chan->inject_errors);
+	}
+}
+
+/**
+ * plsim_debugfs() - files of an engine
+ * @dma: engine; @dma->debugfs is to be removed before it goes
+ */
+void plsim_debugfs(struct plsim_dma *dma)
+{
+	int i;
+
+	dma->debugfs = debugfs_create_dir(dev_name(dma->dev), plsim_debugfs_root);
+	for (i = 0; i < dma->count; i++)
+		channel_debugfs(&dma->channels[i], dma->debugfs);
+}
