@@ -11,7 +11,8 @@ from cm.hwh.model import Connection, Hwh, MemoryRange, ModuleInstance
 
 _PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
 _PS_INTERRUPTS = re.compile(r"IRQ_F2P|pl_ps_irq[01]|Core[01]_n(FIQ|IRQ)")
-_DEPTH = 8  # concatenations and slices in a row
+_DEPTH = 8  # slices in a row
+_WIDEST = 1024  # bits of one input of a concatenation
 _GPIO_OUTPUTS = {"gpio_io_o": 0, "gpio2_io_o": 8}  # port → offset of its data register (PG144)
 
 
@@ -74,18 +75,18 @@ def _base(hwh: Hwh, instance: str) -> int | None:
     return next((item.base for item in windows(hwh) if item.instance == instance), None)
 
 
-def _sources(hwh: Hwh, instance: str, port: str, depth: int = _DEPTH) -> Iterator[Connection]:
+def _sources(hwh: Hwh, instance: str, port: str, seen: frozenset[str] = frozenset()) -> Iterator[Connection]:
     """What drives the bits of an input, lowest first; concatenations are looked through."""
     module = hwh.modules.get(instance)
-    if module is None or port not in module.ports or depth == 0:
+    if module is None or port not in module.ports or instance in seen:
         return
     for end in module.ports[port].connections:
         driver = hwh.modules.get(end.instance)
         if driver is not None and driver.type in ("xlconcat", "ilconcat"):
             inputs = [name for name in driver.ports if re.fullmatch(r"[Ii]n\d+", name)]
             for name in sorted(inputs, key=lambda text: int(text[2:])):
-                found = list(_sources(hwh, driver.instance, name, depth - 1))
-                yield from found or [Connection("", "")] * driver.ports[name].width
+                found = list(_sources(hwh, driver.instance, name, seen | {instance}))
+                yield from found or [Connection("", "")] * min(driver.ports[name].width, _WIDEST)
         else:
             yield end
 
@@ -145,7 +146,8 @@ def _gpio_bit(hwh: Hwh, instance: str, port: str) -> tuple[str, int | None, int,
         if driver is None:
             return (ends[0].instance if ends else ""), None, 0, 0
         if driver.type in ("xlslice", "ilslice"):
-            low = min(int(driver.parameters.get(key) or 0) for key in ("DIN_FROM", "DIN_TO"))
+            ends_of = (driver.parameters.get(key, "0") for key in ("DIN_FROM", "DIN_TO"))
+            low = min(int(text) if text.isdecimal() else 0 for text in ends_of)
             bit, instance, port = bit + low, driver.instance, "Din"
             continue
         offset = _GPIO_OUTPUTS.get(ends[0].port)
