@@ -15,7 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from cm.build.hdl.errors import parser_missing
+from cm.build.hdl.errors import HdlError, parser_missing
 from cm.build.hdl.model import Language, ModuleInfo, Problem
 from cm.build.hdl.verilog_ports import read_instance
 
@@ -90,9 +90,12 @@ class VerilogReader:
         options.additionalIncludePaths = includes
         options.predefines = self._defines
         # Two readings of one file need two names in slang's source manager; the folder stays for relative includes.
-        name = str(path) if language is Language.VERILOG else f"{path}\0sv"
+        name = str(path) if language is Language.VERILOG else f"{path} as SystemVerilog"
         bag = self._slang.Bag([options])
-        syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, str(path), name, bag)
+        try:
+            syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, str(path), name, bag)
+        except RuntimeError as error:  # slang's answer to nesting without end
+            raise HdlError(f"{path}: the parser gave up: {error or 'too deeply nested'}") from error
         return Tree(path, language, syntax, tuple(self._problems(path, syntax)), tuple(_modules(syntax.root)))
 
     def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
@@ -137,17 +140,22 @@ def _modules(root: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 def _instances(members: Iterable[Any]) -> Iterator[str]:
     """Names of the modules instantiated directly, through generate constructs; statements are not descended into."""
-    for member in members:
-        kind = member.kind.name
-        if kind == "HierarchyInstantiation":
+    stack = list(members)[::-1]
+    while stack:
+        member = stack.pop()
+        if member.kind.name == "HierarchyInstantiation":
             yield member.type.valueText
-        elif kind in ("GenerateRegion", "GenerateBlock"):
-            yield from _instances(member.members)
-        elif kind == "LoopGenerate":
-            yield from _instances((member.block,))
-        elif kind == "IfGenerate":
-            yield from _instances((member.block,))
-            if member.elseClause is not None:
-                yield from _instances((member.elseClause.clause,))
-        elif kind == "CaseGenerate":
-            yield from _instances(item.clause for item in member.items)
+        else:
+            stack.extend(_generated(member)[::-1])
+
+
+def _generated(member: Any) -> list[Any]:
+    """The members of a generate construct."""
+    kind = member.kind.name
+    if kind in ("GenerateRegion", "GenerateBlock"):
+        return list(member.members)
+    if kind == "LoopGenerate":
+        return [member.block]
+    if kind == "IfGenerate":
+        return [member.block, *([member.elseClause.clause] if member.elseClause is not None else [])]
+    return [item.clause for item in member.items] if kind == "CaseGenerate" else []

@@ -20,6 +20,12 @@ from cm.build.hdl.vhdl_expr import Unknown, Value, evaluate
 from cm.build.hdl.vhdl_text import Unit, blank_comments, design_units, instances, signal_attributes
 from cm.build.hdl.vhdl_types import NotFlat, Subtypes, width_of
 
+_INTERFACE_DECLARATIONS = (
+    "interface_declaration",
+    "interface_signal_declaration",
+    "interface_constant_declaration",
+    "interface_variable_declaration",
+)
 VHDL_SUFFIXES = (".vhd", ".vhdl")
 _DIRECTIONS = {
     "in": PortDirection.IN,
@@ -203,7 +209,7 @@ def _attributes(units: Iterable[Unit]) -> Mapping[str, Mapping[str, str]]:
 
 
 def _interface_list(clause: Any | None, first: int) -> Iterator[Declaration]:
-    for node in _find(clause, ("interface_declaration",)) if clause is not None else ():
+    for node in _find(clause, _INTERFACE_DECLARATIONS) if clause is not None else ():
         yield from _declarations(node, first)
 
 
