@@ -33,10 +33,10 @@ from cm.schema.model import (
 DTYPES = ("bool", "int8", "uint8", "int16", "uint16", "float32", "complex128")
 
 # plain text strategies: from_regex is several times slower, and there are many names in a configuration
-names = st.text("aZ09_-", max_size=5).map(lambda tail: f"_{tail}")
-docs = st.one_of(st.just(""), st.text(max_size=20))
+names = st.text("aZ0_-", max_size=3).map(lambda tail: f"_{tail}")
+docs = st.sampled_from(["", "a: b # c", "0o17", "no", "two\nlines\n"]) | st.text(max_size=5)
 paths = st.text("ab. /", max_size=8).map(lambda middle: f"x{middle}.bit")
-sums = st.binary(min_size=32, max_size=32).map(bytes.hex)
+sums = st.sampled_from(["0" * 64, "0123456789abcdef" * 4])
 addresses = st.integers(0, (1 << 32) - 1).map(lambda value: value << 12)
 
 
@@ -53,10 +53,10 @@ def frozen(items: list[Any]) -> MappingProxyType[str, Any]:
 @st.composite
 def bit_fields(draw: st.DrawFn, width: int) -> MappingProxyType[str, BitField]:
     """Fields of a register of `width` bits that do not overlap."""
-    edges = sorted(draw(st.sets(st.integers(0, width), max_size=5)))
+    edges = sorted(draw(st.sets(st.integers(0, width), max_size=3)))
     found = []
     for name, low, high in zip(draw(distinct(len(edges))), edges, edges[1:], strict=False):
-        values = draw(st.dictionaries(names, st.integers(0, (1 << (high - low)) - 1), max_size=2))
+        values = draw(st.dictionaries(names, st.integers(0, (1 << (high - low)) - 1), max_size=1))
         found.append(BitField(name, low, high - low, draw(docs), MappingProxyType(values)))
     return frozen(found)
 
@@ -93,7 +93,7 @@ def registers(draw: st.DrawFn, name: str, base: int, offset: int, region: str | 
 def banks(draw: st.DrawFn, window: int, choices: list[str | None]) -> MappingProxyType[str, Register]:
     """Registers in windows 2 MiB above each other from `window` on, each of one of the regions `choices`."""
     found = []
-    for index, name in enumerate(draw(st.lists(names, max_size=4, unique=True))):
+    for index, name in enumerate(draw(st.lists(names, max_size=2, unique=True))):
         base = (window + draw(st.integers(0, 1))) << 21
         # the name is made unique among all owners, as names that are visible together must be
         found.append(draw(registers(f"{name}_{window}", base, index * 8, draw(st.sampled_from(choices)))))

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping
 
 from cm.schema.context import Context
-from cm.schema.model import Access, BitField, Config, Register
+from cm.schema.model import Access, BitField, Config, Mode, Register
 from cm.schema.problems import KeyPath, did_you_mean, key_path
 
 _Placed = tuple[KeyPath, Register]  # where it stands in the file, and the register
+_LONGEST = 8  # bytes of a register
 
 
 def check_registers(config: Config, context: Context) -> None:
@@ -18,9 +20,10 @@ def check_registers(config: Config, context: Context) -> None:
         _check_place(register, path, config, context)
         _check_values(register, path, context)
         _check_fields(register, path, context)
-    reported: set[tuple[KeyPath, KeyPath]] = set()
-    for groups in _visible_sets(config):
-        _check_together(groups, reported, context)
+    own = [(context.where[("config",), name], register) for name, register in config.registers.items()]
+    together = _Together(own, context)
+    for mode in config.modes.values():
+        together.check([(context.where[owner, name], r) for owner, name, r in _added(mode, config)])
 
 
 def _all(config: Config, context: Context) -> Iterator[tuple[KeyPath, KeyPath, Register]]:
@@ -38,16 +41,14 @@ def _owners(config: Config) -> Iterator[tuple[KeyPath, Mapping[str, Register]]]:
         yield ("config", "modes", name), mode.registers
 
 
-def _visible_sets(config: Config) -> Iterator[list[tuple[KeyPath, Mapping[str, Register]]]]:
-    """The configuration's own, and for each mode that has more the owners that are visible together in it."""
-    owners = dict(_owners(config))
-    top: KeyPath = ("config",)
-    yield [(top, config.registers)]
-    for name, mode in config.modes.items():
-        modules = [("config", "modules", module) for module in dict.fromkeys(mode.modules) if module in config.modules]
-        more = [(path, owners[path]) for path in (*modules, ("config", "modes", name)) if owners[path]]
-        if more:
-            yield [(top, config.registers), *more]
+def _added(mode: Mode, config: Config) -> Iterator[tuple[KeyPath, str, Register]]:
+    """The registers that are visible in `mode` beside the configuration's: of its modules, and its own."""
+    for module in dict.fromkeys(mode.modules):
+        if module in config.modules:
+            for name, register in config.modules[module].registers.items():
+                yield ("config", "modules", module), name, register
+    for name, register in mode.registers.items():
+        yield ("config", "modes", mode.name), name, register
 
 
 def _check_place(register: Register, path: KeyPath, config: Config, context: Context) -> None:
@@ -97,31 +98,68 @@ def _check_fields(register: Register, path: KeyPath, context: Context) -> None:
                 context.report((*here, "values", word), "value_range", message, f"at most {(1 << field.width) - 1:#x}")
 
 
-def _check_together(
-    groups: list[tuple[KeyPath, Mapping[str, Register]]], reported: set[tuple[KeyPath, KeyPath]], context: Context
-) -> None:
+class _Together:
     """Of registers that are visible in one mode: one place per name, one name per place.
 
     The same name at the same place, again, is no clash: a module or mode may give a register of the
-    configuration another default.
+    configuration another default. The configuration's registers are compared with each other once,
+    and those that a mode adds with them and with each other.
     """
-    by_name: dict[str, _Placed] = {}
-    for owner, registers in groups:
-        for name, register in registers.items():
-            path = context.where[owner, name]
-            if name not in by_name:
-                by_name[name] = (path, register)
-            elif not _same_place(by_name[name][1], register):
-                _report_pair(path, by_name[name], "name_clash", f"register {name} is elsewhere too", reported, context)
-    ordered = sorted(by_name.values(), key=lambda placed: placed[1].address)
-    furthest = ordered[0] if ordered else None
-    for placed in ordered[1:]:
-        assert furthest is not None
-        if placed[1].address < _end(furthest[1]):
-            message = f"register {placed[1].name} overlaps register {furthest[1].name}"
-            _report_pair(placed[0], furthest, "overlapping_registers", message, reported, context)
-        if _end(placed[1]) > _end(furthest[1]):
-            furthest = placed
+
+    def __init__(self, own: list[_Placed], context: Context) -> None:
+        self._context = context
+        self._reported: set[tuple[KeyPath, KeyPath]] = set()
+        self._names = {register.name: (path, register) for path, register in own}
+        self._sorted = sorted(own, key=_address)
+        self._neighbours(self._sorted)
+
+    def check(self, added: list[_Placed]) -> None:
+        """Compare what a mode adds."""
+        names: dict[str, _Placed] = {}
+        for path, register in added:
+            other = names.get(register.name) or self._names.get(register.name)
+            if other is None or _same_place(other[1], register):
+                names[register.name] = (path, register)
+            else:
+                self._report(path, other, "name_clash", f"register {register.name} is elsewhere too")
+        self._neighbours(sorted(names.values(), key=_address))
+        for placed in names.values():
+            for other in self._overlapping(placed[1]):
+                if other[1].name != placed[1].name:
+                    self._overlap(placed, other)
+
+    def _neighbours(self, ordered: list[_Placed]) -> None:
+        """Report overlaps in a list in the order of addresses."""
+        furthest = ordered[0] if ordered else None
+        for placed in ordered[1:]:
+            assert furthest is not None
+            if placed[1].address < _end(furthest[1]):
+                self._overlap(placed, furthest)
+            if _end(placed[1]) > _end(furthest[1]):
+                furthest = placed
+
+    def _overlapping(self, register: Register) -> Iterator[_Placed]:
+        """The configuration's registers in the place of `register`; none is longer than 8 bytes."""
+        index = bisect_left(self._sorted, register.address - _LONGEST + 1, key=_address)
+        while index < len(self._sorted) and self._sorted[index][1].address < _end(register):
+            if _end(self._sorted[index][1]) > register.address:
+                yield self._sorted[index]
+            index += 1
+
+    def _overlap(self, placed: _Placed, other: _Placed) -> None:
+        message = f"register {placed[1].name} overlaps register {other[1].name}"
+        self._report(placed[0], other, "overlapping_registers", message)
+
+    def _report(self, path: KeyPath, other: _Placed, code: str, message: str) -> None:
+        if (path, other[0]) in self._reported:  # the same pair is visible in several modes
+            return
+        self._reported.add((path, other[0]))
+        hint = f"{key_path(other[0])} is at {other[1].address:#x}, {other[1].width} bits"
+        self._context.report(path, code, message, hint)
+
+
+def _address(placed: _Placed) -> int:
+    return placed[1].address
 
 
 def _same_place(one: Register, other: Register) -> bool:
@@ -130,13 +168,3 @@ def _same_place(one: Register, other: Register) -> bool:
 
 def _end(register: Register) -> int:
     return register.address + register.width // 8
-
-
-def _report_pair(
-    path: KeyPath, other: _Placed, code: str, message: str, reported: set[tuple[KeyPath, KeyPath]], context: Context
-) -> None:
-    if (path, other[0]) in reported:  # the same pair is visible in several modes
-        return
-    reported.add((path, other[0]))
-    there = key_path(other[0])
-    context.report(path, code, message, f"{there} is at {other[1].address:#x}, {other[1].width} bits")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import Phase, given, settings
 from strategies import configs
 
 import cm.schema
@@ -22,7 +22,7 @@ def without_source(config: Config) -> Config:
     return replace(config, source=None, sha256_source="")
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=25, deadline=None, phases=set(Phase) - {Phase.explain})  # explaining traces every line
 @given(configs())
 def test_a_written_configuration_loads_as_what_it_was_in_its_order(config: Config) -> None:
     again = without_source(cm.schema.loads(cm.schema.dump(config)))
