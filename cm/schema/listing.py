@@ -23,9 +23,10 @@ def fold(items: Items, names: bool) -> Node:
     table = Table(items.mark)
     for item in items.items:
         if isinstance(item, Table):
-            for key, entry in _adopt_siblings(item).items():
+            adopted = _adopt_siblings(item)
+            for key, entry in adopted.entries.items():
                 table.add(key, entry)
-            table.duplicates += item.duplicates
+            table.duplicates += adopted.duplicates
         elif names and isinstance(item, Scalar) and isinstance(item.value, str):
             table.add(item.value, Entry(item.mark, Scalar(None, item.mark, "")))
         else:
@@ -33,14 +34,16 @@ def fold(items: Items, names: bool) -> Node:
     return table
 
 
-def _adopt_siblings(table: Table) -> dict[str, Entry]:
-    """Entries of `table`; where the first has no value, those after it are its value."""
+def _adopt_siblings(table: Table) -> Table:
+    """`table`; where the first key has no value, the keys after it become its value."""
     if len(table.entries) < 2:
-        return table.entries
+        return table
     (first, entry), *rest = table.entries.items()
     if not (isinstance(entry.node, Scalar) and entry.node.value is None):
-        return table.entries
-    return {first: Entry(entry.mark, Table(entry.mark, dict(rest)))}
+        return table
+    inner = Table(entry.mark, dict(rest), [twice for twice in table.duplicates if twice[0] != first])
+    outer = [twice for twice in table.duplicates if twice[0] == first]
+    return Table(table.mark, {first: Entry(entry.mark, inner)}, outer)
 
 
 def windows(node: Node) -> Node:
@@ -52,12 +55,12 @@ def windows(node: Node) -> Node:
     result = Items(node.mark)
     current: Table | None = None
     for item in node.items:
-        entries = _adopt_siblings(item) if isinstance(item, Table) else {}
-        if len(entries) != 1 or not isinstance(item, Table):
+        item = _adopt_siblings(item) if isinstance(item, Table) else item
+        if not isinstance(item, Table) or len(item.entries) != 1:
             result.items.append(item)
             current = None
             continue
-        ((key, entry),) = entries.items()
+        ((key, entry),) = item.entries.items()
         if current is None or key in current.entries:
             current = Table(item.mark)
             result.items.append(current)

@@ -141,8 +141,9 @@ class _Walk:
             return node
         for key, mark in table.duplicates:
             code = "duplicate_key" if "properties" in shape else "duplicate_name"
-            first = table.entries[key].mark.line
-            self._report(mark, (*path, key), code, f"{key} is here again", f"it is in line {first} already")
+            first = table.entries.get(key)  # None: moved elsewhere, as overlays are
+            hint = f"it is in line {first.mark.line} already" if first else "keep one of them"
+            self._report(mark, (*path, key), code, f"{key[:80]} is here again", hint)
         if "properties" in shape:
             return self._keyed(table, shape, path)
         return self._named(table, shape, path)

@@ -5,7 +5,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 import cm.schema
+from cm.schema import SchemaError
 from cm.schema.model import ConfigType, Overlay
 
 LISTING = Path(__file__).parents[1] / "data" / "listing1.yaml"
@@ -24,3 +27,55 @@ def test_listing_1_loads_verbatim() -> None:
     assert (focus.address, focus.default, focus.region) == (0x3010, 1, "prr0")
     assert config.modes["default"].overlays == (Overlay("camera"),)
     assert config.first_mode() == "default"
+
+
+def codes(text: str) -> list[tuple[str, str]]:
+    with pytest.raises(SchemaError) as caught:
+        cm.schema.loads(text)
+    return [(problem.code, problem.key) for problem in caught.value.problems]
+
+
+def test_a_mode_that_is_there_twice_among_siblings_is_told() -> None:
+    text = "config:\n- name: c\n- modes:\n  a:\n  - doc: x\n  a:\n  - doc: y\n"
+    assert codes(text) == [("duplicate_name", "config.modes.a")]
+
+
+def test_a_key_that_is_there_twice_in_a_list_is_told() -> None:
+    text = "config:\n- name: c\n- name: d\n- modes:\n  a: []\n"
+    assert codes(text) == [("duplicate_key", "config.name")]
+
+
+def test_overlays_that_are_there_twice_inside_mmio_are_told() -> None:
+    text = "config: {name: c, modes: {m: {mmio: [{base_address: 0, registers: {}, overlay: a, overlay: b}]}}}"
+    assert codes(text) == [("duplicate_key", "config.modes.m.mmio[0].overlay")]
+
+
+def test_an_entry_of_a_list_that_is_no_map_is_told() -> None:
+    assert codes("config:\n- name: c\n- 5\n- modes:\n  a: []\n") == [("bad_type", "config")]
+
+
+@pytest.mark.parametrize(
+    "mmio",
+    [
+        "{base_address: 0, registers: {r: {offset: 0}}}",
+        "[{base_address: 0, registers: {r: {offset: 0}}}]",
+        "[base_address: 0, registers: [r: [offset: 0]]]",
+        "[{base_address: 0}, {registers: , r: {offset: 0}}]",
+        "[base_address: 0, overlay: camera, registers: {r: {offset: 0}}]",
+    ],
+)
+def test_forms_of_a_window_mean_the_same(mmio: str) -> None:
+    config = cm.schema.loads(f"config: {{name: c, modes: {{m: {{mmio: {mmio}}}}}}}")
+    assert config.modes["m"].registers["r"].address == 0
+
+
+def test_windows_follow_each_other_as_one_key_maps() -> None:
+    window = "base_address: {0}, registers: {{r{0}: {{offset: 0}}}}"
+    config = cm.schema.loads(f"config: {{name: c, modes: {{m: }}, mmio: [{window.format(0)}, {window.format(8)}]}}")
+    assert [register.address for register in config.registers.values()] == [0, 8]
+
+
+def test_overlays_of_a_mode_and_of_its_mmio_are_joined() -> None:
+    mmio = "[base_address: 0, registers: {}, overlay: [b, c]]"
+    config = cm.schema.loads(f"config: {{name: c, modes: {{m: {{overlay: a, mmio: {mmio}}}}}}}")
+    assert [overlay.name for overlay in config.modes["m"].overlays] == ["a", "b", "c"]
