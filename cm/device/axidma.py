@@ -184,7 +184,7 @@ class AxiDma(Device):
             raise self._error(error, f"submit a frame of {lines} lines of {line_bytes} bytes to") from error
 
     def completions(self) -> list[Completion]:
-        """Return the completions that are there, in order; never blocks."""
+        """Return the completions that are there, in order, at most 64 at a time; never blocks."""
         try:
             return [_completion(raw) for raw in native.take(self._handle)]
         except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
@@ -97,6 +98,11 @@ class DmaBuffer:
 
     def __exit__(self, kind: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
+
+    def __del__(self) -> None:
+        """Give back what was forgotten; a buffer in flight stays with its device until that is closed."""
+        with suppress(Exception):
+            self.close()
 
     def __len__(self) -> int:
         return self.length

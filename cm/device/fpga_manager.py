@@ -14,7 +14,7 @@ from cm.device.errors import DeviceError, DeviceInvalid, DeviceUnsupported
 from cm.device.paths import Root
 
 CLASS = "sys/class/fpga_manager"
-NAME_MAX = 255
+NAME_MAX = 254  # the kernel keeps it in NAME_MAX bytes, the NUL among them
 
 
 class FpgaFlags(enum.Flag):

@@ -14,6 +14,9 @@ from cm.device.paths import Root
 
 FOLDER = "sys/kernel/config/device-tree/overlays"
 APPLIED = "applied"
+# dtbocfg says 0 and 1 where linux-xlnx says words, and applies when a 1 is written.
+_WORDS = {"0": "unapplied", "1": APPLIED}
+_SWITCH_ON = b"1"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
 _MAGIC = b"\xd0\x0d\xfe\xed"  # of a flattened device tree, v17
 
@@ -37,7 +40,7 @@ class Overlays:
     def status(self, name: str) -> str:
         """Return the kernel's word for an overlay: "applied" or "unapplied".  Raises DeviceNotFound."""
         self._check(name)
-        return self._attributes.text(f"{name}/status")
+        return self._word(name)
 
     def apply(self, name: str, dtbo: bytes) -> None:
         """Apply the overlay ``dtbo`` under ``name``.
@@ -66,13 +69,19 @@ class Overlays:
 
     def _confirm(self, name: str) -> None:
         """Ask what became of it: configfs applies at close(), which reports nothing."""
-        word = self._attributes.text(f"{name}/status")
+        if self._attributes.text(f"{name}/status") == "0":
+            self._attributes.write(f"{name}/status", _SWITCH_ON)
+        word = self._word(name)
         if word != APPLIED:
             text = (
                 f"the kernel did not apply overlay {name}: status says {word!r}; its log (dmesg) says why, often a "
                 "target that the base tree lacks, or symbols in a base tree built without 'dtc -@'"
             )
             raise DeviceError(errno.EIO, text, self._attributes.path(name))
+
+    def _word(self, name: str) -> str:
+        text = self._attributes.text(f"{name}/status")
+        return _WORDS.get(text, text)
 
     def _undo(self, name: str, cause: BaseException) -> None:
         try:

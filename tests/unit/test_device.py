@@ -457,6 +457,53 @@ def test_an_overlay_that_the_kernel_refuses_is_removed_again(tmp_path: Path) -> 
         assert overlays.list() == []
 
 
+class Dtbocfg(OverlayTree):
+    """The tree of the dtbocfg module: numbers for words, and nothing is applied before a 1 is written."""
+
+    def __init__(self, root: Path, accepts: bool) -> None:
+        super().__init__(root, "0")
+        self.accepts = accepts
+        self.statuses: list[FakeNode] = []
+
+    def __call__(self, op: int, payload: bytes, fds: list[int], events: socket.socket) -> Reply:
+        error, *rest = super().__call__(op, payload, fds, events)
+        if op == MKDIR:
+            path = f"{OVERLAYS}/{payload.decode()}/status"
+            (self.folder.parents[4] / path).unlink()
+            self.statuses.append(FakeNode(self.folder.parents[4], path, self._status))
+        return error, rest[0], rest[1]
+
+    def _status(self, op: int, payload: bytes, fds: list[int], events: socket.socket) -> Reply:
+        if op == ATTR_WRITE and self.accepts:
+            self.word = payload.decode()
+        return 0, b"" if op == ATTR_WRITE else f"{self.word}\n".encode(), []
+
+
+@pytest.mark.parametrize("accepts", [True, False])
+def test_an_overlay_is_switched_on_where_the_kernel_wants_that(tmp_path: Path, accepts: bool) -> None:
+    tree = Dtbocfg(tmp_path, accepts)
+    with FakeNode(tmp_path, f"{OVERLAYS}/.node", tree):
+        overlays = device.Overlays(tmp_path)
+        if accepts:
+            overlays.apply("camera", DTBO)
+            assert overlays.status("camera") == "applied"
+        else:
+            with pytest.raises(device.DeviceError, match="'unapplied'"):
+                overlays.apply("camera", DTBO)
+            assert overlays.list() == []
+    for node in tree.statuses:
+        node.close()
+
+
+def test_a_forgotten_buffer_is_given_back(dma: tuple[device.AxiDma, Channel]) -> None:
+    before = open_descriptors()
+    array = dma[0].allocate(64).array()
+    gc.collect()
+    assert dma[1].freed == [3]
+    assert open_descriptors() == before
+    array[:] = 1
+
+
 @pytest.mark.parametrize("name", ["", "../a", ".hidden", "a/b", "-a", "a b"])
 def test_an_overlay_name_that_is_a_path_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(device.DeviceInvalid):
