@@ -6,18 +6,21 @@ port() {
 	done
 }
 mkdir -p /tmp/results
+echo "booted=$(cut -d ' ' -f 1 /proc/uptime)" >/tmp/results/facts
 cd /opt/cm/tests || exit
 {
 	python3 -m pytest -p no:cacheprovider -c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests \
 		-q --tb=short --durations=5 ${CM_VM_KEYWORD:+-k "$(echo "$CM_VM_KEYWORD" | tr + ' ')"} \
 		--junit-xml=/tmp/results/cases.xml vm/cases
-	echo "status=$?" >/tmp/results/facts
+	echo "status=$?" >>/tmp/results/facts
 } >"$(port cm.output)" 2>&1
 echo "kernel=$(uname -r) $(uname -m)" >>/tmp/results/facts
-if [ -e /sys/kernel/debug/kmemleak ]; then
+echo "tested=$(cut -d ' ' -f 1 /proc/uptime)" >>/tmp/results/facts
+if [ -w /sys/kernel/debug/kmemleak ]; then
 	echo scan >/sys/kernel/debug/kmemleak
 	echo scan >/sys/kernel/debug/kmemleak
 	cat /sys/kernel/debug/kmemleak >/tmp/results/kmemleak
 fi
 dmesg >/tmp/results/dmesg
+echo "uptime=$(cut -d ' ' -f 1 /proc/uptime)" >>/tmp/results/facts
 tar -c -C /tmp/results . >"$(port cm.results)"

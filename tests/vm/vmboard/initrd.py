@@ -35,7 +35,9 @@ def image(cache: Cache, kernel: Kernel) -> Path:
     """The packed initramfs for a stock kernel."""
     require("cpio")
     inputs = [SCRIPT, *DRIVERS, kernel.release, str(kernel.build)]
-    return cache.entry(f"initrd-{kernel.arch.debian}", inputs, lambda place: _build(cache, kernel, place)) / "initrd.cpio"
+    return (
+        cache.entry(f"initrd-{kernel.arch.debian}", inputs, lambda place: _build(cache, kernel, place)) / "initrd.cpio"
+    )
 
 
 def _build(cache: Cache, kernel: Kernel, place: Path) -> None:

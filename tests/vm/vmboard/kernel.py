@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import re
-import subprocess
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -119,16 +118,23 @@ class _Ticker:
 
 def _drop_objects(out: Path) -> None:
     """Remove what a build of modules does not need: most of the size."""
-    find = ["find", str(out), "-path", f"{out}/scripts", "-prune", "-o", "-path", f"{out}/installed", "-prune", "-o"]
-    names = ["(", "-name", "*.o", "-o", "-name", "*.a", "-o", "-name", "vmlinux*", "-o", "-name", "*.cmd", ")"]
-    subprocess.run([*find, "-type", "f", *names, "-delete"], check=True)
+    kept = {out / "scripts", out / "installed"}
+    for path in out.rglob("*"):
+        if kept.isdisjoint(path.parents) and path.is_file() and _is_object(path.name):
+            path.unlink()
+
+
+def _is_object(name: str) -> bool:
+    return name.endswith((".o", ".a", ".cmd")) or name.startswith("vmlinux")
 
 
 def stock(cache: Cache, arch: Arch) -> Kernel:
     """Debian's own kernel of the running release, with its headers."""
     foreign = Apt(cache.root, arch)
     meta = f"linux-image-{arch.debian}"
-    place = cache.entry(f"kernel-stock-{arch.debian}", [meta, "layout 1"], lambda out: _fetch_stock(cache, foreign, meta, out))
+    place = cache.entry(
+        f"kernel-stock-{arch.debian}", [meta, "layout 1"], lambda out: _fetch_stock(cache, foreign, meta, out)
+    )
     release = (place / "release").read_text()
     image = next((place / "root/boot").glob("vmlinuz-*"))
     build = place / "root/usr/src" / f"linux-headers-{release}"
@@ -161,5 +167,3 @@ def _point_headers_home(sources: Path) -> None:
         text = makefile.read_text()
         if "include /usr/src/" in text:
             makefile.write_text(text.replace("/usr/src/", f"{sources}/"))
-
-

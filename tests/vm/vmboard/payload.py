@@ -30,7 +30,22 @@ def image(cache: Cache, kernel: Kernel) -> Path:
         root = place / "root"
         _copy_software(root, package, modules, trees, tests)
         _copy_modules(root, kernel, modules)
-        run(["mke2fs", "-q", "-t", "ext4", "-O", "^has_journal", "-L", "cm-payload", "-d", root, place / "payload.ext4", "96M"])
+        run(
+            [
+                "mke2fs",
+                "-q",
+                "-t",
+                "ext4",
+                "-O",
+                "^has_journal",
+                "-L",
+                "cm-payload",
+                "-d",
+                root,
+                place / "payload.ext4",
+                "96M",
+            ]
+        )
         shutil.rmtree(root)
 
     return cache.entry(f"payload-{kernel.release}", inputs, build) / "payload.ext4"

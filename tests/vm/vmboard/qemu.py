@@ -11,8 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from .arch import AMD64, Arch
-from .errors import MissingError
-from .shell import require
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +27,6 @@ class Machine:
     kvm: bool = False
     arguments: tuple[str, ...] = ()  # of the kernel, read by guest/main
     forwards: dict[int, int] = field(default_factory=dict)  # host port → port on the board
-
-
-def check(arch: Arch, kvm: bool) -> None:
-    """MissingError where this host cannot run such a machine."""
-    require(arch.qemu)
-    if kvm and not os.access("/dev/kvm", os.R_OK | os.W_OK):
-        raise MissingError("/dev/kvm is not there or not ours to use")
 
 
 def command(machine: Machine) -> list[str]:
@@ -83,7 +74,8 @@ def _network(machine: Machine) -> list[str]:
 def _append(machine: Machine) -> str:
     console = "ttyS0" if machine.arch == AMD64 else "ttyAMA0"
     root = [] if machine.initrd else ["root=/dev/vda", "rw", "init=/usr/sbin/cm-init"]
-    return " ".join([f"console={console}", "panic=-1", "loglevel=6", *root, *machine.arguments])
+    more = os.environ.get("CM_VM_APPEND", "").split()
+    return " ".join([f"console={console}", "panic=-1", "loglevel=6", "printk.time=1", *root, *machine.arguments, *more])
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,12 +93,15 @@ def run(machine: Machine, place: Path, timeout_s: float, watch: Callable[[str], 
     """Boot, hand each line the tests print to `watch`, and wait for the board to switch itself off."""
     console, output, results = place / "console.log", place / "output.log", place / "results.tar"
     started = time.monotonic()
-    with (place / "qemu.log").open("wb") as log, subprocess.Popen(
-        [*command(machine), *_ports(machine, console, output, results)],
-        stdin=subprocess.DEVNULL,
-        stdout=log,
-        stderr=log,
-    ) as process:
+    with (
+        (place / "qemu.log").open("wb") as log,
+        subprocess.Popen(
+            [*command(machine), *_ports(machine, console, output, results)],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=log,
+        ) as process,
+    ):
         try:
             status = _follow(process, output, started + timeout_s, watch)
         finally:

@@ -7,10 +7,11 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import initrd, payload, qemu, report, rootfs, software
+from . import initrd, kvm, payload, qemu, report, rootfs, software
 from .cache import Cache
 from .errors import MissingError
 from .progress import say, step
+from .shell import require
 from .tiers import TIERS, Tier
 
 PORTS = (5560, 5561, 5562)
@@ -22,10 +23,15 @@ def build(cache: Cache, names: list[str]) -> None:
         machine(cache, TIERS[name])
 
 
-def machine(cache: Cache, tier: Tier, arguments: tuple[str, ...] = (), forwards: dict[int, int] | None = None) -> qemu.Machine:
+def machine(
+    cache: Cache, tier: Tier, arguments: tuple[str, ...] = (), forwards: dict[int, int] | None = None
+) -> qemu.Machine:
     """Build what a board needs, and describe it."""
-    qemu.check(tier.arch, tier.kvm)
+    require(tier.arch.qemu)
     kernel = tier.kernel(cache)
+    accelerated = tier.kvm and kvm.works(cache, kernel)
+    if tier.kvm and not accelerated:
+        say(f"{tier.name}: no working /dev/kvm here, the board is emulated")
     return qemu.Machine(
         arch=tier.arch,
         image=kernel.image,
@@ -34,8 +40,8 @@ def machine(cache: Cache, tier: Tier, arguments: tuple[str, ...] = (), forwards:
         memory_mb=tier.memory_mb,
         initrd=None if tier.fragments else initrd.image(cache, kernel),
         dtb=software.overlays(cache) / "qemu-virt.dtb" if tier.fragments else None,
-        kvm=tier.kvm,
-        arguments=(f"cm.tier={tier.name}", f"cm.expects={','.join(tier.expects)}", *arguments),
+        kvm=accelerated,
+        arguments=(*tier.append.split(), f"cm.tier={tier.name}", f"cm.expects={','.join(tier.expects)}", *arguments),
         forwards=forwards or {},
     )
 

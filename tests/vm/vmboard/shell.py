@@ -22,7 +22,11 @@ def require(*programs: str) -> None:
 
 
 def run(
-    command: Sequence[Argument], *, cwd: Path | None = None, log: Path | None = None, env: Mapping[str, str] | None = None
+    command: Sequence[Argument],
+    *,
+    cwd: Path | None = None,
+    log: Path | None = None,
+    env: Mapping[str, str] | None = None,
 ) -> str:
     """Run a program and return its standard output, or append all output to `log`; VmError where it fails."""
     arguments = [str(argument) for argument in command]

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import compileall
 import importlib.util
+import io
 import os
 import shutil
 import sys
@@ -48,7 +49,7 @@ def _compile_extension(cache: Cache, arch: Arch, target: Path) -> None:
         raise FileNotFoundError(REPOSITORY / "csrc/build_cffi.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    with redirect_stdout(sys.stderr):
+    with redirect_stdout(io.StringIO()):
         module.ffibuilder.emit_c_code(str(generated))
     sources = sorted((REPOSITORY / "csrc").glob("*.c"))
     folders = [include, include.parent, include.parent / arch.gnu, REPOSITORY / "csrc", REPOSITORY / "csrc/cffi"]

@@ -20,7 +20,8 @@ class Tier:
     expects: tuple[str, ...]
     memory_mb: int
     timeout_s: int
-    kvm: bool = False
+    kvm: bool = False  # where the host's works; emulated otherwise
+    append: str = ""  # more arguments of the kernel
 
     def kernel(self, cache: Cache) -> kernel.Kernel:
         """Build or fetch the kernel."""
@@ -31,12 +32,17 @@ class Tier:
 
 BASIC = ("cm", "dma", "uio", "plsim")
 FULL = (*BASIC, "overlay", "fpga", "uio_genirq", "kunit")
+SANITIZERS = ("kasan", "lockdep", "dma_debug")
 TIERS = {
     tier.name: tier
     for tier in (
-        Tier("stock", ARM64, (), BASIC, 768, 600),
-        Tier("custom", ARM64, ("custom.config",), FULL, 512, 600),
-        Tier("sanitize", ARM64, ("custom.config", "sanitize.config"), (*FULL, "kasan", "kmemleak"), 1024, 1200),
-        Tier("x86", AMD64, (), (*BASIC, "kvm"), 768, 300, kvm=True),
+        Tier("stock", ARM64, (), BASIC, memory_mb=768, timeout_s=600),
+        Tier(
+            "custom", ARM64, ("custom.config",), (*FULL, "kmemleak"), memory_mb=512, timeout_s=900, append="kmemleak=on"
+        ),
+        Tier(
+            "sanitize", ARM64, ("custom.config", "sanitize.config"), (*FULL, *SANITIZERS), memory_mb=768, timeout_s=1200
+        ),
+        Tier("x86", AMD64, (), BASIC, memory_mb=768, timeout_s=600, kvm=True),
     )
 }
