@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,10 @@ from typing import Any
 
 from cm.cli.common import add_json_option, print_json
 from cm.errors import NotFound
-from cm.schema import Problem, SchemaError, json_schema, load, schema_files
+from cm.schema import Problem, SchemaError, json_schema, load, loads, schema_files
 from cm.schema.model import Config
+
+_STDIN = Path("-")
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -21,9 +24,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "check",
         help="check runtime schemas",
         description="Check runtime schemas. Exit status 0 if all are good. A folder stands for its *.yaml and *.yml"
-        " files that have a config:.",
+        " files that have a config:, and - for what is on stdin.",
     )
-    parser.add_argument("paths", nargs="*", type=Path, metavar="FILE", help="a runtime schema, or a folder of them")
+    parser.add_argument("paths", nargs="*", type=Path, metavar="FILE", help="a runtime schema, a folder of them, or -")
     parser.add_argument("--print-schema", action="store_true", help="print the JSON Schema, for editors, and end")
     add_json_option(parser)
     parser.set_defaults(run=run, usage_error=parser.error)
@@ -63,7 +66,7 @@ def check_files(paths: Iterable[Path]) -> list[Checked]:
 
 def _check_file(path: Path) -> Checked:
     try:
-        return Checked(path, load(path), ())
+        return Checked(path, loads(sys.stdin.read(), "-") if path == _STDIN else load(path), ())
     except SchemaError as error:
         return Checked(path, None, error.problems)
     except NotFound:

@@ -40,7 +40,8 @@ def load(path: Path | str) -> Config:
         line = data.count(b"\n", 0, error.start) + 1
         problem = Problem(path, line, 1, "", "yaml_syntax", "not UTF-8 text", "save the file as UTF-8")
         raise SchemaError([problem]) from None
-    return replace(loads(text, path), sha256_source=hashlib.sha256(data).hexdigest())
+    # absolute, so that files beside it are found from any working directory
+    return replace(loads(text, path), source=path.absolute(), sha256_source=hashlib.sha256(data).hexdigest())
 
 
 def loads(text: str, source: Path | str | None = None) -> Config:

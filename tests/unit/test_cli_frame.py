@@ -206,6 +206,12 @@ def test_check_reports_in_json(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert report["files"][1]["problems"][0]["code"] == "duplicate_name"
 
 
+def test_check_reads_from_stdin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("config: {name: c, modes: {m: {}}, x: 1}"))
+    assert main(["check", "-"]) == 1
+    assert capsys.readouterr().out.startswith("-:1:35: config.x: unknown key 'x'")
+
+
 def test_check_refuses_what_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(tmp_path / "none.yaml"), str(tmp_path)]) == 1
     out = capsys.readouterr().out.splitlines()

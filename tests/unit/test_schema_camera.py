@@ -150,6 +150,13 @@ def test_two_files_with_one_name_are_refused_naming_both(tmp_path: Path) -> None
     assert str(tmp_path / "a.yaml") in problem.message
 
 
+def test_the_source_is_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "c.yaml").write_bytes(b"\xef\xbb\xbfconfig:\r\n  name: c\r\n  modes: {m: {}}\r\n")
+    monkeypatch.chdir(tmp_path)
+    config = cm.schema.load("c.yaml")
+    assert (config.source, config.name) == (tmp_path / "c.yaml", "c")
+
+
 def test_a_folder_tells_of_all_its_bad_files(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("config: {")
     (tmp_path / "b.yaml").write_text("config: {name: 5}")
