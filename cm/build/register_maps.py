@@ -138,7 +138,8 @@ def register_of(register: Any) -> RegisterSpec:
         for name in [identifier(part.name)]
     }
     clearing = any(part.one_to_clear for part in register.fields)
-    name, width = identifier(register.name), _width(register.size)
+    # Vivado states the bits in use; the AXI peripherals that it describes are accessed by words
+    name, width = identifier(register.name), _width(register.size if register.offset % 4 else max(register.size, 32))
     access = access_of(register.access, clearing)
     return RegisterSpec(name, register.offset, width, access, None, register.reset, fields=fields, doc=register.doc)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from cm.build.analyse import Analysis
 from cm.build.boundary.model import Adaptation, Boundary, Fit
-from cm.build.hdl.model import ModuleInfo
+from cm.build.hdl.model import Mode, ModuleInfo
 from cm.build.project import Project
 from cm.build.system import System
 
@@ -49,16 +49,27 @@ def _region(boundary: Boundary) -> dict[str, Any]:
         "ports": {port.name: port.width for port in boundary.ports},
         "interfaces": {i.name: {"protocol": i.protocol, "mode": i.mode.value} for i in boundary.interfaces},
         "modules": {
-            a.module: {"fits": a.ok, "adapted": list(adapted(a)), "notes": list(a.notes), "refused": list(a.refused)}
+            a.module: {
+                "fits": a.ok,
+                "adapted": list(adapted(a, boundary)),
+                "notes": list(a.notes),
+                "refused": list(a.refused),
+            }
             for a in boundary.adaptations
         },
     }
 
 
-def adapted(adaptation: Adaptation) -> Iterator[str]:
-    """What the wrapper does beyond plain connections, one phrase per port."""
+def adapted(adaptation: Adaptation, boundary: Boundary) -> Iterator[str]:
+    """What the wrapper does beyond plain connections, one phrase per port or whole interface."""
+    present = {connection.boundary for connection in adaptation.connections if connection.module}
+    absent = [i for i in boundary.interfaces if not present.intersection(i.ports.values())]
+    for interface in absent:
+        answered = interface.protocol in ("axi4", "axi4lite") and interface.mode is Mode.SLAVE
+        yield f"{interface.name}: {'answered with SLVERR' if answered else 'idle'}"
+    skipped = {port for interface in absent for port in interface.ports.values()}
     for connection in adaptation.connections:
-        if connection.fit in _PLAIN:
+        if connection.fit in _PLAIN or connection.boundary in skipped:
             continue
         name = connection.module or connection.boundary
         if connection.fit in (Fit.EXTEND, Fit.TRUNCATE):
@@ -102,7 +113,7 @@ def _region_lines(region: str, boundary: Boundary) -> Iterator[str]:
     for interface in boundary.interfaces:
         yield f"  {interface.name}: {interface.protocol} {interface.mode.value}"
     for adaptation in boundary.adaptations:
-        phrases = list(adapted(adaptation))
+        phrases = list(adapted(adaptation, boundary))
         how = "refused" if not adaptation.ok else "adapted: " + "; ".join(phrases) if phrases else "fits as it is"
         yield f"  {adaptation.module}: {how}"
         for sentence in adaptation.refused:

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A .hwh (or the XSA, HDF that holds it) → static registers, interrupts, streams, clocks of a runtime schema."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cm import hwh
+from cm.build.errors import BuildError
+from cm.build.register_maps import identifier, register_of
+from cm.schema.model import Clock, Direction, Interrupt, Register, Stream
+
+ARCHIVES = (".xsa", ".hdf", ".zip")
+MAX_MEMBER = 64 << 20  # bytes of a file in an archive
+
+
+@dataclass(frozen=True, slots=True)
+class Handoff:
+    """A block design as the vendor's tool described it; `partial` has no processor and relative addresses."""
+
+    name: str
+    design: hwh.Hwh
+
+    @property
+    def partial(self) -> bool:
+        """The description of a module, not of the whole design."""
+        return not any(m.type in _PROCESSORS for m in self.design.modules.values())
+
+    @property
+    def device(self) -> str:
+        """As in a runtime schema: ``xc7z020``."""
+        name = self.design.device.lower()
+        return name if name.startswith("x") else f"xc{name}"
+
+
+_PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
+
+
+def unpack(path: Path, folder: Path) -> list[Path]:
+    """The .hwh and .bit files of an archive, written to `folder`."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return list(_members(archive, folder))
+    except (zipfile.BadZipFile, OSError) as error:
+        raise BuildError(f"{path}: no XSA or HDF: {error}") from None
+
+
+def _members(archive: zipfile.ZipFile, folder: Path) -> Iterator[Path]:
+    for info in sorted(archive.infolist(), key=lambda info: info.filename):
+        if Path(info.filename).suffix.lower() not in (".hwh", ".bit"):
+            continue
+        if info.file_size > MAX_MEMBER:
+            raise BuildError(f"{archive.filename}: {info.filename} has {info.file_size} bytes")
+        target = folder / Path(info.filename).name  # never a path out of the archive
+        target.write_bytes(archive.read(info))
+        yield target
+
+
+def read_handoff(path: Path) -> Handoff:
+    """A .hwh file; raises `cm.hwh.HwhError`."""
+    return Handoff(path.stem, hwh.read(path))
+
+
+def static_registers(design: hwh.Hwh, regions: frozenset[str]) -> dict[str, Register]:
+    """Registers of every window outside of regions, called ``<instance>_<register>``."""
+    found: dict[str, Register] = {}
+    for window in hwh.windows(design):
+        instance = design.modules.get(window.instance)
+        if instance is None or window.instance in regions or instance.region:
+            continue
+        for register in _registers(instance, window):
+            found.setdefault(register.name, register)
+    return found
+
+
+def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: str | None = None) -> Iterator[Register]:
+    blocks = instance.registers.get(window.interface) or (
+        next(iter(instance.registers.values())) if len(instance.registers) == 1 else ()
+    )
+    prefix = identifier(instance.name)
+    for info in blocks:
+        spec = register_of(info)
+        if spec.offset + spec.width // 8 > window.size:
+            continue
+        yield Register(
+            name=f"{prefix}_{spec.name}",
+            base_address=window.base,
+            offset=spec.offset,
+            width=spec.width,
+            access=spec.access,
+            reset=spec.reset,
+            region=region,
+            # hardware may change what it describes: never verified after a write
+            volatile=True,
+            doc=spec.doc[:200],
+        )
+
+
+def module_registers(design: hwh.Hwh, base: int, region: str) -> dict[str, Register]:
+    """Registers of a module from its own .hwh: relative addresses, moved to `base` where they are below it."""
+    found: dict[str, Register] = {}
+    for window in hwh.windows(design):
+        instance = design.modules.get(window.instance)
+        if instance is None:
+            continue
+        for register in _registers(instance, window, region):
+            found.setdefault(register.name, _moved(register, base))
+    return found
+
+
+def _moved(register: Register, base: int) -> Register:
+    if register.base_address >= base:
+        return register
+    return replace(register, base_address=base + register.base_address)
+
+
+def streams(design: hwh.Hwh) -> dict[str, Stream]:
+    """One stream per DMA channel; the name is the engine's where it has one channel only."""
+    channels = hwh.dma_channels(design)
+    found: dict[str, Stream] = {}
+    for channel in channels:
+        engine = identifier(design.modules[channel.instance].name)
+        alone = sum(other.instance == channel.instance for other in channels) == 1
+        name = engine if alone else f"{engine}_{channel.direction}"
+        found[name] = Stream(name, name, Direction(channel.direction))
+    return found
+
+
+def interrupts(design: hwh.Hwh) -> dict[str, Interrupt]:
+    """Interrupts of instances with a register window; those of DMA engines belong to their driver."""
+    bases = {window.instance: window.base for window in reversed(hwh.windows(design))}
+    engines = {channel.instance for channel in hwh.dma_channels(design)}
+    found: dict[str, Interrupt] = {}
+    for line in hwh.interrupts(design):
+        if line.instance in bases and line.instance not in engines:
+            name = f"{identifier(design.modules[line.instance].name)}_{identifier(line.port)}"
+            found.setdefault(name, Interrupt(name, bases[line.instance]))
+    return found
+
+
+def clocks(design: hwh.Hwh) -> dict[str, Clock]:
+    """PL clocks."""
+    return {clock.name: Clock(clock.name, clock.rate) for clock in hwh.clocks(design)}

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`cm build init`: a first, commented build schema from HDL files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.build import hdl
+from cm.build.boundary import boundary
+from cm.build.boundary.model import Boundary
+from cm.build.errors import BuildError
+from cm.build.hdl.model import Mode, ModuleInfo
+from cm.build.load import DEFAULT_CLOCK, DEFAULT_RATE
+from cm.build.platforms import platform_of
+from cm.build.register_maps import identifier
+from cm.build.render import Renderer
+
+DEFAULT_PART = "xc7z020clg400-1"
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A module that goes to the region: `files` in the order in which they were given."""
+
+    name: str
+    info: ModuleInfo
+    files: tuple[str, ...]
+
+    @property
+    def summary(self) -> str:
+        """Its interfaces on one line."""
+        found = [f"{i.name} ({i.protocol} {i.mode.value})" for i in self.info.interfaces]
+        found += [f"{i.port} (interrupt)" for i in self.info.interrupts]
+        return ", ".join(found)
+
+
+def init_text(files: Sequence[Path], folder: Path, name: str, part: str = DEFAULT_PART, top: str | None = None) -> str:
+    """The text of a build schema in `folder` for the modules in `files`.
+
+    Modules that no other one instantiates and that have a bus interface become modules of one region;
+    `top` takes only that one. BuildError where there is none.
+    """
+    platform = platform_of(part)
+    reading = hdl.read(files)
+    chosen = [info for info in hdl.roots(reading.modules) if top is None or info.name == top]
+    if top is not None and not chosen:
+        chosen = [info for info in reading.modules if info.name == top]
+    usable = [info for info in chosen if info.interfaces and info.usable]
+    if not usable:
+        names = ", ".join(info.name for info in chosen) or f"no module {top}"
+        raise BuildError(f"no module with a bus interface that could go into a region: found {names}")
+    modules = [_proposal(info, reading.modules, files, folder) for info in usable]
+    found = boundary(usable)  # whether they fit one region
+    context = {
+        "name": identifier(name),
+        "part": part,
+        "clock": DEFAULT_CLOCK if platform.name == "zynq7000" else "pl_clk0",
+        "rate": f"{DEFAULT_RATE:_}",
+        "modules": modules,
+        "left_out": [info for info in chosen if info not in usable],
+        "streams": list(_streams(found)),
+        "refused": [f"{a.module}: {sentence}" for a in found.adaptations for sentence in a.refused],
+        "registers": {module.name: _register_bus(module.info) for module in modules},
+    }
+    return Renderer(folder, folder, "").render("build.yaml.j2", context)
+
+
+def _proposal(info: ModuleInfo, known: Iterable[ModuleInfo], files: Sequence[Path], folder: Path) -> Proposal:
+    by_name = {module.name: module for module in known}
+    needed = {Path(info.file)}
+    queue = [info]
+    seen = {info.name}
+    for module in queue:
+        for name in module.instantiates:
+            if name in by_name and name not in seen:
+                seen.add(name)
+                queue.append(by_name[name])
+                needed.add(Path(by_name[name].file))
+    listed = tuple(_relative(path, folder) for path in files if path in needed)
+    return Proposal(identifier(info.name), info, listed)
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+
+
+def _streams(found: Boundary) -> Iterable[Mapping[str, str]]:
+    for interface in found.interfaces:
+        if interface.protocol == "axis":
+            direction = "from memory" if interface.mode is Mode.SLAVE else "to memory"
+            yield {"name": interface.name, "direction": direction, "width": str(interface.data_width)}
+
+
+def _register_bus(info: ModuleInfo) -> str:
+    return next((i.name for i in info.interfaces if i.protocol == "axi4lite" and i.mode is Mode.SLAVE), "")

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm build …``: from HDL to bitstreams, overlays and runtime schemas."""
+
+from __future__ import annotations
+
+import argparse
+
+from cm.cli.build_collect import add_collect_parser
+from cm.cli.build_configure import add_configure_parser
+from cm.cli.build_generate import add_check_parser, add_generate_parser
+from cm.cli.build_init import add_init_parser
+from cm.cli.build_interfaces import add_interfaces_parser
+from cm.cli.build_partition import add_partition_parser
+from cm.cli.build_run import add_run_parser
+
+_DESCRIPTION = """\
+The build tool. `init` begins a build schema, `check` says what is found in the HDL, `generate` writes everything that
+the vendor's tools and the target need, `configure` asks what only you can know, `run` runs the flow, `collect` packs
+what it made for the target. Most take the build schema's name; the default is build.yaml."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser("build", help="from HDL to bitstreams and runtime schemas", description=_DESCRIPTION)
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    add_init_parser(actions)
+    add_interfaces_parser(actions)
+    add_check_parser(actions)
+    add_generate_parser(actions)
+    add_configure_parser(actions)
+    add_run_parser(actions)
+    add_collect_parser(actions)
+    add_partition_parser(actions)

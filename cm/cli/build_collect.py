@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm build collect``: pack a flow's results for the target."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from cm.build.answers import load_answers
+from cm.build.collect import collect, collect_ours, write
+from cm.build.collected import Collected
+from cm.build.generate import ANSWERS, load_design, output_folder
+from cm.cli.common import add_json_option, print_json
+
+
+def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the action."""
+    parser = actions.add_parser(
+        "collect",
+        help="make a configuration for the target from bitstreams and hardware descriptions",
+        description="Take .xsa, .hdf, .hwh, .bit and .bin files (or folders of them), check that they belong together,"
+        " and write <config>/ as it goes to /lib/firmware/cm/, and <config>.tar.gz. With --schema the files are"
+        " those of that build schema's flow; without, any flow's.",
+    )
+    parser.add_argument("paths", nargs="*", type=Path, metavar="PATH", help="default with --schema: its bitstreams/")
+    parser.add_argument("--schema", type=Path, metavar="FILE", help="the build schema that the files were made from")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="the build schema's output folder")
+    parser.add_argument("--name", help="name of the configuration (default: that of the design)")
+    parser.add_argument("--target", "-o", type=Path, default=Path("target"), metavar="DIR", help="default: target/")
+    add_json_option(parser)
+    parser.set_defaults(run=run_collect)
+
+
+def run_collect(args: argparse.Namespace) -> int:
+    """Write the folder and the archive."""
+    found = _ours(args) if args.schema else collect(args.paths, args.name)
+    args.target.mkdir(parents=True, exist_ok=True)
+    folder, packed = write(found, args.target)
+    if args.json:
+        files = sorted(found.files)
+        print_json(
+            {"config": found.config.name, "folder": folder, "archive": packed, "files": files, "notes": found.notes}
+        )
+        return 0
+    modules, modes = len(found.config.modules), len(found.config.modes)
+    print(f"{folder}: configuration {found.config.name}, {modules} modules, {modes} modes, {len(found.files)} files")
+    print(f"{packed}: the same as an archive")
+    for note in found.notes:
+        print(f"note: {note}")
+    return 0
+
+
+def _ours(args: argparse.Namespace) -> Collected:
+    design = load_design(args.schema)
+    out = output_folder(design.project, args.out)
+    paths = args.paths or [out / "bitstreams"]
+    return collect_ours(paths, design.system, load_answers(out / ANSWERS), out)

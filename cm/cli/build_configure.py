@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm build configure``: decide what the runtime schema leaves open."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from cm.build.answers import read_answers
+from cm.build.configure import answer_all, as_text, questions, to_answers
+from cm.build.errors import BuildError
+from cm.build.generate import ANSWERS, generate, load_design, output_folder
+from cm.cli.build_common import add_out_option, add_schema_argument
+
+
+def add_configure_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the action."""
+    parser = actions.add_parser(
+        "configure",
+        help="ask what only you can decide about the runtime schema",
+        description="Ask on the terminal, with defaults; answers are kept in answers.yaml of the output folder and"
+        " used by every later generate. With --answers or --defaults nothing is asked.",
+    )
+    add_schema_argument(parser)
+    add_out_option(parser)
+    choice = parser.add_mutually_exclusive_group()
+    choice.add_argument("--answers", type=Path, metavar="FILE", help="answers; defaults for the rest")
+    choice.add_argument("--defaults", action="store_true", help="take the defaults")
+    parser.set_defaults(run=run_configure)
+
+
+def run_configure(args: argparse.Namespace) -> int:
+    """Ask, keep the answers, generate again."""
+    design = load_design(args.schema)
+    out = output_folder(design.project, args.out)
+    asked = list(questions(design.system))
+    if args.answers is not None and not args.answers.exists():
+        raise BuildError(f"{args.answers} does not exist")
+    source: Path = args.answers or out / ANSWERS
+    given = {} if args.defaults else read_answers(source) if args.answers else {}
+    interactive = not args.defaults and args.answers is None
+    if interactive and not sys.stdin.isatty():
+        raise BuildError("there is no terminal to ask on: give --answers FILE or --defaults")
+    answers = answer_all(asked, given, input if interactive else None, source)
+    out.mkdir(parents=True, exist_ok=True)
+    (out / ANSWERS).write_text(as_text(answers, asked), encoding="utf-8")
+    done = generate(design, out, to_answers(answers, asked, source))
+    print(f"{out / ANSWERS}: {len(asked)} answers; {len(done.created) + len(done.updated)} files brought up to date")
+    for name in done.conflicts:
+        print(f"changed by you and by generation: {name}; the new text is in {name}.new")
+    return 1 if done.conflicts else 0

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm build check`` and ``cm build generate``."""
+
+from __future__ import annotations
+
+import argparse
+
+from cm.build.analyse import analyse
+from cm.build.generate import generate, load_design, output_folder
+from cm.build.load import load_project
+from cm.build.manifest import Written
+from cm.build.plan import plan_system
+from cm.build.report import as_dict, lines
+from cm.cli.build_common import add_out_option, add_schema_argument
+from cm.cli.common import add_json_option, print_json
+
+
+def add_check_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``check``."""
+    parser = actions.add_parser("check", help="say what is found in the HDL and how modules fit their regions")
+    add_schema_argument(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run_check)
+
+
+def add_generate_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add ``generate``."""
+    parser = actions.add_parser(
+        "generate",
+        help="write wrappers, static part, Tcl, overlays, symbols and the runtime schema",
+        description="Write everything that the vendor's tools and the target need. A file that you changed is never"
+        " overwritten: the new one goes beside it as FILE.new, the one you began from is in .cm-orig/.",
+    )
+    add_schema_argument(parser)
+    add_out_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run_generate)
+
+
+def run_check(args: argparse.Namespace) -> int:
+    """Print the report; 1 if a module does not fit."""
+    project = load_project(args.schema)
+    analysis = analyse(project)
+    system = None if analysis.refused else plan_system(analysis.completed(project), analysis.boundaries)
+    if args.json:
+        print_json(as_dict(project, analysis, system))
+    else:
+        for line in lines(project, analysis, system):
+            print(line)
+    return 1 if analysis.refused else 0
+
+
+def run_generate(args: argparse.Namespace) -> int:
+    """Write the files; 1 if some could not be brought up to date without losing changes."""
+    design = load_design(args.schema)
+    out = output_folder(design.project, args.out)
+    done = generate(design, out)
+    if args.json:
+        print_json({name: getattr(done, name) for name in Written.__slots__} | {"runs": len(design.system.runs)})
+        return 1 if done.conflicts else 0
+    print(f"{out}: {len(done.created)} new, {len(done.updated)} updated, {len(done.unchanged)} unchanged")
+    _print_changes(done)
+    print(design.system.cover)
+    for note in design.system.notes:
+        print(f"note: {note}")
+    return 1 if done.conflicts else 0
+
+
+def _print_changes(done: Written) -> None:
+    for name in done.kept:
+        print(f"kept your changes: {name}")
+    for name in done.conflicts:
+        print(f"changed by you and by generation: {name}")
+        print(f"  the new text is in {name}.new; merge: git merge-file {name} .cm-orig/{name} {name}.new")
+    for name in done.removed:
+        print(f"removed, no longer generated: {name}")
+    for name in done.left:
+        print(f"no longer generated, left because you changed it: {name}")

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm build init FILE…``: begin a build schema."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from cm.build.errors import BuildError
+from cm.build.init import DEFAULT_PART, init_text
+from cm.build.load import SCHEMA_FILE
+
+
+def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the action."""
+    parser = actions.add_parser("init", help="begin a build schema from HDL files")
+    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL")
+    parser.add_argument("--output", "-o", type=Path, default=Path("build.yaml"), metavar="FILE")
+    parser.add_argument("--name", help="name of the configuration (default: that of the folder)")
+    parser.add_argument("--part", default=DEFAULT_PART, help=f"full part (default: {DEFAULT_PART})")
+    parser.add_argument("--top", metavar="NAME", help="only this module")
+    parser.set_defaults(run=run_init)
+
+
+def run_init(args: argparse.Namespace) -> int:
+    """Write the schema, and its JSON Schema for editors beside it; a file that is there is not overwritten."""
+    output: Path = args.output
+    if output.exists():
+        raise BuildError(f"{output} is there already; give another name with --output")
+    folder = output.absolute().parent
+    text = init_text(args.files, folder, args.name or folder.name, args.part, args.top)
+    folder.mkdir(parents=True, exist_ok=True)
+    output.write_text(text, encoding="utf-8")
+    editor = folder / SCHEMA_FILE.name
+    if not editor.exists():
+        editor.write_bytes(SCHEMA_FILE.read_bytes())
+    print(f"{output}: written; look it through, then: cm build check {output}")
+    return 0

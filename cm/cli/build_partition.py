@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm build partition``: which modules should share a region."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from cm.build.advise import problem_of, todays_groups
+from cm.build.analyse import analyse
+from cm.build.load import load_project
+from cm.build.partition import Partition, advise, evaluate
+from cm.cli.build_common import add_schema_argument
+from cm.cli.common import add_json_option, print_json, print_table
+
+
+def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the action."""
+    parser = actions.add_parser(
+        "partition",
+        help="propose regions and which modules share one",
+        description="Propose which modules share a region, so that the worst or the mean time of a change of mode is"
+        " smallest under the part's resources; today's assignment stands beside it. Needs `resources:` of each module"
+        " and the modes.",
+    )
+    add_schema_argument(parser)
+    parser.add_argument("--objective", choices=("worst", "mean"), default="worst", help="default: worst")
+    parser.add_argument("--rate", type=float, metavar="MB/S", help="of the configuration port (default: its limit)")
+    add_json_option(parser)
+    parser.set_defaults(run=run_partition)
+
+
+def run_partition(args: argparse.Namespace) -> int:
+    """Print both assignments with their figures."""
+    project = load_project(args.schema)
+    problem = problem_of(project, analyse(project), args.rate * 1e6 if args.rate else None)
+    today = evaluate(problem, todays_groups(project, problem))
+    proposed = advise(problem, args.objective)
+    if args.json:
+        print_json({"objective": args.objective, "today": _dict(today), "proposed": _dict(proposed)})
+        return 0
+    for title, found in (("today", today), ("proposed", proposed)):
+        _print(title, found)
+    return 0
+
+
+def _dict(found: Partition) -> dict[str, Any]:
+    return {
+        "regions": [{"modules": g.modules, "share": g.share, "bytes": g.bytes} for g in found.groups],
+        "worst_seconds": found.worst,
+        "worst_change": found.worst_change,
+        "mean_seconds": found.mean,
+        "share": found.share,
+        "fits": found.fits,
+    }
+
+
+def _print(title: str, found: Partition) -> None:
+    change = " to ".join(found.worst_change) if found.worst else "no change loads anything"
+    fits = "" if found.fits else ", which does not fit"
+    print(f"{title}: worst {found.worst * 1e3:.3f} ms ({change}), mean {found.mean * 1e3:.3f} ms", end="")
+    print(f", {found.share:.1%} of the part{fits}")
+    rows = [
+        (
+            index,
+            ", ".join(g.modules),
+            g.resources.lut,
+            g.resources.ff,
+            g.resources.bram,
+            g.resources.dsp,
+            f"{g.bytes:,}",
+        )
+        for index, g in enumerate(found.groups)
+    ]
+    print_table(rows, ("region", "modules", "LUT", "FF", "BRAM", "DSP", "bytes of a load"))
+    print()

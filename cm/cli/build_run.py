@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm build run``: run the vendor's flow."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+
+from cm.build.generate import output_folder
+from cm.build.load import load_project
+from cm.build.run import run_flow
+from cm.build.steps import Flow, Planned, State
+from cm.build.vivado import find_vivado
+from cm.cli.build_common import add_out_option, add_schema_argument
+from cm.cli.common import add_json_option, print_json, print_table
+
+
+def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the action."""
+    parser = actions.add_parser(
+        "run",
+        help="run the flow in Vivado, or what of it has to be run again",
+        description="Run the generated flow. Steps whose inputs have the same content as before are left out; started"
+        " again after an error or an interruption, it goes on where it ended.",
+    )
+    add_schema_argument(parser)
+    add_out_option(parser)
+    parser.add_argument("--vivado", metavar="PATH", help="the program or its folder (default: XILINX_VIVADO, PATH)")
+    parser.add_argument("-j", "--jobs", type=int, default=2, metavar="N", help="steps at once (default: 2)")
+    parser.add_argument("--dry-run", action="store_true", help="list the steps and which would run")
+    add_json_option(parser)
+    parser.set_defaults(run=run_run)
+
+
+def run_run(args: argparse.Namespace) -> int:
+    """Run or list the steps."""
+    project = load_project(args.schema)
+    out = output_folder(project, args.out)
+    if args.dry_run:
+        _print_plan(Flow(out).plan(), args.json)
+        return 0
+    vivado = find_vivado(args.vivado, os.environ, project.vivado)
+    planned = run_flow(out, vivado, max(1, args.jobs), (lambda _: None) if args.json else _tell)
+    if args.json:
+        print_json({"ran": [entry.step.name for entry in planned if entry.state is not State.DONE]})
+    return 0
+
+
+def _tell(sentence: str) -> None:
+    print(sentence, flush=True)
+
+
+def _print_plan(planned: Sequence[Planned], as_json: bool) -> None:
+    if as_json:
+        rows = [{"step": p.step.name, "title": p.step.title, "state": p.state.value} for p in planned]
+        print_json({"steps": rows})
+        return
+    words = {
+        State.DONE: "done",
+        State.NEW: "to run",
+        State.CHANGED: "to run: its inputs changed",
+        State.AFTER: "to run: a step before it runs",
+        State.LOST: "to run: an output is gone",
+    }
+    print_table([(p.step.name, words[p.state], p.step.title) for p in planned], ("step", "state", "what"))
