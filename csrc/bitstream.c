@@ -48,27 +48,15 @@ enum state {
 
 /* tables[j][k][b]: what byte k with value b, fed j + 1 words before the end, adds to the CRC. */
 static uint32_t tables[SLICES][4][256];
+/* What a register's address adds to the CRC of one word, and of SLICES words. */
+static uint32_t address_of_one[1 << ADDRESS_BITS];
+static uint32_t address_of_all[1 << ADDRESS_BITS];
 
 static uint32_t shift(uint32_t crc, int bits)
 {
 	while (bits-- > 0)
 		crc = crc >> 1 ^ (POLYNOMIAL & -(crc & 1));
 	return crc;
-}
-
-/* Runs once when the module is loaded, before any thread can call; the tables are constant from then on. */
-__attribute__((constructor)) static void make_tables(void)
-{
-	for (int byte = 0; byte < 4; byte++) {
-		for (uint32_t value = 0; value < 256; value++) {
-			uint32_t crc = value << (8 * byte);
-
-			for (int words = 0; words < SLICES; words++) {
-				crc = shift(crc, 32 + ADDRESS_BITS);
-				tables[words][byte][value] = crc;
-			}
-		}
-	}
 }
 
 static inline uint32_t load(const uint8_t *at, int swapped)
@@ -89,17 +77,37 @@ static inline uint32_t look_up(int words, uint32_t value)
 	       tables[words][2][value >> 16 & 255] ^ tables[words][3][value >> 24];
 }
 
-/* `address` is what the register's address adds for one word: shift(reg, ADDRESS_BITS). */
+/* `address` is that of address_of_one. */
 static inline uint32_t crc_word(uint32_t crc, uint32_t address, uint32_t word)
 {
 	return look_up(0, crc ^ word) ^ address;
 }
 
+/* Runs once when the module is loaded, before any thread can call; the tables are constant from then on. */
+__attribute__((constructor)) static void make_tables(void)
+{
+	for (int byte = 0; byte < 4; byte++) {
+		for (uint32_t value = 0; value < 256; value++) {
+			uint32_t crc = value << (8 * byte);
+
+			for (int words = 0; words < SLICES; words++) {
+				crc = shift(crc, 32 + ADDRESS_BITS);
+				tables[words][byte][value] = crc;
+			}
+		}
+	}
+	for (uint32_t reg = 0; reg < 1 << ADDRESS_BITS; reg++) {
+		address_of_one[reg] = shift(reg, ADDRESS_BITS);
+		for (int words = 0; words < SLICES; words++)
+			address_of_all[reg] = crc_word(address_of_all[reg], address_of_one[reg], 0);
+	}
+}
+
 static inline uint32_t crc_run(uint32_t crc, uint32_t reg, const uint8_t *words, size_t count,
 			       int swapped)
 {
-	const uint32_t one = shift(reg, ADDRESS_BITS);
-	const uint32_t all = look_up(2, one) ^ look_up(1, one) ^ look_up(0, one) ^ one;
+	const uint32_t one = address_of_one[reg];
+	const uint32_t all = address_of_all[reg];
 
 	for (; count >= SLICES; count -= SLICES, words += 4 * SLICES)
 		crc = look_up(3, crc ^ load(words, swapped)) ^
@@ -113,6 +121,7 @@ static inline uint32_t crc_run(uint32_t crc, uint32_t reg, const uint8_t *words,
 uint32_t cm_config_crc(uint32_t crc, uint32_t reg, const uint8_t *words, size_t count, int swapped)
 {
 	/* Two copies, so that the byte order is no question inside the loop. */
+	reg &= (1u << ADDRESS_BITS) - 1;
 	return swapped ? crc_run(crc, reg, words, count, 1) : crc_run(crc, reg, words, count, 0);
 }
 
@@ -345,7 +354,7 @@ static void register_word(struct cm_config_port *port, struct sink *sink, uint32
 		fault(port, sink, CM_FAULT_DISGUISED, word);
 		return;
 	}
-	port->crc = crc_word(port->crc, shift(port->reg, ADDRESS_BITS), word);
+	port->crc = crc_word(port->crc, address_of_one[port->reg], word);
 	if (port->reg == REG_FAR) {
 		port->far = word;
 		port->far_words = 0;

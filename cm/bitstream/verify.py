@@ -138,4 +138,6 @@ def expect_module(config: Config, module: Module, learned: tuple[FrameRange, ...
 
 def expect_static(config: Config) -> Expectation:
     """Return what the runtime schema says of the image of a full configuration."""
-    return Expectation(device=config.device, partial=False, sha256=config.sha256)
+    return Expectation(
+        device=config.device, partial=False, allow_encrypted=config.allow_encrypted, sha256=config.sha256
+    )
