@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from cm.schema.problems import KeyPath, did_you_mean
+from cm.schema.scalars import resolve
 
 MAX_FINDINGS = 100
 _KINDS = {
@@ -74,7 +75,8 @@ def _finding(path: KeyPath, error: Any) -> Finding:
     rule, value, wanted = error.rule, error.value, error.rule_definition
     about: str = error.definition.get("description", "").rstrip(".")
     if rule == "type":
-        return Finding(path, "bad_type", f"expected {_kinds(wanted)}, found {_found(value)}", about)
+        hint = "write it without quotes" if _is_quoted_number(value, wanted) else about
+        return Finding(path, "bad_type", f"expected {_kinds(wanted)}, found {_found(value)}", hint)
     if rule == "enum":
         code = "bad_dtype" if path[-1] == "dtype" else "bad_value"
         choices = ", ".join(map(str, wanted))
@@ -87,6 +89,10 @@ def _finding(path: KeyPath, error: Any) -> Finding:
     if rule == "maxProperties":
         return Finding(path, "too_large", f"{len(value)} entries", _joined(f"at most {wanted}", about))
     return Finding(path, "bad_value", f"{_found(value)} does not fit", about)
+
+
+def _is_quoted_number(value: object, wanted: str | list[str]) -> bool:
+    return wanted in ("integer", "number") and isinstance(value, str) and type(resolve(value)) in (int, float)
 
 
 def _joined(*parts: str) -> str:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -185,6 +187,12 @@ def test_a_missing_file_is_told_with_the_places_looked_at(tmp_path: Path) -> Non
         bitstream_path(config, "edge", tmp_path)
     with pytest.raises(NotFound, match="did you mean edge"):
         bitstream_path(config, "edgy", tmp_path)
+
+
+def test_the_model_alone_imports_no_library() -> None:
+    code = "import sys, cm.schema.model; print([n for n in ('yaml', 'fastjsonschema', 'numpy') if n in sys.modules])"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30, check=True)
+    assert result.stdout == "[]\n"
 
 
 def test_the_json_schema_is_valid_draft_07() -> None:

@@ -44,6 +44,8 @@ CASES = [
     ("bad type", "bad_type", "device", "found 7020", "§device: 7020"),
     ("text where a number is meant", "bad_type", "mmio[0].base_address", "expected an integer, found 'x'",
      "mmio: [{§base_address: x, registers: {}}]"),
+    ("number in quotes", "bad_type", "mmio[0].base_address", "without quotes",
+     "mmio: [{§base_address: '0x10', registers: {}}]"),
     ("list where a map is meant", "bad_type", "regions", "expected a map, found a list", "§regions: [[a]]"),
     ("no such type", "bad_value", "type", "did you mean partial?", "§type: partail"),
     ("width that no bus has", "bad_value", "mmio[0].registers.r.width", "8, 16, 32, 64",
