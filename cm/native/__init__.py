@@ -5,3 +5,11 @@ Functions raise OSError with the errno of the C call, copy results out, and hold
 releases the GIL around every call.  A handle is freed with its last reference; ``release`` closes
 the device before that, and later calls on it raise OSError with EBADF.
 """
+
+from importlib.util import find_spec
+
+if find_spec("cm.native._cm") is None:
+    raise ImportError(
+        "the C shims (cm.native._cm) are not built: install the package ('pip install .'), "
+        "or build them in a work tree with 'python setup.py build_ext --inplace'"
+    )

@@ -42,6 +42,7 @@ def _simulated() -> Iterator[Board]:
             acknowledge=(0x1024, 1),
             icap="cm_icap0",
             bitstream=str(simulator.root / FIRMWARE / "loopback.bit"),
+            overlay=str(simulator.root / FIRMWARE / "camera.dtbo"),
             close_waits=False,  # its load goes on to the end, unheard
             raise_interrupt=lambda: simulator.control.interrupt("loop_done"),
         )

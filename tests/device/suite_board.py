@@ -21,5 +21,6 @@ class Board:
     acknowledge: tuple[int, int] | None = None  # ... and the one that clears it, where it is a level
     icap: str | None = None
     bitstream: str | None = None  # a good partial one for this device, any container
+    overlay: str | None = None  # a .dtbo that this board takes
     close_waits: bool = True  # closing a port waits for the end of its load
     raise_interrupt: Callable[[], None] | None = None  # in place of `trigger`
