@@ -1,0 +1,354 @@
+// SPDX-License-Identifier: GPL-2.0
+/*
+ * Exercises /dev/cm_dma against cm_plsim's loopback and source, in a virtual
+ * machine.  Prints one line a check; exit status 0 where all hold.
+ *
+ *	smoke_dma DEBUGFS-FOLDER-OF-THE-ENGINE
+ *
+ * needs the channels to_pl and from_pl (a loopback) and camera (a source of
+ * 4096-byte frames).
+ */
+#include <errno.h>
+#include <fcntl.h>
+#include <linux/dma-buf.h>
+#include <poll.h>
+#include <signal.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <sys/mman.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "cm_dma.h"
+
+static int failures;
+static const char *engine;
+
+#define CHECK(condition)                                                                           \
+	do {                                                                                       \
+		int error_ = errno;                                                                \
+		int ok_ = !!(condition);                                                           \
+                                                                                                   \
+		printf("%s %d: %s", ok_ ? "ok" : "FAIL", __LINE__, #condition);                    \
+		if (!ok_)                                                                          \
+			printf(" (errno was %d, is %d)", error_, errno);                           \
+		printf("\n");                                                                      \
+		failures += !ok_;                                                                  \
+	} while (0)
+
+struct buffer {
+	__u32 handle;
+	int fd;
+	size_t length;
+	uint8_t *data;
+};
+
+static void fault(const char *channel, const char *name, unsigned int value)
+{
+	char path[256], text[16];
+	int fd;
+
+	snprintf(path, sizeof(path), "%s/%s/%s", engine, channel, name);
+	fd = open(path, O_WRONLY);
+	snprintf(text, sizeof(text), "%u", value);
+	if (fd < 0 || write(fd, text, strlen(text)) < 0) {
+		perror(path);
+		exit(1);
+	}
+	close(fd);
+}
+
+static int open_channel(const char *name)
+{
+	char path[64];
+
+	snprintf(path, sizeof(path), "/dev/cm_dma/%s", name);
+	return open(path, O_RDWR | O_CLOEXEC);
+}
+
+static struct buffer allocate(int channel, size_t length)
+{
+	struct cm_buffer_alloc args = { .size = sizeof(args), .length = length };
+	struct buffer buffer = {};
+
+	if (ioctl(channel, CM_DMA_IOC_ALLOC, &args)) {
+		perror("ALLOC");
+		exit(1);
+	}
+	buffer.handle = args.handle;
+	buffer.fd = args.fd;
+	buffer.length = args.length;
+	buffer.data = mmap(NULL, args.length, PROT_READ | PROT_WRITE, MAP_SHARED, args.fd, 0);
+	if (buffer.data == MAP_FAILED) {
+		perror("mmap");
+		exit(1);
+	}
+	return buffer;
+}
+
+static void release(struct buffer *buffer)
+{
+	munmap(buffer->data, buffer->length);
+	close(buffer->fd);
+}
+
+static int submit(int channel, __u32 handle, __u64 offset, __u64 length, __u64 cookie)
+{
+	struct cm_dma_submit args = { .size = sizeof(args), .handle = handle, .offset = offset,
+				      .length = length, .cookie = cookie };
+
+	return ioctl(channel, CM_DMA_IOC_SUBMIT, &args);
+}
+
+static int cancel(int channel)
+{
+	struct cm_dma_cancel args = { .size = sizeof(args) };
+
+	return ioctl(channel, CM_DMA_IOC_CANCEL, &args);
+}
+
+/* status of the next completion, or 1 where none came within a second */
+static int next(int channel, struct cm_dma_completion *completion)
+{
+	struct pollfd waiter = { .fd = channel, .events = POLLIN };
+
+	if (poll(&waiter, 1, 1000) != 1 ||
+	    read(channel, completion, sizeof(*completion)) != sizeof(*completion))
+		return 1;
+	return completion->status;
+}
+
+static void test_info(int channel)
+{
+	struct cm_dma_info info = { .size = sizeof(info) };
+	struct {
+		struct cm_dma_info info;
+		__u64 later;
+	} longer = { .info.size = sizeof(longer) };
+
+	CHECK(ioctl(channel, CM_DMA_IOC_INFO, &info) == 0);
+	CHECK(info.direction == CM_DMA_S2MM && !strcmp((char *)info.name, "camera"));
+	CHECK(info.frame_length == 4096 && info.queue_depth == 64);
+	CHECK(info.caps & CM_DMA_CAP_CYCLIC && info.caps & CM_DMA_CAP_RESIDUE);
+	CHECK(ioctl(channel, _IOWR(CM_DMA_IOC_MAGIC, 0, longer), &longer) == 0);
+	longer.later = 1;
+	CHECK(ioctl(channel, _IOWR(CM_DMA_IOC_MAGIC, 0, longer), &longer) == -1 && errno == E2BIG);
+	info.flags = 1;
+	CHECK(ioctl(channel, CM_DMA_IOC_INFO, &info) == -1 && errno == EINVAL);
+	CHECK(ioctl(channel, _IOC(0, CM_DMA_IOC_MAGIC, 99, 0), &info) == -1 && errno == ENOTTY);
+	CHECK(open_channel("camera") == -1 && errno == EBUSY);
+}
+
+static void test_refusals(int channel)
+{
+	struct cm_dma_submit args = { .size = sizeof(args), .length = 16 };
+	struct cm_buffer_free gone = { .size = sizeof(gone), .handle = 77 };
+	struct buffer buffer = allocate(channel, 5000);
+	struct cm_dma_completion completion;
+
+	CHECK(buffer.length == 8192);
+	CHECK(submit(channel, 99, 0, 16, 0) == -1 && errno == ENOENT);
+	CHECK(submit(channel, buffer.handle, 0, 0, 0) == -1 && errno == EINVAL);
+	CHECK(submit(channel, buffer.handle, 8192, 1, 0) == -1 && errno == EINVAL);
+	CHECK(submit(channel, buffer.handle, ~0ULL, 16, 0) == -1 && errno == EINVAL);
+	CHECK(submit(channel, buffer.handle, 0, 1ULL << 40, 0) == -1 && errno == EMSGSIZE);
+	args.handle = buffer.handle;
+	args.flags = 1u << 31;
+	CHECK(ioctl(channel, CM_DMA_IOC_SUBMIT, &args) == -1 && errno == EINVAL);
+	args.flags = CM_DMA_SUBMIT_CYCLIC;
+	args.length = 100;
+	args.period = 33;
+	CHECK(ioctl(channel, CM_DMA_IOC_SUBMIT, &args) == -1 && errno == EINVAL);
+	CHECK(ioctl(channel, CM_DMA_IOC_FREE, &gone) == -1 && errno == ENOENT);
+	fcntl(channel, F_SETFL, O_NONBLOCK);
+	CHECK(read(channel, &completion, sizeof(completion)) == -1 && errno == EAGAIN);
+	CHECK(read(channel, &completion, 8) == -1 && errno == EINVAL);
+	fcntl(channel, F_SETFL, 0);
+	release(&buffer);
+}
+
+static void test_source(int channel)
+{
+	struct buffer buffer = allocate(channel, 65536);
+	struct cm_dma_completion completion, both[2];
+	struct cm_buffer_free args = { .size = sizeof(args), .handle = buffer.handle };
+	uint32_t *words = (uint32_t *)buffer.data;
+	struct dma_buf_sync sync = { .flags = DMA_BUF_SYNC_START | DMA_BUF_SYNC_READ };
+
+	CHECK(submit(channel, buffer.handle, 0, 8192, 42) == 0);
+	CHECK(next(channel, &completion) == 0);
+	CHECK(completion.cookie == 42 && completion.length == 4096);
+	CHECK(ioctl(buffer.fd, DMA_BUF_IOCTL_SYNC, &sync) == 0);
+	CHECK(words[1] == words[0] + 1 && words[1023] == words[0] + 1023 && words[1024] == 0);
+	fault("camera", "short_next", 100);
+	CHECK(submit(channel, buffer.handle, 0, 4096, 1) == 0);
+	CHECK(next(channel, &completion) == 0 && completion.length == 100);
+	fault("camera", "fail_next", 1);
+	CHECK(submit(channel, buffer.handle, 0, 4096, 2) == 0);
+	CHECK(next(channel, &completion) == -EIO);
+	fault("camera", "hang", 1);
+	CHECK(submit(channel, buffer.handle, 0, 4096, 3) == 0);
+	CHECK(submit(channel, buffer.handle, 4096, 4096, 4) == 0);
+	CHECK(ioctl(channel, CM_DMA_IOC_FREE, &args) == -1 && errno == EBUSY);
+	CHECK(cancel(channel) == 0);
+	CHECK(read(channel, both, sizeof(both)) == sizeof(both));
+	CHECK(both[0].status == -ECANCELED && both[0].cookie == 3);
+	CHECK(both[1].status == -ECANCELED && both[1].cookie == 4);
+	CHECK(both[1].sequence == both[0].sequence + 1);
+	fault("camera", "hang", 0);
+	CHECK(ioctl(channel, CM_DMA_IOC_FREE, &args) == 0);
+	release(&buffer);
+}
+
+static void test_depth(int channel)
+{
+	struct buffer buffer = allocate(channel, 4096);
+	struct cm_dma_completion completion;
+	int i, done = 0;
+
+	fault("camera", "hang", 1);
+	for (i = 0; i < 64; i++)
+		done += submit(channel, buffer.handle, 0, 4096, i) == 0;
+	CHECK(done == 64);
+	CHECK(submit(channel, buffer.handle, 0, 4096, 64) == -1 && errno == EBUSY);
+	fault("camera", "hang", 0);
+	for (i = 0; i < 64 && next(channel, &completion) == 0; i++)
+		if (completion.cookie != (__u64)i)
+			break;
+	CHECK(i == 64);
+	release(&buffer);
+}
+
+static void test_cyclic(int channel)
+{
+	struct buffer buffer = allocate(channel, 4 * 4096);
+	struct cm_dma_submit args = { .size = sizeof(args), .flags = CM_DMA_SUBMIT_CYCLIC,
+				      .handle = buffer.handle, .length = 4 * 4096, .period = 4096,
+				      .cookie = 7 };
+	struct cm_dma_completion completion;
+	__u64 sequence;
+
+	CHECK(ioctl(channel, CM_DMA_IOC_SUBMIT, &args) == 0);
+	CHECK(submit(channel, buffer.handle, 0, 4096, 8) == -1 && errno == EBUSY);
+	CHECK(next(channel, &completion) == 0 && completion.cookie == 7);
+	CHECK(completion.length == 4096 && !(completion.flags & CM_DMA_COMPLETION_OVERRUN));
+	sequence = completion.sequence;
+	usleep(100000);
+	CHECK(next(channel, &completion) == 0);
+	CHECK(completion.flags & CM_DMA_COMPLETION_OVERRUN && completion.sequence > sequence + 4);
+	CHECK(cancel(channel) == 0);
+	while (next(channel, &completion) == 0)
+		;
+	CHECK(completion.status == -ECANCELED);
+	release(&buffer);
+}
+
+static void test_video(int channel)
+{
+	struct buffer buffer = allocate(channel, 65536);
+	struct cm_dma_submit_video args = { .size = sizeof(args), .handle = buffer.handle,
+					    .lines = 16, .line_bytes = 256, .stride = 1024,
+					    .cookie = 9 };
+	struct cm_dma_completion completion;
+	uint32_t *words = (uint32_t *)buffer.data;
+
+	CHECK(ioctl(channel, CM_DMA_IOC_SUBMIT_VIDEO, &args) == 0);
+	CHECK(next(channel, &completion) == 0 && completion.length == 4096);
+	CHECK(words[63] == words[0] + 63 && words[64] == 0 && words[256] == words[0] + 64);
+	args.flags = CM_DMA_SUBMIT_CYCLIC;
+	CHECK(ioctl(channel, CM_DMA_IOC_SUBMIT_VIDEO, &args) == 0);
+	CHECK(next(channel, &completion) == 0 && next(channel, &completion) == 0);
+	CHECK(cancel(channel) == 0);
+	args.stride = 100;
+	CHECK(ioctl(channel, CM_DMA_IOC_SUBMIT_VIDEO, &args) == -1 && errno == EINVAL);
+	while (next(channel, &completion) == 0)
+		;
+	CHECK(completion.status == -ECANCELED);
+	release(&buffer);
+}
+
+static void test_loopback(void)
+{
+	int tx = open_channel("to_pl"), rx = open_channel("from_pl");
+	struct buffer out = allocate(tx, 1 << 20), in = allocate(rx, 1 << 20);
+	struct cm_buffer_import import = { .size = sizeof(import) };
+	struct cm_dma_completion completion;
+	size_t i;
+
+	for (i = 0; i < out.length; i++)
+		out.data[i] = i * 7;
+	CHECK(submit(rx, in.handle, 0, 1 << 20, 1) == 0);
+	CHECK(submit(tx, out.handle, 0, 1 << 20, 2) == 0);
+	CHECK(next(tx, &completion) == 0 && completion.cookie == 2);
+	CHECK(next(rx, &completion) == 0 && completion.length == 1 << 20);
+	CHECK(!memcmp(out.data, in.data, 1 << 20));
+	CHECK(submit(tx, out.handle, 4, 1000, 3) == 0);
+	CHECK(submit(rx, in.handle, 0, 4096, 4) == 0);
+	CHECK(next(rx, &completion) == 0 && completion.length == 1000);
+	CHECK(!memcmp(out.data + 4, in.data, 1000) && next(tx, &completion) == 0);
+	/* what was received goes out again without a copy */
+	import.fd = in.fd;
+	CHECK(ioctl(tx, CM_DMA_IOC_IMPORT, &import) == 0);
+	CHECK(import.handle && import.length == in.length);
+	CHECK(submit(tx, import.handle, 0, 1000, 5) == 0);
+	CHECK(submit(rx, in.handle, 8192, 1000, 6) == 0);
+	CHECK(next(rx, &completion) == 0 && !memcmp(in.data, in.data + 8192, 1000));
+	import.fd = 0;
+	CHECK(ioctl(tx, CM_DMA_IOC_IMPORT, &import) == -1 && errno == EINVAL);
+	close(tx);
+	close(rx);
+	CHECK(in.data[0] == out.data[4]);
+	release(&in);
+	release(&out);
+}
+
+static void test_death(void)
+{
+	pid_t child = fork();
+	int status, channel;
+
+	if (!child) {
+		struct buffer buffer;
+
+		channel = open_channel("camera");
+		buffer = allocate(channel, 1 << 20);
+		fault("camera", "delay_us", 20000);
+		for (int i = 0; i < 64; i++)
+			submit(channel, buffer.handle, i * 4096, 4096, i);
+		raise(9);
+	}
+	waitpid(child, &status, 0);
+	fault("camera", "delay_us", 0);
+	channel = open_channel("camera");
+	CHECK(channel >= 0);
+	close(channel);
+}
+
+int main(int argc, char **argv)
+{
+	int channel;
+
+	if (argc != 2) {
+		fprintf(stderr, "usage: %s DEBUGFS-FOLDER\n", argv[0]);
+		return 2;
+	}
+	engine = argv[1];
+	setvbuf(stdout, NULL, _IOLBF, 0);
+	CHECK(open_channel("nothing") == -1 && errno == ENOENT);
+	channel = open_channel("camera");
+	CHECK(channel >= 0);
+	test_info(channel);
+	test_refusals(channel);
+	test_source(channel);
+	test_depth(channel);
+	test_cyclic(channel);
+	test_video(channel);
+	close(channel);
+	test_loopback();
+	test_death();
+	printf("%s: %d failures\n", failures ? "FAIL" : "PASS", failures);
+	return failures != 0;
+}
