@@ -72,6 +72,7 @@ struct cm_node *cm_node_open(const char *root, const char *path)
 	if (!node)
 		return NULL;
 	node->fd = node->event_fd = -1;
+	node->owner = getpid();
 	pthread_mutex_init(&node->lock, NULL);
 	pthread_rwlock_init(&node->users, NULL);
 	node->wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
@@ -105,7 +106,8 @@ static void await_release(int fd)
 static void close_descriptors(struct cm_node *node)
 {
 	if (node->simulated && node->event_fd >= 0) {
-		await_release(node->fd);
+		if (node->owner == getpid())
+			await_release(node->fd);
 		close(node->event_fd);
 	}
 	if (node->fd >= 0)

@@ -7,7 +7,8 @@
  *
  * Threads may share a node: requests are serialised, waits are not.  One may
  * release it while others are in a call.  cm_node_close() frees the memory and
- * must be the last call.
+ * must be the last call.  A child after fork() may close a node of its parent's,
+ * which leaves it open there, and nothing else.
  */
 #ifndef CM_SHIM_NODE_H
 #define CM_SHIM_NODE_H

@@ -13,6 +13,7 @@ struct cm_node {
 	int event_fd; /* the same device, or the event socket */
 	int wake_fd;  /* eventfd: readable once the node is being released */
 	int broken;   /* errno of all further requests, or 0; under @lock */
+	pid_t owner;  /* who opened it: a child after fork() must not hang up for its parent */
 	bool simulated;
 	atomic_bool released;
 	pthread_rwlock_t users; /* read: in a call; write: releases */

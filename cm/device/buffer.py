@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
@@ -33,6 +34,7 @@ class DmaBuffer:
         self._struct = handle
         self._free: Callable[[int], None] | None = free
         self._path = path
+        self._owner = os.getpid()
         self._mappings: dict[bool, Any] = {}
         self.fd, self.handle, self.coherent, self.length = native.fields(handle)
 
@@ -102,7 +104,8 @@ class DmaBuffer:
     def __del__(self) -> None:
         """Give back what was forgotten; a buffer in flight stays with its device until that is closed."""
         with suppress(Exception):
-            self.close()
+            if self._owner == os.getpid():  # a child after fork() must not free what its parent uses
+                self.close()
 
     def __len__(self) -> int:
         return self.length

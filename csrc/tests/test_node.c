@@ -4,6 +4,7 @@
 #include <signal.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -270,6 +271,22 @@ static void every_descriptor_is_close_on_exec(void)
 	scene_end(&scene);
 }
 
+static void a_child_that_closes_leaves_the_node_to_its_parent(void)
+{
+	struct scene scene = scene_make(WELL_BEHAVED);
+	pid_t child = fork();
+	int status;
+
+	CHECK(child >= 0);
+	if (!child) {
+		cm_node_close(scene.node);
+		_exit(0);
+	}
+	CHECK(waitpid(child, &status, 0) == child && status == 0);
+	CHECK(!request_info(scene.node));
+	scene_end(&scene);
+}
+
 static void device_memory_of_a_simulated_node_cannot_be_mapped(void)
 {
 	struct scene scene = scene_make(WELL_BEHAVED);
@@ -343,6 +360,7 @@ int main(void)
 	RUN(an_event_of_another_size_is_eproto);
 	RUN(a_released_node_refuses_and_may_be_released_again);
 	RUN(every_descriptor_is_close_on_exec);
+	RUN(a_child_that_closes_leaves_the_node_to_its_parent);
 	RUN(device_memory_of_a_simulated_node_cannot_be_mapped);
 	RUN(signals_do_not_end_requests);
 	RUN(a_signal_ends_a_wait_with_eintr);
