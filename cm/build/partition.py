@@ -119,9 +119,13 @@ def evaluate(problem: Problem, groups: Sequence[Group]) -> Partition:
 
 
 def _loads(group: Group, before: UsedMode, after: UsedMode) -> bool:
-    """Whether the change loads the region: `after` has one of its modules, which `before` has not."""
+    """Whether the change may load the region: `after` has one of its modules, which `before` has not.
+
+    What `before` does not name is as an earlier mode left it, so a load is counted; but a region of one
+    module is loaded once and for all.
+    """
     wanted = [name for name in group.modules if name in after.modules]
-    return bool(wanted) and not set(wanted) <= before.modules
+    return len(group.modules) > 1 and bool(wanted) and not set(wanted) <= before.modules
 
 
 def _static_share(problem: Problem) -> float:

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the build tool's tests share: the shipped examples, generated in a folder of the test's own."""
+
+from __future__ import annotations
+
+import shutil
+import textwrap
+from pathlib import Path
+
+import pytest
+
+import cm
+from cm.build.generate import Design, generate, load_design, output_folder
+
+EXAMPLES = Path(cm.__file__).parent / "data" / "examples"
+GOLDEN = Path(__file__).parent.parent / "golden"
+NAMES = ("camera", "two_regions")
+
+
+def copy_examples(folder: Path) -> Path:
+    """Both examples below `folder`: the second refers to files of the first."""
+    for name in NAMES:
+        shutil.copytree(EXAMPLES / name, folder / name)
+    return folder
+
+
+def generated(folder: Path, name: str) -> tuple[Design, Path]:
+    """An example with its output folder."""
+    pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+    pytest.importorskip("jinja2", reason="needs jinja2: the extra [build] is not installed")
+    design = load_design(folder / name / "build.yaml")
+    out = output_folder(design.project, None)
+    generate(design, out)
+    return design, out
+
+
+def needs(program: str) -> pytest.MarkDecorator:
+    """Skip where a program is not installed, and say which."""
+    return pytest.mark.skipif(shutil.which(program) is None, reason=f"needs {program}, which is not installed")
+
+
+MINIMAL = """\
+project: {name: small, part: xc7z020clg400-1}
+regions:
+  prr0: {pblock: auto}
+modules:
+  one:
+    sources: [one.v]
+"""
+
+STREAM_MODULE = """\
+module {name} (
+    input  wire        clk,
+    input  wire        resetn,
+    input  wire [{high}:0] s_axis_tdata,
+    input  wire        s_axis_tvalid,
+    output wire        s_axis_tready,
+    input  wire        s_axis_tlast,
+    output wire [{high}:0] m_axis_tdata,
+    output wire        m_axis_tvalid,
+    input  wire        m_axis_tready,
+    output wire        m_axis_tlast
+);
+    assign m_axis_tdata = s_axis_tdata;
+    assign m_axis_tvalid = s_axis_tvalid;
+    assign s_axis_tready = m_axis_tready;
+    assign m_axis_tlast = s_axis_tlast;
+endmodule
+"""
+
+
+def project(folder: Path, text: str = MINIMAL, **files: str) -> Path:
+    """A build schema in `folder` with HDL files beside it (``one="…"`` is ``one.v``); ``one.v`` is there anyway."""
+    sources = {"one": STREAM_MODULE.format(name="one", high=31)} | files
+    for name, source in sources.items():
+        (folder / f"{name}.v").write_text(source)
+    path = folder / "build.yaml"
+    path.write_text(textwrap.dedent(text))
+    return path

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generated files and the user's changes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from cm.build.errors import BuildError
+from cm.build.manifest import MANIFEST, Tree
+
+
+def test_a_new_file_is_written(tmp_path: Path) -> None:
+    assert Tree(tmp_path).write({"a/b.txt": "one\n"}).created == ["a/b.txt"]
+    assert (tmp_path / "a/b.txt").read_text() == "one\n"
+
+
+def test_an_untouched_file_is_brought_up_to_date(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n"})
+    assert Tree(tmp_path).write({"a": "two\n"}).updated == ["a"]
+    assert (tmp_path / "a").read_text() == "two\n"
+
+
+def test_an_unchanged_file_keeps_its_time(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n"})
+    before = (tmp_path / "a").stat().st_mtime_ns
+    assert Tree(tmp_path).write({"a": "one\n"}).unchanged == ["a"]
+    assert (tmp_path / "a").stat().st_mtime_ns == before
+
+
+def test_a_changed_file_is_kept_where_generation_has_nothing_new(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n"})
+    (tmp_path / "a").write_text("mine\n")
+    assert Tree(tmp_path).write({"a": "one\n"}).kept == ["a"]
+    assert (tmp_path / "a").read_text() == "mine\n"
+    assert not (tmp_path / "a.new").exists()
+
+
+def test_a_conflict_leaves_the_users_file_and_puts_the_new_one_beside_it(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n"})
+    (tmp_path / "a").write_text("mine\n")
+    assert Tree(tmp_path).write({"a": "two\n"}).conflicts == ["a"]
+    assert (tmp_path / "a").read_text() == "mine\n"
+    assert (tmp_path / "a.new").read_text() == "two\n"
+    assert (tmp_path / ".cm-orig/a").read_text() == "one\n"
+
+
+def test_a_conflict_is_told_until_it_is_resolved(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n"})
+    (tmp_path / "a").write_text("mine\n")
+    Tree(tmp_path).write({"a": "two\n"})
+    assert Tree(tmp_path).write({"a": "three\n"}).conflicts == ["a"]
+    (tmp_path / "a").write_text("three\n")
+    assert Tree(tmp_path).write({"a": "three\n"}).unchanged == ["a"]
+    assert not (tmp_path / "a.new").exists()
+
+
+def test_a_merged_file_is_kept_afterwards(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n"})
+    (tmp_path / "a").write_text("mine\n")
+    Tree(tmp_path).write({"a": "two\n"})
+    (tmp_path / "a").write_text("two and mine\n")
+    assert Tree(tmp_path).write({"a": "two\n"}).kept == ["a"]
+
+
+def test_a_file_that_was_there_before_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("mine\n")
+    assert Tree(tmp_path).write({"a": "one\n"}).conflicts == ["a"]
+    assert (tmp_path / "a").read_text() == "mine\n"
+
+
+def test_what_is_no_longer_generated_goes_unless_it_was_changed(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n", "b": "one\n"})
+    (tmp_path / "b").write_text("mine\n")
+    done = Tree(tmp_path).write({"c": "one\n"})
+    assert (done.removed, done.left) == (["a"], ["b"])
+    assert not (tmp_path / "a").exists()
+    assert (tmp_path / "b").read_text() == "mine\n"
+
+
+def test_a_damaged_manifest_is_an_error_that_says_so(tmp_path: Path) -> None:
+    (tmp_path / MANIFEST).write_text("[]")
+    with pytest.raises(BuildError, match="damaged"):
+        Tree(tmp_path)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The partitioning advisor, against every partition there is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from build_support import STREAM_MODULE, project
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cm.build.errors import BuildError
+from cm.build.partition import Part, Problem, Unit, UsedMode, advise, compatible, evaluate, group_of
+from cm.build.project import Resources
+
+pytest.importorskip("scipy", reason="needs scipy: the extra [build] is not installed")
+
+PART = Part("toy", Resources(1000, 2000, 100, 100), 1_000_000)
+
+
+def partitions(names: list[str]) -> Iterator[list[list[str]]]:
+    if not names:
+        yield []
+        return
+    first, *rest = names
+    for parts in partitions(rest):
+        yield [[first], *parts]
+        for index in range(len(parts)):
+            yield [*parts[:index], [first, *parts[index]], *parts[index + 1 :]]
+
+
+def brute_force(problem: Problem, objective: str) -> float | None:
+    figures = [
+        evaluate(problem, [group_of(problem, names) for names in parts])
+        for parts in partitions(list(problem.units))
+        if all(compatible(problem, names) for names in parts)
+    ]
+    return min((getattr(found, objective) for found in figures if found.fits), default=None)
+
+
+@st.composite
+def problems(draw: st.DrawFn) -> Problem:
+    count = draw(st.integers(1, 5))
+    sizes = st.builds(Resources, st.integers(1, 500), st.integers(0, 900), st.integers(0, 40), st.integers(0, 40))
+    kinds = st.sampled_from(["", "stream"])
+    units = {f"m{i}": Unit(f"m{i}", draw(sizes), draw(kinds)) for i in range(count)}
+    chosen = st.frozensets(st.sampled_from(sorted(units)), min_size=1)
+    modes = draw(st.lists(chosen, min_size=1, max_size=4))
+    listed = [UsedMode(f"mode{i}", names, draw(st.sampled_from([0.5, 1.0, 3.0]))) for i, names in enumerate(modes)]
+    return Problem(PART, units, listed, 1e6)
+
+
+@given(problems(), st.sampled_from(["worst", "mean"]))
+@settings(max_examples=60, deadline=None)
+def test_no_partition_beats_the_proposal(problem: Problem, objective: str) -> None:
+    best = brute_force(problem, objective)
+    if best is None:
+        with pytest.raises(BuildError, match="no partition fits"):
+            advise(problem, objective)
+        return
+    found = advise(problem, objective)
+    assert found.fits
+    assert getattr(found, objective) == pytest.approx(best, rel=1e-6, abs=1e-9)
+    assert sorted(name for group in found.groups for name in group.modules) == sorted(problem.units)
+
+
+def test_modules_that_are_active_together_do_not_share_a_region() -> None:
+    units = {name: Unit(name, Resources(10)) for name in "ab"}
+    problem = Problem(PART, units, [UsedMode("both", frozenset("ab"))], 1e6)
+    assert len(advise(problem).groups) == 2
+
+
+def test_modules_that_change_often_do_not_share_with_a_big_one() -> None:
+    units = {"big": Unit("big", Resources(790)), "x": Unit("x", Resources(20)), "y": Unit("y", Resources(20))}
+    modes = [UsedMode("rare", frozenset(["big"]), 0.1), UsedMode("x", frozenset("x")), UsedMode("y", frozenset("y"))]
+    assert [group.modules for group in advise(Problem(PART, units, modes, 1e6), "mean").groups] == [
+        ("big",),
+        ("x", "y"),
+    ]
+
+
+def test_where_there_is_room_every_module_stays_loaded() -> None:
+    units = {name: Unit(name, Resources(100)) for name in "ab"}
+    found = advise(Problem(PART, units, [UsedMode(name, frozenset(name)) for name in "ab"], 1e6))
+    assert (len(found.groups), found.worst) == (2, 0.0)
+
+
+def test_the_worst_change_takes_the_regions_bytes_at_the_ports_rate() -> None:
+    units = {name: Unit(name, Resources(400)) for name in "ab"}
+    problem = Problem(PART, units, [UsedMode(name, frozenset(name)) for name in "ab"], 1e6)
+    found = evaluate(problem, [group_of(problem, ["a", "b"])])
+    # 1.2 * 400 of 1000 is 48 %, rounded up to 31/64 of the device
+    assert found.groups[0].bytes == 1_000_000 * 31 // 64
+    assert found.worst == pytest.approx(found.groups[0].bytes / 1e6)
+
+
+def test_the_command_shows_todays_assignment_beside_the_proposal(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+    from cm.cli.main import main
+
+    text = """\
+        project: {name: small, part: xc7z020clg400-1}
+        regions: {prr0: {}}
+        modules:
+          one: {sources: [one.v], resources: {lut: 9000}}
+          two: {sources: [two.v], resources: {lut: 900}}
+          three: {sources: [three.v], resources: {lut: 800}}
+        """
+    more = {name: STREAM_MODULE.format(name=name, high=31) for name in ("two", "three")}
+    path = project(tmp_path, text, **more)
+    assert main(["build", "partition", str(path), "--objective", "mean"]) == 0
+    said = capsys.readouterr().out
+    assert "today: worst" in said
+    assert "proposed: worst" in said
+    assert "one, two, three" in said.partition("proposed")[0]
+    assert "proposed: worst 0.000 ms" in said  # all three fit beside each other

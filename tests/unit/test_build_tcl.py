@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generated Tcl, without Vivado: linted with a schema of every command, and replayed with recorded commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from build_support import NAMES, copy_examples, generated, needs, project
+
+from cm.build.generate import generate, load_design, output_folder
+from cm.build.render import tcl_word
+
+TCL = Path(__file__).parent.parent / "tcl"
+COMMANDS = TCL / "vivado_commands.json"
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def out(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return generated(copy_examples(tmp_path_factory.mktemp("tcl")), request.param)[1]
+
+
+def known_commands() -> str:
+    commands = json.loads(COMMANDS.read_text())["commands"]
+    lines = []
+    for name, entry in commands.items():
+        switches = [f"{switch}={int(spec['value'] is not None)}" for switch, spec in entry["switches"].items()]
+        lines.append(" ".join([name, *switches]))
+    return "\n".join(lines) + "\n"
+
+
+def replay(out: Path, script: str, tmp_path: Path, **environment: str) -> tuple[int, str, list[str]]:
+    """Status, what was said on stderr, and the recorded calls."""
+    (tmp_path / "known").write_text(known_commands())
+    record = tmp_path / "record"
+    # the scripts write below the folder that they run in
+    work = tmp_path / "work"
+    if not work.exists():
+        shutil.copytree(out, work)
+    command = ["tclsh", str(TCL / "replay.tcl"), str(tmp_path / "known"), str(record), script]
+    done = subprocess.run(command, cwd=work, capture_output=True, text=True, env=os.environ | environment, check=False)
+    return done.returncode, done.stderr, record.read_text().splitlines()
+
+
+def scripts(out: Path) -> list[str]:
+    return sorted(path.relative_to(out).as_posix() for path in (out / "tcl").glob("step_*.tcl"))
+
+
+def test_tclint_accepts_every_script(out: Path) -> None:
+    pytest.importorskip("tclint", reason="needs tclint, which is not installed")
+    files = [*sorted((out / "tcl").glob("*.tcl")), *sorted((out / "constraints").glob("*.xdc"))]
+    command = [
+        sys.executable,
+        "-m",
+        "tclint",
+        "--commands",
+        str(COMMANDS),
+        "--style-line-length",
+        "400",
+        *map(str, files),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_tclint_would_see_an_abbreviated_switch(tmp_path: Path) -> None:
+    pytest.importorskip("tclint", reason="needs tclint, which is not installed")
+    script = tmp_path / "wrong.tcl"
+    script.write_text("update_design -cell a -black_box\n")
+    command = [sys.executable, "-m", "tclint", "--commands", str(COMMANDS), str(script)]
+    assert subprocess.run(command, capture_output=True, check=False).returncode == 1
+
+
+@needs("tclsh")
+def test_every_step_replays_with_known_commands_only(out: Path, tmp_path: Path) -> None:
+    for script in scripts(out):
+        status, said, calls = replay(out, script, tmp_path)
+        assert status == 0, f"{script}: {said}"
+        assert calls
+
+
+@needs("tclsh")
+def test_the_static_part_is_locked_after_the_first_run_only(out: Path, tmp_path: Path) -> None:
+    for script in scripts(out):
+        if not re.search(r"step_run_\d", script):
+            continue
+        _, _, calls = replay(out, script, tmp_path)
+        first = script == "tcl/step_run_1.tcl"
+        assert ("lock_design -level routing" in calls) is first
+        base = "static_synth" if first else "static_routed"
+        assert [call for call in calls if call.startswith("open_checkpoint")] == [
+            f"open_checkpoint checkpoints/{base}.dcp"
+        ]
+
+
+@needs("tclsh")
+def test_a_failed_pr_verify_ends_the_flow(out: Path, tmp_path: Path) -> None:
+    status, said, _ = replay(out, "tcl/step_verify.tcl", tmp_path, CM_PR_VERIFY="0")
+    assert status == 1
+    assert "do not agree on the static part" in said
+
+
+@needs("tclsh")
+def test_a_run_that_misses_timing_ends_the_flow(out: Path, tmp_path: Path) -> None:
+    status, said, calls = replay(out, "tcl/step_run_2.tcl", tmp_path, CM_SLACK="-0.25")
+    assert status == 1
+    assert "misses timing" in said
+    assert not [call for call in calls if call.startswith("write_checkpoint")]
+
+
+@needs("tclsh")
+def test_regions_placed_by_the_tool_never_overlap(out: Path, tmp_path: Path) -> None:
+    _, _, calls = replay(out, "tcl/step_run_1.tcl", tmp_path)
+    placed = [call for call in calls if call.startswith("resize_pblock")]
+    assert len(placed) == len(set(placed)) >= 1
+
+
+@needs("tclsh")
+def test_a_region_that_fits_nowhere_is_an_error(tmp_path: Path) -> None:
+    text = """\
+        project: {name: small, part: xc7z020clg400-1}
+        regions:
+          prr0: {pblock: auto, resources: {lut: 999999}}
+        modules:
+          one: {sources: [one.v]}
+        """
+    pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+    (tmp_path / "p").mkdir()
+    design = load_design(project(tmp_path / "p", text))
+    out = output_folder(design.project, None)
+    generate(design, out)
+    status, said, _ = replay(out, "tcl/step_run_1.tcl", tmp_path)
+    assert status == 1
+    assert "no rectangle of clock regions is free" in said
+
+
+@needs("tclsh")
+@pytest.mark.parametrize(
+    "text", ["plain", "two words", "a$b", "[exit]", 'q"uote', "back\\slash", "{brace", "tab\t", "#x"]
+)
+def test_any_text_is_one_word_of_tcl(text: str, tmp_path: Path) -> None:
+    script = tmp_path / "word.tcl"
+    script.write_text(f"proc show {{word}} {{ puts -nonewline $word }}\nshow {tcl_word(text)}\n")
+    assert subprocess.run(["tclsh", script], capture_output=True, text=True, check=True).stdout == text
