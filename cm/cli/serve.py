@@ -51,6 +51,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--insecure", action="store_true", help="allow TCP beyond this machine without keys")
     parser.add_argument("--prefetch", type=int, default=64, metavar="MIB", help="DMA memory for images held ready")
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
+    parser.add_argument("--sim-icap-rate", type=float, metavar="BYTES", help="with --sim: bytes per second of its ICAP")
     parser.add_argument("--sim-hold", type=int, metavar="FRAMES", help="with --sim: frames that a photograph stays")
     parser.add_argument("-v", "--verbose", action="store_true", help="log what goes on")
     parser.set_defaults(run=run)
@@ -123,6 +124,7 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
 
     arguments = ["--images", str(args.images)] if args.images else []
     arguments += ["--hold", str(args.sim_hold)] if args.sim_hold is not None else []
+    arguments += ["--icap-rate", str(args.sim_icap_rate)] if args.sim_icap_rate is not None else []
     root = Path(args.root) if args.root else runtime / "board"
     return stack.enter_context(simulated_board(runtime, root, paths, arguments))
 

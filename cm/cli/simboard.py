@@ -18,6 +18,7 @@ from cm.sim.process import Board
 from cm.sim.root import LOCK
 
 _ARGUMENTS = "board.json"
+_LINGER = "30"  # seconds that a board without a manager keeps its state
 _STOP_TIMEOUT_MS = 10_000
 
 
@@ -42,7 +43,7 @@ def simulated_board(runtime: Path, root: Path, configs: list[Path], arguments: l
         return
     if pid:
         _stop(pid)
-    with Board(configs, root=root, arguments=arguments) as board:
+    with Board(configs, root=root, arguments=["--linger", _LINGER, *arguments]) as board:
         record.write_text(wanted, encoding="utf-8")
         try:
             yield Root.of(board.root)

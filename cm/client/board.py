@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator, MutableMapping
 from pathlib import Path
 from types import TracebackType
@@ -75,7 +76,7 @@ class Board:
         self._endpoints = resolve(endpoint, runtime_dir)
         self._local = self._endpoints.req.startswith("ipc://")
         self._keys = keys if keys is None or isinstance(keys, Keys) else load_keys(keys)
-        self._timeout = timeout
+        self.timeout = timeout
         self._context: zmq.Context[Socket] = zmq.Context()
         self._link = Link(self._context, self._endpoints.req, self._keys)
         self.registers = Registers(self)
@@ -85,7 +86,7 @@ class Board:
 
     def ask(self, call: Call[_T], timeout: float | None = None) -> _T:
         """Make a call and return its result. Raises what `cm.client.errors` holds."""
-        frames = self._link.ask(encode_request(call.request), timeout or self._timeout)
+        frames = self._link.ask(encode_request(call.request), timeout or self.timeout)
         return call.result(decode_reply(frames))
 
     def subscribe(self, *topic: bytes) -> Socket:
@@ -166,12 +167,12 @@ class Board:
 
     def plan(self, mode: str = "", config: str = "") -> PlanInfo:
         """What going to a mode would do, and what it would cost; touches nothing."""
-        return self.ask(calls.plan(mode, config), timeout=max(self._timeout, 30.0))
+        return self.ask(calls.plan(mode, config), timeout=max(self.timeout, 30.0))
 
     def provision(self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = "") -> ConfigInfo:
         """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""
         call = calls.provision(Path(schema), tuple(map(Path, files)), lease)
-        return self.ask(call, timeout=max(self._timeout, 60.0))
+        return self.ask(call, timeout=max(self.timeout, 60.0))
 
     def lease(
         self, scope: str = "board", *, exclusive: bool = True, seconds: float = 30.0, holder: str = ""
@@ -187,11 +188,11 @@ class Board:
 
     def read(self, stream: str = "", timeout: float = 1.0) -> Frame:
         """The next frame of a stream."""
-        return self.ask(calls.read_data(stream, timeout), timeout=timeout + self._timeout)
+        return self.ask(calls.read_data(stream, timeout), timeout=timeout + self.timeout)
 
     def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
         """Send an array or bytes to the hardware; returns when it has taken them."""
-        return self.ask(calls.write_data(stream, data, lease), timeout=self._timeout + 5.0)
+        return self.ask(calls.write_data(stream, data, lease), timeout=self.timeout + 5.0)
 
     def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
         """Set shape, dtype, slots, rate, cyclic, enable, force of a stream (`cm.messages.requests.DataConfig`)."""
@@ -287,10 +288,11 @@ class Interrupt:
     def events(self, timeout: float | None = None) -> Iterator[Irq]:
         """Each one from now on. Raises Timeout if none comes for `timeout` seconds."""
         with self._board.subscribe(topics.IRQ, topics.STATUS) as socket:
+            _next_event(socket, self._board.timeout, Status)  # from here on the subscription holds
+            socket.setsockopt(zmq.UNSUBSCRIBE, topics.STATUS)
             start = self._board.ask(calls.interrupt(self.name)).count
             while True:
-                irq = _next_event(socket, timeout, Irq, lambda e: e.name == self.name and e.count > start)
-                yield irq
+                yield _next_event(socket, timeout, Irq, lambda e: e.name == self.name and e.count > start)
 
 
 class Stream:
@@ -392,7 +394,10 @@ def _receive(socket: Socket, timeout: float | None) -> list[bytes]:
 def _next_event(
     socket: Socket, timeout: float | None, kind: type[_T], wanted: Callable[[_T], bool] = lambda _: True
 ) -> _T:
+    """The next event of a kind; others do not prolong the time-out."""
+    until = None if timeout is None else time.monotonic() + timeout
     while True:
-        event = decode_event(_receive(socket, timeout))
+        left = None if until is None else max(0.0, until - time.monotonic())
+        event = decode_event(_receive(socket, left))
         if isinstance(event, kind) and wanted(event):
             return event

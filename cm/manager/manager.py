@@ -133,6 +133,7 @@ class Manager:
         if self._worker.is_alive():
             self._queue.put(None)
             self._worker.join()
+        self._loaders.forget()
         self.flush()
 
     # ---- configurations and changes -----------------------------------------------

@@ -189,6 +189,7 @@ class Transaction:
             return
         value = self._tools.registers.read_address(identity.base_address + identity.offset, identity.width)
         if value != step.module.identity:
+            self._region_event(step.region.name, RegionEvent.LOSE)  # it is coupled, but to what?
             raise IdentityMismatch(
                 f"region {step.region.name} answers {value:#x} at its identity register; "
                 f"module {step.module.name} is {step.module.identity:#x}"

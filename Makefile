@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+# Everything begins here: `make help`.
+
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+LINT_STAMP := $(VENV)/.installed-lint
+BENCH_STAMP := $(VENV)/.installed-bench
+SOURCES := pyproject.toml setup.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h csrc/build_cffi.py csrc/cffi/* kmod/uapi/*.h)
+C_FILES := $(wildcard csrc/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h)
+PYTEST ?= $(BIN)/python -m pytest
+PYTEST_ARGS ?=
+TESTS ?= tests/unit tests/integration tests/device
+OUT ?= demo
+IMAGES ?=
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test test-c test-rtl test-vm vm soak bench lint format kmod kmod-matrix dtbo clean distclean check-system
+
+help: ## list the targets
+	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+check-system:
+	@./.ci/check-system $(PYTHON)
+
+$(BIN)/python: | check-system
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+
+$(STAMP): $(SOURCES) | $(BIN)/python
+	$(BIN)/python -m pip install --quiet --editable '.[demo,test,build]'
+	@touch $@
+
+$(LINT_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --editable '.[demo,test,build,lint]'
+	@touch $@
+
+setup: $(STAMP) ## a virtual environment with the package, its C shims built
+
+demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/contact-sheet.png (IMAGES=DIR, OUT=DIR)
+	$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
+
+test: $(STAMP) test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
+	$(PYTEST) $(TESTS) --board=sim $(PYTEST_ARGS)
+
+test-c: | check-system
+	$(MAKE) -C csrc check $(if $(SANITIZE),SANITIZE=$(SANITIZE))
+
+test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
+	$(BIN)/python -m pip install --quiet --editable '.[demo,test,build,rtl]'
+	$(PYTEST) tests/rtl $(PYTEST_ARGS)
+
+test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
+	tests/vm/run test
+
+vm: $(STAMP) ## a shell on that board, with a manager running and its ports forwarded
+	tests/vm/run shell
+
+soak: $(STAMP) ## ten thousand changes of mode
+	$(PYTEST) tests/soak --changes=10000 $(PYTEST_ARGS)
+
+bench: $(BENCH_STAMP) ## measure latency and throughput beside the alternatives
+	$(BIN)/cm bench --json bench.json --plots bench-plots
+
+$(BENCH_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --editable '.[demo,test,build,bench]'
+	@touch $@
+
+lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict), clang-format
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
+
+format: $(LINT_STAMP) ## format Python and C
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+	$(BIN)/clang-format --style=file:csrc/.clang-format -i $(C_FILES)
+
+kmod: ## the kernel modules for one kernel: make kmod KDIR=… ARCH=… CROSS_COMPILE=…
+	$(MAKE) -C kmod $(if $(KDIR),KDIR=$(abspath $(KDIR)))
+
+kmod-matrix: ## the kernel modules against all supported kernels
+	$(MAKE) -C kmod matrix
+
+dtbo: ## device-tree overlays, with and without symbols
+	$(MAKE) -C dts dtbo
+
+clean: ## what was built, but not the environment
+	rm -rf build bench-plots bench.json
+	$(MAKE) -C csrc clean
+	$(MAKE) -C dts clean
+
+distclean: clean ## the environment too
+	rm -rf $(VENV) *.egg-info cm/native/_cm.abi3.so cm/wire/cm_pb2.py cm/wire/cm_pb2.pyi

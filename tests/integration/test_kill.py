@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Processes may be killed at any instant: the others live, and a restart needs no cleaning up."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+
+import pytest
+from conftest import Manager, environment, until
+
+import cm
+from cm.client.errors import ConnectionLost, NoAnswer
+from cm.sim import Board as SimBoard
+
+READER = """
+import sys, cm
+with cm.connect(runtime_dir=sys.argv[1]) as board, board.stream("camera") as stream:
+    for frame in stream:
+        print(frame.sequence, flush=True)
+"""
+
+
+Own = tuple[Manager, SimBoard]
+
+
+def test_a_killed_client_leaves_manager_and_board_alone(board: cm.Board, manager: Manager) -> None:
+    reader = subprocess.Popen(
+        [sys.executable, "-c", READER, str(manager.runtime)], stdout=subprocess.PIPE, env=environment()
+    )
+    assert reader.stdout is not None
+    assert reader.stdout.readline()
+    reader.kill()
+    reader.communicate()
+    until(lambda: not next(s for s in board.status.streams if s.name == "camera").open)
+    board.mode = "edge_detection"
+
+
+def test_a_killed_manager_finds_what_the_hardware_holds(own: Own) -> None:
+    manager, sim = own
+    with manager.connected() as board:
+        board.load("camera", "edge_detection")
+        board.registers["focus"] = 2
+    loads = sim.control.state()["loads"]
+    manager.kill()
+    manager.start()
+    with manager.connected() as again:
+        assert (again.status.config_name, again.mode) == ("camera", "edge_detection")
+        assert again.registers["focus"] == 2
+    assert sim.control.state()["loads"] == loads
+
+
+def test_a_request_to_a_killed_manager_fails_at_once(own: Own) -> None:
+    manager, _ = own
+    assert manager.process is not None
+    with manager.connected() as board:
+        os.kill(manager.process.pid, signal.SIGSTOP)  # so that the request is under way when it dies
+        killer = threading.Timer(0.2, lambda: manager.process and manager.process.kill())
+        killer.start()
+        with pytest.raises((ConnectionLost, NoAnswer)):
+            board.load("camera", "edge_detection", timeout=5)
+        killer.join()
+    manager._reap()
+    manager.start()
+
+
+def test_a_killed_board_is_reported_and_served_again_when_it_is_back(own: Own) -> None:
+    manager, sim = own
+    with manager.connected() as board:
+        board.load("camera", "default")
+        board.configure_stream("camera", enable=True)
+        sim.kill()
+        until(lambda: board.status.last_error is not None)
+        sim.restart()
+        until(lambda: board.status.config_name == "")
+        board.load("camera", "edge_detection")
+        assert board.read("camera", timeout=5).shape == (480, 640)
+
+
+def test_a_second_manager_on_the_same_folder_is_refused(manager: Manager) -> None:
+    second = Manager(manager.runtime, *manager.arguments)
+    with pytest.raises(AssertionError, match="serves .* already"):
+        second.start()
+    second.stop()
+
+
+def test_serve_sim_takes_over_the_board_that_a_killed_manager_left(runtime) -> None:  # type: ignore[no-untyped-def]
+    first = Manager(runtime / "run", "--sim").start()
+    with first.connected() as board:
+        until(lambda: board.mode == "default")
+        board.mode = "edge_detection"
+    first.kill()
+    second = Manager(runtime / "run", "--sim").start()
+    with second.connected() as board:
+        assert board.mode == "edge_detection"
+    assert second.stop() == 0
+    assert not (runtime / "run" / "board").exists()
+
+
+def test_a_stopped_manager_leaves_nothing_but_its_state(runtime) -> None:  # type: ignore[no-untyped-def]
+    served = Manager(runtime / "run", "--sim").start()
+    assert served.stop() == 0
+    assert sorted(p.name for p in (runtime / "run").iterdir()) == ["lock", "state"]

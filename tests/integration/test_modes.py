@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Modes, registers, streams and interrupts through the public client."""
+
+from __future__ import annotations
+
+import asyncio
+from itertools import islice
+
+import numpy as np
+import pytest
+from conftest import CAMERA, Manager, until
+
+import cm
+from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
+from cm.errors import Timeout
+from cm.sim import Board as SimBoard
+from cm.sim.camera import shipped_photos
+
+
+def sobel(photo: np.ndarray) -> np.ndarray:
+    """An independent reference: loops over the kernel's taps in int64, nothing shared with the simulator."""
+    source = photo.astype(np.int64)
+    kernel = ((-1, 0, 1), (-2, 0, 2), (-1, 0, 1))
+    height, width = source.shape
+    gx = np.zeros((height - 2, width - 2), np.int64)
+    gy = np.zeros_like(gx)
+    for row in range(3):
+        for column in range(3):
+            window = source[row : row + height - 2, column : column + width - 2]
+            gx += kernel[row][column] * window
+            gy += kernel[column][row] * window
+    result = np.zeros(source.shape, np.uint8)
+    result[1:-1, 1:-1] = np.minimum(np.abs(gx) + np.abs(gy), 255)
+    return result
+
+
+def test_loading_enters_the_default_mode(board: cm.Board) -> None:
+    assert (board.status.config_name, board.mode) == ("camera", "default")
+
+
+def test_the_default_frame_is_the_photograph(board: cm.Board) -> None:
+    frame = board.read("camera", timeout=5)
+    assert any(np.array_equal(frame, photo) for photo in shipped_photos().values())
+
+
+def test_the_edge_frame_equals_a_reference_sobel(board: cm.Board) -> None:
+    board.mode = "edge_detection"
+    frame = board.read("camera", timeout=5)
+    assert any(np.array_equal(frame, sobel(photo)) for photo in shipped_photos().values())
+
+
+def test_a_mode_can_be_named_by_its_only_module(board: cm.Board) -> None:
+    board.mode = "edge"
+    assert board.mode == "edge_detection"
+
+
+def test_a_frame_carries_the_mode_it_was_made_in(board: cm.Board) -> None:
+    board.mode = "colorise"
+    frame = board.read("camera", timeout=5)
+    assert (frame.info.mode, frame.shape, frame.dtype) == ("colorise", (480, 640, 3), np.uint8)
+
+
+def test_a_stream_numbers_its_frames(board: cm.Board) -> None:
+    with board.stream("camera") as stream:
+        numbers = [frame.sequence for frame in islice(stream, 5)]
+    assert numbers == list(range(numbers[0], numbers[0] + 5))
+
+
+def test_frames_go_through_the_loop_unchanged(board: cm.Board) -> None:
+    board.mode = "loopback"
+    sent = np.arange(480 * 640, dtype=np.uint32).astype(np.uint8).reshape(480, 640)
+    with board.stream("from_pl") as stream:
+        board.configure_stream("from_pl", enable=True)
+        board.write("to_pl", sent)
+        assert np.array_equal(stream.read(), sent)
+
+
+def test_a_stream_of_another_region_runs_while_one_is_reconfigured(runtime) -> None:  # type: ignore[no-untyped-def]
+    """Loading takes 0.8 s here; the loop in prr1 answers all the while."""
+    slow = Manager(runtime / "run", "--sim", "--sim-icap-rate", "400000")
+    slow.start()
+    try:
+        with slow.connected() as board:
+            until(lambda: board.status.mode == "default")
+            board.load(mode="loopback")
+            board.configure_stream("from_pl", enable=True)
+            change = board.load_async(mode="edge_detection")
+            until(lambda: any(r.state == "loading" for r in board.status.regions))
+            trips = 0
+            while not change.done:
+                board.write("to_pl", np.zeros((480, 640), np.uint8))
+                trips += 1
+            change.wait(10)
+            assert trips >= 5
+    finally:
+        slow.stop()
+
+
+def test_a_register_keeps_what_was_written(board: cm.Board) -> None:
+    board.registers["focus"] = 2
+    assert board.registers["focus"] == 2
+
+
+def test_fields_and_masks_change_their_bits_only(board: cm.Board) -> None:
+    board.registers["scratch"] = 0xF0F0
+    assert board.registers.write_masked("scratch", 0x0005, 0x000F) == 0xF0F5
+
+
+def test_a_wrong_write_in_a_list_leaves_all_registers_alone(board: cm.Board) -> None:
+    with pytest.raises(RequestInvalid, match="outside 0 to 15"):
+        board.registers.write({"scratch": 77, "focus": 200})
+    assert board.registers["scratch"] != 77
+
+
+def test_a_read_only_register_cannot_be_written(board: cm.Board) -> None:
+    with pytest.raises(RequestInvalid, match="read-only"):
+        board.registers["version"] = 1
+
+
+def test_a_register_of_another_mode_is_said_to_be_there(board: cm.Board) -> None:
+    with pytest.raises(RequestNotFound, match="modes edge_detection have it"):
+        _ = board.registers["threshold"]
+
+
+def test_a_misspelt_mode_gets_a_suggestion(board: cm.Board) -> None:
+    with pytest.raises(RequestNotFound, match="did you mean 'colorise'"):
+        board.mode = "colorize"
+
+
+def test_a_register_takes_effect_on_the_picture(board: cm.Board) -> None:
+    before = board.read("camera", timeout=5).copy()
+    board.registers["focus"] = 6
+    after = board.read("camera", timeout=5)
+    assert np.abs(np.diff(after.astype(int))).mean() < np.abs(np.diff(before.astype(int))).mean()
+
+
+def test_interrupts_are_counted_and_fanned_out(board: cm.Board, manager: Manager) -> None:
+    board.configure_stream("camera", enable=True)
+    with manager.connected() as other:
+        first = board.interrupts["frame_done"].events(timeout=5)
+        second = other.interrupts["frame_done"].events(timeout=5)
+        assert next(first).count > 0
+        assert next(second).count > 0
+
+
+def test_an_interrupt_that_does_not_come_times_out(board: cm.Board) -> None:
+    with pytest.raises(Timeout):
+        board.interrupts["loop_done"].wait(timeout=0.2)
+
+
+def test_a_plan_says_what_would_be_loaded_and_touches_nothing(board: cm.Board) -> None:
+    plan = board.plan("edge_detection")
+    assert [s.kind for s in plan.steps][:4] == ["validate", "quiesce", "decouple", "load"] or "load" in [
+        s.kind for s in plan.steps
+    ]
+    assert plan.bytes > 0
+    assert board.mode == "default"
+
+
+def test_going_where_the_board_is_does_nothing(board: cm.Board) -> None:
+    assert board.plan("default").steps == ()
+
+
+def test_progress_is_told_while_loading(board: cm.Board) -> None:
+    steps: list[str] = []
+    board.load(mode="edge_detection", progress=lambda p: steps.append(p.step))
+    assert {"validate", "load", "publish"} <= set(steps)
+
+
+def test_a_late_subscriber_gets_the_status_at_once(board: cm.Board) -> None:
+    assert next(board.watch(timeout=5)).mode == "default"
+
+
+def test_a_lease_keeps_others_off(board: cm.Board) -> None:
+    with board.lease("region:prr0") as lease:
+        with pytest.raises(RequestBusy, match="held by"):
+            board.mode = "edge_detection"
+        board.load(mode="edge_detection", lease=lease.id)
+    board.mode = "default"
+
+
+def test_a_wrongly_sized_frame_is_refused(board: cm.Board) -> None:
+    board.mode = "loopback"
+    with pytest.raises(RequestInvalid, match="307200 bytes; this one has 10"):
+        board.write("to_pl", b"0123456789")
+
+
+def test_a_configuration_can_be_provisioned_over_the_wire(board: cm.Board, manager: Manager, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    schema = tmp_path / "spare.yaml"
+    schema.write_text((CAMERA / "camera.yaml").read_text().replace("name: camera", "name: spare", 1))
+    firmware = manager.runtime.parent / "board/lib/firmware/cm/camera"
+    board.provision(schema, *sorted(firmware.iterdir()))
+    board.load("spare", "edge_detection")
+    assert board.status.config_name == "spare"
+
+
+def test_asyncio_twin_does_the_same(board: cm.Board, manager: Manager) -> None:
+    async def session() -> tuple[str, int, tuple[int, ...]]:
+        async with cm.aio.connect(runtime_dir=manager.runtime) as aboard:
+            await aboard.load(mode="edge_detection")
+            values = await aboard.registers.write({"focus": 3})
+            async for frame in aboard.stream("camera"):
+                shape = frame.shape
+                break
+            return (await aboard.status()).mode, values["focus"], shape
+
+    assert asyncio.run(session()) == ("edge_detection", 3, (480, 640))
+
+
+def test_nothing_loaded_is_said_in_words(own: tuple[Manager, SimBoard]) -> None:
+    with own[0].connected() as fresh, pytest.raises(RequestFailed, match="nothing is loaded") as caught:
+        _ = fresh.registers["focus"]
+    assert caught.value.code == "nothing_loaded"

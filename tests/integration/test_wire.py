@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The protocol as others see it: bare pyzmq, nothing of ours but the generated messages."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import pytest
+import zmq
+from conftest import Manager
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import cm
+from cm.sim import Board as SimBoard
+from cm.wire import cm_pb2 as pb
+
+LOG = logging.getLogger(__name__)
+
+
+class Peer:
+    """Sockets of a program in any language."""
+
+    def __init__(self, manager: Manager) -> None:
+        self.context = zmq.Context()
+        self.req = self.connect(zmq.REQ, manager, "req")
+        self.pub = self.connect(zmq.PUB, manager, "sub")
+        self.sub = self.connect(zmq.SUB, manager, "pub")
+
+    def connect(self, kind: int, manager: Manager, name: str) -> zmq.Socket[bytes]:
+        socket = self.context.socket(kind)
+        socket.linger = 0
+        socket.rcvtimeo = 20_000
+        socket.connect(f"ipc://{manager.runtime}/{name}")
+        return socket
+
+    def ask(self, *frames: bytes) -> pb.Reply:
+        self.req.send_multipart(list(frames))
+        topic, message, *_ = self.req.recv_multipart()
+        assert frames[0].startswith(topic)
+        return pb.Reply.FromString(message)
+
+    def status_until(self, accepts) -> pb.Status:  # type: ignore[no-untyped-def]
+        self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_status")
+        while True:
+            topic, message = self.sub.recv_multipart()[:2]
+            if topic == b"cm_status":
+                status = pb.Status.FromString(message)
+                if accepts(status):
+                    return status
+
+    def close(self) -> None:
+        self.context.destroy(linger=0)
+
+
+@pytest.fixture
+def peer(board: cm.Board, manager: Manager) -> Iterator[Peer]:
+    made = Peer(manager)
+    yield made
+    made.close()
+
+
+def test_listing_2_changes_modes_in_plain_text(peer: Peer) -> None:
+    peer.status_until(lambda s: s.mode == "default")
+    peer.pub.send_multipart([b"cm_config", b"edge"])
+    assert peer.status_until(lambda s: s.mode == "edge_detection" and not s.fpga_busy).pr_mode == pb.PR_MODE_IDLE
+
+
+def test_listing_2_works_as_one_frame_too(peer: Peer) -> None:
+    peer.status_until(lambda s: s.mode == "default")
+    peer.pub.send(b"cm_config colorise")
+    peer.status_until(lambda s: s.mode == "colorise")
+
+
+def test_listing_2_writes_registers_in_plain_text(peer: Peer, board: cm.Board) -> None:
+    peer.sub.setsockopt(zmq.SUBSCRIBE, b"cm_read_reg")
+    peer.status_until(lambda s: s.mode == "default")
+    peer.pub.send_multipart([b"cm_write_reg", b"{ 'focus':0x2}"])
+    topic, message = peer.sub.recv_multipart()
+    while topic != b"cm_read_reg":
+        topic, message = peer.sub.recv_multipart()
+    values = pb.RegValues.FromString(message)
+    assert [(v.name, v.value) for v in values.values] == [("focus", 2)]
+    assert board.registers["focus"] == 2
+
+
+def test_listing_2_receives_frames_on_cm_data_read(peer: Peer) -> None:
+    peer.sub.setsockopt(zmq.SUBSCRIBE, b"cm_data_read")
+    topic, message, payload = peer.sub.recv_multipart()
+    frame = pb.Frame.FromString(message)
+    assert (topic, frame.stream, len(payload)) == (b"cm_data_read", "camera", 480 * 640)
+
+
+def test_a_dealer_may_leave_the_delimiter_out(peer: Peer, manager: Manager) -> None:
+    with peer.connect(zmq.DEALER, manager, "req") as dealer:
+        dealer.send_multipart([b"cm_status", b""])
+        _, message = dealer.recv_multipart()
+    assert pb.Reply.FromString(message).status.mode == "default"
+
+
+def test_replies_to_a_dealer_carry_its_own_frames_back(peer: Peer, manager: Manager) -> None:
+    with peer.connect(zmq.DEALER, manager, "req") as dealer:
+        dealer.send_multipart([b"my-17", b"", b"cm_status", b""])
+        assert dealer.recv_multipart()[:3] == [b"my-17", b"", b"cm_status"]
+
+
+@pytest.mark.parametrize(
+    ("frames", "code", "words"),
+    [
+        ([b"cm_nonsense", b""], "invalid_request", "unknown topic"),
+        ([b"cm_write_reg", b"\xff\xff\xff"], "invalid_request", "no WriteReg message"),
+        ([b"cm_write_reg", b"{ 'focus': 'two' }"], "invalid_request", "no integer"),
+        ([b"cm_write_reg", b"{ 'focus': 0x10 }"], "out_of_range", "0 to 15"),
+        ([b"cm_write_reg", b"{ 'nix': 1 }"], "unknown_register", "nix"),
+        ([b"cm_write_reg", b""], "invalid_request", "at least one"),
+        ([b"cm_config", b"no such mode!"], "invalid_request", "plain text"),
+        ([b"cm_config", b"sharpen"], "unknown_mode", "sharpen"),
+        ([b"cm_config", b""], "invalid_request", "plain text"),
+        ([b"cm_status", b"", b"payload"], "invalid_request", "payload"),
+        ([b"cm_write_data", pb.WriteData(stream="to_pl").SerializeToString()], "invalid_request", "payload"),
+        ([b"cm_write_data", pb.WriteData(stream="to_pl").SerializeToString(), b"abc"], "invalid_request", "bytes"),
+        ([b"cm_write_data", pb.WriteData(stream="camera").SerializeToString(), b"abc"], "invalid_request", "s2mm"),
+        ([b"cm_data_config", pb.DataConfig(stream="camera", dtype="float7").SerializeToString()], "invalid_request", "dtype"),
+        ([b"cm_data_config", pb.DataConfig(stream="camera", slots=4000).SerializeToString()], "invalid_request", "slots"),
+        ([b"cm_irq", pb.ReadIrq(name="nix").SerializeToString()], "unknown_interrupt", "nix"),
+        ([b"cm_lease", pb.Lease(scope="moon").SerializeToString()], "invalid_request", "scope"),
+        ([b"cm_write_config", pb.WriteConfig(schema="config: 7").SerializeToString()], None, "config"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_gets_a_clear_error(peer: Peer, frames: list[bytes], code: str | None, words: str) -> None:
+    before = peer.ask(b"cm_status", b"").status
+    reply = peer.ask(*frames)
+    assert not reply.ok
+    assert words in reply.error.message
+    assert code is None or reply.error.code == code
+    after = peer.ask(b"cm_status", b"").status
+    assert (after.config_name, after.mode) == (before.config_name, before.mode)
+
+
+def test_an_error_of_fire_and_forget_shows_on_the_status(peer: Peer) -> None:
+    peer.status_until(lambda s: s.mode == "default")
+    peer.pub.send_multipart([b"cm_config", b"sharpen"])
+    status = peer.status_until(lambda s: s.last_error.code == "unknown_mode")
+    assert status.mode == "default"
+
+
+def test_an_error_is_logged_once(own: tuple[Manager, SimBoard]) -> None:
+    manager, _ = own
+    with manager.connected() as board:
+        board.load("camera", "default")
+    peer = Peer(manager)
+    peer.status_until(lambda s: s.mode == "default")
+    for _ in range(5):
+        peer.pub.send_multipart([b"cm_config", b"sharpen"])
+    peer.status_until(lambda s: s.last_error.code == "unknown_mode")
+    assert peer.ask(b"cm_status", b"").ok
+    peer.close()
+    manager.stop()
+    assert manager.log.count(b"has no mode 'sharpen'") == 1
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(
+        st.one_of(
+            st.binary(max_size=40),
+            st.sampled_from([b"cm_status", b"cm_write_reg", b"cm_config", b"cm_write_config", b"cm_data_config", b""]),
+        ),
+        min_size=1,
+        max_size=5,
+    )
+)
+def test_no_frames_whatsoever_bring_the_manager_down(peer: Peer, frames: list[bytes]) -> None:
+    peer.req.send_multipart(frames)
+    pb.Reply.FromString(peer.req.recv_multipart()[1])
+    assert peer.ask(b"cm_status", b"").status.config_name == "camera"
