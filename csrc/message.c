@@ -98,7 +98,7 @@ static bool well_formed(const struct cm_node_reply *reply, const struct msghdr *
 	       reply->op == op && reply->error >= 0 && reply->length == got - sizeof(*reply);
 }
 
-/* Receive one packet; bytes received, or -1 with errno ENODEV at the connection's end. */
+/* Receive one packet; bytes received, 0 at the connection's end (or for an empty packet). */
 static ssize_t receive_packet(int sock, struct msghdr *msg)
 {
 	ssize_t got;
@@ -106,10 +106,9 @@ static ssize_t receive_packet(int sock, struct msghdr *msg)
 	do {
 		got = recvmsg(sock, msg, MSG_CMSG_CLOEXEC);
 	} while (got < 0 && errno == EINTR);
-	if (got > 0)
-		return got;
-	errno = got == 0 ? ENODEV : gone(errno);
-	return -1;
+	if (got < 0)
+		errno = gone(errno);
+	return got;
 }
 
 ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, int *fd, int *broken)
@@ -134,8 +133,10 @@ ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, in
 		*broken = errno;
 		return -1;
 	}
-	fds = detach_fds(&msg, &passed);
-	if (!well_formed(&reply, &msg, (size_t)got, op) || fds > (fd ? 1 : 0))
+	fds = detach_fds(&msg, &passed); /* an empty packet may bring some, too */
+	if (got == 0)
+		*broken = errno = ENODEV;
+	else if (!well_formed(&reply, &msg, (size_t)got, op) || fds > (fd ? 1 : 0))
 		*broken = errno = EPROTO;
 	else if (reply.error)
 		errno = reply.error;
