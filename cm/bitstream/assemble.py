@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cm.bitstream.container import BitHeader, pack_bit
-from cm.bitstream.devices import Device, device_by_name
+from cm.bitstream.devices import Device, Family, device_by_name
 from cm.bitstream.errors import UnknownDevice
 from cm.bitstream.far import FrameAddress, encode_far
 from cm.bitstream.packets import (
@@ -31,7 +31,7 @@ from cm.bitstream.packets import (
 )
 from cm.native import bitstream as native
 
-_MFWR_WORDS = 14  # as Vivado writes
+_MFWR_WORDS = {Family.SERIES7: 4, Family.ULTRASCALE_PLUS: 14}  # as Vivado writes; their values mean nothing
 _UNPRINTABLE = re.compile(r"[^!-:<-~]")  # in a header: all but visible ASCII, and the separator
 
 
@@ -109,7 +109,7 @@ def _write_frames(writer: StreamWriter, device: Device, run: FrameRun | SharedFr
         for address in run.addresses:
             writer.write(Register.FAR, encode_far(address, device.family))
             writer.raw(NOP)
-            writer.bulk(Register.MFWR, bytes(4 * _MFWR_WORDS))
+            writer.bulk(Register.MFWR, bytes(4 * _MFWR_WORDS[device.family]))
             writer.raw(NOP, NOP)
 
 

@@ -23,10 +23,12 @@ _SYNC_BIG = bytes.fromhex("aa995566")
 _SYNC_LITTLE = bytes.fromhex("665599aa")
 _PADDING = {bytes([255] * 4), bytes.fromhex("000000bb"), bytes.fromhex("11220044")}
 _SEARCH = 1 << 16  # bytes: in a plain .bin the sync word stands within the first few hundred
-_BOOT_SYNC = 0x20  # of a boot image: its width detection word, which looks like the sync word
 _BOOT_MAGIC = 0x24
 _BOOT_SIGNATURE = b"XNLX"
 _BOOT_HEADER = 0x8C0  # bytes; the image headers and the partitions follow
+_BOOT_TABLE = 0x9C  # where the header says at which byte the partition headers are
+_BOOT_PARTITIONS = 32
+_BOOT_FOR_PL = 2  # a partition's destination in its attributes
 
 
 class Container(Enum):
@@ -182,6 +184,22 @@ def _is_boot_image(data: memoryview) -> bool:
     return len(data) >= _BOOT_HEADER and bytes(data[_BOOT_MAGIC : _BOOT_MAGIC + 4]) == _BOOT_SIGNATURE
 
 
+def _partitions(data: memoryview) -> Iterator[tuple[int, int, bool]]:
+    """Give begin, end and encryption of a boot image's partitions for the PL, as far as its table is sound.
+
+    A header is sixteen words (UG821 for Zynq, UG1283 for Zynq UltraScale+), the last one a check sum.
+    """
+    (table,) = struct.unpack_from("<I", data, _BOOT_TABLE)
+    for at in range(table, min(table + 64 * _BOOT_PARTITIONS, len(data) - 63), 64):
+        words = struct.unpack_from("<16I", data, at)
+        if ~sum(words[:15]) & 0xFFFFFFFF != words[15] or words[2] == 0:
+            return
+        for offset, attributes in ((words[5], words[6]), (words[8], words[9])):
+            begin, end = 4 * offset, 4 * (offset + words[1])
+            if attributes >> 4 & 7 == _BOOT_FOR_PL and _BOOT_HEADER <= begin < end <= len(data):
+                yield begin, end, words[0] != words[1]
+
+
 def _begin_of_stream(data: memoryview, sync: int, swapped: bool) -> int:
     """Go back from the sync word over the padding in front of it."""
     at = sync
@@ -193,15 +211,25 @@ def _begin_of_stream(data: memoryview, sync: int, swapped: bool) -> int:
     return at
 
 
-def _open_boot_image(data: memoryview) -> Image:
-    at, swapped = _find_sync(data, _BOOT_HEADER, len(data))
-    if at < 0:
+def _boot_stream(data: memoryview) -> tuple[int, int, bool, bool]:
+    """Return where the bitstream begins and ends, whether it is swapped, and whether it is encrypted."""
+    for begin, end, encrypted in _partitions(data):
+        sync, swapped = _find_sync(data, begin, min(begin + _SEARCH, end))
+        if sync >= 0:
+            return begin, end, swapped, encrypted
+    # No table, or a damaged one: the first sync word behind the header, and all that follows.
+    sync, swapped = _find_sync(data, _BOOT_HEADER, len(data))
+    if sync < 0:
         raise NoSync("a boot image without a bitstream partition: no sync word after its header")
-    begin = _begin_of_stream(data, at, swapped)
-    raw = bytes(data[begin:])
-    stream, rest = _whole(data[begin : begin + -(-len(raw.rstrip(b"\0")) // 4) * 4])
+    return _begin_of_stream(data, sync, swapped), len(data), swapped, False
+
+
+def _open_boot_image(data: memoryview) -> Image:
     (encryption,) = struct.unpack_from("<I", data, 0x28)
-    return Image(Container.BOOTGEN, None, stream, begin, swapped, rest, encryption != 0)
+    begin, end, swapped, encrypted = _boot_stream(data)
+    length = len(bytes(data[begin:end]).rstrip(b"\0"))
+    stream, rest = _whole(data[begin : min(end, begin + -(-length // 4) * 4)])
+    return Image(Container.BOOTGEN, None, stream, begin, swapped, rest, encrypted or encryption != 0)
 
 
 @contextmanager

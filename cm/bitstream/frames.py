@@ -76,8 +76,8 @@ def check_frames(events: native.Events, family: Family) -> list[Refusal]:
         )
     for row in events[(events["value"] & np.uint32(~family.far.used & 0xFFFFFFFF)) != 0][:1]:
         problems.append(_refusal(BadPacket, f"word {row['word']}: {row['value']:08X} is no frame address"))
-    if len(shared) and (np.any(shared["extra"] != 0) or np.any(shared["count"] != shared["count"][0])):
-        problems.append(_refusal(BadPacket, "MFWR packets differ in length or carry data; they carry zeros"))
+    for row in shared[shared["extra"] != 0][:1]:
+        problems.append(_refusal(BadPacket, f"word {row['word']}: an MFWR packet carries data other than zeros"))
     return problems
 
 

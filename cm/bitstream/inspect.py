@@ -45,10 +45,10 @@ def _identify(image: Image, rules: Rules) -> tuple[str | None, int | None, Famil
     idcode = rules.idcodes[0] if rules.idcodes else None
     family = family_of(idcode, part)
     known = device_by_idcode(idcode) if idcode is not None else None
-    if idcode is None and not rules.encrypted:
+    if idcode is None and not image.encrypted:
         rules.refuse(UnknownDevice, "no IDCODE is written: the device would not check that the bitstream is its own")
-    elif family is None and not rules.encrypted:
-        rules.refuse(UnknownDevice, f"IDCODE {idcode:08X}: neither a 7-series nor an UltraScale+ device that is known")
+    elif family is None and not image.encrypted:
+        rules.refuse(UnknownDevice, f"IDCODE {idcode:08X}, part {part}: neither 7-series nor UltraScale+")
     if len(set(rules.idcodes)) > 1:
         rules.refuse(WrongDevice, "sections for different devices: " + ", ".join(f"{x:08X}" for x in rules.idcodes))
     named = device_by_name(part) if part else None

@@ -16,12 +16,23 @@ from cm.bitstream.errors import BadContainer, NoSync, Truncated
 TEXT = st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters=";="), max_size=20)
 
 
-def boot_image(stream: bytes, encryption: int = 0) -> bytes:
-    """A boot image as bootgen lays it out: header with width word and signature, stream, zeros."""
+def partition(first: int, begin: int, length: int, destination: int) -> bytes:
+    """A partition header: lengths, then offset and attributes from word `first` on, and the check sum."""
+    words = [length // 4] * 3 + [0] * 13
+    words[first], words[first + 1] = begin // 4, destination << 4
+    words[15] = ~sum(words) & 0xFFFFFFFF
+    return struct.pack("<16I", *words)
+
+
+def boot_image(stream: bytes, encryption: int = 0, partitions: tuple[bytes, ...] = ()) -> bytes:
+    """A boot image as bootgen lays it out: header with width word and signature, table, stream, zeros."""
     header = bytearray(0x2800)
     header[0x20:0x24] = bytes.fromhex("665599aa")
     header[0x24:0x28] = b"XNLX"
     struct.pack_into("<I", header, 0x28, encryption)
+    struct.pack_into("<I", header, 0x9C, 0xC80)
+    table = b"".join(partitions)
+    header[0xC80 : 0xC80 + len(table)] = table
     return bytes(header) + stream + bytes(200)
 
 
@@ -74,6 +85,24 @@ def test_boot_image_is_opened_behind_its_own_sync_word() -> None:
     assert (image.container, image.offset, bytes(image.stream)) == (Container.BOOTGEN, 0x2800, stream)
 
 
+@pytest.mark.parametrize("first", [5, 8])  # where Zynq and Zynq UltraScale+ have a partition's offset
+def test_boot_image_with_more_partitions_gives_the_one_for_the_pl(first: int) -> None:
+    stream = to_dma_words(small())
+    table = partition(first, 0x2800, 400, 1), partition(first, 0x3000, len(stream), 2)
+    loader = stream[:400] + bytes(400)  # looks like a stream, but is not for the PL
+    image = boot_image(loader + bytes(0x800 - len(loader)) + stream + b"u-boot" * 100, partitions=table)
+    found = open_image(image)
+    assert (found.offset, bytes(found.stream), found.encrypted) == (0x3000, stream, False)
+    assert inspect(image).problems == ()
+
+
+def test_damaged_partition_table_is_not_used() -> None:
+    table = bytearray(partition(5, 0x10, 400, 2))
+    table[0] ^= 1
+    stream = to_dma_words(small())
+    assert open_image(boot_image(stream, partitions=(bytes(table),))).offset == 0x2800
+
+
 def test_boot_image_converts_to_its_stream() -> None:
     assert convert(boot_image(to_dma_words(small())), Container.BIN_STRAIGHT) == convert(
         small(), Container.BIN_STRAIGHT
@@ -100,7 +129,7 @@ def test_file_without_sync_is_refused() -> None:
 
 
 def test_bit_header_whose_text_does_not_end_is_refused() -> None:
-    with pytest.raises(BadContainer, match="field 'b' at byte .* does not end with NUL"):
+    with pytest.raises(BadContainer, match=r"field 'b' at byte .* does not end with NUL"):
         open_image(small().replace(b"xc7z020\0", b"xc7z020!"))
 
 

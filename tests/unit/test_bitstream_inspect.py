@@ -170,6 +170,25 @@ def test_words_behind_the_last_crc_are_refused() -> None:
     assert codes(bit(*checked, 0x3000A001, 0x100, *DESYNC)) == {"crc_missing"}
 
 
+@pytest.mark.parametrize("counts", [(8, 4, 4), (14, 14, 14)])  # as Vivado writes for 7-series and UltraScale+
+def test_multiple_frame_writes_of_any_length_are_accepted(counts: tuple[int, ...]) -> None:
+    packets = [
+        word for minor, count in enumerate(counts) for word in (0x30002001, minor, 0x30014000 | count, *[0] * count)
+    ]
+    report = inspect(bit(*RCRC, *IDCODE, *FDRI, *packets, *DESYNC))
+    assert report.problems == ()
+    assert report.footprint == (Footprint(0, 0, 0, 3),)
+
+
+def test_multiple_frame_writes_that_carry_data_are_refused() -> None:
+    assert codes(bit(*RCRC, *IDCODE, *FDRI, 0x30014002, 0, 5, *DESYNC)) == {"bitstream_packet"}
+
+
+def test_bitstream_of_another_family_is_refused_whatever_it_looks_like() -> None:
+    words = (0x30018001, 0x01C10093, 0x30016001, 0, 0x30004001, 0, *DESYNC)
+    assert "unknown_device" in codes(bit(*words).replace(b"7z020clg400", b"3s100ecp132"))
+
+
 def test_words_outside_of_sync_are_refused() -> None:
     assert "bitstream_packet" in codes(bit(*RCRC, *IDCODE, *FDRI, *DESYNC, 0x12345678))
 
