@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 
 from . import protocol
 from .errors import NodeError
-from .server import Events, Later
+from .events import Events
+from .session import Later
 
 Read = Callable[[], bytes]
 Write = Callable[[bytes], "Later | None"]

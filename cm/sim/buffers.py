@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from . import protocol
 from .errors import NodeError
-from .server import Answer
+from .session import Answer
 
 PAGE = mmap.PAGESIZE
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL

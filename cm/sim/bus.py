@@ -7,8 +7,9 @@ import errno
 
 from cm.schema.model import Access
 
+from .cells import Cell, Region, Window, writable
 from .errors import NodeError
-from .fabric import EMPTY_WORD, Cell, Fabric, Region, Window, writable
+from .fabric import EMPTY_WORD, Fabric
 from .faults import Faults
 
 _WIDTHS = (8, 16, 32, 64)

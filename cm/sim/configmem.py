@@ -15,7 +15,8 @@ from cm.bitstream.port import FrameWrite
 from cm.schema.model import FrameRange
 
 from .board import BoardSpec, ModuleSpec, RegionSpec
-from .fabric import Fabric, Region
+from .cells import Region
+from .fabric import Fabric
 
 _log = logging.getLogger(__name__)
 _SYNC = b"\x66\x55\x99\xaa"

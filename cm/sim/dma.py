@@ -15,7 +15,7 @@ from . import protocol
 from .buffers import Buffer
 from .channels import ChannelSpec
 from .errors import NodeError
-from .server import Events
+from .events import Events
 
 QUEUE_DEPTH = 64
 MAX_LENGTH = (1 << 26) - 1  # the AXI DMA's length register has at most 26 bits (PG021)

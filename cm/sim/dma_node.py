@@ -14,7 +14,8 @@ from . import protocol
 from .buffers import Buffer, Buffers, Memory, fit
 from .dma import MAX_LENGTH, QUEUE_DEPTH, Channel, Completions, Transfer
 from .errors import NodeError
-from .server import Answer, Events
+from .events import Events
+from .session import Answer
 
 _CAPS = protocol.CAP_CYCLIC | protocol.CAP_VIDEO | protocol.CAP_RESIDUE
 _ALIGNMENT = 1  # as an engine with the data realignment engine (PG021)

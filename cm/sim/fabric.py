@@ -11,91 +11,11 @@ from numpy.typing import NDArray
 from cm.schema.model import Access, Register
 
 from .board import BoardSpec, ModuleSpec, RegionSpec
-from .windows import WindowSpec
+from .cells import Cell, Region, View, Window, same_place
 
 EMPTY_WORD = 0xDEADBEEF  # what a region without a module reads as
 FUNCTIONAL_RESETS: Mapping[str, int] = {"focus": 1, "zoom": 1}
 _GARBAGE = 1 << 22
-
-
-class Region:
-    """A region: the module that runs in it, if one does, and whether it is cut off."""
-
-    def __init__(self, spec: RegionSpec) -> None:
-        self.spec = spec
-        self.name = spec.name
-        self.module: ModuleSpec | None = None
-        self.loading = False
-        self.decoupled = False
-
-    @property
-    def running(self) -> bool:
-        """Whether a module answers and data flows through it."""
-        return self.module is not None and not self.loading
-
-
-class Cell:
-    """A register at its place in a window: who answers for it, and its raw value."""
-
-    __slots__ = ("memory", "offset", "region", "register", "width")
-
-    def __init__(self, memory: bytearray, offset: int, register: Register, region: Region | None) -> None:
-        self.memory = memory
-        self.offset = offset
-        self.register = register
-        self.region = region
-        self.width = register.width // 8
-
-    @property
-    def value(self) -> int:
-        """The value as the hardware sees it, whatever the bus may see."""
-        return int.from_bytes(self.memory[self.offset : self.offset + self.width], "little")
-
-    @value.setter
-    def value(self, value: int) -> None:
-        masked = value & ((1 << 8 * self.width) - 1)
-        self.memory[self.offset : self.offset + self.width] = masked.to_bytes(self.width, "little")
-
-
-class Window:
-    """The memory of one register window and the cells in it, by byte offset."""
-
-    def __init__(self, spec: WindowSpec) -> None:
-        self.spec = spec
-        self.memory = bytearray(spec.size)
-        self.cells: dict[int, list[Cell]] = {}
-
-    def add(self, cell: Cell) -> None:
-        """Put a cell over its bytes; several modules of one region may share them."""
-        for byte in range(cell.offset, cell.offset + cell.width):
-            self.cells.setdefault(byte, []).append(cell)
-
-    def cell_at(self, offset: int) -> Cell | None:
-        """The cell that answers at a byte: that of the loaded module before others of its region."""
-        cells = self.cells.get(offset)
-        if not cells:
-            return None
-        for cell in cells:
-            module = cell.region.module if cell.region else None
-            if module is not None and _same(module.registers.get(cell.register.name), cell.register):
-                return cell
-        return cells[0]
-
-
-class View(Mapping[str, int]):
-    """The present values of a module's registers by name, read when asked for."""
-
-    def __init__(self, cells: Mapping[str, Cell]) -> None:
-        self._cells = cells
-
-    def __getitem__(self, name: str) -> int:
-        return self._cells[name].value
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._cells)
-
-    def __len__(self) -> int:
-        return len(self._cells)
 
 
 class Fabric:
@@ -183,7 +103,8 @@ class Fabric:
             return
         region = self.regions.get(register.region) if register.region else None
         if any(
-            _same(known.register, register) and known.region is region for known in self._by_name.get(register.name, ())
+            same_place(known.register, register) and known.region is region
+            for known in self._by_name.get(register.name, ())
         ):
             return
         cell = Cell(window.memory, register.address - window.spec.address, register, region)
@@ -196,7 +117,7 @@ class Fabric:
         for name, found in self._by_name.items():
             for cell in found:
                 mine = cell.region is None or cell.region.name == region
-                if mine and (module is None or _same(module.registers.get(name), cell.register)):
+                if mine and (module is None or same_place(module.registers.get(name), cell.register)):
                     cells[name] = cell
         return View(cells)
 
@@ -206,7 +127,7 @@ class Fabric:
             for cell in cells:
                 if cell.region is not region:
                     continue
-                if module is None or _same(module.registers.get(name), cell.register):
+                if module is None or same_place(module.registers.get(name), cell.register):
                     cell.value = _reset_value(cell.register)
         identity = self._by_name.get(_identity_name(region.name)) if region else None
         if identity and module is not None:
@@ -220,11 +141,6 @@ class Fabric:
         if window is not None:
             offset = decoupler.base_address + decoupler.offset - window.spec.address
             window.memory[offset + decoupler.bit // 8] |= 1 << decoupler.bit % 8
-
-
-def writable(register: Register) -> bool:
-    """Whether a bus write changes the register."""
-    return register.access is not Access.RO
 
 
 def _identity_name(region: str) -> str:
@@ -243,7 +159,3 @@ def _reset_value(register: Register) -> int:
     if register.reset is not None:
         return register.reset
     return FUNCTIONAL_RESETS.get(register.name, 0)
-
-
-def _same(one: Register | None, other: Register) -> bool:
-    return one is not None and one.address == other.address and one.width == other.width

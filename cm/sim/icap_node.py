@@ -9,8 +9,9 @@ from collections.abc import Callable, Sequence
 from . import protocol
 from .buffers import Buffer, Buffers, Memory, fit
 from .errors import NodeError
+from .events import Events
 from .icap import Engine, LoadResult
-from .server import Answer, Events
+from .session import Answer
 
 MAX_LENGTH = 1 << 26
 _FLAGS = protocol.LOAD_FULL | protocol.LOAD_ENCRYPTED

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from cm.schema.model import Interrupt
 
-from .fabric import Cell, Fabric, Window
+from .cells import Cell, Window
+from .events import Events
+from .fabric import Fabric
 from .faults import Faults
-from .server import Events
 
 _COUNT = struct.Struct("<I")
 

@@ -19,6 +19,7 @@ from .bus import Bus
 from .camera import Photo, PhotoReel
 from .configmem import ConfigMemory
 from .control_node import ControlNode
+from .datapath import Datapath
 from .dma import Channel
 from .dma_node import DmaNode
 from .fabric import Fabric
@@ -27,7 +28,7 @@ from .firmware import Firmware
 from .icap import Engine
 from .icap_node import IcapNode
 from .interrupts import Interrupts
-from .links import CameraLink, Datapath, Link, LoopLink, SinkLink
+from .links import CameraLink, Link, LoopLink, SinkLink
 from .loop import Loop
 from .manager import FpgaManager
 from .models import Models

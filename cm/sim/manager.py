@@ -14,7 +14,8 @@ from .errors import NodeError
 from .faults import Faults
 from .icap import Engine, LoadResult
 from .root import Root
-from .server import Later, Server
+from .server import Server
+from .session import Later
 
 BASE = "sys/class/fpga_manager/fpga0"
 NAME = "Xilinx Zynq FPGA Manager"

@@ -13,7 +13,8 @@ from .faults import Faults
 from .fdt import FdtError, FdtNode, unpack
 from .manager import PARTIAL, FpgaManager
 from .root import Root
-from .server import Later, Server
+from .server import Server
+from .session import Later
 
 BASE = "sys/kernel/config/device-tree/overlays"
 

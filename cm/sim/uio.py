@@ -8,11 +8,11 @@ from collections.abc import Sequence
 
 from . import protocol
 from .bus import Bus
+from .cells import Window
 from .errors import NodeError
-from .fabric import Window
+from .events import Events
 from .interrupts import Line
 from .root import Root
-from .server import Events
 
 
 class UioNode:
