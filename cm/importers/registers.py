@@ -31,8 +31,9 @@ class RegisterBank:
             self._notes.append(f"{prefix}: no plain registers, left out: {shown}")
 
     def _add(self, prefix: str, base: int, size: int, info: RegisterInfo, region: str | None) -> bool:
-        width, begin = info.size, base + info.offset
-        if width not in _WIDTHS or begin % (width // 8) or info.offset + width // 8 > size:
+        begin = base + info.offset
+        width = _access_width(info.size, begin)
+        if width is None or info.offset + width // 8 > size:
             return False
         # What Vitis HLS calls Memory_… is an array; its size is not that of a register.
         if info.name.startswith("Memory_") or any(
@@ -41,24 +42,31 @@ class RegisterBank:
             return False
         self._taken.append((begin, begin + width // 8))
         name = self._names.take(f"{prefix}_{info.name}".lower())
-        self.registers[name] = _register(name, base, info, region)
+        self.registers[name] = _register(name, base, width, info, region)
         return True
 
 
-def _register(name: str, base: int, info: RegisterInfo, region: str | None) -> Register:
+def _access_width(size: int, address: int) -> int | None:
+    """The access for a register of `size` bits: a whole word where it begins one, as AXI4-Lite slaves expect."""
+    if 0 < size <= 32 and address % 4 == 0:
+        return 32
+    return size if size in _WIDTHS and address % (size // 8) == 0 else None
+
+
+def _register(name: str, base: int, width: int, info: RegisterInfo, region: str | None) -> Register:
     access = _ACCESS.get(info.access, Access.RW)
     fields = [item for item in info.fields if not item.name.upper().startswith("RESERVED")]
     if fields and access is Access.RW and all(item.one_to_clear for item in fields):
         access = Access.W1C
-    reset = info.reset if info.reset is not None and not info.reset >> info.size else None
+    reset = info.reset if info.reset is not None and not info.reset >> width else None
     return Register(
         name=name,
         base_address=base,
         offset=info.offset,
-        width=info.size,
+        width=width,
         access=access,
         reset=None if access is Access.WO else reset,
-        fields=frozen(_fields(fields, info.size)),
+        fields=frozen(_fields(fields, width)),
         region=region,
         volatile=access is Access.RO or any(item.access == "read-only" or item.one_to_clear for item in fields),
         doc=_one_line(info.doc),

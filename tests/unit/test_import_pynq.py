@@ -33,7 +33,8 @@ FILTER = described(
     register("status", 0x14, access="read-only", RESET_VALUE="0x80"),
     register("ISR", 0x18, register_field("DONE", 0, 1, MODIFIED_WRITE_VALUE="oneToClear")),
     register("Memory_kernel", 0x40, size=16),
-    register("odd", 0x20, size=24),
+    register("odd", 0x21, size=24),
+    register("narrow", 0x24, size=2),
     register("again", 0x10),
 )
 
@@ -110,6 +111,7 @@ def test_registers_have_name_place_access_and_fields(overlay: Path) -> None:
     assert (found["filter_status"].access, found["filter_status"].reset) == (Access.RO, 0x80)
     assert found["filter_isr"].access is Access.W1C
     assert found["gpio_gpio_data"].address == 0x41200000
+    assert found["filter_narrow"].width == 32  # two bits, but a whole word on the bus
 
 
 def test_what_is_no_register_is_left_out_and_told(overlay: Path) -> None:
