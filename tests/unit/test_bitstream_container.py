@@ -13,7 +13,7 @@ from cm.bitstream import BitstreamError, Container, Image, convert, inspect, ope
 from cm.bitstream.container import BitHeader, pack_bit
 from cm.bitstream.errors import BadContainer, NoSync, Truncated
 
-TEXT = st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters=";="), max_size=20)
+TEXT = st.text("".join(chr(code) for code in range(33, 127) if chr(code) not in ";="), max_size=20)
 
 
 def partition(first: int, begin: int, length: int, destination: int) -> bytes:
