@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from cm.build.hdl import (
     Language,
     Mode,
     ModuleNotFound,
+    ParserMissing,
     Polarity,
     PortDirection,
     extract,
@@ -303,3 +305,17 @@ def test_string_and_real_parameters_keep_their_kind(tmp_path: Path) -> None:
 def test_parameter_is_set_to_a_number_or_a_string(tmp_path: Path, given: str, value: object) -> None:
     found = ports(tmp_path, "input clk", "parameter P = 0", parameters={"P": given})
     assert [(p.value, p.overridden) for p in found.parameters] == [(value, True)]
+
+
+def test_included_file_in_another_encoding_is_read(tmp_path: Path) -> None:
+    (tmp_path / "w.vh").write_bytes("`define W 4 // à gauche\n".encode("latin-1"))
+    text = '`include "w.vh"\nmodule m #(parameter P = /* \xe0 */ `W) (input [`W-1:0] a);\nendmodule\n'
+    (tmp_path / "m.v").write_bytes(text.encode("latin-1"))
+    (found,) = extract([tmp_path / "m.v"])
+    assert (found.port("a").width, found.parameters[0].value) == (4, 4)
+
+
+def test_missing_parser_is_told_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyslang", None)
+    with pytest.raises(ParserMissing, match=r"needs the Python package pyslang.*fpga-cm\[build\]"):
+        extract([DATA / "tagged.v"])

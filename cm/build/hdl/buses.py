@@ -40,6 +40,7 @@ class Protocol:
     pattern: re.Pattern[str] = field(default=re.compile(r"(?!)"), repr=False)
     spelled: Mapping[str, str] = field(default_factory=dict, repr=False)  # spelling, lower case → logical name
     company: bool = False  # one signal alone is not enough to tell the protocol
+    worth: tuple[frozenset[str], ...] = ()  # without any of these sets, ports are not said to look like the bus
 
 
 def make_protocol(
@@ -84,7 +85,8 @@ def aximm() -> Protocol:
     ]
     write = frozenset(["AWADDR", "AWVALID", "AWREADY", "WDATA", "WVALID", "WREADY", "BVALID", "BREADY"])
     read = frozenset(["ARADDR", "ARVALID", "ARREADY", "RDATA", "RVALID", "RREADY"])
-    return make_protocol("aximm", signals, (write, read), "xilinx.com:interface:aximm:1.0")
+    found = make_protocol("aximm", signals, (write, read), "xilinx.com:interface:aximm:1.0")
+    return replace(found, worth=tuple(frozenset({name}) for name in ("AWVALID", "AWREADY", "ARVALID", "ARREADY")))
 
 
 def axis() -> Protocol:
@@ -94,7 +96,9 @@ def axis() -> Protocol:
         *_signals("TLAST TVALID", _OUT, handshake=True),
         *_signals("TREADY", _IN, handshake=True),
     ]
-    return make_protocol("axis", signals, (frozenset({"TVALID"}),), "xilinx.com:interface:axis:1.0", company=True)
+    valid = frozenset({"TVALID"})
+    found = make_protocol("axis", signals, (valid,), "xilinx.com:interface:axis:1.0", company=True)
+    return replace(found, worth=(valid, frozenset({"TDATA", "TREADY"})))
 
 
 def axis_short() -> Protocol:
@@ -106,7 +110,10 @@ def axis_short() -> Protocol:
     spelled = {name[1:].lower(): name for name in standard.signals}
     word = r"(?:.*_)?(?:axis|axi_?stream|axi4_?stream|axi4s)\d*_(?:.*_)?"
     halves = (frozenset({"TDATA", "TVALID", "TREADY"}),)
-    return replace(standard, halves=halves, pattern=_pattern(word, spelled), spelled=MappingProxyType(spelled))
+    worth = (frozenset({"TDATA", "TVALID"}),)
+    return replace(
+        standard, halves=halves, worth=worth, pattern=_pattern(word, spelled), spelled=MappingProxyType(spelled)
+    )
 
 
 _FULL_ONLY = frozenset(["AWLEN", "ARLEN", "AWSIZE", "ARSIZE", "AWBURST", "ARBURST", "WLAST", "RLAST", "WID"])

@@ -165,9 +165,8 @@ class _Detection:
             self._add(make_interface(name, protocol, verdict.mode, candidate.ports, found_by, stated))
 
     def _reject(self, candidate: Candidate, reason: str) -> None:
-        if len(candidate.ports) > 1:  # one port alone may be named so by chance
-            for port in candidate.ports.values():
-                self._reasons[port.name] = reason
+        if _worth_a_word(candidate):
+            self._reasons.update({port.name: reason for port in candidate.ports.values()})
             self._rejected.append((candidate, reason))
 
     def _unique(self, name: str) -> str:
@@ -185,7 +184,16 @@ class _Detection:
     def _resets(self) -> list[Reset]:
         found = [port for port in self._unrejected() if is_reset(port)]
         self._take(port.name for port in found)
-        return [Reset(port.name, port.name, _polarity(port)) for port in found]
+        return [Reset(port.name, port.name, self._polarity(port)) for port in found]
+
+    def _polarity(self, port: Port) -> Polarity:
+        stated = attributes.parameters(port).get("POLARITY", "").upper()
+        if stated in ("ACTIVE_LOW", "ACTIVE_HIGH"):
+            return Polarity.LOW if stated == "ACTIVE_LOW" else Polarity.HIGH
+        if port.name[-2:].lower() == "_b":  # the second of reset_a and reset_b, or "bar"
+            siblings = {other.name.lower() for other in self._module.ports}
+            return Polarity.HIGH if port.name[:-1].lower() + "a" in siblings else Polarity.LOW
+        return reset_polarity(port.name)
 
     def _interrupts(self) -> list[Interrupt]:
         found = [(port, mode) for port in self._unrejected() if (mode := interrupt_mode(port))]
@@ -204,6 +212,13 @@ class _Detection:
                 yield Leftover(port.name, self._reasons.get(port.name, NOTHING_KNOWN))
 
 
+def _worth_a_word(candidate: Candidate) -> bool:
+    """Ports may be named so by chance: one alone, or wdata and rdata without a handshake."""
+    worth = candidate.protocol.worth
+    enough = any(marks <= set(candidate.ports) for marks in worth) if worth else True
+    return enough and len(candidate.ports) > 1
+
+
 def _clock(port: Port) -> Clock:
     stated = attributes.parameters(port)
     frequency = stated.get("FREQ_HZ", "")
@@ -215,13 +230,6 @@ def _clock(port: Port) -> Clock:
         attributes.names(stated, "ASSOCIATED_BUSIF"),
         next(iter(attributes.names(stated, "ASSOCIATED_RESET")), None),
     )
-
-
-def _polarity(port: Port) -> Polarity:
-    stated = attributes.parameters(port).get("POLARITY", "").upper()
-    if stated in ("ACTIVE_LOW", "ACTIVE_HIGH"):
-        return Polarity.LOW if stated == "ACTIVE_LOW" else Polarity.HIGH
-    return reset_polarity(port.name)
 
 
 def _stated(clocks: Iterable[Clock], ports: Sequence[Port]) -> list[Clock]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import ClassVar
 
 from cm.errors import CmError, NotFound
@@ -28,6 +29,8 @@ class ParserMissing(CmError, ImportError):
 
 def parser_missing(package: str, language: str) -> ParserMissing:
     """The error for a parser package that cannot be imported."""
+    if package == "pyslang" and sys.version_info < (3, 11):
+        return ParserMissing(f"reading {language} needs the Python package pyslang, which needs Python 3.11 or newer")
     return ParserMissing(
         f"reading {language} needs the Python package {package}, which is not installed: "
         f"pip install 'fpga-cm[build]' (or pip install {package})"

@@ -101,8 +101,13 @@ class VerilogReader:
     def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
         for diagnostic in syntax.diagnostics:
             if diagnostic.isError():
-                message = self._engine.formatMessage(diagnostic)
-                yield Problem(message, str(path), self._sources.getLineNumber(diagnostic.location))
+                yield Problem(self._message(diagnostic), str(path), self._sources.getLineNumber(diagnostic.location))
+
+    def _message(self, diagnostic: Any) -> str:
+        try:
+            return str(self._engine.formatMessage(diagnostic))
+        except UnicodeDecodeError:  # the message quotes a piece of a character
+            return f"syntax error ({diagnostic.code})"
 
     def read(self, names: Iterable[str], parameters: Mapping[str, str] | None = None) -> list[ModuleInfo]:
         """Evaluate the ports of the modules named, with `parameters` set on each of them."""
@@ -121,8 +126,8 @@ class VerilogReader:
     def _compile(self, names: set[str], parameters: Mapping[str, str]) -> Any:
         ast = self._slang.ast
         options = ast.CompilationOptions()
-        for flag in _FLAGS:
-            options.flags |= getattr(ast.CompilationFlags, flag)
+        flags = sum(int(getattr(ast.CompilationFlags, flag)) for flag in _FLAGS)
+        options.flags = ast.CompilationFlags(flags)
         options.topModules = names
         options.paramOverrides = [f"{name}={value}" for name, value in parameters.items()]
         compilation = ast.Compilation(self._slang.Bag([options]))

@@ -71,7 +71,7 @@ def _no_value(name: str, text: str) -> str:
 
 
 def _default_text(symbol: Any) -> str:
-    text = _clean(str(symbol.syntax or ""))
+    text = _source(symbol.syntax)
     return text.partition("=")[2].strip()
 
 
@@ -96,8 +96,12 @@ def _integer(value: Any) -> int | None:
         return None
 
 
-def _clean(text: str) -> str:
-    return " ".join(_COMMENT.sub(" ", text).split())
+def _source(node: Any) -> str:
+    """The source of a node without comments; empty where an included file is not in UTF-8."""
+    try:
+        return " ".join(_COMMENT.sub(" ", str(node)).split()) if node is not None else ""
+    except UnicodeDecodeError:
+        return ""
 
 
 class _Ports:
@@ -142,7 +146,7 @@ class _Ports:
             type=kind,
             flat=flat,
             attributes=self._attributes(symbol),
-            default=_clean(str(symbol.initializer.syntax)) if symbol.initializer is not None else "",
+            default=_source(symbol.initializer.syntax) if symbol.initializer is not None else "",
         )
 
     def _declaration(self, symbol: Any) -> tuple[str, str]:
@@ -150,7 +154,7 @@ class _Ports:
         inner = symbol.internalSymbol
         declared = inner.declaredType if inner is not None else None
         syntax = declared.typeSyntax if declared is not None else None
-        text = _clean(str(syntax)) if syntax is not None else ""
+        text = _source(syntax)
         found = _RANGE.search(text)
         return (found.group() if found else ""), _RANGE.sub("", text).strip()
 
