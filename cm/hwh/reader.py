@@ -29,6 +29,8 @@ def parse(data: bytes, name: str = ".hwh") -> Hwh:
     """Read the bytes of a file; `name` is for messages."""
     if len(data) > _LIMIT:
         raise HwhError(f"{name}: {len(data)} bytes are no hardware handoff")
+    if b"\0" in data:  # UTF-16 would hide a document type from the next check
+        raise HwhError(f"{name}: no UTF-8 text")
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise HwhError(f"{name}: a document type or entities have no place in a hardware handoff")
     try:

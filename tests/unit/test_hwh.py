@@ -190,6 +190,7 @@ def test_connections_are_read() -> None:
     ("data", "reason"),
     [
         (b"not xml", "no XML"),
+        ("<EDKSYSTEM/>".encode("utf-16"), "no UTF-8 text"),
         (b"<EDKSYSTEM/>", "no hardware handoff"),
         (b"<html><SYSTEMINFO/></html>", "found html"),
         (b'<!DOCTYPE x [<!ENTITY a "b">]><EDKSYSTEM><SYSTEMINFO/></EDKSYSTEM>', "document type"),
