@@ -41,14 +41,15 @@ class Link:
 
     def _pace(self, rate: float) -> bool:
         """Whether it is time for the next frame; else it comes back when it is."""
-        now = time.monotonic()
         if rate <= 0:
             return True
+        now = time.monotonic()
         if now < self._due:
             if self._timer is None:
                 self._timer = self._loop.at(self._due, self._tick)
             return False
-        self._due = max(self._due, now - 1 / rate) + 1 / rate
+        late = now - self._due > 1 / rate  # then the rhythm begins anew
+        self._due = (now if late else self._due) + 1 / rate
         return True
 
     def _tick(self) -> None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-from pathlib import Path
 
 import numpy as np
 
@@ -67,14 +66,11 @@ class FpgaManager:
 
     def _request(self, name: str) -> bytes:
         self._state("firmware request")
-        path = Path(name)
         try:
-            if path.is_absolute() or ".." in path.parts or not name:
-                raise FileNotFoundError(name)
-            return (self._root.path / "lib/firmware" / path).read_bytes()
-        except OSError:
+            return self._root.firmware(name)
+        except NodeError:
             self._state("firmware request error")
-            raise NodeError(errno.ENOENT, f"no firmware {name}") from None
+            raise
 
     def _finished(self, result: LoadResult, later: Later) -> None:
         injected = self._faults.take("fpga_manager_error")

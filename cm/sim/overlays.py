@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import errno
 import socket
-from pathlib import Path
 
 from .attributes import AttributeNode, FolderNode
 from .errors import NodeError
@@ -90,15 +89,7 @@ class _Folder:
             del self._targets[target]
 
     def _write_path(self, data: bytes) -> Later | None:
-        name = data.rstrip(b"\n").decode("utf-8", "replace")
-        path = Path(name)
-        try:
-            if path.is_absolute() or ".." in path.parts or not name:
-                raise FileNotFoundError(name)
-            blob = (self._root.path / "lib/firmware" / path).read_bytes()
-        except OSError:
-            raise NodeError(errno.ENOENT, f"no firmware {name}") from None
-        later = self._write_dtbo(blob)
+        later = self._write_dtbo(self._root.firmware(data.rstrip(b"\n").decode("utf-8", "replace")))
         self._path = data.rstrip(b"\n") + b"\n"
         return later
 

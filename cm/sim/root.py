@@ -8,6 +8,7 @@ simulator that starts where another was killed removes what that one left, and n
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import shutil
@@ -15,7 +16,7 @@ import socket
 import tempfile
 from pathlib import Path
 
-from .errors import SimError
+from .errors import NodeError, SimError
 
 LOCK = ".cm-sim.lock"
 MANIFEST = ".cm-sim.made"
@@ -87,6 +88,16 @@ class Root:
             os.close(folder)
         listener.listen(_BACKLOG)
         return listener
+
+    def firmware(self, name: str) -> bytes:
+        """A file below lib/firmware, as the kernel's request_firmware finds it (ENOENT)."""
+        path = Path(name)
+        try:
+            if path.is_absolute() or ".." in path.parts or not name:
+                raise FileNotFoundError(name)
+            return (self.path / "lib/firmware" / path).read_bytes()
+        except (OSError, ValueError):  # ValueError: a NUL in the name
+            raise NodeError(errno.ENOENT, f"no firmware {name!r}") from None
 
     def remove(self, relative: str) -> None:
         """Remove a file, a socket or an empty folder made here; harmless when it has gone."""

@@ -172,7 +172,7 @@ names = st.sampled_from(["compatible", "reg", "#address-cells", "status", "a,b-c
 properties = st.dictionaries(names, st.binary(max_size=9), max_size=3)
 leaves = st.builds(fdt.FdtNode, names, properties)
 trees = st.builds(fdt.FdtNode, names, properties, st.lists(st.builds(fdt.FdtNode, names, properties, st.lists(leaves))))
-QUICK = settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
+QUICK = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
 
 
 @given(trees)

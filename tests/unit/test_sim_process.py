@@ -10,6 +10,7 @@ import resource
 import select
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -18,6 +19,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from sim_support import Dma, Icap, Node, Uio
 
 from cm.bitstream.convert import to_dma_words
@@ -241,6 +244,59 @@ def test_a_port_that_is_closed_while_it_loads_finishes_the_load(tmp_path):
             icap.start(to_dma_words(board.root / "lib/firmware/cm/camera/edge.bit"))
         assert until(lambda: board.control.state()["regions"]["prr0"]["module"] == "edge")
         assert board.control.state()["buffers"] == 0
+
+
+def test_a_camera_keeps_its_rate(tmp_path):
+    with (
+        Board(arguments=["--hold", "0", "--rate", "100"]) as board,
+        Dma(board.root, "dev/cm_dma/camera") as channel,
+    ):
+        handle, _ = channel.alloc(480 * 640)
+        for _ in range(21):
+            channel.submit(handle, 480 * 640)
+        times = [channel.done()[2] for _ in range(21)]
+        assert times[-1] - times[0] > 0.19e9
+
+
+ALL_NODES = [
+    "dev/uio0", "dev/cm_dma/camera", "dev/cm_dma/to_pl", "dev/cm_icap0", "sim/control",
+    "sys/class/fpga_manager/fpga0/flags", "sys/class/fpga_manager/fpga0/firmware",
+    "sys/kernel/config/device-tree/overlays/.node",
+]  # fmt: skip
+OPS = [*range(8), *(getattr(p, name) for name in dir(p) if "_IOC_" in name), 0xFFFFFFFF]
+numbers = st.sampled_from([0, 1, 2, 3, 4, 8, 32, 48, 64, 0x1000, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF])
+payloads = st.one_of(
+    st.binary(max_size=100),
+    st.lists(numbers, max_size=16).map(lambda words: struct.pack(f"<{len(words)}I", *words)),
+    st.lists(numbers, max_size=12).map(lambda words: struct.pack(f"<{len(words) + 1}I", 4 * len(words) + 4, *words)),
+)
+
+
+@pytest.fixture(scope="module")
+def small():
+    with Board(arguments=[*FAST, "--memory", "1"]) as started:
+        yield started
+
+
+def error_of(node: Node, op: int, payload: bytes) -> int | None:
+    """The errno that a request is refused with; EIO is what an exception in the board would give."""
+    try:
+        _, fds = node.call(op, payload)
+    except OSError as error:
+        return error.errno or errno.ECONNRESET
+    for fd in fds:
+        os.close(fd)
+    return None
+
+
+@given(st.sampled_from(ALL_NODES), st.lists(st.tuples(st.sampled_from(OPS), payloads), min_size=1, max_size=20))
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_whatever_is_asked_every_request_has_a_reply_and_the_board_lives(small, relative, requests):
+    with Node(small.root, relative) as node:
+        for op, payload in requests:
+            assert error_of(node, op, payload) not in (errno.EIO, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT)
+    assert small.alive
+    assert small.control.state()["memory"] == 0
 
 
 def test_an_idle_board_uses_no_processor_time(board):
