@@ -21,6 +21,7 @@ from .errors import NodeError, SimError
 LOCK = ".cm-sim.lock"
 MANIFEST = ".cm-sim.made"
 PREFIX = "cm-sim-"
+_FRESH = "cm-simulator-"  # roots that a simulator has made for itself
 _BACKLOG = 32
 
 
@@ -123,7 +124,8 @@ class Root:
     def _create(self, path: Path | None) -> Path:
         if path is None:
             self._fresh = self._own = True
-            return Path(tempfile.mkdtemp(prefix=PREFIX, dir=default_parent()))
+            _sweep(default_parent())
+            return Path(tempfile.mkdtemp(prefix=_FRESH, dir=default_parent()))
         if not path.is_dir():
             path.mkdir(parents=True)
             self._own = True
@@ -166,6 +168,19 @@ class Root:
         self._made.append(relative)
         self._manifest.write(relative + "\n")
         self._manifest.flush()
+
+
+def _sweep(parent: Path) -> None:
+    """Remove what simulators with a root of their own have left in memory when they were killed."""
+    for path in parent.glob(f"{_FRESH}*"):
+        with contextlib.suppress(OSError):
+            fd = os.open(path / LOCK, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if path.stat().st_uid == os.getuid():
+                    shutil.rmtree(path, ignore_errors=True)
+            finally:
+                os.close(fd)
 
 
 def _same_file(fd: int, path: Path) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import resource
 import select
@@ -77,6 +78,28 @@ def test_a_board_starts_where_another_was_killed(tmp_path):
         assert uio.read(0x14) == 0
     board.stop()
     assert not board.root.exists()
+
+
+def start_alone() -> tuple[subprocess.Popen[bytes], Path]:
+    """A simulator with a root of its own, and that root."""
+    command = [sys.executable, "-m", "cm.sim", "--linger", "5"]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment)
+    return process, Path(json.loads(process.stdout.readline())["root"])
+
+
+def test_what_a_killed_board_left_in_a_root_of_its_own_is_removed_by_the_next():
+    first, left = start_alone()
+    first.kill()
+    first.communicate()
+    assert left.exists()
+    second, root = start_alone()
+    assert not left.exists()
+    (root / "lib/firmware/converted.bin").write_bytes(b"by a client")
+    second.terminate()
+    second.communicate()
+    assert second.returncode == 0
+    assert not root.exists()
 
 
 def test_a_second_board_on_one_root_is_refused_with_the_first_ones_process(tmp_path, capfd):
