@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Iterator, Mapping
 
 from cm.schema.model import Access, Register
@@ -32,7 +33,7 @@ class Cell:
 
     __slots__ = ("memory", "offset", "region", "register", "width")
 
-    def __init__(self, memory: bytearray, offset: int, register: Register, region: Region | None) -> None:
+    def __init__(self, memory: mmap.mmap, offset: int, register: Register, region: Region | None) -> None:
         self.memory = memory
         self.offset = offset
         self.register = register
@@ -55,13 +56,18 @@ class Window:
 
     def __init__(self, spec: WindowSpec) -> None:
         self.spec = spec
-        self.memory = bytearray(spec.size)
+        # Pages come into being when they are written: a window may be large and hold two registers.
+        self.memory = mmap.mmap(-1, max(spec.size, mmap.PAGESIZE), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
         self.cells: dict[int, list[Cell]] = {}
 
     def add(self, cell: Cell) -> None:
         """Put a cell over its bytes; several modules of one region may share them."""
         for byte in range(cell.offset, cell.offset + cell.width):
             self.cells.setdefault(byte, []).append(cell)
+
+    def clear(self) -> None:
+        """All zero again."""
+        self.memory.madvise(mmap.MADV_DONTNEED)
 
     def cell_at(self, offset: int) -> Cell | None:
         """The cell that answers at a byte: that of the loaded module before others of its region."""

@@ -7,6 +7,7 @@ import logging
 
 import numpy as np
 
+from .board import ModuleSpec
 from .cells import Region
 from .dma import Bytes
 from .fabric import Fabric
@@ -21,6 +22,7 @@ class Datapath:
     def __init__(self, fabric: Fabric, models: Models, region: str | None, shape: tuple[int, ...] | None) -> None:
         self._fabric, self._models = fabric, models
         self._name = region if region in fabric.regions else None
+        self._failed: ModuleSpec | None = None  # said once
         self._region: Region | None = fabric.regions.get(region) if region else None
         self._width = shape[-1] if shape and len(shape) == 1 else int(np.prod(shape[1:])) if shape else 0
 
@@ -57,5 +59,7 @@ class Datapath:
             result = self._models.get(self._region.module.model)(frame, self._fabric.registers(self._name))
             return np.ascontiguousarray(result).reshape(-1).view(np.uint8)
         except Exception:  # noqa: BLE001 - a user's model must not end the board
-            _log.exception("the model of %s failed; garbage leaves the region", self._region.module.name)
+            if self._failed is not self._region.module:
+                self._failed = self._region.module
+                _log.exception("the model of %s failed; garbage leaves the region", self._region.module.name)
             return self._fabric.noise(frame.size)

@@ -76,7 +76,7 @@ class Fabric:
         """As after power-up or a full image: no modules, nothing decoupled, registers at reset."""
         self._views.clear()
         for window in self.windows:
-            window.memory[:] = bytes(len(window.memory))
+            window.clear()
         for region in self.regions.values():
             region.module, region.loading, region.decoupled = None, False, False
             self._reset_cells(region)

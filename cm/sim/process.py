@@ -38,7 +38,7 @@ class Board:
         configs: Iterable[Path | str] = (),
         root: Path | str | None = None,
         arguments: Iterable[str] = (),
-        timeout: float = 20.0,
+        timeout: float = 60.0,
     ) -> None:
         self._configs = [str(path) for path in configs]
         self._arguments = list(arguments)

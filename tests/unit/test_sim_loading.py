@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from sim_support import Icap, Node, Uio, attribute
+from sim_support import Dma, Icap, Node, Uio, attribute
 
 from cm.bitstream.assemble import FrameRun, assemble
 from cm.bitstream.convert import to_dma_words
@@ -130,6 +130,31 @@ def test_a_region_that_is_loaded_by_overlay_has_its_overlays(board):
         attribute(board.root, f"{path}/dtbo", (board.root / "lib/firmware/cm/lab/other.dtbo").read_bytes())
         assert held(board, "right") == "other"
         node.call(p.OP_RMDIR, b"cm-right")
+
+
+def test_a_model_of_the_users_runs_and_one_that_fails_gives_garbage(folder, tmp_path, capfd):
+    text = SCHEMA.format(device="xc7z020").replace("model: edge", "model: invert").replace(
+        "other: {", "other: {model: broken, "
+    )  # fmt: skip
+    streams = "  streams: {in: {direction: mm2s, region: REGION}, out: {direction: s2mm, region: REGION}}\n"
+    (tmp_path / "mine.py").write_text(
+        "MODELS = {'invert': lambda frame, registers: 255 - frame, 'broken': lambda frame, registers: 1 / 0}\n"
+    )
+    for region, module, expected in (("left", "ours", {248}), ("right", "other", None)):
+        (tmp_path / "lab.yaml").write_text(text + streams.replace("REGION", region))
+        arguments = ["--icap-rate", "0", "--models", str(tmp_path / "mine.py")]
+        with Board([tmp_path / "lab.yaml"], arguments=arguments) as board:
+            load(board, board.root / f"lib/firmware/cm/lab/{module}.bit")
+            with Dma(board.root, "dev/cm_dma/in") as source, Dma(board.root, "dev/cm_dma/out") as sink:
+                handle, memory = source.alloc(4096)
+                memory[:] = 7
+                taken, result = sink.alloc(4096)
+                sink.submit(taken, 4096)
+                source.submit(handle, 4096)
+                assert sink.done()[1] == 4096
+                values = set(result.tolist())
+                assert values == expected if expected else len(values) > 200
+    assert "ZeroDivisionError" in capfd.readouterr().err
 
 
 def test_a_full_image_is_made_for_a_full_configuration_and_resets_the_board(folder, tmp_path):

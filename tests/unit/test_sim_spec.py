@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import itertools
+import resource
 
 import pytest
 
 from cm import schema
 from cm.sim import BoardSpec, SimError
+from cm.sim.fabric import Fabric
 
 LISTING_1 = """\
 config:
@@ -79,6 +81,14 @@ def test_windows_that_would_overlap_are_apart_or_one():
     assert all(one.end <= two.address for one, two in itertools.pairwise(windows))
     for address in (0x1000, 0x3800, 0x5000, 0xA004, 0xA000):
         assert any(window.address <= address < window.end for window in windows)
+
+
+def test_a_window_may_be_large_and_takes_memory_where_it_is_used():
+    board = spec(small("w", "  mmio: [{base_address: 0x10000000, registers: {far: {offset: 0x7ffffffc}}}]\n"))
+    assert board.windows[0].size == 1 << 31
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    Fabric(board)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
 
 
 def test_configurations_for_different_devices_are_refused():
