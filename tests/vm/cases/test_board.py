@@ -7,13 +7,13 @@ import importlib
 import os
 from pathlib import Path
 
-import conftest
+import capabilities
 import pytest
 
 
-@pytest.mark.parametrize("capability", sorted(conftest.EXPECTED))
+@pytest.mark.parametrize("capability", sorted(capabilities.EXPECTED))
 def test_promised_capability_is_there(capability: str) -> None:
-    assert conftest.LOOK[capability]()
+    assert capabilities.LOOK[capability]()
 
 
 @pytest.mark.parametrize("package", ["yaml", "numpy", "zmq", "google.protobuf", "_cffi_backend", "fastjsonschema"])

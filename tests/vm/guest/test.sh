@@ -8,10 +8,14 @@ port() {
 mkdir -p /tmp/results
 echo "booted=$(cut -d ' ' -f 1 /proc/uptime)" >/tmp/results/facts
 cd /opt/cm/tests || exit
+. "$here/board.sh"
 {
-	python3 -m pytest -p no:cacheprovider -c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests \
-		-q --tb=short --durations=5 ${CM_VM_KEYWORD:+-k "$(echo "$CM_VM_KEYWORD" | tr + ' ')"} \
-		--junit-xml=/tmp/results/cases.xml vm/cases
+	board_up
+	slow_port
+	PYTHONPATH="$here:$PYTHONPATH" python3 -m pytest -p no:cacheprovider -p boardfile \
+		-c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests -q --tb=short --durations=8 \
+		${CM_VM_KEYWORD:+-k "$(echo "$CM_VM_KEYWORD" | tr + ' ')"} \
+		--board=vm --board-file=/tmp/board.json --junit-xml=/tmp/results/cases.xml vm/cases device
 	echo "status=$?" >>/tmp/results/facts
 } >"$(port cm.output)" 2>&1
 echo "kernel=$(uname -r) $(uname -m)" >>/tmp/results/facts

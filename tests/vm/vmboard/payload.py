@@ -14,7 +14,7 @@ from .software import REPOSITORY
 
 HERE = REPOSITORY / "tests/vm"
 # Drivers of the stock kernel that the board uses once its root file system is there.
-STOCK_DRIVERS = ("uio", "virtio_net", "virtio_console", "virtio_rng")
+STOCK_DRIVERS = ("configfs", "uio", "virtio_net", "virtio_console", "virtio_rng")
 SHARED_TESTS = ("device", "data")
 
 

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What this board can do, seen by looking, and what was promised of it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+
+def _module(name: str) -> bool:
+    return any(Path("/lib/modules", os.uname().release).rglob(f"{name}.ko*"))
+
+
+def _log_says(text: str) -> bool:
+    return text in os.popen("dmesg").read()
+
+
+LOOK: dict[str, Callable[[], bool]] = {
+    "cm": lambda: importlib.util.find_spec("cm") is not None,
+    "dma": lambda: _module("cm_dma"),
+    "plsim": lambda: _module("cm_plsim"),
+    "uio": lambda: Path("/sys/class/uio").exists(),
+    "overlay": lambda: _module("cm_overlay") and Path("/proc/device-tree/__symbols__").exists(),
+    "fpga": lambda: Path("/sys/class/fpga_manager").exists(),
+    "uio_genirq": lambda: _module("uio_pdrv_genirq"),
+    "kunit": lambda: _module("kunit"),
+    "lockdep": lambda: Path("/proc/lockdep").exists(),
+    "dma_debug": lambda: Path("/sys/kernel/debug/dma-api").exists(),
+    "kasan": lambda: _log_says("KernelAddressSanitizer initialized"),
+    "kmemleak": lambda: os.access("/sys/kernel/debug/kmemleak", os.W_OK),
+    "kvm": lambda: _log_says("Hypervisor detected: KVM"),
+}
+EXPECTED = set(filter(None, os.environ.get("CM_VM_EXPECTS", "").split(",")))
