@@ -131,9 +131,10 @@ struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel
 	init_waitqueue_head(&channel->waiting);
 	channel->dev = dev;
 	channel->chan = chan;
+	channel->dma_dev = get_device(cm_dma_device(chan));
 	/* with a memory-region of its own the client's device has the memory */
 	channel->alloc_dev = get_device(of_find_property(dev->of_node, "memory-region", NULL) ?
-					dev : cm_dma_device(chan));
+					dev : channel->dma_dev);
 	ret = channel_describe(channel, config);
 	if (ret) {
 		cm_channel_remove(channel);
@@ -148,6 +149,7 @@ static void channel_free(struct kref *ref)
 	struct cm_channel *channel = container_of(ref, struct cm_channel, ref);
 
 	put_device(channel->alloc_dev);
+	put_device(channel->dma_dev);
 	mutex_destroy(&channel->lock);
 	kfree(channel);
 }

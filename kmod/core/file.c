@@ -300,28 +300,6 @@ static long ioctl_cancel(struct cm_file *self, void __user *arg)
 	return args.flags ? -EINVAL : cm_channel_cancel(self->channel);
 }
 
-static struct device *alloc_device(struct cm_file *self)
-{
-	return self->channel->alloc_dev;
-}
-
-/* the engine's device, while the channel is there */
-static long ioctl_import(struct cm_file *self, void __user *arg)
-{
-	struct cm_channel *channel = self->channel;
-	struct device *dev = NULL;
-	long ret = -ENODEV;
-
-	mutex_lock(&channel->lock);
-	if (channel->chan)
-		dev = get_device(cm_dma_device(channel->chan));
-	mutex_unlock(&channel->lock);
-	if (dev)
-		ret = cm_buffer_ioctl_import(&self->table, dev, cm_channel_direction(channel), arg);
-	put_device(dev);
-	return ret;
-}
-
 static long cm_dma_ioctl(struct file *file, unsigned int command, unsigned long value)
 {
 	struct cm_file *self = file->private_data;
@@ -336,9 +314,10 @@ static long cm_dma_ioctl(struct file *file, unsigned int command, unsigned long 
 	case _IOC_NR(CM_DMA_IOC_INFO):
 		return ioctl_info(self, arg);
 	case _IOC_NR(CM_DMA_IOC_ALLOC):
-		return cm_buffer_ioctl_alloc(&self->table, alloc_device(self), arg);
+		return cm_buffer_ioctl_alloc(&self->table, self->channel->alloc_dev, arg);
 	case _IOC_NR(CM_DMA_IOC_IMPORT):
-		return ioctl_import(self, arg);
+		return cm_buffer_ioctl_import(&self->table, self->channel->dma_dev,
+					      cm_channel_direction(self->channel), arg);
 	case _IOC_NR(CM_DMA_IOC_FREE):
 		return cm_buffer_ioctl_free(&self->table, arg);
 	case _IOC_NR(CM_DMA_IOC_SUBMIT):

@@ -187,6 +187,7 @@ struct cm_channel_stats {
  * @ref: references; the last put frees it, never before the device is unbound
  * @dev: client device, for messages
  * @alloc_dev: device that buffers are allocated against; a reference is held
+ * @dma_dev: the engine's device; a reference is held
  * @chan: the engine's channel; NULL once the device is gone
  * @info: what user space is told
  * @lock: orders submit, cancel, claim and the device's end
@@ -201,6 +202,7 @@ struct cm_channel {
 	struct kref ref;
 	struct device *dev;
 	struct device *alloc_dev;
+	struct device *dma_dev;
 	struct dma_chan *chan;
 	struct cm_dma_info info;
 	struct mutex lock; /* orders submit, cancel, claim and the device's end */

@@ -20,10 +20,12 @@
  * struct cm_icap_platform_data - a port without a device tree
  * @status: what reading the status register would give
  * @context: for @status
+ * @full: the port takes full bitstreams too
  */
 struct cm_icap_platform_data {
 	u32 (*status)(void *context);
 	void *context;
+	bool full;
 };
 
 #endif /* _CM_ICAP_PORT_H */

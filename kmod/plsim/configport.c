@@ -50,11 +50,14 @@ u32 cm_configport_crc(u32 crc, u32 address, u32 data)
 
 /**
  * cm_configport_begin() - a load starts
- * @port: port; whether it is synced stays as it was
+ * @port: port; what an aborted load left is forgotten
  */
 void cm_configport_begin(struct cm_configport *port)
 {
-	port->seen_sync = port->synced;
+	port->synced = false;
+	port->seen_sync = false;
+	port->remaining = 0;
+	port->crc = 0;
 	port->words = 0;
 	port->frame_words = 0;
 	port->crc_checks = 0;

@@ -54,4 +54,5 @@ void plsim_icap_platform_data(struct plsim_chan *chan, struct cm_icap_platform_d
 {
 	data->status = read_status;
 	data->context = chan;
+	data->full = true;
 }

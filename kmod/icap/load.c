@@ -1,0 +1,242 @@
+// SPDX-License-Identifier: GPL-2.0
+/*
+ * One load: select the port, send the words, wait for the port's own end.
+ *
+ * That the DMA is done only means that the data left memory.
+ */
+#include <linux/delay.h>
+#include <linux/io.h>
+#include <linux/iopoll.h>
+#include <linux/ktime.h>
+
+#include "cm_compat.h"
+#include "icap.h"
+
+/* a stream FIFO of 1024 words at 50 MHz */
+#define DRAIN_US 25
+#define POLL_US 20
+#define PORT_TIMEOUT_US 100000
+
+/**
+ * cm_icap_has_status() - whether the port can be asked
+ * @icap: port
+ *
+ * Return: true if there is a status register.
+ */
+bool cm_icap_has_status(const struct cm_icap *icap)
+{
+	return icap->status_register || icap->port.status;
+}
+
+static u32 read_status(struct cm_icap *icap)
+{
+	if (icap->port.status)
+		return icap->port.status(icap->port.context);
+	return readl(icap->status_register);
+}
+
+static u32 port_errors(struct cm_icap *icap)
+{
+	u32 word;
+	int ret;
+
+	if (!cm_icap_has_status(icap)) {
+		usleep_range(DRAIN_US, 2 * DRAIN_US);
+		return 0;
+	}
+	ret = read_poll_timeout(read_status, word,
+				word & (CM_ICAP_SR_DONE | CM_ICAP_SR_ERRORS), POLL_US,
+				PORT_TIMEOUT_US, false, icap);
+	return (word & CM_ICAP_SR_ERRORS) >> CM_ICAP_SR_ERRORS_SHIFT |
+	       (ret ? CM_ICAP_ERR_TIMEOUT : 0);
+}
+
+/* softirq context */
+static void dma_done(void *context, const struct cm_result *result)
+{
+	struct cm_icap *icap = context;
+	bool last;
+
+	spin_lock_bh(&icap->dma_lock);
+	if (result->status && !icap->dma_error)
+		icap->dma_error = result->status;
+	last = --icap->dma_left == 0;
+	spin_unlock_bh(&icap->dma_lock);
+	if (last)
+		mod_delayed_work(system_wq, &icap->work, 0);
+}
+
+static int dma_result(struct cm_icap *icap, bool *running)
+{
+	int error;
+
+	spin_lock_bh(&icap->dma_lock);
+	*running = icap->dma_left;
+	error = icap->dma_error;
+	spin_unlock_bh(&icap->dma_lock);
+	return error;
+}
+
+static u32 load_errors(struct cm_icap *icap)
+{
+	bool running;
+	int error = dma_result(icap, &running);
+
+	if (running) {
+		cm_channel_cancel(icap->channel);
+		error = dma_result(icap, &running);
+	}
+	if (error == -ECANCELED)
+		return CM_ICAP_ERR_TIMEOUT;
+	return error ? CM_ICAP_ERR_DMA : port_errors(icap);
+}
+
+static void finish(struct cm_icap *icap, u32 errors)
+{
+	struct cm_icap_request request = icap->request;
+	struct cm_icap_completion completion = {
+		.cookie = request.cookie,
+		.started_ns = icap->started_ns,
+		.errors = errors,
+		.status = cm_icap_verdict(errors),
+	};
+
+	if (!(errors & (CM_ICAP_ERR_DMA | CM_ICAP_ERR_TIMEOUT)))
+		completion.length = request.length;
+	cm_icap_deselect_port(icap);
+	/* a region whose load failed stays decoupled */
+	if (request.own_bridges && !completion.status)
+		completion.status = cm_icap_bridges_enable(icap);
+	completion.finished_ns = ktime_get_ns();
+	mutex_lock(&icap->lock);
+	icap->status.state = completion.status ? CM_ICAP_STATE_ERROR : CM_ICAP_STATE_IDLE;
+	icap->status.errors = errors;
+	icap->status.bytes_done = completion.length;
+	icap->status.loads++;
+	icap->request.buffer = NULL;
+	mutex_unlock(&icap->lock);
+	cm_buffer_put(request.buffer);
+	request.done(request.context, &completion);
+	wake_up_all(&icap->idle);
+}
+
+/**
+ * cm_icap_work() - the DMA is done, or should have been
+ * @work: of a port
+ */
+void cm_icap_work(struct work_struct *work)
+{
+	struct cm_icap *icap = container_of(to_delayed_work(work), struct cm_icap, work);
+
+	if (READ_ONCE(icap->request.buffer))
+		finish(icap, load_errors(icap));
+}
+
+/* the port sees one stream, however many descriptors it is cut into */
+static int send(struct cm_icap *icap)
+{
+	u64 most = round_down(icap->channel->info.max_length, 4);
+	u64 left = icap->request.length;
+	struct cm_request request = {
+		.buffer = icap->request.buffer,
+		.offset = icap->request.offset,
+		.done = dma_done,
+		.context = icap,
+	};
+	int ret = 0;
+
+	icap->dma_left = DIV64_U64_ROUND_UP(left, most);
+	icap->dma_error = 0;
+	for (; left && !ret; left -= request.length, request.offset += request.length) {
+		request.length = min(left, most);
+		ret = cm_channel_submit(icap->channel, &request);
+		if (ret)
+			break;
+	}
+	return ret;
+}
+
+static int check(struct cm_icap *icap, const struct cm_icap_request *request)
+{
+	dma_addr_t address;
+
+	if ((request->offset | request->length) & 3)
+		return -EINVAL;
+	if (cm_buffer_address(request->buffer, request->offset, request->length, &address))
+		return -EINVAL;
+	return request->length > icap->info.max_length ? -EMSGSIZE : 0;
+}
+
+static int begin(struct cm_icap *icap, const struct cm_icap_request *request)
+{
+	int ret = 0;
+
+	mutex_lock(&icap->lock);
+	if (icap->gone)
+		ret = -ENODEV;
+	else if (icap->status.state == CM_ICAP_STATE_LOADING)
+		ret = -EBUSY;
+	if (!ret) {
+		icap->status.state = CM_ICAP_STATE_LOADING;
+		icap->status.errors = 0;
+		icap->status.bytes_done = 0;
+		icap->status.bytes_total = request->length;
+	}
+	mutex_unlock(&icap->lock);
+	return ret;
+}
+
+static void withdraw(struct cm_icap *icap)
+{
+	mutex_lock(&icap->lock);
+	icap->status.state = CM_ICAP_STATE_ERROR;
+	icap->request.buffer = NULL;
+	mutex_unlock(&icap->lock);
+	wake_up_all(&icap->idle);
+}
+
+static int prepare(struct cm_icap *icap, const struct cm_icap_request *request)
+{
+	int ret = request->own_bridges ? cm_icap_bridges_disable(icap) : 0;
+
+	return ret ?: cm_icap_select_port(icap);
+}
+
+/**
+ * cm_icap_start() - start a load
+ * @icap: port
+ * @request: copied; the port takes its own reference to the buffer
+ *
+ * Return: 0, and @request's done will be called; or a negative errno, and it
+ * will not: -EINVAL for a range that is not made of words or lies outside the
+ * buffer, -EMSGSIZE above the longest load, -EBUSY while one runs.
+ */
+int cm_icap_start(struct cm_icap *icap, const struct cm_icap_request *request)
+{
+	int ret = check(icap, request);
+
+	if (!ret)
+		ret = begin(icap, request);
+	if (ret)
+		return ret;
+	ret = prepare(icap, request);
+	if (ret) {
+		withdraw(icap);
+		return ret;
+	}
+	cm_buffer_get(request->buffer);
+	icap->request = *request;
+	icap->started_ns = ktime_get_ns();
+	queue_delayed_work(system_wq, &icap->work, msecs_to_jiffies(icap->timeout_ms));
+	ret = send(icap);
+	if (ret) {
+		/* what was sent of it is ended, and told to nobody */
+		cancel_delayed_work_sync(&icap->work);
+		cm_channel_cancel(icap->channel);
+		cancel_delayed_work_sync(&icap->work);
+		cm_icap_deselect_port(icap);
+		withdraw(icap);
+		cm_buffer_put(request->buffer);
+	}
+	return ret;
+}

@@ -1,0 +1,209 @@
+// SPDX-License-Identifier: GPL-2.0
+/*
+ * Exercises /dev/cm_icap0 against cm_plsim's configuration port, in a virtual
+ * machine.  Prints one line a check; exit status 0 where all hold.
+ *
+ *	smoke_icap DEBUGFS-FOLDER-OF-THE-ENGINE
+ */
+#include <errno.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include "cm_icap.h"
+
+#define IDCODE 0x03727093
+#define FRAME_WORDS 1010
+
+static int failures;
+static const char *engine;
+
+#define CHECK(condition)                                                                           \
+	do {                                                                                       \
+		int ok_ = !!(condition);                                                           \
+                                                                                                   \
+		printf("%s %d: %s\n", ok_ ? "ok" : "FAIL", __LINE__, #condition);                  \
+		failures += !ok_;                                                                  \
+	} while (0)
+
+static void fault(const char *name, unsigned int value)
+{
+	char path[256], text[16];
+	int fd;
+
+	snprintf(path, sizeof(path), "%s/icap/%s", engine, name);
+	fd = open(path, O_WRONLY);
+	snprintf(text, sizeof(text), "%u", value);
+	if (fd < 0 || write(fd, text, strlen(text)) < 0) {
+		perror(path);
+		exit(1);
+	}
+	close(fd);
+}
+
+static long report(const char *name)
+{
+	char path[256], text[32] = "";
+	int fd;
+
+	snprintf(path, sizeof(path), "%s/icap/%s", engine, name);
+	fd = open(path, O_RDONLY);
+	if (fd < 0 || read(fd, text, sizeof(text) - 1) < 0)
+		return -1;
+	close(fd);
+	return strtol(text, NULL, 0);
+}
+
+static uint32_t crc37(uint32_t crc, uint32_t address, uint32_t data)
+{
+	uint64_t bits = (uint64_t)address << 32 | data;
+
+	for (int i = 0; i < 37; i++, bits >>= 1)
+		crc = ((crc ^ bits) & 1) ? crc >> 1 ^ 0x82F63B78 : crc >> 1;
+	return crc;
+}
+
+struct stream {
+	uint32_t *words;
+	size_t count;
+	uint32_t crc;
+};
+
+static void put(struct stream *stream, uint32_t word)
+{
+	stream->words[stream->count++] = word;
+}
+
+static void write_register(struct stream *stream, uint32_t address, uint32_t value)
+{
+	put(stream, 0x30000001 | address << 13);
+	put(stream, value);
+	stream->crc = crc37(stream->crc, address, value);
+}
+
+static size_t assemble(uint32_t *words, uint32_t idcode)
+{
+	struct stream stream = { .words = words };
+
+	put(&stream, 0xFFFFFFFF);
+	put(&stream, 0xAA995566);
+	put(&stream, 0x20000000);
+	write_register(&stream, 4, 7); /* CMD RCRC */
+	stream.crc = 0;
+	write_register(&stream, 12, idcode);
+	write_register(&stream, 1, 0x00400000); /* FAR */
+	put(&stream, 0x30004000);
+	put(&stream, 0x50000000 | FRAME_WORDS);
+	for (uint32_t i = 0; i < FRAME_WORDS; i++) {
+		put(&stream, i * 2654435761u);
+		stream.crc = crc37(stream.crc, 2, i * 2654435761u);
+	}
+	put(&stream, 0x30000001);
+	put(&stream, stream.crc);
+	stream.crc = 0;
+	write_register(&stream, 4, 13); /* CMD DESYNC */
+	return stream.count * sizeof(*words);
+}
+
+static int load(int port, __u32 handle, __u64 length, __u64 cookie)
+{
+	struct cm_icap_load args = { .size = sizeof(args), .handle = handle, .length = length,
+				     .cookie = cookie };
+
+	return ioctl(port, CM_ICAP_IOC_LOAD, &args);
+}
+
+static int finished(int port, struct cm_icap_completion *completion)
+{
+	struct pollfd waiter = { .fd = port, .events = POLLIN };
+
+	if (poll(&waiter, 1, 5000) != 1 ||
+	    read(port, completion, sizeof(*completion)) != sizeof(*completion))
+		return 1;
+	return completion->status;
+}
+
+int main(int argc, char **argv)
+{
+	struct cm_buffer_alloc args = { .size = sizeof(args), .length = 1 << 16 };
+	struct cm_icap_status status = { .size = sizeof(status) };
+	struct cm_icap_info info = { .size = sizeof(info) };
+	struct cm_icap_load bad = { .size = sizeof(bad) };
+	struct cm_icap_completion completion;
+	uint32_t *words;
+	size_t length;
+	long loads;
+	int port;
+
+	if (argc != 2)
+		return 2;
+	engine = argv[1];
+	setvbuf(stdout, NULL, _IOLBF, 0);
+	port = open("/dev/cm_icap0", O_RDWR);
+	CHECK(port >= 0);
+	CHECK(ioctl(port, CM_ICAP_IOC_INFO, &info) == 0 && info.word_bits == 32);
+	CHECK(info.idcode == IDCODE && info.caps == CM_ICAP_CAP_STATUS);
+	CHECK(ioctl(port, CM_ICAP_IOC_ALLOC, &args) == 0);
+	words = mmap(NULL, args.length, PROT_READ | PROT_WRITE, MAP_SHARED, args.fd, 0);
+	CHECK(words != MAP_FAILED);
+	length = assemble(words, IDCODE);
+
+	CHECK(load(port, args.handle, length, 5) == 0);
+	CHECK(finished(port, &completion) == 0);
+	CHECK(completion.cookie == 5 && completion.length == length);
+	CHECK(completion.started_ns && completion.finished_ns > completion.started_ns);
+	CHECK(report("frame_words") == FRAME_WORDS && report("crc_checks") == 1);
+	CHECK(report("synced") == -1 || report("errors") == 0);
+	CHECK(ioctl(port, CM_ICAP_IOC_STATUS, &status) == 0 && status.loads >= 1);
+	CHECK(status.state == CM_ICAP_STATE_IDLE && status.bytes_done == length);
+
+	words[200] ^= 1;
+	CHECK(load(port, args.handle, length, 6) == 0);
+	CHECK(finished(port, &completion) == -EILSEQ && completion.errors == CM_ICAP_ERR_CRC);
+	CHECK(ioctl(port, CM_ICAP_IOC_STATUS, &status) == 0);
+	CHECK(status.state == CM_ICAP_STATE_ERROR && status.errors == CM_ICAP_ERR_CRC);
+	words[200] ^= 1;
+	assemble(words, 0x03722093);
+	CHECK(load(port, args.handle, length, 7) == 0);
+	CHECK(finished(port, &completion) == -ENODEV && completion.errors == CM_ICAP_ERR_ID);
+	assemble(words, IDCODE | 0xF0000000);
+	CHECK(load(port, args.handle, length, 8) == 0 && finished(port, &completion) == 0);
+	CHECK(load(port, args.handle, 4, 9) == 0);
+	CHECK(finished(port, &completion) == -EIO && completion.errors == CM_ICAP_ERR_NOSYNC);
+	CHECK(load(port, args.handle, 800, 9) == 0);
+	CHECK(finished(port, &completion) == -ETIMEDOUT);
+	fault("fail_next", 1);
+	CHECK(load(port, args.handle, length, 10) == 0);
+	CHECK(finished(port, &completion) == -EIO && completion.errors == CM_ICAP_ERR_DMA);
+	fault("hang", 1);
+	CHECK(load(port, args.handle, length, 11) == 0);
+	CHECK(load(port, args.handle, length, 12) == -1 && errno == EBUSY);
+	CHECK(finished(port, &completion) == -ETIMEDOUT && completion.cookie == 11);
+	fault("hang", 0);
+	CHECK(load(port, args.handle, length, 13) == 0 && finished(port, &completion) == 0);
+
+	CHECK(load(port, args.handle, 6, 0) == -1 && errno == EINVAL);
+	CHECK(load(port, args.handle, 0, 0) == -1 && errno == EINVAL);
+	CHECK(load(port, args.handle, 1 << 30, 0) == -1 && errno == EINVAL);
+	CHECK(load(port, 99, length, 0) == -1 && errno == ENOENT);
+	bad.handle = args.handle;
+	bad.length = 8;
+	bad.flags = 4;
+	CHECK(ioctl(port, CM_ICAP_IOC_LOAD, &bad) == -1 && errno == EINVAL);
+
+	/* closing waits for the end of the load */
+	loads = report("loads");
+	fault("delay_us", 50000);
+	CHECK(load(port, args.handle, length, 14) == 0);
+	close(port);
+	CHECK(report("loads") == loads + 1);
+	fault("delay_us", 0);
+	printf("%s: %d failures\n", failures ? "FAIL" : "PASS", failures);
+	return failures != 0;
+}
