@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from cm.bitstream import device_by_name
 from cm.build.answers import Answers
 from cm.build.runtime import REGION_BLOCK, REGION_STRIDE, runtime_config
 from cm.build.runtime_text import runtime_text
@@ -56,6 +57,8 @@ class _DeviceTree:
         self.intc = "intc" if zynq else "gic"
         self.select = "zynq" if zynq else "zynqmp"
         self.manager = "devcfg" if zynq else "zynqmp_pcap"
+        known = device_by_name(system.device)
+        self.idcode = known.idcode if known else 0
 
     def reg(self, base: int, size: int) -> str:
         """A ``reg`` entry."""
