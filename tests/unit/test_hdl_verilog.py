@@ -269,7 +269,7 @@ def test_syntax_error_is_a_problem_of_the_module_with_its_line(tmp_path: Path) -
 
 def test_missing_include_is_told_and_its_ranges_cannot_be_evaluated(tmp_path: Path) -> None:
     found = module(tmp_path, '`include "no.vh"\nmodule m (input [`W-1:0] a);\nendmodule\n')
-    assert "no.vh" in found.problems[0].message
+    assert found.problems[0].message == "'no.vh': No such file or directory: name its folder (include path, -I)"
     assert found.port("a").width != 0
 
 
@@ -319,3 +319,16 @@ def test_missing_parser_is_told_with_the_remedy(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "pyslang", None)
     with pytest.raises(ParserMissing, match=r"needs the Python package pyslang.*fpga-cm\[build\]"):
         extract([DATA / "tagged.v"])
+
+
+def test_file_of_macros_counts_for_the_files_after_it(tmp_path: Path) -> None:
+    (tmp_path / "defs.v").write_text("`define W 8\n`define F(x) (x*2)\n")
+    (tmp_path / "m.v").write_text("module m (input [`F(`W)-1:0] a);\nendmodule")
+    (found,) = extract([tmp_path / "defs.v", tmp_path / "m.v"])
+    assert (found.port("a").width, found.port("a").line, found.problems) == (16, 1, ())
+
+
+def test_encrypted_file_is_told(tmp_path: Path) -> None:
+    (tmp_path / "e.v").write_text("`pragma protect begin_protected\n`pragma protect end_protected\n")
+    with pytest.raises(HdlError, match=r"encrypted.*component\.xml"):
+        extract([tmp_path / "e.v"])

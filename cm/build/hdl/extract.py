@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from cm.build.hdl.verilog import VerilogReader
 from cm.build.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
 
 _NONE: Mapping[str, str] = MappingProxyType({})
-HEADER_SUFFIXES = (".vh", ".svh", ".h", ".inc")
+_ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +54,12 @@ def read(
     protocols: Sequence[UserProtocol] = (),
 ) -> Reading:
     """As `extract`, and tells the problems of files without modules too."""
-    sources = _Sources([Path(path) for path in include_dirs], defines)
-    for file in files:
-        sources.add(Path(file))
+    paths = [Path(file) for file in files]
+    # Headers are often given among the sources: their folders are searched last.
+    folders = dict.fromkeys([*(Path(path) for path in include_dirs), *(path.parent for path in paths)])
+    sources = _Sources(list(folders), defines)
+    for path in paths:
+        sources.add(path)
     sources.check(top)
     detector = Detector(protocols)
     modules = [detector.detect(module) for module in sources.evaluate(top, parameters)]
@@ -82,6 +86,9 @@ class _Sources:
 
     def add(self, path: Path) -> None:
         text = _read_text(path)
+        if _ENCRYPTED.search(text):
+            what = "parts of this file are encrypted (`protect) and not seen: a component.xml tells more"
+            self.problems.append(Problem(what, str(path)))
         if path.suffix.lower() in VHDL_SUFFIXES:
             self._vhdl = self._vhdl or VhdlReader()
             entities = self._vhdl.parse(path, text)

@@ -23,6 +23,10 @@ VERILOG_SUFFIXES = (".v", ".vh", ".vo", ".verilog")
 # `.v` files are Verilog-2005 to Vivado: `do`, `bit`, `final` are names there. On line 1, so that lines stay.
 _VERILOG_KEYWORDS = '`begin_keywords "1364-2005" '
 _NUMBER = re.compile(r"[-+~(\d'].*", re.DOTALL)
+_HINTS = {
+    "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include path, -I)",
+    "DiagCode(UnknownDirective)": ": define it (-D), or give the file that does before this one",
+}
 _FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePorts", "AllowInvalidTop")
 
 
@@ -67,11 +71,16 @@ class VerilogReader:
         self._includes = [str(path) for path in include_dirs]
         self._defines = [f"{name}={value}" for name, value in (defines or {}).items()]
         self._trees: list[Tree] = []
+        self._headers: list[Path] = []
 
     def parse(self, path: Path, text: str) -> Tree:
         """Parse one file and keep it for `read`."""
-        tree = self._parse(path, text)
+        # A file of macros among the sources counts for those after it, as in Vivado's compilation order.
+        before = "".join(f'`include "{header.resolve()}" ' for header in self._headers)
+        tree = self._parse(path, before + text)
         self._trees.append(tree)
+        if not tree.modules and "`define" in text:
+            self._headers.append(path)
         return tree
 
     def _parse(self, path: Path, text: str) -> Tree:
@@ -105,7 +114,8 @@ class VerilogReader:
 
     def _message(self, diagnostic: Any) -> str:
         try:
-            return str(self._engine.formatMessage(diagnostic))
+            message = str(self._engine.formatMessage(diagnostic))
+            return message + _HINTS.get(str(diagnostic.code), "")
         except UnicodeDecodeError:  # the message quotes a piece of a character
             return f"syntax error ({diagnostic.code})"
 
