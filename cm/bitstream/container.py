@@ -14,21 +14,13 @@ from enum import Enum
 from pathlib import Path
 from typing import TypeAlias
 
+from cm.bitstream.bootimage import find_bitstream, is_boot_image
 from cm.bitstream.errors import BadContainer, BitstreamError, NoSync, Truncated
+from cm.bitstream.sync import SEARCH, find_sync, whole_words
 
 Source: TypeAlias = "bytes | bytearray | memoryview | Path | str"
 
 _BIT_MAGIC = bytes.fromhex("00090ff00ff00ff00ff0000001")
-_SYNC_BIG = bytes.fromhex("aa995566")
-_SYNC_LITTLE = bytes.fromhex("665599aa")
-_PADDING = {bytes([255] * 4), bytes.fromhex("000000bb"), bytes.fromhex("11220044")}
-_SEARCH = 1 << 16  # bytes: in a plain .bin the sync word stands within the first few hundred
-_BOOT_MAGIC = 0x24
-_BOOT_SIGNATURE = b"XNLX"
-_BOOT_HEADER = 0x8C0  # bytes; the image headers and the partitions follow
-_BOOT_TABLE = 0x9C  # where the header says at which byte the partition headers are
-_BOOT_PARTITIONS = 32
-_BOOT_FOR_PL = 2  # a partition's destination in its attributes
 
 
 class Container(Enum):
@@ -141,95 +133,31 @@ def pack_bit(header: BitHeader, stream: bytes) -> bytes:
     return b"".join(parts)
 
 
-def _find_sync(data: memoryview, start: int, end: int) -> tuple[int, bool]:
-    """Return where the first word-aligned sync word is, and whether it is swapped; -1 if there is none."""
-    found = []
-    window = bytes(data[start:end])
-    for pattern, swapped in ((_SYNC_BIG, False), (_SYNC_LITTLE, True)):
-        at = window.find(pattern)
-        while at >= 0 and at % 4:
-            at = window.find(pattern, at + 1)
-        if at >= 0:
-            found.append((start + at, swapped))
-    return min(found, default=(-1, False))
-
-
-def _whole(data: memoryview) -> tuple[memoryview, int]:
-    rest = len(data) % 4
-    return (data[: len(data) - rest], rest) if rest else (data, 0)
-
-
 def _open_bit(data: memoryview) -> Image:
     header, offset = _parse_header(data)
-    stream, rest = _whole(data[offset:])
-    at, swapped = _find_sync(stream, 0, min(len(stream), _SEARCH))
+    stream, rest = whole_words(data[offset:])
+    at, swapped = find_sync(stream, 0, min(len(stream), SEARCH))
     if at < 0:
-        raise NoSync(f"no sync word AA995566 in the first {min(len(stream), _SEARCH)} bytes after the .bit header")
+        raise NoSync(f"no sync word AA995566 in the first {min(len(stream), SEARCH)} bytes after the .bit header")
     if swapped:
         raise BadContainer("the words behind the .bit header are byte-swapped: convert a .bit from the original file")
     return Image(Container.BIT, header, stream, offset, False, rest)
 
 
 def _open_bin(data: memoryview) -> Image:
-    stream, rest = _whole(data)
-    at, swapped = _find_sync(stream, 0, min(len(stream), _SEARCH))
+    stream, rest = whole_words(data)
+    at, swapped = find_sync(stream, 0, min(len(stream), SEARCH))
     if at < 0:
         raise NoSync(
-            f"neither a .bit header nor a boot image, and no sync word in the first {min(len(data), _SEARCH)} bytes"
+            f"neither a .bit header nor a boot image, and no sync word in the first {min(len(data), SEARCH)} bytes"
         )
     return Image(Container.BIN_SWAPPED if swapped else Container.BIN_STRAIGHT, None, stream, 0, swapped, rest)
 
 
-def _is_boot_image(data: memoryview) -> bool:
-    return len(data) >= _BOOT_HEADER and bytes(data[_BOOT_MAGIC : _BOOT_MAGIC + 4]) == _BOOT_SIGNATURE
-
-
-def _partitions(data: memoryview) -> Iterator[tuple[int, int, bool]]:
-    """Give begin, end and encryption of a boot image's partitions for the PL, as far as its table is sound.
-
-    A header is sixteen words (UG821 for Zynq, UG1283 for Zynq UltraScale+), the last one a check sum.
-    """
-    (table,) = struct.unpack_from("<I", data, _BOOT_TABLE)
-    for at in range(table, min(table + 64 * _BOOT_PARTITIONS, len(data) - 63), 64):
-        words = struct.unpack_from("<16I", data, at)
-        if ~sum(words[:15]) & 0xFFFFFFFF != words[15] or words[2] == 0:
-            return
-        for offset, attributes in ((words[5], words[6]), (words[8], words[9])):
-            begin, end = 4 * offset, 4 * (offset + words[1])
-            if attributes >> 4 & 7 == _BOOT_FOR_PL and _BOOT_HEADER <= begin < end <= len(data):
-                yield begin, end, words[0] != words[1]
-
-
-def _begin_of_stream(data: memoryview, sync: int, swapped: bool) -> int:
-    """Go back from the sync word over the padding in front of it."""
-    at = sync
-    while at - 4 >= _BOOT_HEADER:
-        word = bytes(data[at - 4 : at])
-        if (word[::-1] if swapped else word) not in _PADDING:
-            break
-        at -= 4
-    return at
-
-
-def _boot_stream(data: memoryview) -> tuple[int, int, bool, bool]:
-    """Return where the bitstream begins and ends, whether it is swapped, and whether it is encrypted."""
-    for begin, end, encrypted in _partitions(data):
-        sync, swapped = _find_sync(data, begin, min(begin + _SEARCH, end))
-        if sync >= 0:
-            return begin, end, swapped, encrypted
-    # No table, or a damaged one: the first sync word behind the header, and all that follows.
-    sync, swapped = _find_sync(data, _BOOT_HEADER, len(data))
-    if sync < 0:
-        raise NoSync("a boot image without a bitstream partition: no sync word after its header")
-    return _begin_of_stream(data, sync, swapped), len(data), swapped, False
-
-
 def _open_boot_image(data: memoryview) -> Image:
-    (encryption,) = struct.unpack_from("<I", data, 0x28)
-    begin, end, swapped, encrypted = _boot_stream(data)
-    length = len(bytes(data[begin:end]).rstrip(b"\0"))
-    stream, rest = _whole(data[begin : min(end, begin + -(-length // 4) * 4)])
-    return Image(Container.BOOTGEN, None, stream, begin, swapped, rest, encrypted or encryption != 0)
+    found = find_bitstream(data)
+    stream, rest = whole_words(data[found.begin : found.end])
+    return Image(Container.BOOTGEN, None, stream, found.begin, found.swapped, rest, found.encrypted)
 
 
 @contextmanager
@@ -255,6 +183,6 @@ def open_image(source: Source) -> Image:
 def _open(data: memoryview) -> Image:
     if bytes(data[: len(_BIT_MAGIC)]) == _BIT_MAGIC:
         return _open_bit(data)
-    if _is_boot_image(data):
+    if is_boot_image(data):
         return _open_boot_image(data)
     return _open_bin(data)
