@@ -11,7 +11,7 @@ SOURCES := pyproject.toml setup.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h
 C_FILES := $(wildcard csrc/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h)
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_ARGS ?=
-TESTS ?= tests/unit tests/integration tests/device
+TESTS ?= tests/unit tests/integration tests/device tests/soak
 OUT ?= demo
 IMAGES ?=
 

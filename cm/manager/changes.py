@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from cm.errors import CmError
 from cm.manager import plan as planning
@@ -121,11 +121,18 @@ class ChangeRunner:
         regions = {r.name: r for c in self._configs().values() for r in c.regions.values()}
         touched = [r for name, r in regions.items() if name in self._board.state.regions]
         problems = abandon(self._board, self._tools.registers, touched)
+        if not self._holds(before):
+            self._board.update(lambda state: replace(state, mode=None))
         self._board.record(None)
-        self._tools.data_plane.resume(self._config(before.config), before.mode)
+        self._tools.data_plane.resume(self._config(before.config), self._board.state.mode)
         cut = [n for n, r in self._board.state.regions.items() if r.phase is RegionPhase.FAILED]
         tail = "; ".join([f"regions left decoupled: {', '.join(cut)}" if cut else "no region was touched", *problems])
         return StepFailed(f"{text}; {tail}", code)
+
+    def _holds(self, mode: BoardState) -> bool:
+        """Whether the regions still hold what they held in that mode."""
+        now = self._board.state
+        return all(now.region(name) == region for name, region in mode.regions.items())
 
     def _config(self, name: str | None) -> Config | None:
         return self._configs().get(name) if name else None

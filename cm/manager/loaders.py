@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import itertools
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from cm.device import DmaBuffer, FpgaManager, Icap, IcapCompletion
+from cm.device import DeviceBusy, DmaBuffer, FpgaManager, Icap, IcapCompletion, IcapState
 from cm.manager.errors import LoadFailed, StepTimeout
 from cm.manager.ports import Clock, Devices, Files, Image
 from cm.schema.model import Config, LoaderKind, Module, Region
@@ -57,8 +59,9 @@ class BufferCache:
     A repeated change finds its image here and does no file I/O.
     """
 
-    def __init__(self, budget: int) -> None:
+    def __init__(self, budget: int, close: Callable[[Held], None]) -> None:
         self._budget = budget
+        self._close = close
         self._held: OrderedDict[str, Held] = OrderedDict()
 
     def get(self, image: Image, icap: Icap, read: Callable[[Image], bytes]) -> tuple[Held, bool]:
@@ -71,7 +74,7 @@ class BufferCache:
         if new.buffer.length > self._budget:
             return new, False
         while self._held and self.bytes + new.buffer.length > self._budget:
-            self._held.popitem(last=False)[1].buffer.close()
+            self._close(self._held.popitem(last=False)[1])
         self._held[image.sha256] = new
         return new, True
 
@@ -83,7 +86,7 @@ class BufferCache:
     def clear(self) -> None:
         """Give everything back; the port may have gone."""
         while self._held:
-            self._held.popitem()[1].buffer.close()
+            self._close(self._held.popitem()[1])
 
 
 def _filled(icap: Icap, data: bytes) -> Held:
@@ -105,32 +108,66 @@ class IcapLoader:
         self._devices = devices
         self._files = files
         self._clock = clock
-        self._cache = BufferCache(budget)
+        self._cache = BufferCache(budget, self._dispose)
+        self._in_use: list[Held] = []
+        self._cookies = itertools.count(1)
 
     def prefetch(self, job: Job) -> None:
         """Have the image's words in a DMA buffer, if the budget allows."""
         held, kept = self._cache.get(job.image, self._devices.icap(job.port), self._files.port_bytes)
         if not kept:
-            held.buffer.close()
+            self._dispose(held)
 
     def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:
         image = job.image
         icap = self._devices.icap(job.port)
         held, kept = self._cache.get(image, icap, self._files.port_bytes)
         try:
-            icap.load(held.buffer, length=held.length, full=job.region is None, encrypted=image.report.encrypted)
-            _raise_failed(self._wait(icap, image, timeout, on_bytes), image)
+            cookie = next(self._cookies)
+            self._await_idle(icap, image, timeout)
+            icap.load(
+                held.buffer,
+                length=held.length,
+                cookie=cookie,
+                full=job.region is None,
+                encrypted=image.report.encrypted,
+            )
+            _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
         finally:
             if not kept:
-                held.buffer.close()
+                self._dispose(held)
 
-    def _wait(self, icap: Icap, image: Image, timeout: float, on_bytes: OnBytes) -> IcapCompletion:
+    def _dispose(self, held: Held) -> None:
+        """Close a buffer, and those that a load given up as hung still used the last time."""
+        left = [*self._in_use, held]
+        self._in_use = []
+        for each in left:
+            try:
+                each.buffer.close()
+            except DeviceBusy:
+                self._in_use.append(each)
+
+    def _await_idle(self, icap: Icap, image: Image, timeout: float) -> None:
+        """A load that was given up as hung may still hold the port; the driver ends it in its own time."""
+        until = self._clock.monotonic() + timeout
+        while icap.status().state is IcapState.LOADING:
+            if self._clock.monotonic() >= until:
+                raise StepTimeout(
+                    f"the port was busy with an earlier load for {timeout:.1f} s; {image.path.name} waits"
+                )
+            time.sleep(_POLL)
+
+    def _wait(self, icap: Icap, cookie: int, image: Image, timeout: float, on_bytes: OnBytes) -> IcapCompletion:
+        """The end of our load; that of an earlier one, given up as hung, is passed over."""
         until = self._clock.monotonic() + timeout
         while self._clock.monotonic() < until:
             try:
-                return icap.wait(_POLL)
+                completion = icap.wait(_POLL)
             except TimeoutError:
                 on_bytes(icap.status().bytes_done)
+            else:
+                if completion.cookie == cookie:
+                    return completion
         raise StepTimeout(f"the port took {image.path.name} for more than {timeout:.1f} s and did not finish")
 
     def forget(self) -> None:

@@ -32,7 +32,7 @@ from cm.manager.store import Pending, Record, Store
 from cm.manager.transaction import Tools
 from cm.messages.requests import RegWrite, WriteConfig
 from cm.messages.status import ConfigInfo, ErrorInfo, PlanInfo, PrMode, Progress, RegValue, RegValues, Status
-from cm.schema.model import Access, Config, ConfigType, LoaderKind, Register
+from cm.schema.model import Access, BitField, Config, ConfigType, LoaderKind, Register
 
 QUEUE_LENGTH = 8
 
@@ -83,6 +83,7 @@ class Manager:
         self._number = 0
         self._last: tuple[int, float] = (0, 0.0)
         self._dirty = False
+        self._seen: tuple[Config | None, str | None, Mapping[str, Register]] = (None, None, {})
 
     # ---- life -------------------------------------------------------------------
 
@@ -250,7 +251,7 @@ class Manager:
 
     def _prefetch(self) -> None:
         """Hold the loaded configuration's other images ready. What is wrong with them shows when they are used."""
-        config = self.loaded_config()
+        config = self.loaded_config() if self._env.settings.prefetch_bytes else None
         for module in config.modules.values() if config else ():
             if not self._queue.empty() or config is None:
                 return
@@ -303,7 +304,7 @@ class Manager:
     def read_registers(self, names: tuple[str, ...]) -> RegValues:
         """Values by name; of all that can be read if none is given."""
         visible = self._visible()
-        chosen = [find(visible, n, self._elsewhere(n, visible)) for n in names] if names else self._readable(visible)
+        chosen = [self._find(visible, n) for n in names] if names else self._readable(visible)
         with self._access:
             values = tuple(self._read(r, f.name if f else None) for r, f in chosen)
         return RegValues(values, self.state.config or "", self.state.mode or "")
@@ -311,7 +312,7 @@ class Manager:
     def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "") -> RegValues:
         """Check all, then write in order; returns and publishes what the registers then hold."""
         visible = self._visible()
-        checked = [checked_write(visible, w, self._elsewhere(w.name, visible)) for w in writes]
+        checked = [checked_write(visible, w, lambda n=w.name: self._elsewhere(n, visible)) for w in writes]  # type: ignore[misc]
         self._check_leases([r for r, _, _ in checked], lease)
         with self._access:
             for register, _, _ in checked:
@@ -332,7 +333,15 @@ class Manager:
             raise NothingLoaded(
                 f"nothing is loaded, so there are no registers; there are {resolve.listed(self._configs)}"
             )
-        return config.visible_registers(self.state.mode)
+        mode = self.state.mode
+        known, known_mode, registers = self._seen
+        if known is not config or known_mode != mode:
+            registers = config.visible_registers(mode)
+            self._seen = (config, mode, registers)
+        return registers
+
+    def _find(self, visible: Mapping[str, Register], name: str) -> tuple[Register, BitField | None]:
+        return find(visible, name, lambda: self._elsewhere(name, visible))
 
     def _elsewhere(self, name: str, visible: Mapping[str, Register]) -> str:
         """Says in which modes a register can be named, when it cannot be in this one."""

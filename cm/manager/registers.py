@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import difflib
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
 from cm.manager.ports import Devices
@@ -20,13 +20,22 @@ def split_name(name: str) -> tuple[str, str | None]:
     return register, field if dot else None
 
 
-def find(registers: Mapping[str, Register], name: str, elsewhere: str = "") -> tuple[Register, BitField | None]:
-    """The register, and the field if one is named. Raises UnknownRegister with the nearest names."""
+def _nowhere() -> str:
+    return ""
+
+
+def find(
+    registers: Mapping[str, Register], name: str, elsewhere: Callable[[], str] = _nowhere
+) -> tuple[Register, BitField | None]:
+    """The register, and the field if one is named.
+
+    Raises UnknownRegister with the nearest names, or with what `elsewhere` says of other modes.
+    """
     register_name, field_name = split_name(name)
     register = registers.get(register_name)
     if register is None:
         raise UnknownRegister(
-            f"no register {register_name!r} in this mode{elsewhere or _nearest(register_name, registers)}"
+            f"no register {register_name!r} in this mode{elsewhere() or _nearest(register_name, registers)}"
         )
     if field_name is None:
         return register, None
@@ -45,7 +54,9 @@ def _nearest(name: str, known: Mapping[str, object]) -> str:
     return f"; there are {', '.join(sorted(known))}" if known else "; there are none"
 
 
-def checked_write(registers: Mapping[str, Register], write: RegWrite, elsewhere: str = "") -> tuple[Register, int, int]:
+def checked_write(
+    registers: Mapping[str, Register], write: RegWrite, elsewhere: Callable[[], str] = _nowhere
+) -> tuple[Register, int, int]:
     """A write → register, value, mask in the register's place; refuses what must not be written.
 
     Raises UnknownRegister, AccessDenied or OutOfRange; nothing was touched.

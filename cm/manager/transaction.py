@@ -134,9 +134,9 @@ class Transaction:
         self._tools.registers.forget()
 
     def _decouple(self, step: s.Decouple) -> None:
+        self._region_event(step.region.name, RegionEvent.DECOUPLE)  # first: if it fails, it may be cut off
         if step.region.decoupler:
             drive(self._tools.registers, step.region.decoupler, cut=True)
-        self._region_event(step.region.name, RegionEvent.DECOUPLE)
 
     def _recouple(self, step: s.Recouple) -> None:
         if step.region.decoupler:
@@ -148,9 +148,9 @@ class Transaction:
         name = step.region.name
         self._region_event(name, RegionEvent.LOAD)
         self._board.update(lambda state: state.without_values(set(step.resets)))
-        self._board.record(step)
         job = Job(self._plan.goal.config, step.image, step.region, step.module)
         try:
+            self._board.record(step)
             self._timed_load(step, job, step.region.loader)
         except BaseException:
             self._region_event(name, RegionEvent.LOAD_FAILED)

@@ -3,117 +3,14 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import select
-import signal
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TypeVar
 
 import pytest
+from manager_process import Manager, served, short_folder
 
 import cm
 from cm.sim import Board as SimBoard
-
-REPOSITORY = Path(__file__).resolve().parents[2]
-CAMERA = REPOSITORY / "cm" / "data" / "camera"
-_T = TypeVar("_T")
-
-
-def environment() -> dict[str, str]:
-    """Ours, with the package importable from the work tree."""
-    return {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-
-
-def until(condition: Callable[[], _T], timeout: float = 20.0) -> _T:
-    """Poll for what nothing announces; returns the first true value."""
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        value = condition()
-        if value:
-            return value
-        time.sleep(0.005)
-    raise AssertionError("the condition did not come true in time")
-
-
-class Manager:
-    """A `cm serve` process."""
-
-    def __init__(self, runtime: Path, *arguments: str, env: dict[str, str] | None = None) -> None:
-        self.runtime = runtime
-        self.arguments = arguments
-        self.env = env or environment()
-        self.process: subprocess.Popen[bytes] | None = None
-        self.log = b""
-
-    def start(self) -> Manager:
-        command = [sys.executable, "-m", "cm.cli.main", "serve", "--runtime-dir", str(self.runtime), *self.arguments]
-        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=self.env, cwd="/")
-        assert self.process.stderr is not None
-        self.log = b""
-        while b"ready at" not in self.log:
-            ready, _, _ = select.select([self.process.stderr], [], [], 30)
-            piece = os.read(self.process.stderr.fileno(), 65536) if ready else b""
-            assert piece, f"the manager did not start: {self.log.decode()}"
-            self.log += piece
-        return self
-
-    def kill(self) -> None:
-        assert self.process is not None
-        self.process.kill()
-        self._reap()
-
-    def stop(self) -> int:
-        if self.process is None:
-            return 0
-        self.process.send_signal(signal.SIGTERM)
-        return self._reap()
-
-    def _reap(self) -> int:
-        assert self.process is not None
-        assert self.process.stderr is not None
-        assert self.process.stderr is not None
-        try:
-            status = self.process.wait(timeout=30)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            raise
-        os.set_blocking(self.process.stderr.fileno(), False)  # a simulator that lives on has it open too
-        self.log += self.process.stderr.read() or b""
-        self.process.stderr.close()
-        self.process = None
-        return status
-
-    @contextlib.contextmanager
-    def connected(self) -> Iterator[cm.Board]:
-        with cm.connect(runtime_dir=self.runtime, timeout=20) as board:
-            yield board
-
-
-@contextlib.contextmanager
-def short_folder() -> Iterator[Path]:
-    """A folder in memory with a short name: socket paths are limited to 107 bytes."""
-    parent = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
-    with tempfile.TemporaryDirectory(prefix="cm-t-", dir=parent) as folder:
-        yield Path(folder)
-
-
-@contextlib.contextmanager
-def served() -> Iterator[tuple[Manager, SimBoard]]:
-    """A board, and a manager on it with nothing loaded; the board outlives the manager."""
-    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
-        state = str(folder / "state")
-        manager = Manager(folder / "run", "--config", str(CAMERA), "--root", str(sim.root), "--state-dir", state)
-        manager.start()
-        try:
-            yield manager, sim
-        finally:
-            manager.stop()
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from conftest import REPOSITORY, Manager
+from manager_process import REPOSITORY, Manager
 
 import cm
 

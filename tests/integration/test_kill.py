@@ -10,7 +10,7 @@ import sys
 import threading
 
 import pytest
-from conftest import Manager, environment, until
+from manager_process import Manager, environment, until
 
 import cm
 from cm.client.errors import ConnectionLost, NoAnswer
@@ -82,7 +82,7 @@ def test_a_killed_board_is_reported_and_served_again_when_it_is_back(own: Own) -
 
 def test_a_second_manager_on_the_same_folder_is_refused(manager: Manager) -> None:
     second = Manager(manager.runtime, *manager.arguments)
-    with pytest.raises(AssertionError, match="serves .* already"):
+    with pytest.raises(AssertionError, match=r"serves .* already"):
         second.start()
     second.stop()
 

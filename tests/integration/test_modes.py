@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from conftest import CAMERA, Manager, until
+from manager_process import CAMERA, Manager, until
 
 import cm
 from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound

@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 import pytest
 import zmq
-from conftest import Manager
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from manager_process import Manager
 
 import cm
 from cm.sim import Board as SimBoard
@@ -121,8 +121,8 @@ def test_replies_to_a_dealer_carry_its_own_frames_back(peer: Peer, manager: Mana
         ([b"cm_write_data", pb.WriteData(stream="to_pl").SerializeToString()], "invalid_request", "payload"),
         ([b"cm_write_data", pb.WriteData(stream="to_pl").SerializeToString(), b"abc"], "invalid_request", "bytes"),
         ([b"cm_write_data", pb.WriteData(stream="camera").SerializeToString(), b"abc"], "invalid_request", "s2mm"),
-        ([b"cm_data_config", pb.DataConfig(stream="camera", dtype="float7").SerializeToString()], "invalid_request", "dtype"),
-        ([b"cm_data_config", pb.DataConfig(stream="camera", slots=4000).SerializeToString()], "invalid_request", "slots"),
+        ([b"cm_data_config", pb.DataConfig(stream="camera", dtype="float7").SerializeToString()], "invalid_request", "dtype"),  # noqa: E501
+        ([b"cm_data_config", pb.DataConfig(stream="camera", slots=4000).SerializeToString()], "invalid_request", "slots"),  # noqa: E501
         ([b"cm_irq", pb.ReadIrq(name="nix").SerializeToString()], "unknown_interrupt", "nix"),
         ([b"cm_lease", pb.Lease(scope="moon").SerializeToString()], "invalid_request", "scope"),
         ([b"cm_write_config", pb.WriteConfig(schema="config: 7").SerializeToString()], None, "config"),

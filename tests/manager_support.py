@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A manager in this process on a simulated board, with devices that can be made to fail."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import re
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from cm.daemon.devices import BoardDevices
+from cm.daemon.files import BoardFiles
+from cm.device import DeviceError, Root
+from cm.manager.manager import Environment, Manager, Settings
+from cm.manager.ports import Window
+from cm.manager.store import Store
+from cm.messages.requests import WriteConfig
+from cm.messages.status import Irq, RegValues
+from cm.schema import loads
+from cm.schema.model import Config
+
+CAMERA = Path(__file__).resolve().parents[1] / "cm" / "data" / "camera" / "camera.yaml"
+
+
+class Clock:
+    def monotonic(self) -> float:
+        return time.monotonic()
+
+
+class Nobody:
+    """Neither listens nor streams; remembers what it was asked."""
+
+    def __init__(self) -> None:
+        self.calls: list[tuple[str, Any]] = []
+
+    def status_changed(self) -> None: ...
+
+    def registers_changed(self, values: RegValues) -> None: ...
+
+    def interrupt(self, irq: Irq) -> None: ...
+
+    def quiesce(self, streams: Collection[str]) -> None:
+        self.calls.append(("quiesce", tuple(streams)))
+
+    def resume(self, config: Config | None, mode: str | None) -> None:
+        self.calls.append(("resume", mode))
+
+
+@dataclass
+class Fault:
+    """Fails the operation number `at`, and those after it for `times`; counts all operations."""
+
+    at: int = -1
+    times: int = 1
+    make: Callable[[str], Exception] = lambda name: DeviceError(errno.EIO, f"injected at {name}")
+    names: list[str] = field(default_factory=list)
+
+    def step(self, name: str) -> None:
+        number = len(self.names)
+        self.names.append(name)
+        if self.at >= 0 and self.at <= number < self.at + self.times:
+            raise self.make(name)
+
+
+class Watched:
+    """Passes everything on, but lets a fault have the first word on some calls."""
+
+    def __init__(self, inner: Any, fault: Fault, label: str, names: Collection[str]) -> None:
+        self._inner, self._fault, self._label, self._names = inner, fault, label, names
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(self._inner, name)
+        if name not in self._names:
+            return value
+
+        def call(*args: Any, **kwargs: Any) -> Any:
+            self._fault.step(f"{self._label}.{name}")
+            return value(*args, **kwargs)
+
+        return call
+
+
+class FaultyDevices:
+    """The devices of a board, every operation of which may fail."""
+
+    def __init__(self, inner: BoardDevices, fault: Fault) -> None:
+        self._inner, self._fault = inner, fault
+
+    def boot_id(self) -> str:
+        return self._inner.boot_id()
+
+    def window(self, address: int, width: int) -> Window:
+        found = self._inner.window(address, width)
+        return Window(Watched(found.uio, self._fault, "uio", ("read", "write")), found.map, found.offset)  # type: ignore[arg-type]
+
+    def icap(self, name: str | None) -> Any:
+        return Watched(self._inner.icap(name), self._fault, "icap", ("allocate", "load", "wait", "status"))
+
+    def fpga_manager(self, name: str | None) -> Any:
+        return Watched(self._inner.fpga_manager(name), self._fault, "fpga_manager", ("load",))
+
+    def overlays(self) -> Any:
+        return Watched(self._inner.overlays(), self._fault, "overlays", ("apply", "remove"))
+
+    def forget(self) -> None:
+        self._inner.forget()
+
+    def lost(self) -> None:
+        self._inner.lost()
+
+
+class FaultyStore(Store):
+    """A store whose writes count as operations too."""
+
+    def __init__(self, folder: Path, fault: Fault) -> None:
+        super().__init__(folder)
+        self.fault = fault
+
+    def write(self, record: Any) -> None:
+        self.fault.step("store.write")
+        super().write(record)
+
+
+@dataclass
+class Rig:
+    """A manager and what it was given."""
+
+    manager: Manager
+    devices: BoardDevices
+    fault: Fault
+    data_plane: Nobody
+    store: Store
+    notes: tuple[str, ...] = ()
+
+    def go(self, mode: str, timeout: float = 30.0) -> Any:
+        """Go to a mode; the error, or None."""
+        change = self.manager.submit(WriteConfig(config_name="camera", mode=mode))
+        assert change.wait(timeout), f"the change to {mode} did not end"
+        return change.error
+
+    def arm(self, at: int, times: int = 1) -> None:
+        """From here on count operations anew, and fail number `at`."""
+        self.fault.names.clear()
+        self.fault.at, self.fault.times = at, times
+
+    def close(self) -> None:
+        self.manager.stop()
+        self.devices.lost()
+        self.store.close()
+
+
+def camera(timeout: float | None = None, defaults: Mapping[str, int] | None = None) -> Config:
+    """The shipped example; with a time-out (seconds) for every region's loads, and other defaults of registers."""
+    text = CAMERA.read_text(encoding="utf-8")
+    for name, value in (defaults or {}).items():
+        text, found = re.subn(rf"( {name}:\s[^#]*?default: *)\d+", rf"\g<1>{value}", text, count=1)
+        assert found, f"{name} has no default in the camera example"
+    config = loads(text, source=CAMERA)
+    regions = {name: replace(region, timeout=timeout) for name, region in config.regions.items()}
+    return replace(config, regions=regions)
+
+
+@contextlib.contextmanager
+def rig(root: Path, state: Path, config: Config | None = None) -> Iterator[Rig]:
+    """A started manager on the board under `root`."""
+    made = make_rig(root, state, config)
+    try:
+        made.notes = made.manager.start()
+        yield made
+    finally:
+        made.close()
+
+
+def make_rig(root: Path, state: Path, config: Config | None = None) -> Rig:
+    """A manager that was not started yet."""
+    fault, nobody = Fault(), Nobody()
+    devices = BoardDevices(Root.of(root))
+    store = FaultyStore(state, fault)
+    given = (FaultyDevices(devices, fault), BoardFiles(root), store, nobody, Clock(), nobody)
+    env = Environment(*given, settings=Settings(prefetch_bytes=0))
+    config = config or camera()
+    return Rig(Manager({config.name: config}, env), devices, fault, nobody, store)

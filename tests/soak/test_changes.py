@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Thousands of changes of mode leave nothing behind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import cycle, islice
+from pathlib import Path
+
+import pytest
+from manager_support import Rig, rig
+
+from cm.sim import Board as SimBoard
+
+MODES = ("edge_detection", "colorise", "loopback", "loopback_edge", "default")
+WARM_UP = 50
+RSS_GROWTH = 1.02
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Iterator[tuple[Rig, SimBoard]]:
+    with SimBoard(arguments=["--icap-rate", "0"]) as sim, rig(sim.root, tmp_path) as started:
+        yield started, sim
+
+
+def held(sim: SimBoard) -> dict[str, object]:
+    """What this process and the board hold on to."""
+    state = sim.control.state()
+    return {
+        "descriptors": len(list(Path("/proc/self/fd").iterdir())),
+        "buffers": state["buffers"],
+        "connections": state["connections"],
+        "overlays": sorted(state["overlays"]),
+    }
+
+
+def resident() -> int:
+    """Pages in memory."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+
+
+@pytest.mark.timeout(3600)
+def test_many_changes_of_mode_leave_nothing_behind(made: tuple[Rig, SimBoard], changes: int) -> None:
+    board, sim = made
+    before: dict[str, object] = {}
+    pages = 0
+    for number, mode in enumerate(islice(cycle(MODES), WARM_UP + changes)):
+        assert board.go(mode) is None
+        if number == WARM_UP - 1:
+            before, pages = held(sim), resident()
+    assert held(sim) == before
+    assert resident() <= pages * RSS_GROWTH
+    journal = board.store._path.stat().st_size
+    assert journal < 1 << 20

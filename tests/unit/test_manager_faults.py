@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every operation of a change fails once, and the manager dies at every step: the board ends where it is said to."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from manager_support import Rig, camera, make_rig, rig
+
+from cm.sim import Board as SimBoard
+
+SHORT = 0.3  # seconds for a load: a hang shall not take long
+
+
+@pytest.fixture(scope="module")
+def sim() -> Iterator[SimBoard]:
+    with SimBoard(arguments=["--icap-rate", "0"]) as board:
+        yield board
+
+
+@pytest.fixture
+def made(sim: SimBoard, tmp_path: Path) -> Iterator[Rig]:
+    with rig(sim.root, tmp_path, camera(timeout=SHORT)) as started:
+        assert started.go("default") is None
+        yield started
+        sim.control.clear()
+
+
+def truth(sim: SimBoard) -> dict[str, object]:
+    """What the board really holds."""
+    state = sim.control.state()
+    region = state["regions"]["prr0"]
+    return {"module": region["module"], "decoupled": region["decoupled"], "overlays": sorted(state["overlays"])}
+
+
+def settled(made: Rig, sim: SimBoard) -> str:
+    """Where the board is, and that the manager says the same: a mode, or ``cut off``."""
+    status, held = made.manager.status(), truth(sim)
+    region = next(r for r in status.regions if r.name == "prr0")
+    assert not status.fpga_busy
+    if region.state == "ready":
+        assert held["decoupled"] is False
+        assert held["module"] == region.module
+        expected = {"default": "default", "edge_detection": "edge"}[status.mode]
+        assert region.module == expected
+        return status.mode
+    assert region.state == "failed"
+    assert status.last_error is not None
+    assert "prr0" in status.last_error.message
+    return "cut off"
+
+
+def operations(made: Rig) -> int:
+    """How many operations going to edge_detection takes; the board is back in default afterwards."""
+    made.arm(-1)
+    assert made.go("edge_detection") is None
+    count = len(made.fault.names)
+    assert made.go("default") is None
+    assert count > 20
+    return count
+
+
+def test_one_failure_at_any_operation_ends_in_the_old_mode_or_the_new(made: Rig, sim: SimBoard) -> None:
+    ends = set()
+    for number in range(operations(made)):
+        made.arm(number)
+        error = made.go("edge_detection")
+        name = made.fault.names[-1] if number >= len(made.fault.names) else made.fault.names[number]
+        end = settled(made, sim)
+        ends.add(end)
+        assert end in ("default", "edge_detection"), f"one failure of {name} (operation {number}): {error}"
+        assert (error is None) == (end == "edge_detection"), f"operation {number}, {name}: {error}"
+        made.arm(-1)
+        assert made.go("default") is None
+    assert "default" in ends
+
+
+def test_failures_on_the_way_and_on_the_way_back_leave_the_region_cut_off_and_reported(
+    made: Rig, sim: SimBoard
+) -> None:
+    ends = set()
+    for number in range(operations(made)):
+        made.arm(number, times=10_000)
+        failed = made.go("edge_detection") is not None
+        made.arm(-1)
+        ends.add(_reported(made) if failed else settled(made, sim))  # the record of the end may fail harmlessly
+        assert made.go("edge_detection") is None
+        assert settled(made, sim) == "edge_detection"
+        assert made.go("default") is None
+    assert "failed" in ends
+
+
+def _reported(made: Rig) -> str:
+    """The region's state; with dead registers nobody can cut it off, but it is never called ready."""
+    status = made.manager.status()
+    region = next(r for r in status.regions if r.name == "prr0")
+    assert status.last_error is not None
+    if region.state == "ready":  # it failed before the region was touched, or after it was done
+        assert region.module == {"default": "default", "": "edge"}[status.mode]
+    return region.state
+
+
+@pytest.mark.parametrize("fault", ["icap_crc", "icap_id", "icap_hang"])
+def test_a_fault_of_the_port_brings_the_board_back(made: Rig, sim: SimBoard, fault: str) -> None:
+    sim.control.inject(fault)
+    error = made.go("edge_detection")
+    assert error is not None
+    assert error.code == "load_failed"
+    assert settled(made, sim) == "default"
+
+
+def test_a_load_that_takes_too_long_is_given_up_and_undone(sim: SimBoard, tmp_path: Path) -> None:
+    with rig(sim.root, tmp_path, camera(timeout=0.05)) as hasty:
+        assert hasty.go("default") is None
+        sim.control.inject("icap_hang")
+        error = hasty.go("edge_detection")
+        assert error is not None
+        assert error.code in ("step_timeout", "undo_failed")  # the port may be held for longer than the time-out
+        if settled(hasty, sim) == "cut off":
+            assert hasty.go("default") is None
+        assert settled(hasty, sim) == "default"
+
+
+def test_a_register_that_does_not_keep_its_value_brings_the_board_back(sim: SimBoard, tmp_path: Path) -> None:
+    with rig(sim.root, tmp_path, camera(defaults={"threshold": 40})) as made:
+        assert made.go("default") is None
+        sim.control.inject("register_stuck", "threshold")
+        error = made.go("edge_detection")
+        sim.control.clear()
+        assert error is not None
+        assert error.code == "verify_failed"
+        assert settled(made, sim) == "default"
+
+
+def _write(name: str, value: int):  # type: ignore[no-untyped-def]
+    from cm.messages.requests import RegWrite
+
+    return RegWrite(name, value)
+
+
+def test_the_way_back_restores_registers_that_somebody_wrote(made: Rig, sim: SimBoard) -> None:
+    made.manager.write_registers((_write("focus", 3),))
+    sim.control.inject("icap_crc")
+    assert made.go("edge_detection") is not None
+    assert made.manager.read_registers(("focus",)).values[0].value == 3
+
+
+def test_nothing_leaks_over_failed_changes(made: Rig, sim: SimBoard) -> None:
+    def held() -> tuple[int, int, int]:
+        state = sim.control.state()
+        return len(list(Path("/proc/self/fd").iterdir())), state["buffers"], state["connections"]
+
+    for _ in range(3):
+        sim.control.inject("icap_crc")
+        made.go("edge_detection")
+    before = held()
+    for _ in range(10):
+        sim.control.inject("icap_crc")
+        assert made.go("edge_detection") is not None
+    assert held() == before
+
+
+def _killed_at(sim: SimBoard, state: Path, number: int) -> bool:
+    """In a child: go from default to edge_detection and die at write `number` of the record; False if it lived."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            made = make_rig(sim.root, state, camera(timeout=SHORT))
+            made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
+            made.manager.start()
+            made.go("default")
+            made.arm(number)
+            made.go("edge_detection")
+        finally:
+            os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
+
+
+def test_a_manager_killed_at_any_operation_comes_back_knowing(sim: SimBoard, tmp_path: Path) -> None:
+    ends = set()
+    number = 0
+    while _killed_at(sim, tmp_path, number):
+        with rig(sim.root, tmp_path, camera(timeout=SHORT)) as again:
+            while again.manager.status().fpga_busy or again.manager._busy():
+                pass  # the repair that it queued itself
+            end = settled(again, sim)
+            ends.add(end)
+            assert end in ("default", "edge_detection"), f"killed at operation {number}: {again.notes}"
+        number += 1
+    assert number > 15
+    assert ends == {"default", "edge_detection"}
+
+
+def test_a_board_that_was_restarted_holds_nothing(tmp_path: Path) -> None:
+    with SimBoard(arguments=["--icap-rate", "0"]) as fresh:
+        with rig(fresh.root, tmp_path) as first:
+            assert first.go("edge_detection") is None
+        fresh.kill()
+        fresh.restart()
+        with rig(fresh.root, tmp_path) as second:
+            assert second.manager.status().config_name == ""
+            assert any("restarted" in note for note in second.notes)
+
+
+def test_a_region_that_somebody_else_reloaded_is_not_trusted(sim: SimBoard, tmp_path: Path) -> None:
+    """The identity register says another module than the record: it is loaded again."""
+    with rig(sim.root, tmp_path / "one") as first:
+        assert first.go("default") is None
+    with rig(sim.root, tmp_path / "two") as other:
+        assert other.go("edge_detection") is None
+    with rig(sim.root, tmp_path / "one") as again:
+        while again.manager._busy():
+            pass
+        assert any("identity" in note for note in again.notes)
+        assert truth(sim)["module"] == "default"
