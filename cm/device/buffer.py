@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import os
+import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
@@ -34,9 +35,12 @@ class DmaBuffer:
         self._struct = handle
         self._free: Callable[[int], None] | None = free
         self._path = path
-        self._owner = os.getpid()
         self._mappings: dict[bool, Any] = {}
         self.fd, self.handle, self.coherent, self.length = native.fields(handle)
+        # Not __del__: where buffer and device are garbage together, the device might be freed first. A
+        # weak reference's callback runs before any of that, and holds the device until it has run.
+        self._forgotten = weakref.finalize(self, _give_back, free, self.handle, handle, os.getpid())
+        self._forgotten.atexit = False  # type: ignore[misc] (a property that typeshed hides behind __slots__)
 
     def memoryview(self, writable: bool = True) -> memoryview:
         """Return the whole buffer as bytes, mapped once and kept."""
@@ -83,6 +87,7 @@ class DmaBuffer:
                     error, "free a buffer of", self._path, "cancel, or wait for, its transfer"
                 ) from error
         self._free = None
+        self._forgotten.detach()
         self._mappings.clear()
         native.close(self._struct)
         self.fd = -1
@@ -101,14 +106,17 @@ class DmaBuffer:
     def __exit__(self, kind: type[BaseException] | None, exc: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
 
-    def __del__(self) -> None:
-        """Give back what was forgotten; a buffer in flight stays with its device until that is closed."""
-        with suppress(Exception):
-            if self._owner == os.getpid():  # a child after fork() must not free what its parent uses
-                self.close()
-
     def __len__(self) -> int:
         return self.length
 
     def __repr__(self) -> str:
         return f"<DmaBuffer {self.handle} of {self._path}, {self.length} bytes>"
+
+
+def _give_back(free: Callable[[int], None], number: int, handle: Handle, owner: int) -> None:
+    """Give back what was forgotten; a buffer in flight stays with its device until that is closed."""
+    if os.getpid() != owner:  # a child after fork() must not free what its parent uses
+        return
+    with suppress(OSError):
+        free(number)
+    native.close(handle)
