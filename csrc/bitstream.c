@@ -94,20 +94,6 @@ static void header_word(struct cm_config_port *port, struct sink *sink, uint32_t
 	}
 }
 
-/* NOPs come in hundreds: all that are here, or else the one packet header. */
-static size_t header_words(struct cm_config_port *port, struct sink *sink, const uint8_t *words,
-			   size_t count, int swapped)
-{
-	size_t nops = 0;
-
-	while (nops < count && load(words + 4 * nops, swapped) == NOP_WORD)
-		nops++;
-	if (nops > 0)
-		return nops;
-	header_word(port, sink, load(words, swapped));
-	return 1;
-}
-
 static void type2_word(struct cm_config_port *port, struct sink *sink, uint32_t word)
 {
 	const uint32_t count = word & 0x07FFFFFF;
@@ -145,6 +131,34 @@ static size_t opaque_words(struct cm_config_port *port, size_t count)
 	return run;
 }
 
+static size_t data_words(struct cm_config_port *port, struct sink *sink, const uint8_t *words,
+			 size_t count, int swapped)
+{
+	if (is_bulk(port->reg))
+		return cm_config_bulk_words(port, sink, words, count, swapped);
+	cm_config_register_word(port, sink, load(words, swapped));
+	return 1;
+}
+
+/* NOPs come in hundreds: all that are here, or else one packet header and the words behind it. */
+static size_t header_words(struct cm_config_port *port, struct sink *sink, const uint8_t *words,
+			   size_t count, int swapped)
+{
+	size_t used = 0;
+
+	while (used < count && load(words + 4 * used, swapped) == NOP_WORD)
+		used++;
+	if (used > 0)
+		return used;
+	header_word(port, sink, load(words, swapped));
+	if (port->state == STATE_DATA && count > 1) {
+		port->position++; /* of the word that is looked at, while it is */
+		used = data_words(port, sink, words + 4, count - 1, swapped);
+		port->position--;
+	}
+	return 1 + used;
+}
+
 /* Consume at least one word, or (end of a fill) none with one event made; at most two events. */
 static size_t step(struct cm_config_port *port, struct sink *sink, const uint8_t *words,
 		   size_t count, int swapped)
@@ -163,10 +177,7 @@ static size_t step(struct cm_config_port *port, struct sink *sink, const uint8_t
 	case STATE_OPAQUE:
 		return opaque_words(port, count);
 	case STATE_DATA:
-		if (is_bulk(port->reg))
-			return cm_config_bulk_words(port, sink, words, count, swapped);
-		cm_config_register_word(port, sink, load(words, swapped));
-		return 1;
+		return data_words(port, sink, words, count, swapped);
 	default:
 		return count;
 	}

@@ -45,7 +45,7 @@ def footprint(events: native.Events, family: Family) -> tuple[Footprint, ...]:
     totals = np.bincount(inverse, weights=counts, minlength=len(columns)).astype(np.int64)
     words = columns.astype(np.int64) << shift
     fields = (words >> at & ((1 << width) - 1) for at, width in (layout.block_type, layout.row, layout.column))
-    return tuple(map(Footprint, *(field.tolist() for field in fields), totals.tolist()))
+    return tuple(map(Footprint._make, zip(*(field.tolist() for field in fields), totals.tolist(), strict=True)))
 
 
 def total_frames(events: native.Events, family: Family) -> int:

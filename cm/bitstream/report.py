@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Any, NamedTuple
 
 from cm.bitstream.container import BitHeader, Container
 from cm.bitstream.devices import Family
@@ -27,12 +27,12 @@ class Refusal:
     message: str
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Footprint:
+class Footprint(NamedTuple):
     """Frames written from one column's address on; a run may go on into the columns behind it.
 
     `frames` counts what a run pushes through the frame buffer, padding frames too; frames that are
-    written twice (partial bitstreams of 7-series do that) count once.
+    written twice (partial bitstreams of 7-series do that) count once. A tuple, because a compressed
+    bitstream has a thousand of them.
     """
 
     block_type: int
