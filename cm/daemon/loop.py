@@ -128,7 +128,8 @@ class Loop:
                     callback = self._callbacks.get(source)
                     if callback is not None:
                         self._guarded(callback)
-                self._run_calls()
+                if self._calls:
+                    self._run_calls()
                 self._run_timers()
         finally:
             self._run_calls()

@@ -41,13 +41,11 @@ def decode_request(frames: Sequence[Frame]) -> rq.Request:
     return decoder(bytes(parts[1]) if len(parts) > 1 else b"", parts[2:])
 
 
-def _parse(message_type: Callable[[], _Message], topic: str, payload: bytes) -> _Message:
-    message = message_type()
+def _parse(message_type: type[_Message], topic: str, payload: bytes) -> _Message:
     try:
-        message.ParseFromString(payload)
+        return message_type.FromString(payload)
     except DecodeError as error:
-        raise InvalidRequest(f"{topic}: the second frame is no {type(message).__name__} message ({error})") from error
-    return message
+        raise InvalidRequest(f"{topic}: the second frame is no {message_type.__name__} message ({error})") from error
 
 
 def _no_payload(topic: str, payload: Sequence[Frame]) -> None:

@@ -122,14 +122,15 @@ _BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
 _FROM_FIELD = {field: decode for field, _, decode in _BODIES.values()}
 
 
-def encode_reply(topic: bytes, reply: st.Reply) -> list[Frame]:
-    """A reply → ``[topic][Reply][payload…]``."""
-    message = pb.Reply(ok=reply.error is None, sequence=reply.sequence)
+def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> list[Frame]:
+    """A reply → ``[topic][Reply][payload…]``; `sequence` takes the place of the reply's own."""
+    parts: dict[str, Any] = {}
     if reply.error is not None:
-        message.error.CopyFrom(bodies.error_to_pb(reply.error))
+        parts["error"] = bodies.error_to_pb(reply.error)
     if reply.body is not None:
         field, to_pb, _ = _BODIES[type(reply.body)]
-        getattr(message, field).CopyFrom(to_pb(reply.body))
+        parts[field] = to_pb(reply.body)
+    message = pb.Reply(ok=reply.error is None, sequence=reply.sequence if sequence is None else sequence, **parts)
     return [topic, message.SerializeToString(), *reply.payload]
 
 
