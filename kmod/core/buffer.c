@@ -55,6 +55,26 @@ static int buffer_fill(struct cm_buffer *buffer)
 	return 0;
 }
 
+static struct cm_buffer *buffer_alloc(struct device *dev, u64 length, enum cm_buffer_kind kind)
+{
+	struct cm_buffer *buffer;
+	int ret;
+
+	if (!length)
+		return ERR_PTR(-EINVAL);
+	if (length > SZ_1G)
+		return ERR_PTR(-ENOMEM);
+	buffer = buffer_new(dev, kind, PAGE_ALIGN(length));
+	if (!buffer)
+		return ERR_PTR(-ENOMEM);
+	ret = buffer_fill(buffer);
+	if (ret) {
+		buffer_delete(buffer);
+		return ERR_PTR(ret);
+	}
+	return buffer;
+}
+
 /**
  * cm_buffer_alloc() - allocate contiguous, zeroed memory for a device
  * @dev: the DMA engine's device, or one with a memory-region of its own
@@ -65,25 +85,23 @@ static int buffer_fill(struct cm_buffer *buffer)
  */
 struct cm_buffer *cm_buffer_alloc(struct device *dev, u64 length)
 {
-	struct cm_buffer *buffer;
-	int ret;
-
-	if (!length)
-		return ERR_PTR(-EINVAL);
-	if (length > SZ_1G)
-		return ERR_PTR(-ENOMEM);
-	buffer = buffer_new(dev, has_coherent_pool(dev) ? CM_BUFFER_COHERENT : CM_BUFFER_PAGES,
-			    PAGE_ALIGN(length));
-	if (!buffer)
-		return ERR_PTR(-ENOMEM);
-	ret = buffer_fill(buffer);
-	if (ret) {
-		buffer_delete(buffer);
-		return ERR_PTR(ret);
-	}
-	return buffer;
+	return buffer_alloc(dev, length,
+			    has_coherent_pool(dev) ? CM_BUFFER_COHERENT : CM_BUFFER_PAGES);
 }
 CM_EXPORT(cm_buffer_alloc);
+
+/**
+ * cm_buffer_alloc_coherent() - memory for programs that do not synchronise
+ * @dev: the DMA engine's device, or one with a memory-region of its own
+ * @length: bytes wanted, rounded up to whole pages
+ *
+ * Return: as cm_buffer_alloc().
+ */
+struct cm_buffer *cm_buffer_alloc_coherent(struct device *dev, u64 length)
+{
+	return buffer_alloc(dev, length, CM_BUFFER_COHERENT);
+}
+CM_EXPORT(cm_buffer_alloc_coherent);
 
 static int buffer_attach(struct cm_buffer *buffer)
 {

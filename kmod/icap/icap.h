@@ -71,6 +71,7 @@ enum cm_icap_select {
  * @status: as user space sees it
  * @request: load under way
  * @started_ns: when it was triggered
+ * @deadline: when it should have ended, in jiffies
  * @work: ends a load, or finds that it did not end
  * @dma_lock: protects @dma_left and @dma_error
  * @dma_left: descriptors under way
@@ -98,6 +99,7 @@ struct cm_icap {
 	struct cm_icap_status status;
 	struct cm_icap_request request;
 	u64 started_ns;
+	unsigned long deadline;
 	struct delayed_work work;
 	spinlock_t dma_lock; /* protects dma_left and dma_error */
 	u32 dma_left;

@@ -128,7 +128,16 @@ void cm_icap_work(struct work_struct *work)
 {
 	struct cm_icap *icap = container_of(to_delayed_work(work), struct cm_icap, work);
 
-	if (READ_ONCE(icap->request.buffer))
+	unsigned long now = jiffies;
+	bool running;
+
+	if (!READ_ONCE(icap->request.buffer))
+		return;
+	/* woken by what an earlier load left behind */
+	dma_result(icap, &running);
+	if (running && time_before(now, icap->deadline))
+		queue_delayed_work(system_wq, &icap->work, icap->deadline - now);
+	else
 		finish(icap, load_errors(icap));
 }
 
@@ -145,8 +154,7 @@ static int send(struct cm_icap *icap)
 	};
 	int ret = 0;
 
-	icap->dma_left = DIV64_U64_ROUND_UP(left, most);
-	icap->dma_error = 0;
+	queue_delayed_work(system_wq, &icap->work, msecs_to_jiffies(icap->timeout_ms));
 	for (; left && !ret; left -= request.length, request.offset += request.length) {
 		request.length = min(left, most);
 		ret = cm_channel_submit(icap->channel, &request);
@@ -202,6 +210,23 @@ static int prepare(struct cm_icap *icap, const struct cm_icap_request *request)
 	return ret ?: cm_icap_select_port(icap);
 }
 
+/* all of it before the buffer, by which the work sees that there is a load */
+static void arm(struct cm_icap *icap, const struct cm_icap_request *request)
+{
+	u64 most = round_down(icap->channel->info.max_length, 4);
+
+	spin_lock_bh(&icap->dma_lock);
+	icap->dma_left = DIV64_U64_ROUND_UP(request->length, most);
+	icap->dma_error = 0;
+	spin_unlock_bh(&icap->dma_lock);
+	icap->deadline = jiffies + msecs_to_jiffies(icap->timeout_ms);
+	icap->started_ns = ktime_get_ns();
+	mutex_lock(&icap->lock);
+	icap->request = *request;
+	cm_buffer_get(request->buffer);
+	mutex_unlock(&icap->lock);
+}
+
 /**
  * cm_icap_start() - start a load
  * @icap: port
@@ -224,10 +249,7 @@ int cm_icap_start(struct cm_icap *icap, const struct cm_icap_request *request)
 		withdraw(icap);
 		return ret;
 	}
-	cm_buffer_get(request->buffer);
-	icap->request = *request;
-	icap->started_ns = ktime_get_ns();
-	queue_delayed_work(system_wq, &icap->work, msecs_to_jiffies(icap->timeout_ms));
+	arm(icap, request);
 	ret = send(icap);
 	if (ret) {
 		/* what was sent of it is ended, and told to nobody */

@@ -26,7 +26,7 @@ struct sg_table;
 /**
  * enum cm_buffer_kind - where a buffer's memory comes from
  * @CM_BUFFER_PAGES: cached pages; the CPU's accesses are synchronised
- * @CM_BUFFER_COHERENT: a reserved memory pool of the device, not cached
+ * @CM_BUFFER_COHERENT: needs no synchronising; not cached where the device is not coherent
  * @CM_BUFFER_IMPORTED: somebody else's dma-buf
  */
 enum cm_buffer_kind {
@@ -68,6 +68,7 @@ struct cm_buffer {
 };
 
 struct cm_buffer *cm_buffer_alloc(struct device *dev, u64 length);
+struct cm_buffer *cm_buffer_alloc_coherent(struct device *dev, u64 length);
 struct cm_buffer *cm_buffer_import(struct device *dev, int fd, enum dma_data_direction direction);
 struct cm_buffer *cm_buffer_get(struct cm_buffer *buffer);
 void cm_buffer_put(struct cm_buffer *buffer);
