@@ -39,8 +39,9 @@ class DmaBuffer:
         self.fd, self.handle, self.coherent, self.length = native.fields(handle)
         # Not __del__: where buffer and device are garbage together, the device might be freed first. A
         # weak reference's callback runs before any of that, and holds the device until it has run.
+        # (mypy takes atexit, a property, for an attribute that __slots__ forbids.)
         self._forgotten = weakref.finalize(self, _give_back, free, self.handle, handle, os.getpid())
-        self._forgotten.atexit = False  # type: ignore[misc] (a property that typeshed hides behind __slots__)
+        self._forgotten.atexit = False  # type: ignore[misc]
 
     def memoryview(self, writable: bool = True) -> memoryview:
         """Return the whole buffer as bytes, mapped once and kept."""

@@ -9,29 +9,13 @@ from itertools import islice
 import numpy as np
 import pytest
 from manager_process import CAMERA, Manager, until
+from reference import sobel
 
 import cm
 from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
 from cm.errors import Timeout
 from cm.sim import Board as SimBoard
 from cm.sim.camera import shipped_photos
-
-
-def sobel(photo: np.ndarray) -> np.ndarray:
-    """An independent reference: loops over the kernel's taps in int64, nothing shared with the simulator."""
-    source = photo.astype(np.int64)
-    kernel = ((-1, 0, 1), (-2, 0, 2), (-1, 0, 1))
-    height, width = source.shape
-    gx = np.zeros((height - 2, width - 2), np.int64)
-    gy = np.zeros_like(gx)
-    for row in range(3):
-        for column in range(3):
-            window = source[row : row + height - 2, column : column + width - 2]
-            gx += kernel[row][column] * window
-            gy += kernel[column][row] * window
-    result = np.zeros(source.shape, np.uint8)
-    result[1:-1, 1:-1] = np.minimum(np.abs(gx) + np.abs(gy), 255)
-    return result
 
 
 def test_loading_enters_the_default_mode(board: cm.Board) -> None:
