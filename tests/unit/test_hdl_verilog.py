@@ -227,7 +227,35 @@ def test_polarity_of_a_reset_is_in_its_name(tmp_path: Path, name: str, polarity:
     assert [r.polarity for r in ports(tmp_path, f"input clk; input {name}").resets] == [polarity]
 
 
-@pytest.mark.parametrize("name", ["clk_en", "clk_sel", "sclk", "reset_done", "rst_count", "irq_mask", "interior"])
+_NEITHER = [
+    "clk_en",
+    "clken",
+    "aclken",
+    "clkdiv",
+    "clk_sel",
+    "sclk",
+    "reset_done",
+    "rst_count",
+    "preset",
+    "irq_mask",
+    "interior",
+    "int_a",
+]
+
+
+@pytest.mark.parametrize(
+    "name", ["clk", "aclk", "clk_i", "clk100m", "clk_50mhz", "pixelClk", "ap_clk_2", "clkin1", "CLOCK"]
+)
+def test_clock_is_told_by_many_names(tmp_path: Path, name: str) -> None:
+    assert [clock.port for clock in ports(tmp_path, f"input {name}").clocks] == [name]
+
+
+@pytest.mark.parametrize("name", ["irq", "o_int", "interrupt", "rx_intr", "ip2intc_irpt", "irq_0", "int_o"])
+def test_interrupt_is_told_by_many_names(tmp_path: Path, name: str) -> None:
+    assert [interrupt.port for interrupt in ports(tmp_path, f"output {name}").interrupts] == [name]
+
+
+@pytest.mark.parametrize("name", _NEITHER)
 def test_enables_and_counters_are_no_clock_reset_or_interrupt(tmp_path: Path, name: str) -> None:
     found = ports(tmp_path, f"input {name}")
     assert (found.clocks, found.resets, found.interrupts) == ((), (), ())

@@ -14,21 +14,23 @@ def _words(text: str) -> frozenset[str]:
 
 
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
-_CLOCK = re.compile(r"(?:[a-z]{0,4}clk|clock|[a-z]?clock|clk[a-z]{0,3}|ck)\d*[a-z]?(?<!sclk)")
+_CLOCK = re.compile(r"(?!sclk)(?:[a-z]{0,5}clk|[a-z]?clock|ck)(?:in|i|x|p|n)?(?:\d+(?:m|mhz|k|khz)?)?[a-z]?")
 _NOT_CLOCK = _words(
     "en ena enable ce cen sel select div divider valid cnt count locked lock req ack ok stop stopped gate "
     "gated good bad loss lost edge rise fall rate period freq frequency dis disable active status mux phase "
     "src"
 )
 _RESET = re.compile(
-    r"(?P<n1>n)?(?:a|s|p|h|g|sys|cpu|peripheral|interconnect)?(?:rst|reset|areset|sreset|arst|srst)(?P<n2>n|b|_n)?\d*"
+    r"(?!preset$)(?P<n1>n)?(?:a|s|p|h|g|sys|cpu|peripheral|interconnect)?"
+    r"(?:rst|reset|areset|sreset|arst|srst)(?P<n2>n|b|_n)?\d*"
 )
 _NOT_RESET = _words(
     "done cnt count busy req request ack ok en enable val value active status vector addr count time code data"
 )
 _LOW_WORDS = frozenset(("n", "b", "ni", "bar", "l"))
 _IO_WORDS = frozenset(("i", "o", "in", "out"))
-_INTERRUPT = re.compile(r"(?:irq|interrupt|interrupts|intr|intrpt|introut|irpt|irqs|int)\d*")
+_INTERRUPT = re.compile(r"(?:irq|interrupt|interrupts|intr|intrpt|introut|irpt|irqs)\d*")
+_INT = re.compile(r"int\d*")
 _NOT_INTERRUPT = _words("en enable mask clr clear ack pending status id num sel vector")
 
 
@@ -79,9 +81,15 @@ def reset_polarity(name: str) -> Polarity:
 def interrupt_mode(port: Port) -> Mode | None:
     """MASTER for an output named as interrupts are, SLAVE for an input, None for another port."""
     found = words(port.name)
-    if _NOT_INTERRUPT & set(found) or not any(_INTERRUPT.fullmatch(word) for word in found):
+    if _NOT_INTERRUPT & set(found) or not _says_interrupt(found):
         return None
     return {PortDirection.OUT: Mode.MASTER, PortDirection.IN: Mode.SLAVE}.get(port.direction)
+
+
+def _says_interrupt(found: list[str]) -> bool:
+    """`int` is short for many things: it counts only as the last word."""
+    last = next((word for word in reversed(found) if word not in _IO_WORDS and not word.isdigit()), "")
+    return any(_INTERRUPT.fullmatch(word) for word in found) or bool(_INT.fullmatch(last))
 
 
 def stem(name: str) -> str:
