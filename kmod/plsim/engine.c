@@ -7,6 +7,7 @@
  */
 #include <linux/debugfs.h>
 #include <linux/dma-mapping.h>
+#include <linux/io.h>
 #include <linux/mod_devicetable.h>
 #include <linux/of.h>
 #include <linux/of_dma.h>
