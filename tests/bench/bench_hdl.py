@@ -21,7 +21,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from cm.build.hdl import HdlError, Interface, ModuleInfo, extract, load_component_xml, read
+from cm.build.hdl import HdlError, Interface, ModuleInfo, PortDirection, extract, load_component_xml, read
 from cm.build.hdl.detect import Detector
 
 VERILOG = (".v", ".sv")
@@ -43,6 +43,8 @@ class Score:
     untold: int = 0
     skipped: int = 0
     spurious: int = 0
+    signals: int = 0
+    signals_stated: int = 0
     notes: list[str] = field(default_factory=list)
 
 
@@ -124,11 +126,29 @@ def count(score: Score, path: Path, source: Path, stated: ModuleInfo, buses: lis
             score.untold += match.clock is None
             if not same:
                 score.notes.append(f"clock: {path}: {bus.name}: {match.clock} for {bus.clock}")
+    count_signals(score, path, stated, module)
     taken = {port.lower() for bus in buses for port in bus.ports.values()}
     for bus in found:
         if not taken & {port.lower() for port in bus.ports.values()}:
             score.spurious += 1
             score.notes.append(f"spurious: {path}: {bus.name} ({bus.protocol})")
+
+
+def count_signals(score: Score, path: Path, stated: ModuleInfo, module: ModuleInfo) -> None:
+    """Clock and reset inputs (polarity too) and interrupt outputs that both the component.xml and the HDL have."""
+    driven = {port.name.lower(): port.direction for port in module.ports}
+    found = {(clock.port.lower(), "clock") for clock in module.clocks}
+    found |= {(reset.port.lower(), str(reset.polarity)) for reset in module.resets}
+    found |= {(line.port.lower(), "interrupt") for line in module.interrupts}
+    wanted = [(clock.port.lower(), "clock", PortDirection.IN) for clock in stated.clocks]
+    wanted += [(reset.port.lower(), str(reset.polarity), PortDirection.IN) for reset in stated.resets if reset.polarity]
+    wanted += [(line.port.lower(), "interrupt", PortDirection.OUT) for line in stated.interrupts]
+    for port, kind, direction in wanted:
+        if driven.get(port) is direction:
+            score.signals_stated += 1
+            score.signals += (port, kind) in found
+            if (port, kind) not in found:
+                score.notes.append(f"signal: {path}: {port} is {kind}")
 
 
 def blinded(source: Path, name: str) -> ModuleInfo:
@@ -161,7 +181,9 @@ def report(title: str, score: Score, verbose: bool) -> None:
     print(f"{title}: {score.components} components, {score.buses} AXI buses: {score.exact} exact port maps, ", end="")
     print(f"{score.protocols} protocols and {score.modes} modes right, {score.spurious} not in component.xml; ", end="")
     print(f"clock right for {score.clocks} of {score.clocks_stated} stated, ", end="")
-    print(f"not told for {score.untold}; {score.skipped} components whose top is not here in this language")
+    print(f"not told for {score.untold}; ", end="")
+    print(f"{score.signals} of {score.signals_stated} clock and reset inputs and interrupt outputs; ", end="")
+    print(f"{score.skipped} components whose top is not here in this language")
     for note in score.notes if verbose else ():
         print("   ", note)
 

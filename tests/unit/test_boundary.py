@@ -296,3 +296,20 @@ def test_result_does_not_depend_on_anything_but_the_modules(make) -> None:
     ]
     assert boundary(modules) == boundary(modules)
     assert [p.direction for p in boundary(modules).ports if p.role is Role.SIGNAL] == [PortDirection.OUT] * 3
+
+
+def test_two_modules_of_one_name_that_differ_are_refused_unless_labelled(make, tmp_path: Path) -> None:
+    narrow = make("filter", CLOCKED + stream("m_", "master", extra="tuser:1"))
+    wide = make("filter", CLOCKED + stream("m_", "master", extra="tuser:4"))
+    assert "two modules of the region are called filter" in boundary([narrow, wide]).adaptation("filter").refused[0]
+    result = boundary([narrow, wide], labels=["slow", "fast"])
+    assert result.ok
+    assert [(a.module, at(a, "m_tuser").fit) for a in result.adaptations] == [
+        ("slow", Fit.EXTEND),
+        ("fast", Fit.CONNECT),
+    ]
+
+
+def test_module_given_twice_is_one(make) -> None:
+    module = make("one", CLOCKED)
+    assert boundary([module, module]) == boundary([module])

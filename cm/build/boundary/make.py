@@ -25,14 +25,18 @@ from cm.build.hdl.model import Interface, ModuleInfo, Polarity
 _NO_NAMES: Names = MappingProxyType({})
 
 
-def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES) -> Boundary:
+def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES, labels: Sequence[str] | None = None) -> Boundary:
     """The boundary that all `modules` of a region share; the order of modules is that of the result.
 
     `names` says for (module, interface) which interface of the boundary it is, where names and kinds
     do not tell. Modules that cannot be fitted are in the result with the reasons in `refused`;
-    they do not keep the others from being fitted. Two modules of one name are one module.
+    they do not keep the others from being fitted. `labels` name the modules in the result and in `names`
+    instead of their own names, one each: needed where two of them have one top with other parameters
+    or other sources. Without labels, two that differ but have one name are refused.
     """
-    modules = list({module.name: module for module in modules}.values())
+    if labels is not None:
+        modules = [replace(module, name=label) for module, label in zip(modules, labels, strict=True)]
+    modules, clashes = _distinct(modules)
     slots = make_slots(modules, names)
     clocks = make_clocks(modules)
     ports = clock_ports(clocks)
@@ -45,6 +49,7 @@ def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES) -> Boundar
     fittings = {module.name: Fitting() for module in modules}
     for module in modules:
         fitting = fittings[module.name]
+        fitting.refused.extend(clashes.get(module.name, ()))
         fitting.refused.extend(str(problem) for problem in module.problems if problem.fatal)
         fitting.refused.extend(refused.get(module.name, ()))
         fitting.refused.extend(slots.refused.get(module.name, ()))
@@ -52,6 +57,22 @@ def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES) -> Boundar
         _fit(module, fitting, clocks, slots.slots, ports, singles)
     interfaces = tuple(_interface(slot, ports, clocks, fittings) for slot in slots.slots)
     return Boundary(tuple(ports), interfaces, tuple(_adaptation(name, item) for name, item in fittings.items()))
+
+
+def _distinct(modules: Sequence[ModuleInfo]) -> tuple[list[ModuleInfo], dict[str, list[str]]]:
+    """Each name once, the first of it; where a later one has other ports, why it cannot stand for both."""
+    found: dict[str, ModuleInfo] = {}
+    clashes: dict[str, list[str]] = {}
+    for module in modules:
+        first = found.setdefault(module.name, module)
+        if _shape(first) != _shape(module):
+            text = f"two modules of the region are called {module.name} and differ ({first.file}, {module.file})"
+            clashes.setdefault(module.name, []).append(f"{text}: rename one")
+    return list(found.values()), clashes
+
+
+def _shape(module: ModuleInfo) -> list[tuple[object, ...]]:
+    return [(port.name, port.direction, port.width) for port in module.ports]
 
 
 def _fit(

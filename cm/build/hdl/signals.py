@@ -20,6 +20,7 @@ _NOT_CLOCK = _words(
     "gated good bad loss lost edge rise fall rate period freq frequency dis disable active status mux phase "
     "src"
 )
+_ENABLES = frozenset(("en", "ena", "enable", "ce", "cen"))
 _RESET = re.compile(
     r"(?!preset$)(?P<n1>n)?(?:a|s|p|h|g|sys|cpu|peripheral|interconnect)?"
     r"(?:rst|reset|areset|sreset|arst|srst)(?P<n2>n|b|_n)?\d*"
@@ -41,13 +42,7 @@ def words(name: str) -> list[str]:
 
 def is_clock(port: Port) -> bool:
     """A one-bit input named as clocks are; enables, selects and counters of clocks are none."""
-    found = words(port.name)
-    return (
-        port.direction is PortDirection.IN
-        and port.width == 1
-        and not _NOT_CLOCK & set(found)
-        and any(_CLOCK.fullmatch(word) for word in found)
-    )
+    return port.direction is PortDirection.IN and port.width == 1 and _says(port.name, _CLOCK, _NOT_CLOCK)
 
 
 def drives_clock(port: Port) -> bool:
@@ -57,13 +52,14 @@ def drives_clock(port: Port) -> bool:
 
 def is_reset(port: Port) -> bool:
     """A one-bit input named as resets are."""
-    found = words(port.name)
-    return (
-        port.direction is PortDirection.IN
-        and port.width == 1
-        and not _NOT_RESET & set(found)
-        and any(_RESET.fullmatch(word) for word in found)
-    )
+    return port.direction is PortDirection.IN and port.width == 1 and _says(port.name, _RESET, _NOT_RESET)
+
+
+def _says(name: str, pattern: re.Pattern[str], other: frozenset[str]) -> bool:
+    """A word of the name fits, and neither what follows (`clk_req`) nor an enable makes it something else."""
+    found = words(name)
+    place = next((number for number, word in enumerate(found) if pattern.fullmatch(word)), None)
+    return place is not None and not other & set(found[place + 1 :]) and not _ENABLES & set(found)
 
 
 def reset_polarity(name: str) -> Polarity:
