@@ -78,8 +78,9 @@ def _partial(inputs: Inputs, name: str, static: Image | None, partial: list[Imag
     config = Config(name=name, type=ConfigType.PARTIAL, regions=regions, modules=modules, modes=modes, **fields)
     if static is not None:
         files[f"{name}_full.bin"] = to_bin(static)
+    bare = [region for region, found in regions.items() if not found.decoupler]
     notes += [
-        f"region {region} has no decoupler that the .hwh tells of" for region, r in regions.items() if not r.decoupler
+        f"region {region}: no register of the PL decouples it: write decoupler: if there is one" for region in bare
     ]
     return _finish(inputs, config, files, notes)
 

@@ -77,3 +77,29 @@ def project(folder: Path, text: str = MINIMAL, **files: str) -> Path:
     path = folder / "build.yaml"
     path.write_text(textwrap.dedent(text))
     return path
+
+
+AXIL_MODULE = """\
+module one (
+    input  wire        clk,
+    input  wire        resetn,
+    input  wire [7:0]  s_axi_awaddr,
+    input  wire        s_axi_awvalid,
+    output wire        s_axi_awready,
+    input  wire [31:0] s_axi_wdata,
+    input  wire [3:0]  s_axi_wstrb,
+    input  wire        s_axi_wvalid,
+    output wire        s_axi_wready,
+    output wire [1:0]  s_axi_bresp,
+    output wire        s_axi_bvalid,
+    input  wire        s_axi_bready,
+    input  wire [7:0]  s_axi_araddr,
+    input  wire        s_axi_arvalid,
+    output wire        s_axi_arready,
+    output wire [31:0] s_axi_rdata,
+    output wire [1:0]  s_axi_rresp,
+    output wire        s_axi_rvalid,
+    input  wire        s_axi_rready
+);
+endmodule
+"""

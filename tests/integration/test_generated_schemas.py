@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `cm build generate` and `cm build collect` write, loaded by a manager and run on the simulated board."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from manager_process import Manager, short_folder
+
+import cm
+from cm.sim import Board as SimBoard
+
+sys.path.append(str(Path(__file__).parents[1] / "unit"))
+
+from build_support import NAMES, copy_examples, generated
+
+
+@contextlib.contextmanager
+def running(config: Path) -> Iterator[cm.Board]:
+    """A client of a manager on a board that has these configurations."""
+    with short_folder() as folder, SimBoard([config], root=folder / "board") as sim:
+        state = str(folder / "state")
+        manager = Manager(folder / "run", "--config", str(config), "--root", str(sim.root), "--state-dir", state)
+        manager.start()
+        try:
+            with manager.connected() as board:
+                yield board
+        finally:
+            manager.stop()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_mode_of_a_generated_schema_can_be_entered(name: str, tmp_path: Path) -> None:
+    design, out = generated(copy_examples(tmp_path), name)
+    with running(out / "config") as board:
+        board.load(name)
+        assert board.mode == design.project.default_mode
+        for mode in (*design.project.modes, design.project.default_mode):
+            board.mode = mode
+            assert board.mode == mode
+            values = design.project.modes[mode].registers
+            assert {register: board.registers[register] for register in values} == dict(values)
+
+
+def test_frames_pass_through_the_generated_camera(tmp_path: Path) -> None:
+    _, out = generated(copy_examples(tmp_path), "camera")
+    with running(out / "config") as board:
+        board.load("camera", "default")
+        sent = np.random.default_rng(1).integers(0, 256, (480, 640, 4), dtype=np.uint8)
+        with board.stream("camera") as stream:
+            board.configure_stream("camera", enable=True)
+            board.write("to_camera", sent)
+            assert stream.read().shape == (480, 640, 4)
