@@ -42,7 +42,7 @@ board_up() {
 board_configfs() {
 	modprobe -a cm_dma cm_icap cm_plsim 2>/dev/null || modprobe -a cm_dma cm_plsim
 	mkdir "$plsim/board" || return
-	channel camera source frame_length 3072
+	channel camera source frame_length 3072 interval_us 50000
 	channel to_pl loopback direction mm2s peer from_pl fifo 4194304
 	channel from_pl loopback direction s2mm peer to_pl fifo 4194304
 	if [ -d /sys/module/cm_icap ]; then channel icap icap idcode 0x03727093; fi

@@ -13,7 +13,7 @@ cd /opt/cm/tests || exit
 	board_up
 	slow_port
 	PYTHONPATH="$here:$PYTHONPATH" python3 -m pytest -p no:cacheprovider -p boardfile \
-		-c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests -q --tb=short --durations=8 \
+		-c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests -q -rs --tb=short --durations=8 \
 		${CM_VM_KEYWORD:+-k "$(echo "$CM_VM_KEYWORD" | tr + ' ')"} \
 		--board=vm --board-file=/tmp/board.json --junit-xml=/tmp/results/cases.xml vm/cases device
 	echo "status=$?" >>/tmp/results/facts
