@@ -11,6 +11,9 @@ SOURCES := pyproject.toml setup.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h
 C_FILES := $(wildcard csrc/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h)
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_ARGS ?=
+JOBS ?= 2
+EXTRAS := demo,test,build
+COMMA := ,
 TESTS ?= tests/unit tests/integration tests/device tests/soak
 OUT ?= demo
 IMAGES ?=
@@ -24,31 +27,37 @@ help: ## list the targets
 check-system:
 	@./.ci/check-system $(PYTHON)
 
+# pip's own chatter goes to a file, which is shown if it fails
+define install
+	@echo "setting up $(VENV) with $(EXTRAS)$(if $(1),$(COMMA)$(1))"
+	@$(BIN)/python -m pip install --disable-pip-version-check --editable '.[$(EXTRAS)$(if $(1),$(COMMA)$(1))]' >$(VENV)/install.log 2>&1 || \
+		{ cat $(VENV)/install.log; exit 1; }
+endef
+
 $(BIN)/python: | check-system
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --upgrade pip
+	@$(PYTHON) -m venv $(VENV)
 
 $(STAMP): $(SOURCES) | $(BIN)/python
-	$(BIN)/python -m pip install --quiet --editable '.[demo,test,build]'
+	$(call install)
 	@touch $@
 
 $(LINT_STAMP): $(STAMP)
-	$(BIN)/python -m pip install --quiet --editable '.[demo,test,build,lint]'
+	$(call install,lint)
 	@touch $@
 
 setup: $(STAMP) ## a virtual environment with the package, its C shims built
 
 demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/contact-sheet.png (IMAGES=DIR, OUT=DIR)
-	$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
+	@$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
 
 test: $(STAMP) test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
-	$(PYTEST) $(TESTS) --board=sim $(PYTEST_ARGS)
+	$(PYTEST) $(TESTS) --board=sim -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
 
 test-c: | check-system
 	$(MAKE) -C csrc check $(if $(SANITIZE),SANITIZE=$(SANITIZE))
 
 test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
-	$(BIN)/python -m pip install --quiet --editable '.[demo,test,build,rtl]'
+	$(call install,rtl)
 	$(PYTEST) tests/rtl $(PYTEST_ARGS)
 
 test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
@@ -64,7 +73,7 @@ bench: $(BENCH_STAMP) ## measure latency and throughput beside the alternatives
 	$(BIN)/cm bench --json bench.json --plots bench-plots
 
 $(BENCH_STAMP): $(STAMP)
-	$(BIN)/python -m pip install --quiet --editable '.[demo,test,build,bench]'
+	$(call install,bench)
 	@touch $@
 
 lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict), clang-format
