@@ -53,6 +53,7 @@ class _Region:
     memory: list[MemoryBus] = field(default_factory=list)
     external: list[BoundaryPort] = field(default_factory=list)
     unused: list[BoundaryPort] = field(default_factory=list)
+    undecided: list[str] = field(default_factory=list)  # single signals that the build schema says nothing of
 
 
 class _Planner:
@@ -122,6 +123,11 @@ class _Planner:
         lines: list[Line] = []
         for port in boundary.ports:
             self._single(spec, port, boundary, lines, parts)
+        if parts.undecided:
+            self._notes.append(
+                f"{spec.name}: {', '.join(parts.undecided)} belong to no interface and are not connected (inputs are 0); "
+                "`connect: external` under the region's interfaces brings one to a port of the top"
+            )
         return RegionPlan(
             spec,
             index,
@@ -191,7 +197,9 @@ class _Planner:
         elif port.role not in (Role.INTERRUPT, Role.SIGNAL) or port.interface:
             return
         else:
-            connect = region.interfaces.get(port.name, ConnectionSpec()).connect or "external"
+            connect = region.interfaces.get(port.name, ConnectionSpec()).connect or "none"
+            if port.name not in region.interfaces:
+                parts.undecided.append(port.name)
         (parts.external if connect == "external" else parts.unused).append(port)
 
     def _interrupts(self, region: RegionSpec, port: BoundaryPort, boundary: Boundary) -> Iterator[Line]:

@@ -3,6 +3,8 @@
 //
 // Black box of region prr0: its modules come as checkpoints.
 `default_nettype none
+// nothing here has a delay, so no time scale either
+/* verilator lint_off TIMESCALEMOD */
 /* verilator lint_off UNUSEDSIGNAL */
 /* verilator lint_off UNDRIVEN */
 // a word of C++, which only a simulator's generated code minds

@@ -3,6 +3,8 @@
 //
 // Black box of region correction: its modules come as checkpoints.
 `default_nettype none
+// nothing here has a delay, so no time scale either
+/* verilator lint_off TIMESCALEMOD */
 /* verilator lint_off UNUSEDSIGNAL */
 /* verilator lint_off UNDRIVEN */
 

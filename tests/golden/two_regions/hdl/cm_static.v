@@ -3,6 +3,8 @@
 //
 // Static part of two_regions: decoupled regions behind the block design.
 `default_nettype none
+// nothing here has a delay, so no time scale either
+/* verilator lint_off TIMESCALEMOD */
 // pins that are left open are listed, so that none is forgotten
 /* verilator lint_off PINCONNECTEMPTY */
 

@@ -3,6 +3,8 @@
 //
 // Top of two_regions: block design and static part.
 `default_nettype none
+// nothing here has a delay, so no time scale either
+/* verilator lint_off TIMESCALEMOD */
 
 module cm_top (
 );

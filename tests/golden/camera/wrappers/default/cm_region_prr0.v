@@ -3,6 +3,8 @@
 //
 // Module default (camera_default) fitted to the boundary of region prr0.
 `default_nettype none
+// nothing here has a delay, so no time scale either
+/* verilator lint_off TIMESCALEMOD */
 // a word of C++, which only a simulator's generated code minds
 /* verilator lint_off SYMRSVDWORD */
 

@@ -3,6 +3,8 @@
 //
 // Module gain (pixel_gain) fitted to the boundary of region correction.
 `default_nettype none
+// nothing here has a delay, so no time scale either
+/* verilator lint_off TIMESCALEMOD */
 
 module cm_region_correction (
     input  wire aclk,

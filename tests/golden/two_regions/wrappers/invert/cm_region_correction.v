@@ -3,6 +3,8 @@
 //
 // Module invert (pixel_invert) fitted to the boundary of region correction.
 `default_nettype none
+// nothing here has a delay, so no time scale either
+/* verilator lint_off TIMESCALEMOD */
 // pins that are left open are listed, so that none is forgotten
 /* verilator lint_off PINCONNECTEMPTY */
 
