@@ -15,10 +15,12 @@ import zmq
 from cm.client import calls
 from cm.client.address import Keys, load_keys, resolve
 from cm.client.calls import Call
-from cm.client.frame import Frame, frame_of
+from cm.client.frame import Frame
 from cm.client.lease import BoardLease
-from cm.client.link import STREAM_HWM, Link, Socket, prepare
-from cm.errors import Timeout
+from cm.client.link import Link, Socket, prepare
+from cm.client.stream import LocalStream, RemoteStream, Stream, receive
+from cm.client.writer import Writer
+from cm.errors import InvalidRequest
 from cm.messages.requests import DataConfig
 from cm.messages.status import (
     ConfigInfo,
@@ -30,8 +32,10 @@ from cm.messages.status import (
     Status,
     StreamStatus,
 )
+from cm.wire import plane as packets
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_reply, encode_request
+from cm.wire.plane import Open
 
 _T = TypeVar("_T")
 
@@ -75,6 +79,8 @@ class Board:
     ) -> None:
         self._endpoints = resolve(endpoint, runtime_dir)
         self._local = self._endpoints.req.startswith("ipc://")
+        folder = Path(self._endpoints.req.removeprefix("ipc://")).parent
+        self._data = folder if self._local and (folder / packets.SOCKET).exists() else None
         self._keys = keys if keys is None or isinstance(keys, Keys) else load_keys(keys)
         self.timeout = timeout
         self._context: zmq.Context[Socket] = zmq.Context()
@@ -182,9 +188,32 @@ class Board:
 
     # ---- data -----------------------------------------------------------------------------
 
-    def stream(self, name: str, timeout: float | None = 5.0) -> Stream:
-        """The frames of a stream, as a context manager and iterator; frames lost to slowness show in `sequence`."""
-        return Stream(self, name, timeout)
+    def stream(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, newest: bool = False) -> Stream:
+        """The frames of a stream, as a context manager and iterator; frames lost to slowness show in `sequence`.
+
+        On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
+        held at a time, and go back when the last reference to them goes. `newest` skips those that wait behind
+        a newer one. From elsewhere they come over ZeroMQ. `timeout` in seconds, None waits for ever.
+        """
+        if self._data is not None:
+            return LocalStream(self._data, name, timeout, depth, newest)
+        return RemoteStream(self, name, timeout)
+
+    def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0) -> Writer:
+        """Write a stream without copies: ``with writer.slot() as array: array[...] = frame``.
+
+        `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
+        """
+        return Writer(self._local_data("a writer"), Open(name, write=True, depth=depth), timeout)
+
+    def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> Writer:
+        """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
+        return Writer(self._local_data("an echo"), Open("", depth=depth, echo=True, length=length), timeout)
+
+    def _local_data(self, what: str) -> Path:
+        if self._data is None:
+            raise InvalidRequest(f"{what} needs the manager's data socket, which only its own machine has")
+        return self._data
 
     def read(self, stream: str = "", timeout: float = 1.0) -> Frame:
         """The next frame of a stream."""
@@ -295,49 +324,6 @@ class Interrupt:
                 yield _next_event(socket, timeout, Irq, lambda e: e.name == self.name and e.count > start)
 
 
-class Stream:
-    """Frames of one stream. Iterating ends only by an exception; leaving the context unsubscribes."""
-
-    def __init__(self, board: Board, name: str, timeout: float | None) -> None:
-        self._board = board
-        self.name = name
-        self._timeout = timeout
-        self._socket: Socket | None = None
-
-    def _open(self) -> Socket:
-        if self._socket is None:
-            self._board.ask(calls.data_config(DataConfig(self.name)))  # raises for an unknown stream
-            self._socket = self._board.subscribe()
-            self._socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
-            self._socket.setsockopt(zmq.SUBSCRIBE, topics.STREAM_PREFIX + self.name.encode())
-        return self._socket
-
-    def read(self, timeout: float | None = None) -> Frame:
-        """The next frame. Raises Timeout."""
-        frames = _receive(self._open(), timeout or self._timeout)
-        info = decode_event(frames)
-        if not isinstance(info, FrameInfo):
-            raise TypeError(f"{type(info).__name__} came on the stream's topic")
-        return frame_of(info, frames[2])
-
-    def __iter__(self) -> Iterator[Frame]:
-        while True:
-            yield self.read()
-
-    def close(self) -> None:
-        """Unsubscribe; twice is fine."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-    def __enter__(self) -> Stream:
-        self._open()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
-        self.close()
-
-
 class ChangeHandle:
     """A change under way."""
 
@@ -385,12 +371,6 @@ class _Progress:
             self._tell(event.progress)
 
 
-def _receive(socket: Socket, timeout: float | None) -> list[bytes]:
-    if not socket.poll(None if timeout is None else int(timeout * 1000)):
-        raise Timeout(f"nothing came within {timeout:g} s")
-    return socket.recv_multipart()
-
-
 def _next_event(
     socket: Socket, timeout: float | None, kind: type[_T], wanted: Callable[[_T], bool] = lambda _: True
 ) -> _T:
@@ -398,6 +378,6 @@ def _next_event(
     until = None if timeout is None else time.monotonic() + timeout
     while True:
         left = None if until is None else max(0.0, until - time.monotonic())
-        event = decode_event(_receive(socket, left))
+        event = decode_event(receive(socket, left))
         if isinstance(event, kind) and wanted(event):
             return event

@@ -43,8 +43,26 @@ class ConnectionLost(CmError, ConnectionError):
     code = "connection_lost"
 
 
+class FrameReleased(CmError, ValueError):
+    """The frame was given back: its memory may hold another one by now."""
+
+    code = "frame_released"
+
+
+class LateRelease(CmError):
+    """A frame was given back that the manager does not count as ours."""
+
+    code = "late_release"
+
+
+class TransferFailed(CmError):
+    """The hardware did not take a written frame."""
+
+    code = "transfer_failed"
+
+
 _KINDS: dict[str, type[RequestFailed]] = {
-    **dict.fromkeys(("busy", "region_busy", "held_by", "stream_stopped"), RequestBusy),
+    **dict.fromkeys(("busy", "region_busy", "held_by", "stream_stopped", "no_slots"), RequestBusy),
     **dict.fromkeys(("invalid_request", "access", "out_of_range", "schema"), RequestInvalid),
     **dict.fromkeys(("timeout", "step_timeout"), RequestTimeout),
     **dict.fromkeys(

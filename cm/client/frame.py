@@ -18,7 +18,12 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
     Slices and results of arithmetic are plain arrays without `info`; `copy()` gives one to keep.
     """
 
-    info: FrameInfo
+    _info: FrameInfo
+
+    @property
+    def info(self) -> FrameInfo:
+        """What is known of the frame beside its bytes."""
+        return self._info
 
     @property
     def sequence(self) -> int:
@@ -33,6 +38,9 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
     def copy(self, order: Any = "C") -> npt.NDArray[Any]:
         """The content as a plain, writable array."""
         return np.array(self, order=order, copy=True, subok=False)
+
+    def release(self) -> None:
+        """Give the memory back before the last reference to the frame has gone; nothing where it is our own."""
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         return array[()] if return_scalar else np.asarray(array)
@@ -51,5 +59,5 @@ def frame_of(info: FrameInfo, payload: Any) -> Frame:
         ) from error
     array.flags.writeable = False
     frame: Frame = array.view(Frame)
-    frame.info = info
+    frame._info = info
     return frame

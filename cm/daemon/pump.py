@@ -1,31 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Between DMA completions and whoever takes or gives frames: one pump per open stream.
+"""An open stream: its DMA channel and slots, handed to the data plane, which moves the frames.
 
-A reading pump keeps the channel's queue full: a slot goes back to the channel as soon as its frame was
-handed on. Everything runs in the loop's thread.
+What each frame needs is done by the plane's C thread (`cm.device.plane`); here streams are opened,
+given memory, measured and closed, in the loop's thread.
 """
 
 from __future__ import annotations
 
-import errno
 import os
 import statistics
 import time
-from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Protocol
 
-from cm.daemon.loop import Loop, Timer
-from cm.device import AxiDma, Completion, DeviceGone, DmaBuffer
-from cm.errors import Busy, CmError, InvalidRequest, Timeout
+from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaCaps, DmaType
+from cm.device.plane import Plane, StreamCounts, StreamSetup
+from cm.errors import Busy, CmError, InvalidRequest
 from cm.messages.status import FrameInfo, StreamStatus
-from cm.schema.model import Stream
+from cm.schema.model import Direction, Stream
+from cm.wire.plane import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
 
 _FLAT = 1 << 20  # bytes of a slot where neither schema nor channel says how long a frame is
-_WAITING = 32  # writes that may wait for a slot
-_WRITE_TIMEOUT = 5.0  # seconds for the hardware to take a written frame
-_LINGER = 2.0  # seconds that a stream stays open after a single read
+_RESERVE = 2  # slots that readers can never hold: the hardware fills one while the next waits
+DEPTH = 4  # frames that a local client may hold if it does not say
 
 
 class StreamStopped(Busy):
@@ -34,10 +32,10 @@ class StreamStopped(Busy):
     code = "stream_stopped"
 
 
-class TransferFailed(CmError):
-    """The DMA reported an error."""
+class NoSlots(Busy):
+    """There is no DMA memory for one more reader or writer."""
 
-    code = "transfer_failed"
+    code = "no_slots"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,278 +46,226 @@ class Frame:
     data: memoryview
 
 
-Deliver = Callable[[Frame], None]
 Done = Callable[[Frame | CmError], None]
-Lost = Callable[[str, Exception], None]
 
 
-class Pump(Protocol):
-    """What all pumps have."""
+class Pump:
+    """One open stream."""
+
+    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream) -> None:
+        """Take over an open channel; it is closed if this raises."""
+        self._plane = plane
+        self._dma = dma
+        self.stream = stream
+        self.writes = stream.direction is Direction.MM2S
+        self._names = ("", "")
+        self.slots: list[DmaBuffer] = []
+        self._shared: list[int] = []  # descriptors as clients get them
+        self._depths: dict[int, int] = {}
+        self.lost = False
+        try:
+            self.setup = _setup(dma, stream)
+            self.id = plane.start(dma, self.setup)
+        except BaseException:
+            dma.close()
+            raise
+        try:
+            if not self.writes:
+                self._grow(stream.slots)
+        except BaseException:
+            self.close()
+            raise
+
+    # ---- memory ---------------------------------------------------------------------
+
+    def _grow(self, count: int) -> None:
+        while len(self.slots) < count:
+            slot = self._dma.allocate(self.setup.length)
+            self.slots.append(slot)
+            shared = os.dup(slot.fd) if self.writes else _read_only(slot.fd)
+            self._shared.append(shared)
+            self._plane.add_slot(self.id, shared, slot.handle)
+
+    def _make_room(self, depth: int) -> None:
+        """So many slots that readers who hold all they may still leave some to the hardware."""
+        wanted = sum(self._depths.values()) + depth + (0 if self.writes else _RESERVE)
+        if self.stream.backpressure and not self.writes:
+            return
+        name = self.stream.name
+        if wanted > SLOTS_MAX:
+            raise NoSlots(f"stream {name!r} has {len(self._depths)} clients; with one more it needs {wanted} slots")
+        try:
+            self._grow(wanted)
+        except OSError as error:
+            raise NoSlots(
+                f"stream {name!r}: no memory for a client of {depth} frames more ({error}); "
+                "close others, or ask for a smaller depth"
+            ) from error
+
+    # ---- clients --------------------------------------------------------------------
+
+    def attach(self, client: int, depth: int) -> bool:
+        """Let a client of the plane read or write; False if it has gone. Raises NoSlots."""
+        depth = max(1, min(depth or DEPTH, SLOTS_MAX - _RESERVE))
+        self._make_room(depth)
+        if not self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth))):
+            return False
+        self._depths[client] = depth
+        return True
+
+    def detached(self, client: int) -> None:
+        """A client has gone."""
+        self._depths.pop(client, None)
 
     @property
-    def busy(self) -> bool:
-        """Whether somebody waits for it, so that it must stay open."""
+    def clients(self) -> int:
+        """How many are attached."""
+        return len(self._depths)
+
+    def _geometry(self, depth: int) -> Geometry:
+        s = self.stream
+        coherent = all(slot.coherent for slot in self.slots)
+        return Geometry(
+            slot_length=self.slots[0].length,
+            frame_length=frame_bytes(s),
+            coherent=coherent,
+            writable=self.writes,
+            cyclic=self.setup.cyclic,
+            depth=depth,
+            stride=self.setup.stride if self.setup.stride != self.setup.line_bytes else 0,
+            shape=s.shape,
+            dtype=s.dtype,
+            stream=s.name,
+            config_name=self._names[0],
+            mode=self._names[1],
+        )
 
     def label(self, config: str, mode: str) -> None:
         """Frames from here on belong to this mode."""
+        if (config, mode) != self._names:
+            self._names = (config, mode)
+            self._plane.tell(self.id, encode_label(self.stream.name, config, mode))
+
+    # ---- what is told -----------------------------------------------------------------
+
+    def info(self, frame: Descriptor) -> FrameInfo:
+        """A frame's description; one that is not whole is flat bytes."""
+        whole = frame.length == frame_bytes(self.stream) and self.stream.shape is not None
+        return FrameInfo(
+            stream=self.stream.name,
+            sequence=frame.sequence,
+            timestamp_ns=frame.timestamp_ns,
+            length=frame.length,
+            shape=self.stream.shape if whole and self.stream.shape else (frame.length,),
+            dtype=self.stream.dtype if whole else "uint8",
+            config_name=self._names[0],
+            mode=self._names[1],
+        )
 
     def status(self) -> StreamStatus:
         """The stream and its counters."""
-
-    def close(self) -> None:
-        """Stop the channel and release everything."""
-
-
-class _Base:
-    """What reading and writing share: the channel, its slots, and the counters."""
-
-    def __init__(self, loop: Loop, dma: AxiDma, stream: Stream, lost: Lost) -> None:
-        from cm.daemon.streams import frame_bytes
-
-        self._loop = loop
-        self._dma = dma
-        self._stream = stream
-        self._lost = lost
-        self._names = ("", "")
-        self._frames = self._errors = self._dropped = self._sequence = 0
-        self._times: deque[float] = deque(maxlen=64)
-        self._latencies: deque[float] = deque(maxlen=64)
-        self._shape_bytes = frame_bytes(stream)
-        self._slot_bytes = self._slot_length()
-        self._slots = self._allocate()
-        loop.add(dma.fileno(), self._guarded)
-
-    def _slot_length(self) -> int:
-        info = self._dma.info
-        length = self._shape_bytes or info.frame_length or min(_FLAT, info.max_length)
-        if length > info.max_length:
-            name = self._stream.name
-            raise InvalidRequest(
-                f"stream {name!r}: a frame has {length} bytes, channel {info.name} moves {info.max_length} at most"
-            )
-        return length
-
-    def _allocate(self) -> list[DmaBuffer]:
-        count = max(1, min(self._stream.slots, self._dma.info.queue_depth))
-        slots: list[DmaBuffer] = []
-        try:
-            for _ in range(count):
-                slots.append(self._dma.allocate(self._slot_bytes))
-        except BaseException:
-            for slot in slots:
-                slot.close()
-            raise
-        return slots
-
-    def label(self, config: str, mode: str) -> None:
-        self._names = (config, mode)
-
-    def status(self) -> StreamStatus:
-        s = self._stream
+        s, counts = self.stream, self._plane.counts(self.id)
         return StreamStatus(
             name=s.name,
             channel=s.channel,
             direction=s.direction.value,
             shape=s.shape or (),
             dtype=s.dtype,
-            slots=len(self._slots),
+            slots=len(self.slots) or s.slots,
             open=True,
-            frames=self._frames,
-            dropped=self._dropped,
-            errors=self._errors,
-            rate=self._rate(),
-            latency_us=statistics.median(self._latencies) if self._latencies else 0.0,
+            frames=counts.frames,
+            dropped=counts.dropped,
+            errors=counts.errors,
+            rate=_rate(counts),
+            latency_us=statistics.median(counts.latency_ns) / 1000 if counts.latency_ns else 0.0,
         )
 
-    def _rate(self) -> float:
-        now = time.monotonic()
-        recent = [t for t in self._times if t > now - 1.0]
-        return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 else float(len(recent))
-
-    def _count(self, timestamp_ns: int) -> None:
-        self._frames += 1
-        self._times.append(time.monotonic())
-        self._latencies.append((time.monotonic_ns() - timestamp_ns) / 1000)
-
-    def _info(self, completion: Completion) -> FrameInfo:
-        whole = completion.length == self._shape_bytes and self._stream.shape is not None
-        return FrameInfo(
-            stream=self._stream.name,
-            sequence=self._sequence,
-            timestamp_ns=completion.timestamp_ns,
-            length=completion.length,
-            shape=self._stream.shape if whole and self._stream.shape else (completion.length,),
-            dtype=self._stream.dtype if whole else "uint8",
-            config_name=self._names[0],
-            mode=self._names[1],
-        )
-
-    def _guarded(self) -> None:
+    def close(self, error: int = 0) -> None:
+        """Stop the channel and release everything; clients are told, and keep what they have mapped."""
+        self._plane.stop(self.id, error)
         try:
-            for completion in self._dma.completions():
-                self._completed(completion)
-        except OSError as error:
-            self._lost(self._stream.name, error)
-
-    def _completed(self, completion: Completion) -> None:
-        raise NotImplementedError
-
-    def close(self) -> None:
-        self._loop.remove(self._dma.fileno())
-        try:
-            self._dma.cancel()
-        except (CmError, OSError) as error:
-            if not isinstance(error, DeviceGone):
-                raise
+            with suppress(DeviceGone):
+                for slot in self.slots:
+                    slot.close()
         finally:
-            for slot in self._slots:
-                slot.close()
+            for fd in self._shared:
+                os.close(fd)
+            self._shared.clear()
             self._dma.close()
 
 
-class ReadPump(_Base):
-    """S2MM: frames from the hardware to the sinks."""
-
-    def __init__(self, loop: Loop, dma: AxiDma, stream: Stream, deliver: Deliver, lost: Lost) -> None:
-        super().__init__(loop, dma, stream, lost)
-        self._deliver = deliver
-        self._readers: deque[tuple[Done, Timer]] = deque()
-        self._read_at = 0.0
-        for cookie, slot in enumerate(self._slots):
-            self._dma.submit(slot, 0, self._slot_bytes, cookie)
-
-    @property
-    def busy(self) -> bool:
-        return bool(self._readers) or time.monotonic() < self._read_at + _LINGER
-
-    def read_once(self, timeout: float, done: Done) -> None:
-        """Hand the next frame to `done`, or a Timeout after `timeout` seconds."""
-        entry: list[tuple[Done, Timer]] = []
-
-        def expired() -> None:
-            if entry[0] in self._readers:
-                self._readers.remove(entry[0])
-                done(Timeout(f"stream {self._stream.name!r} gave no frame within {timeout:g} s"))
-
-        entry.append((done, self._loop.call_later(timeout, expired)))
-        self._readers.append(entry[0])
-        self._read_at = time.monotonic()
-
-    def _completed(self, completion: Completion) -> None:
-        if completion.status == -errno.ECANCELED:
-            return
-        slot = self._slots[completion.cookie]
-        if completion.ok:
-            self._hand_on(slot, completion)
-        else:
-            self._errors += 1
-        self._dma.submit(slot, 0, self._slot_bytes, completion.cookie)
-
-    def _hand_on(self, slot: DmaBuffer, completion: Completion) -> None:
-        slot.sync_begin(write=False)
-        frame = Frame(self._info(completion), slot.memoryview(writable=False)[: completion.length])
-        self._sequence += 1
-        while self._readers:
-            done, timer = self._readers.popleft()
-            timer.cancel()
-            done(frame)
-        self._deliver(frame)
-        slot.sync_end(write=False)
-        self._count(completion.timestamp_ns)
-
-    def close(self) -> None:
-        super().close()
-        while self._readers:
-            done, timer = self._readers.popleft()
-            timer.cancel()
-            done(StreamStopped(f"stream {self._stream.name!r} was stopped before a frame came"))
+def _setup(dma: AxiDma, stream: Stream) -> StreamSetup:
+    """How a stream runs over a channel. Raises InvalidRequest for what the channel cannot do."""
+    info, frame = dma.info, frame_bytes(stream)
+    write = stream.direction is Direction.MM2S
+    length = frame or info.frame_length or min(_FLAT, info.max_length)
+    if stream.cyclic and not (write and info.caps & DmaCaps.CYCLIC):
+        raise InvalidRequest(
+            f"stream {stream.name!r} cannot be cyclic: "
+            + ("its channel cannot repeat a transfer" if write else "only a written frame is repeated by the hardware")
+        )
+    lines, line_bytes = _lines(stream)
+    stride = stream.stride or line_bytes
+    video = lines > 0 and (info.type is DmaType.VDMA or stride != line_bytes)
+    if stream.stride and not video and stride != line_bytes:
+        raise InvalidRequest(f"stream {stream.name!r} has a stride, but no shape of lines and columns")
+    if video and not info.caps & DmaCaps.VIDEO:
+        raise InvalidRequest(f"stream {stream.name!r} has a stride, but channel {info.name} knows no lines")
+    if length > info.max_length:
+        raise InvalidRequest(
+            f"stream {stream.name!r}: a frame has {length} bytes, channel {info.name} moves {info.max_length} at most"
+        )
+    if video:
+        length = (lines - 1) * stride + line_bytes
+    period = round(1e9 / stream.limit) if stream.limit else 0
+    return StreamSetup(
+        write,
+        length,
+        stream.backpressure,
+        stream.cyclic,
+        lines if video else 0,
+        line_bytes if video else 0,
+        stride if video else 0,
+        period,
+    )
 
 
-class WritePump(_Base):
-    """MM2S: written frames to the hardware."""
-
-    def __init__(self, loop: Loop, dma: AxiDma, stream: Stream, deliver: Deliver, lost: Lost) -> None:  # noqa: ARG002
-        super().__init__(loop, dma, stream, lost)
-        self._free = deque(range(len(self._slots)))
-        self._under_way: dict[int, tuple[Done, Timer]] = {}
-        self._waiting: deque[tuple[bytes | memoryview, Done]] = deque()
-
-    @property
-    def busy(self) -> bool:
-        return True  # a writer has no subscription to tell by; closed with its mode
-
-    def write(self, data: bytes | memoryview, done: Done) -> None:
-        """Send a frame. Raises InvalidRequest for a wrong size, Busy when too many wait."""
-        self._check_size(memoryview(data).nbytes)
-        if self._free:
-            self._send(self._free.popleft(), data, done)
-        elif len(self._waiting) < _WAITING:
-            self._waiting.append((data, done))
-        else:
-            self._dropped += 1
-            raise Busy(f"stream {self._stream.name!r}: {_WAITING} frames wait already; the hardware takes none")
-
-    def _check_size(self, size: int) -> None:
-        name = self._stream.name
-        if self._shape_bytes and size != self._shape_bytes:
-            frame = f"{'×'.join(map(str, self._stream.shape or ()))} {self._stream.dtype}"
-            raise InvalidRequest(
-                f"stream {name!r} takes frames of {frame}, {self._shape_bytes} bytes; this one has {size}"
-            )
-        if not 0 < size <= self._slot_bytes:
-            raise InvalidRequest(f"stream {name!r} takes 1 to {self._slot_bytes} bytes; this frame has {size}")
-
-    def _send(self, index: int, data: bytes | memoryview, done: Done) -> None:
-        view = memoryview(data).cast("B")
-        slot = self._slots[index]
-        slot.sync_begin(write=True)
-        slot.memoryview()[: view.nbytes] = view
-        slot.sync_end(write=True)
-        timer = self._loop.call_later(_WRITE_TIMEOUT, lambda: self._stuck(index))
-        self._under_way[index] = (done, timer)
-        self._dma.submit(slot, 0, view.nbytes, index)
-
-    def _stuck(self, index: int) -> None:
-        """The slot stays with the hardware; only the caller is told."""
-        if index in self._under_way:
-            done, timer = self._under_way[index]
-            self._under_way[index] = (lambda _: None, timer)
-            self._errors += 1
-            done(
-                Timeout(
-                    f"stream {self._stream.name!r}: the hardware took no data for {_WRITE_TIMEOUT:.0f} s; "
-                    "is somebody reading what comes out, and is the region coupled?"
-                )
-            )
-
-    def _completed(self, completion: Completion) -> None:
-        done, timer = self._under_way.pop(completion.cookie)
-        timer.cancel()
-        if completion.ok:
-            self._count(completion.timestamp_ns)
-            done(Frame(self._info(completion), memoryview(b"")))
-            self._sequence += 1
-        else:
-            self._errors += 1
-            done(_failure(self._stream.name, completion))
-        self._free.append(completion.cookie)
-        if self._waiting:
-            data, waiting = self._waiting.popleft()
-            self._send(self._free.popleft(), data, waiting)
-
-    def close(self) -> None:
-        super().close()
-        stopped = StreamStopped(f"stream {self._stream.name!r} was stopped before the frame was taken")
-        for done, timer in self._under_way.values():
-            timer.cancel()
-            done(stopped)
-        for _, done in self._waiting:
-            done(stopped)
-        self._under_way.clear()
-        self._waiting.clear()
+def _lines(stream: Stream) -> tuple[int, int]:
+    """Lines of a frame and bytes of a line; 0, 0 where it has none."""
+    if stream.shape is None or len(stream.shape) < 2:
+        return 0, 0
+    return stream.shape[0], frame_bytes(stream) // stream.shape[0]
 
 
-def _failure(stream: str, completion: Completion) -> CmError:
-    if completion.status == -errno.ECANCELED:
-        return StreamStopped(f"stream {stream!r} was stopped before the frame was taken")
-    return TransferFailed(f"stream {stream!r}: the DMA reported {os.strerror(-completion.status)}")
+def frame_bytes(stream: Stream) -> int:
+    """Bytes of one frame; 0 where the schema gives no shape. Raises InvalidRequest for an unknown dtype."""
+    import numpy as np
+
+    if stream.shape is None:
+        return 0
+    try:
+        size = np.dtype(stream.dtype).itemsize
+    except TypeError as error:
+        raise InvalidRequest(f"stream {stream.name!r}: {stream.dtype!r} is no numpy dtype such as 'uint8'") from error
+    for extent in stream.shape:
+        size *= extent
+    return size
+
+
+def _read_only(fd: int) -> int:
+    """The same memory for readers, who then cannot map it writable; a dma-buf cannot be opened anew."""
+    try:
+        return os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return os.dup(fd)
+
+
+def _rate(counts: StreamCounts) -> float:
+    """Frames per second over the last second."""
+    now = time.monotonic_ns()
+    recent = [t for t in counts.at_ns if t > now - 1_000_000_000]
+    return (
+        (len(recent) - 1) * 1e9 / (recent[-1] - recent[0])
+        if len(recent) > 1 and recent[-1] > recent[0]
+        else float(len(recent))
+    )

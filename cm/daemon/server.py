@@ -17,6 +17,7 @@ from pathlib import Path
 import zmq
 
 from cm.daemon.devices import BoardDevices
+from cm.daemon.door import Door
 from cm.daemon.files import BoardFiles
 from cm.daemon.handlers import Handlers, Respond, Services, error_info
 from cm.daemon.holders import Holders
@@ -72,6 +73,7 @@ class Server:
         self._sockets = Sockets(self._context, options.runtime_dir)
         self._devices = BoardDevices(options.root)
         self._streams = Streams(self._loop, self._devices, self._note_error)
+        self._door = Door(self._loop, options.runtime_dir, self._streams.open_local, self._streams.echoes)
         self._provisioner = Provisioner(options.state_dir / "configs")
         self._store = Store(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
@@ -113,6 +115,7 @@ class Server:
             self._bind()
             self._streams.wanted_by(self._publisher.wants_stream)
             self._streams.add_sink(self._publisher)
+            self._streams.begin()
             self._start_manager()
             self._loop.every(_TICK, self._tick)
             self._sockets.announce()
@@ -128,6 +131,7 @@ class Server:
 
     def _bind(self) -> None:
         self._sockets.bind_ipc()
+        self._door.open()
         security = self._options.security
         if security is not None:
             self._doorkeeper = Doorkeeper(self._context, security.clients)
@@ -153,7 +157,8 @@ class Server:
 
     def _close(self) -> None:
         self._manager.stop()
-        self._streams.close()
+        self._door.close()
+        self._streams.end()
         self._interrupts.close()
         self._holders.close()
         self._aside.shutdown()

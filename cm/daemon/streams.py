@@ -4,13 +4,19 @@
 from __future__ import annotations
 
 import logging
+import math
+import os
+import socket
 from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Protocol
 
 from cm.daemon.devices import BoardDevices
+from cm.daemon.echo import Echoes
 from cm.daemon.loop import Loop
-from cm.daemon.pump import Frame, Pump, ReadPump, WritePump
+from cm.daemon.pump import Done, Frame, Pump, StreamStopped, frame_bytes
+from cm.daemon.taps import ReadTap, WriteTap
+from cm.device.plane import ClientGone, Plane
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.manager.describe import stream_status
 from cm.manager.errors import NothingLoaded, UnknownStream
@@ -18,6 +24,7 @@ from cm.manager.resolve import hint
 from cm.messages.requests import DataConfig
 from cm.messages.status import ErrorInfo, StreamStatus
 from cm.schema.model import Config, Direction, Stream
+from cm.wire.plane import Open
 
 _LOG = logging.getLogger(__name__)
 _MAX_FRAME = 1 << 30
@@ -42,7 +49,12 @@ class Streams:
         self._mode: str | None = None
         self._streams: dict[str, Stream] = {}
         self._overrides: dict[str, DataConfig] = {}
+        self._plane = Plane()
+        self.echoes = Echoes(self._plane)
         self._pumps: dict[str, Pump] = {}
+        self._taps: dict[str, ReadTap | WriteTap] = {}
+        self._locals: dict[int, tuple[str, int]] = {}  # clients of the plane: stream and depth
+        self._held: set[str] = set()  # stopped while their region changes
         self._wanted: Callable[[str], bool] = lambda _: False
         self._enabled: dict[str, bool] = {}
 
@@ -56,11 +68,20 @@ class Streams:
         """Who says whether somebody listens to a stream."""
         self._wanted = wanted
 
+    def begin(self) -> None:
+        """Listen to the plane's thread."""
+        self._loop.add(self._plane.fileno(), self._plane_event)
+
+    @property
+    def plane(self) -> Plane:
+        """The local data plane."""
+        return self._plane
+
     # ---- DataPlane: called by the worker ----------------------------------------------
 
     def quiesce(self, streams: Collection[str]) -> None:
         """Stop streams; their transfers have ended when this returns."""
-        self._loop.ask(lambda: self._close_all(streams))
+        self._loop.ask(lambda: self._hold(streams))
 
     def resume(self, config: Config | None, mode: str | None) -> None:
         """The streams are those of this mode."""
@@ -71,11 +92,13 @@ class Streams:
     def refresh(self) -> None:
         """Open what is wanted, close what nobody wants any more."""
         for name, stream in self._streams.items():
-            wanted = self._is_wanted(stream)
+            wanted = self._is_wanted(stream) and name not in self._held
             if wanted and name not in self._pumps:
                 self._open_quietly(stream)
             elif not wanted and name in self._pumps:
                 self._close(name)
+            if name in self._pumps:
+                self._refresh_tap(stream)
 
     def configure(self, request: DataConfig) -> StreamStatus:
         """Change a stream; refused while it is in use unless forced. Raises UnknownStream, InvalidRequest, Busy."""
@@ -111,19 +134,35 @@ class Streams:
             raise InvalidRequest(f"stream {name!r} is {stream.direction.value}: it cannot be used the other way")
         return stream
 
-    def read_once(self, name: str, timeout: float, done: Callable[[Frame | CmError], None]) -> None:
+    def read_once(self, name: str, timeout: float, done: Done) -> None:
         """Hand the next frame of a stream to `done`, or a Timeout."""
         stream = self.named(name, Direction.S2MM)
-        pump = self._running(stream)
-        assert isinstance(pump, ReadPump)
-        pump.read_once(timeout or 1.0, done)
+        tap = self._read_tap(self._running(stream))
+        tap.read_once(timeout or 1.0, done)
 
-    def write(self, name: str, data: bytes | memoryview, done: Callable[[Frame | CmError], None]) -> None:
+    def write(self, name: str, data: bytes | memoryview, done: Done) -> None:
         """Send a frame; `done` is called when the hardware has taken it. Raises InvalidRequest, Busy."""
-        stream = self.named(name, Direction.MM2S)
-        pump = self._running(stream)
-        assert isinstance(pump, WritePump)
-        pump.write(data, done)
+        pump = self._running(self.named(name, Direction.MM2S))
+        tap = self._taps.get(pump.stream.name)
+        if not isinstance(tap, WriteTap):
+            tap = self._taps[pump.stream.name] = WriteTap(self._loop, self._plane, pump)
+        tap.write(data, done)
+
+    def open_local(self, connection: socket.socket, wanted: Open) -> None:
+        """Make a connection to the data socket a reader or writer; it stays the caller's. Raises UnknownStream, Busy."""
+        stream = self.named(wanted.name, Direction.MM2S if wanted.write else Direction.S2MM)
+        pump = None if stream.name in self._held else self._running(stream)
+        client = self._plane.adopt(os.dup(connection.fileno()))
+        self._locals[client] = (stream.name, wanted.depth)
+        if pump is None:
+            return
+        try:
+            pump.attach(client, wanted.depth)
+        except BaseException:
+            del self._locals[client]
+            self._plane.drop(client)
+            self.refresh()
+            raise
 
     def status(self) -> tuple[StreamStatus, ...]:
         """All streams of this mode."""
@@ -141,7 +180,14 @@ class Streams:
 
     def close(self) -> None:
         """Stop all."""
-        self._close_all(list(self._pumps))
+        for name in list(self._pumps):
+            self._close(name)
+
+    def end(self) -> None:
+        """Stop all, hang up on all clients, end the plane's thread."""
+        self.close()
+        self._loop.remove(self._plane.fileno())
+        self._plane.close()
 
     # ---- inner ----------------------------------------------------------------------
 
@@ -150,6 +196,7 @@ class Streams:
         if config is not None and (self._config is None or config.name != self._config.name):
             self._overrides.clear()
             self._enabled.clear()
+        self._held.clear()
         same_mode = mode == self._mode
         self._config, self._mode = config, mode
         if not same_mode:
@@ -167,23 +214,35 @@ class Streams:
         enabled = self._enabled.get(stream.name)
         if enabled is not None:
             return enabled
-        pump = self._pumps.get(stream.name)
-        return (self._wanted(stream.name) and stream.direction is Direction.S2MM) or bool(pump and pump.busy)
+        tap = self._taps.get(stream.name)
+        return self._has_subscriber(stream) or self._has_local(stream.name) or bool(tap and tap.busy)
+
+    def _has_subscriber(self, stream: Stream) -> bool:
+        return stream.direction is Direction.S2MM and self._wanted(stream.name)
+
+    def _has_local(self, name: str) -> bool:
+        return any(wanted == name for wanted, _ in self._locals.values())
 
     def _running(self, stream: Stream) -> Pump:
+        if stream.name in self._held:
+            raise StreamStopped(f"stream {stream.name!r} is stopped while its region changes")
         return self._pumps.get(stream.name) or self._open(stream)
 
     def _open(self, stream: Stream) -> Pump:
-        dma = self._devices.dma(stream.channel)
-        kind = ReadPump if stream.direction is Direction.S2MM else WritePump
-        try:
-            pump = kind(self._loop, dma, stream, self._fan_out, self._lost)
-        except BaseException:
-            dma.close()
-            raise
+        pump = Pump(self._plane, self._devices.dma(stream.channel), stream)
         pump.label(self._config.name if self._config else "", self._mode or "")
         self._pumps[stream.name] = pump
+        for client, (name, depth) in list(self._locals.items()):
+            if name == stream.name:
+                self._attach_again(pump, client, depth)
         return pump
+
+    def _attach_again(self, pump: Pump, client: int, depth: int) -> None:
+        try:
+            pump.attach(client, depth)
+        except (CmError, OSError) as error:
+            self._plane.drop(client)
+            self._on_error(ErrorInfo("no_slots", f"a client of {pump.stream.name!r} was hung up on: {error}"))
 
     def _open_quietly(self, stream: Stream) -> None:
         try:
@@ -192,20 +251,54 @@ class Streams:
             code = error.code if isinstance(error, CmError) else "device_error"
             self._on_error(ErrorInfo(code, f"stream {stream.name!r} cannot be opened: {error}"))
 
-    def _close(self, name: str) -> None:
+    def _refresh_tap(self, stream: Stream) -> None:
+        """A tap for who listens over ZeroMQ, and none for nobody."""
+        tap = self._taps.get(stream.name)
+        if tap is None and self._has_subscriber(stream):
+            self._read_tap(self._pumps[stream.name])
+        elif tap is not None and not tap.busy and not self._has_subscriber(stream):
+            self._taps.pop(stream.name).close()
+
+    def _read_tap(self, pump: Pump) -> ReadTap:
+        tap = self._taps.get(pump.stream.name)
+        if not isinstance(tap, ReadTap):
+            tap = self._taps[pump.stream.name] = ReadTap(self._loop, self._plane, pump, self._fan_out)
+        return tap
+
+    def _close(self, name: str, error: int = 0) -> None:
+        tap = self._taps.pop(name, None)
         pump = self._pumps.pop(name, None)
         if pump is not None:
-            pump.close()
+            pump.close(error)
+        if tap is not None:
+            tap.close()
 
-    def _close_all(self, names: Collection[str]) -> None:
+    def _hold(self, names: Collection[str]) -> None:
+        self._held.update(names)
         for name in names:
             self._close(name)
 
-    def _lost(self, name: str, error: Exception) -> None:
-        _LOG.warning("stream %s ended: %s", name, error)
-        self._close(name)
-        code = error.code if isinstance(error, CmError) else "device_error"
-        self._on_error(ErrorInfo(code, f"stream {name!r} ended: {error}"))
+    def _plane_event(self) -> None:
+        while (event := self._plane.event()) is not None:
+            if isinstance(event, ClientGone):
+                self._client_gone(event.client)
+            else:
+                self._lost(event.stream, event.error)
+
+    def _client_gone(self, client: int) -> None:
+        self.echoes.gone(client)
+        name, _ = self._locals.pop(client, ("", 0))
+        if name in self._pumps:
+            self._pumps[name].detached(client)
+        self.refresh()
+
+    def _lost(self, number: int, error: int) -> None:
+        for name, pump in list(self._pumps.items()):
+            if pump.id == number:
+                text = os.strerror(error)
+                _LOG.warning("stream %s ended: %s", name, text)
+                self._close(name, error)
+                self._on_error(ErrorInfo("device_error", f"stream {name!r} ended: {text}"))
 
     def _fan_out(self, frame: Frame) -> None:
         for sink in self._sinks:
@@ -221,26 +314,15 @@ def _changed(stream: Stream, request: DataConfig) -> Stream:
         shape=request.shape or stream.shape,
         dtype=request.dtype or stream.dtype,
         slots=request.slots or stream.slots,
-        rate=request.rate or stream.rate,
+        limit=(None if math.isinf(request.rate) else request.rate) if request.rate else stream.limit,
         cyclic=request.cyclic or stream.cyclic,
+        backpressure=stream.backpressure if request.backpressure is None else request.backpressure,
+        stride=request.stride or stream.stride,
     )
+    if request.rate < 0 or math.isnan(request.rate):
+        raise InvalidRequest(f"stream {stream.name!r}: {request.rate} frames per second; a limit is positive")
     if not 1 <= changed.slots <= 256:
         raise InvalidRequest(f"stream {stream.name!r}: {changed.slots} slots; 1 to 256 can be had")
     if frame_bytes(changed) > _MAX_FRAME:
         raise InvalidRequest(f"stream {stream.name!r}: a frame of shape {changed.shape} has more than 1 GiB")
     return changed
-
-
-def frame_bytes(stream: Stream) -> int:
-    """Bytes of one frame; 0 where the schema gives no shape. Raises InvalidRequest for an unknown dtype."""
-    import numpy as np
-
-    if stream.shape is None:
-        return 0
-    try:
-        size = np.dtype(stream.dtype).itemsize
-    except TypeError as error:
-        raise InvalidRequest(f"stream {stream.name!r}: {stream.dtype!r} is no numpy dtype such as 'uint8'") from error
-    for extent in stream.shape:
-        size *= extent
-    return size

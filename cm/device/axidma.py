@@ -125,6 +125,11 @@ class AxiDma(Device):
             self._info = DmaInfo(raw.name, Direction(raw.direction), kind, caps, *depth)
         return self._info
 
+    @property
+    def shim_handle(self) -> Handle:
+        """What `cm.device.plane` hands to C; valid as long as this object."""
+        return self._handle
+
     def allocate(self, length: int) -> DmaBuffer:
         """Return a new buffer of at least ``length`` bytes that the channel can reach."""
         try:

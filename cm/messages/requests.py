@@ -81,7 +81,10 @@ class WriteReg:
 
 @dataclass(frozen=True, slots=True)
 class DataConfig:
-    """Configure a stream; empty, zero or None leaves a property as it is."""
+    """Configure a stream; empty, zero or None leaves a property as it is.
+
+    `rate`: frames handed on per second at most; infinity: all that come. `stride`: bytes from line to line.
+    """
 
     stream: str
     shape: tuple[int, ...] = ()
@@ -93,6 +96,8 @@ class DataConfig:
     enable: bool | None = None
     force: bool = False
     lease: str = ""
+    backpressure: bool | None = None
+    stride: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -190,6 +190,9 @@ class Stream:
     cyclic: bool = False
     rate: float | None = None  # frames per second that the source gives, for people and the simulator
     doc: str = ""
+    backpressure: bool = False  # readers lose nothing: the hardware waits for the slowest
+    stride: int | None = None  # bytes from line to line in memory (VDMA); None: lines follow each other
+    limit: float | None = None  # frames handed on per second at most; None: all
 
 
 @dataclass(frozen=True, slots=True)

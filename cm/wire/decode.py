@@ -133,6 +133,8 @@ def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         enable=m.enable if m.HasField("enable") else None,
         force=m.force,
         lease=m.lease,
+        backpressure=m.backpressure if m.HasField("backpressure") else None,
+        stride=m.stride,
     )
 
 

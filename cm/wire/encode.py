@@ -64,6 +64,8 @@ def _data_config(r: rq.DataConfig) -> list[Frame]:
         enable=r.enable,
         force=r.force,
         lease=r.lease,
+        backpressure=r.backpressure,
+        stride=r.stride,
     )
     return [topics.DATA_CONFIG, message.SerializeToString()]
 

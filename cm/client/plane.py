@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A connection to the manager's data socket: packets become frames, grants and errors. No waiting of its own."""
+
+from __future__ import annotations
+
+import array
+import os
+import socket
+import struct
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from cm.client.errors import ConnectionLost, LateRelease, request_error
+from cm.client.shared import LocalFrame, Memory, lend
+from cm.errors import NotFound
+from cm.messages.status import ErrorInfo
+from cm.wire import plane as packets
+from cm.wire.plane import DESCRIPTOR, FDS_MAX, PACKET_MAX, Descriptor, Geometry, Open
+
+_ANCILLARY = socket.CMSG_SPACE(FDS_MAX * 4)
+_SEQUENCES = 1 << 64
+
+
+class Connection:
+    """One stream of the plane, to be read or written.
+
+    `receive()` blocks as the socket's time-out says (`set_timeout`) and handles one packet.
+    """
+
+    def __init__(self, folder: Path, wanted: Open) -> None:
+        """Connect and ask. Raises NotFound where nobody serves the folder's data socket."""
+        self.wanted = wanted
+        self.memory: Memory | None = None
+        self.names = ("", "", "")
+        self.lost = 0
+        self.held = 0
+        self.done: deque[Descriptor] = deque()
+        self.granted: deque[Descriptor] = deque()
+        self.stopped = 0  # times that the stream was stopped, so far
+        self._expected: int | None = None
+        self._timeout: float | None = -1.0
+        self._buffer = bytearray(PACKET_MAX)
+        self._handlers: dict[int, Callable[[Descriptor, int, list[int]], None]] = {
+            packets.GEOMETRY: self._geometry,
+            packets.SLOTS: self._slots,
+            packets.LABEL: self._label,
+            packets.STOPPED: self._stopped,
+            packets.REFUSED: self._refused,
+            packets.LATE: self._late,
+            packets.GRANT: lambda head, _, __: self.granted.append(head),
+            packets.DONE: lambda head, _, __: self.done.append(head),
+            packets.PONG: lambda head, _, __: self.done.append(head),
+        }
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            _connect(self.socket, folder)
+            self.socket.send(packets.encode_open(wanted))
+        except BaseException:
+            self.socket.close()
+            raise
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """What comes now; None before the first answer, and while the stream is stopped."""
+        return self.memory.geometry if self.memory else None
+
+    def set_timeout(self, seconds: float | None) -> None:
+        """How long `receive` waits: None for ever."""
+        if seconds == self._timeout:
+            return
+        self._timeout = seconds
+        micros = 0 if seconds is None else max(1, int(seconds * 1e6))
+        self.socket.setsockopt(
+            socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", micros // 1_000_000, micros % 1_000_000)
+        )
+
+    def receive(self, flags: int = 0) -> LocalFrame | None:
+        """Handle one packet; the frame if it was one. Raises BlockingIOError at the time-out, ConnectionLost, …"""
+        try:
+            size, ancillary, _, _ = self.socket.recvmsg_into(
+                [self._buffer], _ANCILLARY, flags | socket.MSG_CMSG_CLOEXEC
+            )
+        except (ConnectionError, TimeoutError) as error:
+            raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
+        if not size:
+            raise ConnectionLost("the configuration manager hung up on the data socket")
+        head = Descriptor._make(DESCRIPTOR.unpack_from(self._buffer))
+        if head.kind == packets.FRAME and self.memory is not None:
+            return self._frame(self.memory, head)
+        handler = self._handlers.get(head.kind)
+        fds = _fds(ancillary) if ancillary else []
+        if handler is not None:
+            handler(head, size, fds)
+        return None
+
+    def _frame(self, memory: Memory, head: Descriptor) -> LocalFrame:
+        if self._expected is not None:
+            self.lost += (head.sequence - self._expected) % _SEQUENCES
+        self._expected = head.sequence + 1
+        self.held += 1
+        return lend(memory, head, self.names, self.give_back)
+
+    def give_back(self, memory: Memory, frame: Descriptor) -> None:
+        """Release a frame; nothing if the stream was stopped meanwhile: its memory is not used again."""
+        if memory is not self.memory:
+            return
+        self.held -= 1
+        memory.end(frame.slot)
+        with suppress(OSError):
+            self.socket.send(frame._replace(kind=packets.RELEASE).pack(), socket.MSG_NOSIGNAL)
+
+    def submit(self, slot: Descriptor, offset: int, length: int, sequence: int) -> None:
+        """Send a granted slot to the hardware. Raises ConnectionLost."""
+        self.send(slot._replace(kind=packets.SUBMIT, offset=offset, length=length, sequence=sequence))
+
+    def send(self, packet: Descriptor) -> None:
+        """Send a packet. Raises ConnectionLost."""
+        try:
+            self.socket.send(DESCRIPTOR.pack(*packet), socket.MSG_NOSIGNAL)
+        except OSError as error:
+            raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
+
+    def close(self) -> None:
+        """Disconnect; frames that are held keep their memory, which nobody reuses. Twice is fine."""
+        self.socket.close()
+        self._end_memory()
+
+    # ---- packets -----------------------------------------------------------------------
+
+    def _geometry(self, head: Descriptor, size: int, _: list[int]) -> None:
+        self._end_memory()
+        geometry = packets.decode_geometry(bytes(self._buffer[:size]))
+        self.memory = Memory(geometry, head.flags)
+        self.names = self.memory.names
+        self._expected = None
+
+    def _slots(self, head: Descriptor, _: int, fds: list[int]) -> None:
+        if self.memory is not None:
+            self.memory.add(head.slot, fds)
+        else:
+            _close(fds)
+
+    def _label(self, _: Descriptor, size: int, __: list[int]) -> None:
+        stream, config, mode = packets.decode_names(bytes(self._buffer[DESCRIPTOR.size : size]))
+        self.names = (stream, config, mode)
+
+    def _stopped(self, _: Descriptor, __: int, ___: list[int]) -> None:
+        self._end_memory()
+        self.stopped += 1
+
+    def _end_memory(self) -> None:
+        memory, self.memory = self.memory, None
+        if memory is not None:
+            memory.close()
+        self.granted.clear()
+        self.held = 0
+
+    def _refused(self, _: Descriptor, size: int, __: list[int]) -> None:
+        raise request_error(ErrorInfo(*packets.decode_refused(bytes(self._buffer[:size]))))
+
+    def _late(self, head: Descriptor, _: int, __: list[int]) -> None:
+        raise LateRelease(
+            f"frame {head.sequence} of {self.names[0]!r} was given back, but slot {head.slot} is not ours: "
+            "its content was not ours either"
+        )
+
+
+def _connect(sock: socket.socket, folder: Path) -> None:
+    """Connect by a short name: socket paths hold 107 bytes."""
+    try:
+        place = os.open(folder, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            sock.connect(f"/proc/self/fd/{place}/{packets.SOCKET}")
+        finally:
+            os.close(place)
+    except (FileNotFoundError, ConnectionRefusedError) as error:
+        raise NotFound(f"no configuration manager serves the data socket in {folder}") from error
+
+
+def _fds(ancillary: list[tuple[int, int, bytes]]) -> list[int]:
+    found = array.array("i")
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
+            found.frombytes(data[: len(data) - len(data) % found.itemsize])
+    return list(found)
+
+
+def _close(fds: list[int]) -> None:
+    for fd in fds:
+        os.close(fd)

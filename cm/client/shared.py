@@ -1,0 +1,255 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The memory of a stream's slots, mapped here, and frames that lie in it."""
+
+from __future__ import annotations
+
+import fcntl
+import mmap
+import os
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cm.client.errors import FrameReleased
+from cm.client.frame import Frame
+from cm.errors import InvalidRequest
+from cm.messages.status import FrameInfo
+from cm.wire.plane import Descriptor, Geometry
+
+# DMA_BUF_IOCTL_SYNC and its flags, linux/dma-buf.h
+_SYNC = 0x40086200
+_READ, _WRITE, _END = 1, 2, 4
+
+
+class Memory:
+    """The slots of one geometry. Mappings live as long as frames in them do."""
+
+    def __init__(self, geometry: Geometry, epoch: int) -> None:
+        self.geometry = geometry
+        self.epoch = epoch
+        self.names = (geometry.stream, geometry.config_name, geometry.mode)
+        self.dtype = np.dtype(geometry.dtype)
+        self.strides = self._strides()
+        self._maps: list[mmap.mmap] = []
+        self._fds: list[int] = []  # kept where the memory needs synchronising
+
+    def _strides(self) -> tuple[int, ...] | None:
+        shape = self.geometry.shape
+        if not self.geometry.stride or shape is None:
+            return None
+        packed = np.empty(shape, self.dtype)[:0].strides if 0 in shape else _packed(shape, self.dtype.itemsize)
+        return (self.geometry.stride, *packed[1:])
+
+    def __len__(self) -> int:
+        return len(self._maps)
+
+    def add(self, first: int, fds: Sequence[int]) -> None:
+        """Map slots, all pages at once, and take over their descriptors."""
+        access = mmap.PROT_READ | (mmap.PROT_WRITE if self.geometry.writable else 0)
+        try:
+            if first != len(self._maps):
+                raise InvalidRequest(f"slots from {first} on came, {len(self._maps)} was expected")
+            for fd in fds:
+                length = self.geometry.slot_length
+                self._maps.append(mmap.mmap(fd, length, mmap.MAP_SHARED | mmap.MAP_POPULATE, access))
+        finally:
+            if self.geometry.coherent:
+                for fd in fds:
+                    os.close(fd)
+            else:
+                self._fds.extend(fds)
+
+    def begin(self, slot: int) -> None:
+        """The processor is about to read, or write."""
+        if not self.geometry.coherent:
+            self._sync(slot, 0)
+
+    def end(self, slot: int) -> None:
+        """The processor is done."""
+        if not self.geometry.coherent:
+            self._sync(slot, _END)
+
+    def _sync(self, slot: int, end: int) -> None:
+        flags = end | _READ | (_WRITE if self.geometry.writable else 0)
+        try:
+            fcntl.ioctl(self._fds[slot], _SYNC, struct.pack("=Q", flags))
+        except OSError as error:
+            if error.errno != 25:  # ENOTTY: ordinary memory
+                raise
+
+    def array(self, frame: Descriptor, kind: type[Any] = np.ndarray) -> Any:
+        """A frame's bytes as an array: whole ones in the stream's shape, others flat."""
+        geometry = self.geometry
+        if geometry.shape is not None and frame.length == geometry.frame_length:
+            return kind(geometry.shape, self.dtype, self._maps[frame.slot], frame.offset, self.strides)
+        return kind((frame.length,), np.uint8, self._maps[frame.slot], frame.offset)
+
+    def slot_array(self, slot: int, length: int = 0) -> npt.NDArray[Any]:
+        """A slot to write a frame to; `length` bytes of it, a whole frame if 0."""
+        geometry = self.geometry
+        whole = geometry.frame_length or geometry.slot_length
+        array: npt.NDArray[Any] = self.array(Descriptor(slot, length=length or whole))
+        return array
+
+    def close(self) -> None:
+        """Close descriptors; mappings stay with their frames."""
+        for fd in self._fds:
+            os.close(fd)
+        self._fds.clear()
+        self.geometry = _with_coherent(self.geometry)
+        self._maps.clear()
+
+    def __del__(self) -> None:
+        for fd in self._fds:
+            os.close(fd)
+        self._fds = []
+
+
+def _packed(shape: tuple[int, ...], size: int) -> tuple[int, ...]:
+    strides = [size]
+    for extent in reversed(shape[1:]):
+        strides.insert(0, strides[0] * extent)
+    return tuple(strides)
+
+
+def _with_coherent(geometry: Geometry) -> Geometry:
+    """The same, for which nothing is synchronised any more: its descriptors are closed."""
+    from dataclasses import replace
+
+    return replace(geometry, coherent=True)
+
+
+class LocalFrame(Frame):
+    """A frame in DMA memory, leased until it, and every array made from it, has gone, or `release` is called."""
+
+    _lease: Lease | None = None
+
+    @property
+    def info(self) -> FrameInfo:
+        lease = self._held()
+        frame, memory = lease.frame, lease.memory
+        return FrameInfo(
+            memory.names[0],
+            frame.sequence,
+            frame.timestamp_ns,
+            frame.length,
+            tuple(self.shape),
+            str(self.dtype),
+            lease.names[1],
+            lease.names[2],
+        )
+
+    @property
+    def sequence(self) -> int:
+        """Number in the stream; a gap is a loss."""
+        return self._held().frame.sequence
+
+    @property
+    def timestamp_ns(self) -> int:
+        """CLOCK_MONOTONIC of this machine when the transfer had ended."""
+        return self._held().frame.timestamp_ns
+
+    def release(self) -> None:
+        """Give the slot back now; any use of the frame raises FrameReleased from here on. Twice is fine.
+
+        Arrays made from it (`np.asarray(frame)`, `frame[0]`) show whatever comes into the slot next.
+        """
+        if self._lease is not None:
+            self._lease.end()
+
+    @property
+    def released(self) -> bool:
+        """Whether the slot was given back."""
+        return self._lease is not None and self._lease.ended
+
+    def _held(self) -> Lease:
+        if self._lease is None:
+            raise AttributeError("a view of a frame has no sequence of its own; ask the frame")
+        return self._lease
+
+    def _check(self) -> None:
+        if self._lease is not None and self._lease.ended:
+            raise FrameReleased(
+                f"frame {self._lease.frame.sequence} of {self._lease.names[0]!r} was given back; "
+                "keep a copy() of what you need longer"
+            )
+
+    def copy(self, order: Any = "C") -> npt.NDArray[Any]:
+        """The content as a plain, writable array."""
+        self._check()
+        return super().copy(order)
+
+    def __getitem__(self, key: Any) -> Any:
+        self._check()
+        return super().__getitem__(key)
+
+    def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **options: Any) -> Any:
+        return getattr(ufunc, method)(*(_plain(i) for i in inputs), **options)
+
+    def __array_function__(self, function: Any, types: Any, args: Any, kwargs: Any) -> Any:
+        self._check()
+        return super().__array_function__(function, types, args, kwargs)
+
+    def tobytes(self, order: Any = "C") -> bytes:
+        """The content as bytes."""
+        self._check()
+        return super().tobytes(order)
+
+    def __dlpack__(self, *args: Any, **kwargs: Any) -> Any:
+        self._check()
+        return np.asarray(self).__dlpack__(*args, **kwargs)
+
+    def __reduce__(self) -> Any:
+        return self.copy().__reduce__()
+
+    def __del__(self) -> None:
+        if self._lease is not None:
+            self._lease.end()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, LocalFrame):
+        value._check()
+        return np.asarray(value)
+    return value
+
+
+class Lease:
+    """The right to a slot's content."""
+
+    __slots__ = ("_give_back", "ended", "frame", "memory", "names")
+
+    def __init__(
+        self,
+        memory: Memory,
+        frame: Descriptor,
+        names: tuple[str, str, str],
+        give_back: Callable[[Memory, Descriptor], None],
+    ) -> None:
+        self.memory = memory
+        self.frame = frame
+        self.names = names
+        self.ended = False
+        self._give_back = give_back
+
+    def end(self) -> None:
+        """Give it back, once."""
+        if not self.ended:
+            self.ended = True
+            self._give_back(self.memory, self.frame)
+
+
+def lend(
+    memory: Memory,
+    frame: Descriptor,
+    names: tuple[str, str, str],
+    give_back: Callable[[Memory, Descriptor], None],
+) -> LocalFrame:
+    """A leased frame as an array."""
+    array: LocalFrame = memory.array(frame, LocalFrame)
+    array._lease = Lease(memory, frame, names, give_back)
+    memory.begin(frame.slot)
+    return array

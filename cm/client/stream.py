@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Streams of a board: frames in DMA memory on the manager's machine, over ZeroMQ from elsewhere."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, TypeVar
+
+import zmq
+
+from cm.client import calls
+from cm.client.calls import Call
+from cm.client.frame import Frame, frame_of
+from cm.client.link import STREAM_HWM, Socket
+from cm.client.plane import Connection
+from cm.errors import Timeout
+from cm.messages.requests import DataConfig
+from cm.messages.status import FrameInfo
+from cm.wire import topics
+from cm.wire.encode import decode_event
+from cm.wire.plane import Geometry, Open
+
+_T = TypeVar("_T")
+Self = TypeVar("Self", bound="Stream")
+
+
+class Asker(Protocol):
+    """What a stream needs of a board."""
+
+    def ask(self, call: Call[_T], timeout: float | None = None) -> _T:
+        """Make a request."""
+
+    def subscribe(self, *topic: bytes) -> Socket:
+        """A SUB socket."""
+
+
+class Stream:
+    """Frames of one stream. Iterating ends only by an exception; leaving the context closes it."""
+
+    name: str
+
+    def read(self, timeout: float | None = None) -> Frame:
+        """The next frame. Raises Timeout."""
+        raise NotImplementedError
+
+    def open(self) -> None:
+        """Connect; `read` does it by itself. Raises RequestNotFound for an unknown stream."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Disconnect; twice is fine."""
+        raise NotImplementedError
+
+    @property
+    def lost(self) -> int:
+        """Frames that came while we were too slow."""
+        raise NotImplementedError
+
+    def __iter__(self) -> Iterator[Frame]:
+        while True:
+            yield self.read()
+
+    def __enter__(self: Self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+
+class LocalStream(Stream):
+    """Frames where the hardware put them: read-only arrays, leased until they have gone.
+
+    `depth` frames at most are with us at a time (held, or waiting to be read); what comes while there
+    are as many is lost to us. `newest`: what waits behind a newer frame is skipped. After a change of
+    mode the frames go on, in the new shape.
+    """
+
+    def __init__(self, folder: Path, name: str, timeout: float | None, depth: int = 0, newest: bool = False) -> None:
+        self._folder = folder
+        self._wanted = Open(name, depth=depth)
+        self.name = name
+        self._timeout = timeout
+        self._newest = newest
+        self._connection: Connection | None = None
+        self._lost_before = 0
+
+    def open(self) -> None:
+        if self._connection is None:
+            self._connection = self._opened()
+
+    def _opened(self) -> Connection:
+        """Connect; what the manager refuses is raised here. A stream that is stopped just now comes later."""
+        connection = Connection(self._folder, self._wanted)
+        try:
+            connection.set_timeout(0.25)
+            while connection.geometry is None:
+                connection.receive()
+        except BlockingIOError:
+            pass
+        except BaseException:
+            connection.close()
+            raise
+        return connection
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """Shape, dtype, slots as they are now; None while the stream is stopped."""
+        return self._connection.geometry if self._connection else None
+
+    @property
+    def lost(self) -> int:
+        return self._lost_before + (self._connection.lost if self._connection else 0)
+
+    def fileno(self) -> int:
+        """Descriptor that polls readable when `read` has something to do."""
+        self.open()
+        assert self._connection is not None
+        return self._connection.socket.fileno()
+
+    def read(self, timeout: float | None = None) -> Frame:
+        connection = self._connection
+        if connection is None:
+            self.open()
+            connection = self._connection
+            assert connection is not None
+        limit = self._timeout if timeout is None else timeout
+        connection.set_timeout(limit)
+        until = None if limit is None else time.monotonic() + limit
+        try:
+            while (frame := connection.receive()) is None:
+                if until is not None:
+                    connection.set_timeout(max(0.0, until - time.monotonic()))
+        except BlockingIOError:
+            raise Timeout(_nothing(self.name, limit, connection)) from None
+        return self._latest(connection, frame) if self._newest else frame
+
+    def _latest(self, connection: Connection, frame: Frame) -> Frame:
+        while True:
+            try:
+                newer = connection.receive(socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                return frame
+            if newer is not None:
+                frame.release()
+                frame = newer
+
+    def close(self) -> None:
+        if self._connection is not None:
+            self._lost_before += self._connection.lost
+            self._connection.close()
+            self._connection = None
+
+
+def _nothing(name: str, limit: float | None, connection: Connection) -> str:
+    text = f"stream {name!r} gave no frame within {limit or 0:g} s"
+    depth = connection.geometry.depth if connection.geometry else 0
+    if depth and connection.held >= depth:
+        return f"{text}: all {depth} frames that may be held are; keep copies, or ask for a larger depth"
+    return f"{text}: it is stopped" if connection.geometry is None else text
+
+
+class RemoteStream(Stream):
+    """Frames over ZeroMQ; losses show in `sequence`."""
+
+    def __init__(self, board: Asker, name: str, timeout: float | None) -> None:
+        self._board = board
+        self.name = name
+        self._timeout = timeout
+        self._socket: Socket | None = None
+        self._lost = 0
+        self._expected: int | None = None
+
+    def open(self) -> None:
+        self._opened()
+
+    def _opened(self) -> Socket:
+        if self._socket is None:
+            self._board.ask(calls.data_config(DataConfig(self.name)))  # raises for an unknown stream
+            self._socket = self._board.subscribe()
+            self._socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
+            self._socket.setsockopt(zmq.SUBSCRIBE, topics.STREAM_PREFIX + self.name.encode())
+        return self._socket
+
+    @property
+    def lost(self) -> int:
+        return self._lost
+
+    def read(self, timeout: float | None = None) -> Frame:
+        frames = receive(self._opened(), self._timeout if timeout is None else timeout)
+        info = decode_event(frames)
+        if not isinstance(info, FrameInfo):
+            raise TypeError(f"{type(info).__name__} came on the stream's topic")
+        if self._expected is not None and info.sequence > self._expected:
+            self._lost += info.sequence - self._expected
+        self._expected = info.sequence + 1
+        return frame_of(info, frames[2])
+
+    def close(self) -> None:
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+def receive(socket: Socket, timeout: float | None) -> list[bytes]:
+    """A message. Raises Timeout after `timeout` seconds."""
+    if not socket.poll(None if timeout is None else int(timeout * 1000)):
+        raise Timeout(f"nothing came within {timeout:g} s")
+    return socket.recv_multipart()

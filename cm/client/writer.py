@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writing frames without copies: borrow a slot, fill it, and leave it to the hardware."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cm.client.errors import TransferFailed
+from cm.client.plane import Connection
+from cm.errors import InvalidRequest, Timeout
+from cm.wire import plane as packets
+from cm.wire.plane import Descriptor, Geometry, Open
+
+
+class Writer:
+    """A stream towards the hardware. One thread at a time.
+
+    A frame that failed is told by the next call: TransferFailed.
+    """
+
+    def __init__(self, folder: Path, wanted: Open, timeout: float | None) -> None:
+        self._connection = Connection(folder, wanted)
+        self.name = wanted.name
+        self._timeout = timeout
+        self._next = 0
+        self._under_way: set[int] = set()  # sequences
+        self._failed: list[Descriptor] = []
+        try:
+            self._wait(lambda: bool(self._connection.granted), timeout)
+        except BaseException:
+            self._connection.close()
+            raise
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """Shape, dtype, slots; None while the stream is stopped."""
+        return self._connection.geometry
+
+    @property
+    def under_way(self) -> int:
+        """Frames that the hardware has not taken yet."""
+        return len(self._under_way)
+
+    @contextmanager
+    def slot(self, length: int = 0, timeout: float | None = None) -> Iterator[npt.NDArray[Any]]:
+        """A free slot as an array to fill; it is sent when the block ends, and not if that raises.
+
+        `length` bytes of it, as flat uint8; a whole frame in the stream's shape if 0. Waits for a slot.
+        Raises Timeout, TransferFailed of an earlier frame.
+        """
+        grant, memory = self._borrow(timeout)
+        array = memory.slot_array(grant.slot, length)
+        memory.begin(grant.slot)
+        try:
+            yield array
+        except BaseException:
+            memory.end(grant.slot)
+            self._put_back(grant, memory)
+            raise
+        memory.end(grant.slot)
+        self._submit(grant, array.nbytes if not memory.geometry.stride else memory.geometry.frame_length)
+
+    def write(self, data: npt.ArrayLike, timeout: float | None = None) -> None:
+        """Copy a frame into a slot and send it; returns at once. Raises as `slot` does."""
+        array = np.asarray(data)
+        geometry = self.geometry
+        if geometry is not None and geometry.frame_length and array.nbytes != geometry.frame_length:
+            raise InvalidRequest(
+                f"stream {self.name!r} takes frames of {geometry.frame_length} bytes; this one has {array.nbytes}"
+            )
+        length = 0 if geometry is not None and geometry.frame_length else array.nbytes
+        with self.slot(length, timeout) as slot:
+            slot[...] = array.reshape(slot.shape) if not length else np.frombuffer(array.tobytes(), np.uint8)
+
+    def flush(self, timeout: float | None = None) -> None:
+        """Wait until the hardware has taken all frames. Raises Timeout, TransferFailed."""
+        self._wait(lambda: not self._under_way, self._timeout if timeout is None else timeout)
+        self._raise_failures()
+
+    def round_trip(self, length: int = 0) -> Descriptor:
+        """Send a slot as it is and wait until it is done: what a frame costs beside its bytes."""
+        grant, memory = self._borrow(None)
+        self._submit(grant, length or memory.geometry.frame_length or memory.geometry.slot_length)
+        connection, number = self._connection, self._next - 1
+        while number in self._under_way:
+            connection.receive()
+            self._collect()
+        self._raise_failures()
+        return grant
+
+    def _borrow(self, timeout: float | None) -> tuple[Descriptor, Any]:
+        self._raise_failures()
+        if not self._connection.granted:
+            self._wait(lambda: bool(self._connection.granted), self._timeout if timeout is None else timeout)
+            self._raise_failures()
+        return self._connection.granted.popleft(), self._connection.memory
+
+    def _put_back(self, grant: Descriptor, memory: Any) -> None:
+        if memory is self._connection.memory:
+            self._connection.granted.appendleft(grant)
+
+    def _submit(self, grant: Descriptor, length: int) -> None:
+        self._under_way.add(self._next)
+        self._connection.submit(grant, 0, length, self._next)
+        self._next += 1
+
+    def _wait(self, ready: Callable[[], bool], timeout: float | None) -> None:
+        until = None if timeout is None else time.monotonic() + timeout
+        self._collect()
+        try:
+            while not ready():
+                self._connection.set_timeout(None if until is None else max(0.0, until - time.monotonic()))
+                self._connection.receive()
+                self._collect()
+        except BlockingIOError:
+            raise Timeout(
+                f"stream {self.name!r}: the hardware took nothing within {timeout or 0:g} s; "
+                "is somebody reading what comes out, and is the region coupled?"
+            ) from None
+
+    def _collect(self) -> None:
+        """Take note of what is done; its slot is ours again, unless the hardware repeats it."""
+        connection = self._connection
+        while connection.done:
+            done = connection.done.popleft()
+            if done.kind != packets.DONE:
+                continue
+            self._under_way.discard(done.sequence)
+            if done.offset:
+                self._failed.append(done)
+            memory = connection.memory
+            if memory is not None and done.flags == memory.epoch and not (memory.geometry.cyclic and not done.offset):
+                connection.granted.append(done)
+
+    def _raise_failures(self) -> None:
+        if self._failed:
+            failed, self._failed = self._failed[0], []
+            text = os.strerror(failed.offset)
+            raise TransferFailed(f"stream {self.name!r}: frame {failed.sequence} was not taken: {text}")
+
+    def fileno(self) -> int:
+        """Descriptor that polls readable when something was done."""
+        return self._connection.socket.fileno()
+
+    def close(self) -> None:
+        """Disconnect; frames under way still go. Twice is fine."""
+        self._connection.close()
+
+    def __enter__(self) -> Writer:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()

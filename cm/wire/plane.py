@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packets of the local data plane (csrc/client/cm_plane_wire.h, docs/streams.md), without sockets."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from cm.errors import InvalidRequest
+
+SOCKET = "data"  # its name in the runtime folder
+PACKET_MAX = 4096
+SLOTS_MAX = 256
+FDS_MAX = 64
+
+OPEN, RELEASE, SUBMIT, PING = 1, 2, 3, 4
+GEOMETRY, SLOTS, FRAME, GRANT, DONE, PONG, STOPPED, LATE, LABEL, REFUSED = range(16, 26)
+OPEN_WRITE, OPEN_ECHO = 1, 2
+COHERENT, WRITABLE, CYCLIC = 1, 2, 4
+
+DESCRIPTOR = struct.Struct("=HBBIQQQ")
+_GEOMETRY = struct.Struct("=QQIIII8I16s")
+_DIMENSIONS = 8
+
+
+class Descriptor(NamedTuple):
+    """``struct cm_plane_descriptor``: 32 bytes, at the beginning of every packet."""
+
+    slot: int = 0
+    kind: int = 0
+    flags: int = 0
+    offset: int = 0
+    length: int = 0
+    sequence: int = 0
+    timestamp_ns: int = 0
+
+    def pack(self) -> bytes:
+        """The bytes."""
+        return DESCRIPTOR.pack(*self)
+
+
+@dataclass(frozen=True, slots=True)
+class Open:
+    """What a client wants: a stream to read or write, or (`echo`) memory that comes back at once."""
+
+    name: str
+    write: bool = False
+    depth: int = 0
+    echo: bool = False
+    length: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """``struct cm_plane_geometry``: what comes from here on; `stride` 0: lines follow each other."""
+
+    slot_length: int
+    frame_length: int = 0
+    coherent: bool = True
+    writable: bool = False
+    cyclic: bool = False
+    depth: int = 0
+    stride: int = 0
+    shape: tuple[int, ...] | None = None
+    dtype: str = "uint8"
+    stream: str = ""
+    config_name: str = ""
+    mode: str = ""
+
+
+def encode_open(wanted: Open) -> bytes:
+    """The first packet of a client."""
+    flags = (OPEN_WRITE if wanted.write else 0) | (OPEN_ECHO if wanted.echo else 0)
+    return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + wanted.name.encode()
+
+
+def decode_open(packet: bytes) -> Open:
+    """Raises InvalidRequest."""
+    head = _head(packet)
+    if head.kind != OPEN or head.flags & ~(OPEN_WRITE | OPEN_ECHO):
+        raise InvalidRequest("the first packet on the data socket must be an OPEN")
+    try:
+        name = packet[DESCRIPTOR.size :].decode()
+    except UnicodeDecodeError:
+        raise InvalidRequest("the stream's name is not UTF-8") from None
+    return Open(name, bool(head.flags & OPEN_WRITE), head.slot, bool(head.flags & OPEN_ECHO), head.length)
+
+
+def encode_geometry(geometry: Geometry) -> bytes:
+    """A GEOMETRY packet. Raises InvalidRequest for what no packet can hold."""
+    shape = geometry.shape or ()
+    if len(shape) > _DIMENSIONS or len(geometry.dtype.encode()) > 15:
+        raise InvalidRequest(f"a frame of shape {shape} {geometry.dtype}: at most {_DIMENSIONS} dimensions go")
+    flags = (
+        (COHERENT if geometry.coherent else 0)
+        | (WRITABLE if geometry.writable else 0)
+        | (CYCLIC if geometry.cyclic else 0)
+    )
+    body = _GEOMETRY.pack(
+        geometry.slot_length,
+        geometry.frame_length,
+        flags,
+        geometry.depth,
+        geometry.stride,
+        len(shape),
+        *shape,
+        *(0,) * (_DIMENSIONS - len(shape)),
+        geometry.dtype.encode(),
+    )
+    names = encode_names(geometry.stream, geometry.config_name, geometry.mode)
+    return Descriptor(kind=GEOMETRY).pack() + body + names
+
+
+def decode_geometry(packet: bytes) -> Geometry:
+    """Raises InvalidRequest."""
+    end = DESCRIPTOR.size + _GEOMETRY.size
+    if len(packet) < end:
+        raise InvalidRequest("a GEOMETRY packet is too short")
+    slot, frame, flags, depth, stride, dimensions, *rest = _GEOMETRY.unpack_from(packet, DESCRIPTOR.size)
+    stream, config_name, mode = decode_names(packet[end:])
+    return Geometry(
+        slot,
+        frame,
+        bool(flags & COHERENT),
+        bool(flags & WRITABLE),
+        bool(flags & CYCLIC),
+        depth,
+        stride,
+        tuple(rest[: min(dimensions, _DIMENSIONS)]) or None,
+        rest[-1].rstrip(b"\0").decode(),
+        stream,
+        config_name,
+        mode,
+    )
+
+
+def encode_label(stream: str, config_name: str, mode: str) -> bytes:
+    """A LABEL packet: frames from here on are of this mode."""
+    return Descriptor(kind=LABEL).pack() + encode_names(stream, config_name, mode)
+
+
+def encode_refused(code: str, message: str) -> bytes:
+    """A REFUSED packet."""
+    text = f"{code}\0{message}".encode()[: PACKET_MAX - DESCRIPTOR.size]
+    return Descriptor(kind=REFUSED).pack() + text
+
+
+def decode_refused(packet: bytes) -> tuple[str, str]:
+    """Code and sentence."""
+    code, _, message = packet[DESCRIPTOR.size :].decode("utf-8", "replace").partition("\0")
+    return code, message
+
+
+def encode_names(*names: str) -> bytes:
+    """Names, each with its NUL."""
+    return b"".join(name.encode() + b"\0" for name in names)
+
+
+def decode_names(text: bytes) -> list[str]:
+    """Three names: stream, configuration, mode."""
+    return [part.decode("utf-8", "replace") for part in [*text.split(b"\0"), b"", b"", b""][:3]]
+
+
+def _head(packet: bytes) -> Descriptor:
+    if len(packet) < DESCRIPTOR.size:
+        raise InvalidRequest(f"a packet on the data socket has at least {DESCRIPTOR.size} bytes")
+    return Descriptor(*DESCRIPTOR.unpack_from(packet))

@@ -1,0 +1,92 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Inside of the data plane: shared by plane.c, plane_stream.c and plane_client.c only. */
+#ifndef CM_SHIM_PLANE_PRIVATE_H
+#define CM_SHIM_PLANE_PRIVATE_H
+
+#include <pthread.h>
+
+#include "client/cm_plane_wire.h"
+#include "plane.h"
+
+struct slot {
+	int fd;		 /* what clients get */
+	uint32_t handle; /* of the channel */
+	uint32_t holders;
+	bool queued; /* at the hardware, or waits for it */
+	struct client *owner;		  /* a writer's */
+	struct cm_plane_descriptor frame; /* what it holds, or carries */
+};
+
+struct stream {
+	struct stream *next;
+	struct cm_plane *plane;
+	int id;
+	uint8_t epoch;
+	bool lost;   /* its device failed: nothing is queued any more */
+	bool ending; /* nothing goes back to the hardware */
+	struct cm_dma *dma;
+	int event_fd;
+	struct cm_plane_setup setup;
+	uint32_t slots;
+	struct slot slot[CM_PLANE_SLOTS_MAX];
+	uint16_t waiting[CM_PLANE_SLOTS_MAX]; /* ring of slots that the hardware gets next */
+	uint32_t first, count;
+	uint32_t under_way;
+	int cycling;	/* slot that repeats, or -1 */
+	bool announced; /* its writer knows that it does */
+	uint64_t sequence;
+	uint64_t due_ns;
+	uint64_t recent; /* entries ever written to the statistics */
+	struct cm_plane_stats stats;
+};
+
+struct client {
+	struct client *next;
+	int id;
+	int fd;
+	struct stream *stream; /* or NULL */
+	uint32_t depth;
+	uint32_t held_count;
+	bool broken; /* to be dropped */
+	int error;
+	bool held[CM_PLANE_SLOTS_MAX];
+};
+
+struct event {
+	struct event *next;
+	struct cm_plane_event event;
+};
+
+struct cm_plane {
+	pthread_t thread;
+	pthread_mutex_t lock; /* of everything below */
+	int epoll_fd;
+	int wake_fd; /* ends the thread */
+	int event_fd;
+	bool stopping;
+	int last_id;
+	uint8_t last_epoch;
+	struct stream *streams;
+	struct client *clients;
+	struct event *events, **events_end;
+};
+
+/* All of these under the lock. */
+
+void plane_report(struct cm_plane *plane, uint32_t kind, int id, int error);
+
+void stream_completed(struct cm_plane *plane, struct stream *stream);
+void stream_queue(struct cm_plane *plane, struct stream *stream, uint32_t number);
+void stream_end(struct cm_plane *plane, struct stream *stream, int error);
+struct stream *stream_find(struct cm_plane *plane, int id);
+
+void client_readable(struct cm_plane *plane, struct client *client);
+int client_send(struct client *client, const void *packet, size_t size);
+int client_offer(struct client *client, const struct stream *stream, uint32_t number);
+void client_grant(struct client *client, const struct stream *stream, const struct slot *slot);
+int client_send_slots(struct client *client, const struct stream *stream, uint32_t first);
+void client_detach(struct cm_plane *plane, struct client *client);
+void clients_reap(struct cm_plane *plane);
+struct client *client_find(struct cm_plane *plane, int id);
+
+#endif /* CM_SHIM_PLANE_PRIVATE_H */

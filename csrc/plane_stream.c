@@ -1,0 +1,297 @@
+// SPDX-License-Identifier: Apache-2.0
+/* Streams of the data plane: slots on their way to the hardware and back. */
+#include <errno.h>
+#include <stdlib.h>
+#include <sys/epoll.h>
+
+#include "clock.h"
+#include "plane_private.h"
+
+#define TAKE_AT_ONCE 16
+
+struct stream *stream_find(struct cm_plane *plane, int id)
+{
+	struct stream *stream = plane->streams;
+
+	while (stream && stream->id != id)
+		stream = stream->next;
+	if (!stream)
+		errno = ENOENT;
+	return stream;
+}
+
+static void lose(struct cm_plane *plane, struct stream *stream, int error)
+{
+	if (stream->lost)
+		return;
+	stream->lost = true;
+	epoll_ctl(plane->epoll_fd, EPOLL_CTL_DEL, stream->event_fd, NULL);
+	plane_report(plane, CM_PLANE_STREAM_LOST, stream->id, error);
+}
+
+static int submit(struct stream *stream, const struct slot *slot, uint32_t number)
+{
+	const struct cm_plane_setup *setup = &stream->setup;
+	uint64_t length = setup->write ? slot->frame.length : setup->length;
+	uint64_t offset = setup->write ? slot->frame.offset : 0;
+
+	if (setup->lines)
+		return cm_dma_submit_video(stream->dma, slot->handle, offset, setup->lines,
+					   setup->line_bytes, setup->stride, number, 0);
+	return cm_dma_submit(stream->dma, slot->handle, offset, length, number,
+			     setup->cyclic ? CM_DMA_SUBMIT_CYCLIC : 0, setup->cyclic ? length : 0);
+}
+
+static void record(struct stream *stream, uint64_t completed_ns)
+{
+	uint64_t now = (uint64_t)cm_clock_ns();
+	uint32_t place = (uint32_t)(stream->recent++ % CM_PLANE_RECENT);
+
+	stream->stats.frames++;
+	stream->stats.at_ns[place] = completed_ns;
+	stream->stats.latency_ns[place] = now > completed_ns ? now - completed_ns : 0;
+}
+
+/* Tell a writer how its transfer fared. */
+static void tell_done(struct stream *stream, struct slot *slot, uint32_t error, uint64_t at_ns)
+{
+	struct cm_plane_descriptor packet = slot->frame;
+
+	packet.kind = CM_PLANE_DONE;
+	packet.flags = stream->epoch;
+	packet.offset = error;
+	packet.timestamp_ns = at_ns;
+	if (slot->owner)
+		client_send(slot->owner, &packet, sizeof(packet));
+}
+
+/* The slot is its writer's own again, or free if that has gone. */
+static void written(struct stream *stream, struct slot *slot, uint32_t error, uint64_t at_ns)
+{
+	slot->queued = false;
+	tell_done(stream, slot, error, at_ns);
+	if (!error)
+		record(stream, at_ns);
+	else if (error != ECANCELED)
+		stream->stats.errors++;
+}
+
+/* A new frame takes the place of the one that repeats. */
+static void end_cycle(struct stream *stream)
+{
+	struct slot *slot = &stream->slot[stream->cycling];
+
+	cm_dma_cancel(stream->dma);
+	stream->cycling = -1;
+	slot->queued = false;
+	if (slot->owner)
+		client_grant(slot->owner, stream, slot);
+}
+
+static int push_one(struct stream *stream, uint32_t number)
+{
+	if (stream->setup.cyclic && stream->cycling >= 0)
+		end_cycle(stream);
+	if (submit(stream, &stream->slot[number], number))
+		return -1;
+	if (stream->setup.cyclic) {
+		stream->cycling = (int)number;
+		stream->announced = false;
+	} else {
+		stream->under_way++;
+	}
+	return 0;
+}
+
+static uint32_t pop(struct stream *stream)
+{
+	uint32_t number = stream->waiting[stream->first];
+
+	stream->first = (stream->first + 1) % CM_PLANE_SLOTS_MAX;
+	stream->count--;
+	return number;
+}
+
+/* Give the hardware what waits for it, as much as its queue holds. */
+static void push(struct cm_plane *plane, struct stream *stream)
+{
+	while (stream->count && stream->under_way < stream->setup.queue_depth && !stream->lost &&
+	       !stream->ending) {
+		uint32_t number = stream->waiting[stream->first];
+		bool fault;
+
+		if (!push_one(stream, number)) {
+			pop(stream);
+			continue;
+		}
+		if (errno == EBUSY && stream->under_way)
+			return; /* a completion makes room */
+		fault = stream->setup.write && (errno == EINVAL || errno == EMSGSIZE);
+		if (!fault) {
+			lose(plane, stream, errno);
+			return;
+		}
+		written(stream, &stream->slot[pop(stream)], (uint32_t)errno,
+			(uint64_t)cm_clock_ns());
+	}
+}
+
+void stream_queue(struct cm_plane *plane, struct stream *stream, uint32_t number)
+{
+	struct slot *slot = &stream->slot[number];
+	uint32_t place = (stream->first + stream->count) % CM_PLANE_SLOTS_MAX;
+
+	slot->queued = true;
+	if (!stream->dma) {
+		written(stream, slot, 0, (uint64_t)cm_clock_ns());
+		return;
+	}
+	stream->waiting[place] = (uint16_t)number;
+	stream->count++;
+	push(plane, stream);
+}
+
+/* Whether a frame comes sooner than the stream's rate allows. */
+static bool too_soon(struct stream *stream, uint64_t at_ns)
+{
+	uint64_t period = stream->setup.period_ns;
+
+	if (!period)
+		return false;
+	if (at_ns < stream->due_ns)
+		return true;
+	/* In step with the rate, unless a frame was late by more than a period. */
+	stream->due_ns = at_ns - stream->due_ns > period ? at_ns + period
+							 : stream->due_ns + period;
+	return false;
+}
+
+static void hand_on(struct cm_plane *plane, struct stream *stream, uint32_t number)
+{
+	struct slot *slot = &stream->slot[number];
+
+	for (struct client *client = plane->clients; client; client = client->next) {
+		if (client->stream != stream || client->broken)
+			continue;
+		if (client_offer(client, stream, number))
+			stream->stats.dropped++;
+		else
+			slot->holders++;
+	}
+	record(stream, slot->frame.timestamp_ns);
+}
+
+static void read_done(struct cm_plane *plane, struct stream *stream,
+		      const struct cm_dma_completion *completion)
+{
+	uint32_t number = (uint32_t)completion->cookie;
+	struct slot *slot = &stream->slot[number];
+
+	slot->queued = false;
+	stream->under_way--;
+	stream->stats.idle += !stream->under_way && !stream->count;
+	if (completion->status == -ECANCELED)
+		return;
+	if (completion->status) {
+		stream->stats.errors++;
+	} else if (!too_soon(stream, completion->timestamp_ns)) {
+		slot->frame = (struct cm_plane_descriptor){
+			.slot = (uint16_t)number,
+			.kind = CM_PLANE_FRAME,
+			.flags = stream->epoch,
+			.length = completion->length,
+			.sequence = stream->sequence++,
+			.timestamp_ns = completion->timestamp_ns,
+		};
+		hand_on(plane, stream, number);
+	}
+	if (!slot->holders)
+		stream_queue(plane, stream, number);
+}
+
+static void cycle_done(struct stream *stream, const struct cm_dma_completion *completion)
+{
+	struct slot *slot = &stream->slot[completion->cookie];
+
+	if ((int)completion->cookie != stream->cycling || completion->status == -ECANCELED)
+		return;
+	if (completion->status) {
+		stream->cycling = -1;
+		written(stream, slot, (uint32_t)-completion->status, completion->timestamp_ns);
+		return;
+	}
+	if (!stream->announced)
+		tell_done(stream, slot, 0, completion->timestamp_ns);
+	stream->announced = true;
+	record(stream, completion->timestamp_ns);
+}
+
+static void completed(struct cm_plane *plane, struct stream *stream,
+		      const struct cm_dma_completion *completion)
+{
+	if (completion->cookie >= stream->slots)
+		return;
+	if (stream->setup.cyclic) {
+		cycle_done(stream, completion);
+	} else if (stream->setup.write) {
+		stream->under_way--;
+		written(stream, &stream->slot[completion->cookie], (uint32_t)-completion->status,
+			completion->timestamp_ns);
+	} else {
+		read_done(plane, stream, completion);
+	}
+}
+
+void stream_completed(struct cm_plane *plane, struct stream *stream)
+{
+	struct cm_dma_completion completions[TAKE_AT_ONCE];
+	ssize_t taken = cm_dma_take(stream->dma, completions, TAKE_AT_ONCE);
+
+	if (taken < 0) {
+		lose(plane, stream, errno);
+		return;
+	}
+	for (ssize_t i = 0; i < taken; i++)
+		completed(plane, stream, &completions[i]);
+	push(plane, stream);
+}
+
+/* What is under way ends: writers hear of theirs, and nothing is queued again. */
+static void cancel(struct stream *stream)
+{
+	struct cm_dma_completion completions[TAKE_AT_ONCE];
+
+	if (stream->dma && !stream->lost)
+		epoll_ctl(stream->plane->epoll_fd, EPOLL_CTL_DEL, stream->event_fd, NULL);
+	if (stream->dma && !cm_dma_cancel(stream->dma))
+		while (cm_dma_take(stream->dma, completions, TAKE_AT_ONCE) > 0)
+			;
+	for (uint32_t i = 0; i < stream->slots && stream->setup.write; i++)
+		if (stream->slot[i].queued)
+			written(stream, &stream->slot[i], ECANCELED, (uint64_t)cm_clock_ns());
+}
+
+void stream_end(struct cm_plane *plane, struct stream *stream, int error)
+{
+	struct stream **link = &plane->streams;
+	struct cm_plane_descriptor packet = {
+		.kind = CM_PLANE_STOPPED,
+		.flags = stream->epoch,
+		.offset = (uint32_t)error,
+		.sequence = stream->sequence,
+		.timestamp_ns = (uint64_t)cm_clock_ns(),
+	};
+
+	stream->ending = true;
+	cancel(stream);
+	for (struct client *client = plane->clients; client; client = client->next) {
+		if (client->stream != stream)
+			continue;
+		client_detach(plane, client);
+		client_send(client, &packet, sizeof(packet));
+	}
+	while (*link != stream)
+		link = &(*link)->next;
+	*link = stream->next;
+	free(stream);
+}
