@@ -65,7 +65,8 @@ class Engine:
             raise NodeError(errno.EBUSY, "a load is running")
         self.state, self.errors, self.done, self.total = protocol.STATE_LOADING, 0, 0, len(data)
         self._port.reset()
-        self._run = _Run(data.tobytes(), finished, full, self.rate if rate is None else rate)
+        started_ns = time.monotonic_ns()  # the copy below is ours; a DMA engine begins at once
+        self._run = _Run(data.tobytes(), started_ns, finished, full, self.rate if rate is None else rate)
         self._loop.soon(self._step)
 
     def _step(self) -> None:
@@ -120,11 +121,13 @@ class Engine:
 class _Run:
     """One load: its bytes, and when they are due at the port."""
 
-    def __init__(self, data: bytes, finished: Callable[[LoadResult], None], full: bool, rate: float) -> None:
+    def __init__(
+        self, data: bytes, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float
+    ) -> None:
         self.data = data
         self.finished = finished
         self.full = full
-        self.started_ns = time.monotonic_ns()
+        self.started_ns = started_ns
         self._rate = rate
 
     def bytes_at(self, now: float) -> int:

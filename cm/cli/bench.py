@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm bench``: measure latency and throughput beside the alternatives."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cm.cli.common import print_table
+
+if TYPE_CHECKING:
+    from cm.bench.result import Result
+    from cm.bench.run import Run
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "bench",
+        help="measure latency and throughput",
+        description="Measure beside the alternatives, in interleaved rounds on one CPU, with simulated boards of its "
+        "own. Exit status 0 when everything was measured or is marked as not available, whatever the numbers are.",
+    )
+    parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure (default: all; --list names them)")
+    parser.add_argument("--list", action="store_true", help="list what can be measured")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results, with all that belongs to them")
+    parser.add_argument("--plots", type=Path, metavar="DIR", help="draw the figures as PNG (needs fpga-cm[bench])")
+    parser.add_argument("--quick", action="store_true", help="measure little: shows that it works, not how fast")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Measure; the exit status."""
+    from cm.bench import machine, plots, report, table
+
+    if args.list:
+        print("\n".join(table.NAMES))
+        return 0
+    cases = table.chosen(args.names)
+    if args.plots:
+        plots.require()
+    found = machine.describe()
+    with tempfile.TemporaryDirectory(prefix="cmb", dir=_short()) as folder, machine.pinned() as cpu:
+        bench = _bench(Path(folder), args.quick, cpu)
+        results = [result for case in cases for result in _measure(case, bench, args.names)]
+    found = {**found, "pinned_to_cpu": cpu, "quick": args.quick, "load_after": list(os.getloadavg())}
+    print_table(report.rows(results), report.HEADERS)
+    if args.json:
+        report.write(args.json, results, found)
+    if args.plots:
+        plots.draw(args.plots, results)
+    return 0
+
+
+def _bench(folder: Path, quick: bool, cpu: int | None) -> Run:
+    from cm.bench.run import Run
+
+    return Run(folder, quick, cpu, frozenset(range(os.cpu_count() or 1)))
+
+
+def _measure(case: object, bench: Run, names: list[str]) -> list[Result]:
+    from cm.bench import table
+
+    assert isinstance(case, table.Case)
+    print(f"cm bench: {case.module} …", file=sys.stderr, flush=True)
+    return [result for result in table.measure(case, bench) if not names or result.name in names]
+
+
+def _short() -> str | None:
+    """A folder with a short name: sockets lie in it, whose paths have 107 bytes."""
+    return "/tmp" if Path("/tmp").is_dir() else None
