@@ -96,7 +96,7 @@ def run(machine: Machine, place: Path, timeout_s: float, watch: Callable[[str], 
     with (
         (place / "qemu.log").open("wb") as log,
         subprocess.Popen(
-            [*command(machine), *_ports(machine, console, output, results)],
+            logged(machine, place),
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=log,
@@ -107,6 +107,12 @@ def run(machine: Machine, place: Path, timeout_s: float, watch: Callable[[str], 
         finally:
             process.kill()
     return Finished(status, time.monotonic() - started, console, output, results)
+
+
+def logged(machine: Machine, place: Path) -> list[str]:
+    """The whole command line, consoles going to files in a folder."""
+    ports = _ports(machine, place / "console.log", place / "output.log", place / "results.tar")
+    return [*command(machine), *ports]
 
 
 def _ports(machine: Machine, console: Path, output: Path, results: Path) -> list[str]:

@@ -94,10 +94,20 @@ def collect(results: Path, console: Path, place: Path) -> Results:
     return _count(folder, reports)
 
 
-def _count(folder: Path, reports: tuple[Report, ...]) -> Results:
+def of_host(xml: Path, console: Path, status: int) -> Results:
+    """The same for tests that ran on the host against a board."""
+    reports = tuple(scan(console.read_text(errors="replace")))
+    passed, skipped, failures = _cases([xml] if xml.exists() else [])
+    if status and not failures:
+        failures.append(f"the tests ended with status {status}, see {xml.with_name('pytest.log')}")
+    return Results(passed, skipped, tuple(failures), reports, {"kernel": "from the host over TCP"})
+
+
+def _cases(files: list[Path]) -> tuple[int, int, list[str]]:
+    """How many passed, how many were skipped, and what failed and why."""
     passed = skipped = 0
     failures: list[str] = []
-    for path in sorted(folder.glob("*.xml")):
+    for path in files:
         for case in ET.parse(path).iter("testcase"):
             outcome = {child.tag for child in case}
             name = f"{case.get('classname')}::{case.get('name')}"
@@ -107,6 +117,11 @@ def _count(folder: Path, reports: tuple[Report, ...]) -> Results:
                 skipped += 1
             else:
                 passed += 1
+    return passed, skipped, failures
+
+
+def _count(folder: Path, reports: tuple[Report, ...]) -> Results:
+    passed, skipped, failures = _cases(sorted(folder.glob("*.xml")))
     facts = dict(line.split("=", 1) for line in (folder / "facts").read_text().splitlines() if "=" in line)
     if facts.get("status") != "0" and not failures:
         failures.append(f"the tests ended with status {facts.get('status')}, see output.log")

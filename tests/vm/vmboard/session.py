@@ -7,7 +7,7 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import initrd, kvm, payload, qemu, report, rootfs, software
+from . import initrd, kvm, payload, qemu, remote, report, rootfs, software
 from .cache import Cache
 from .errors import MissingError
 from .progress import say, step
@@ -51,7 +51,7 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
     machines: dict[str, qemu.Machine] = {}
     for name in names:
         try:
-            machines[name] = machine(cache, TIERS[name], _keyword(keyword))
+            machines[name] = _for_test(cache, TIERS[name], keyword)
         except MissingError as missing:
             say(f"SKIPPED {name}: {missing}")
     if not machines:
@@ -64,6 +64,13 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
     return 0 if all(result.good for result in results.values()) else 1
 
 
+def _for_test(cache: Cache, tier: Tier, keyword: str) -> qemu.Machine:
+    if not tier.remote:
+        return machine(cache, tier, _keyword(keyword))
+    first = remote.free_ports()
+    return machine(cache, tier, ("cm.action=serve",), {first + index: there for index, there in enumerate(PORTS)})
+
+
 def _keyword(keyword: str) -> tuple[str, ...]:
     return (f"cm.keyword={keyword.replace(' ', '+')}",) if keyword else ()
 
@@ -71,6 +78,8 @@ def _keyword(keyword: str) -> tuple[str, ...]:
 def _run(name: str, board: qemu.Machine, place: Path) -> report.Results:
     shutil.rmtree(place, ignore_errors=True)
     place.mkdir(parents=True)
+    if TIERS[name].remote:
+        return remote.test(board, place, min(board.forwards))
     done = qemu.run(board, place, TIERS[name].timeout_s, lambda line: say(f"{name:9}| {line}"))
     result = report.collect(done.results, done.console, place)
     say(f"{name}: the board ran {done.seconds:.0f} s" + ("" if done.status == 0 else f", QEMU's status {done.status}"))

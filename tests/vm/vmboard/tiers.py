@@ -22,6 +22,7 @@ class Tier:
     timeout_s: int
     kvm: bool = False  # where the host's works; emulated otherwise
     append: str = ""  # more arguments of the kernel
+    remote: bool = False  # tests run on the host and talk to the board over TCP
 
     def kernel(self, cache: Cache) -> kernel.Kernel:
         """Build or fetch the kernel."""
@@ -33,16 +34,15 @@ class Tier:
 BASIC = ("cm", "dma", "uio", "plsim")
 FULL = (*BASIC, "overlay", "fpga", "uio_genirq", "kunit")
 SANITIZERS = ("kasan", "lockdep", "dma_debug")
+CUSTOM = ("custom.config",)
+SANITIZE = (*CUSTOM, "sanitize.config")
 TIERS = {
     tier.name: tier
     for tier in (
-        Tier("stock", ARM64, (), BASIC, memory_mb=768, timeout_s=600),
-        Tier(
-            "custom", ARM64, ("custom.config",), (*FULL, "kmemleak"), memory_mb=512, timeout_s=900, append="kmemleak=on"
-        ),
-        Tier(
-            "sanitize", ARM64, ("custom.config", "sanitize.config"), (*FULL, *SANITIZERS), memory_mb=768, timeout_s=1200
-        ),
-        Tier("x86", AMD64, (), BASIC, memory_mb=768, timeout_s=600, kvm=True),
+        Tier("stock", ARM64, (), BASIC, memory_mb=768, timeout_s=900),
+        Tier("custom", ARM64, CUSTOM, (*FULL, "kmemleak"), memory_mb=512, timeout_s=1200, append="kmemleak=on"),
+        Tier("sanitize", ARM64, SANITIZE, (*FULL, *SANITIZERS), memory_mb=768, timeout_s=1800),
+        Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, timeout_s=600, remote=True),
+        Tier("x86", AMD64, (), BASIC, memory_mb=768, timeout_s=900, kvm=True),
     )
 }
