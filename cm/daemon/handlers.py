@@ -136,7 +136,8 @@ class Handlers:
             return
         if request.schema:
             self._s.manager.leases.check(("config",), request.lease)
-            store = partial(self._s.provisioner.store, request.schema, request.files)
+            allowed = self._s.manager.check_replaceable
+            store = partial(self._s.provisioner.store, request.schema, request.files, allowed)
             self._aside(store, lambda config: self._provisioned(request, config, respond), respond)
             return
         self._change(request, respond)

@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 from cm.errors import InvalidRequest
@@ -17,6 +19,25 @@ SCHEMA_FILE = "schema.yaml"
 MAX_BYTES = 512 << 20
 
 
+def check_paths(config: Config) -> None:
+    """A schema that came over the wire names files that came with it, or the firmware folder's; no others.
+
+    Raises InvalidRequest for an absolute path or one with '..'.
+    """
+    modes = (overlay for mode in config.modes.values() for overlay in mode.overlays)
+    named: list[tuple[str, Path | None]] = [
+        ("bitstream", config.bitstream),
+        *((f"modules.{m.name}.bitstream", m.bitstream) for m in config.modules.values()),
+        *((f"overlay {o.name}, file", o.file) for o in (*config.overlays, *modes)),
+    ]
+    for key, path in named:
+        if path is not None and (path.is_absolute() or ".." in path.parts):
+            raise InvalidRequest(
+                f"configuration {config.name}: {key}: {path} leaves the configuration's folder; a schema that is "
+                "sent names files that are sent with it, such as edge.bit"
+            )
+
+
 class Provisioner:
     """Keeps provisioned configurations below a folder, one subfolder each."""
 
@@ -25,15 +46,17 @@ class Provisioner:
 
     def stored(self) -> list[Path]:
         """The schema files of all configurations that were provisioned."""
-        return sorted(self._folder.glob(f"*/{SCHEMA_FILE}"))
+        return sorted(path for path in self._folder.glob(f"*/{SCHEMA_FILE}") if not path.parent.name.startswith("."))
 
-    def store(self, schema: str, files: tuple[File, ...]) -> Config:
+    def store(self, schema: str, files: tuple[File, ...], allowed: Callable[[str], None] = lambda _: None) -> Config:
         """Check the schema and put it with its files in place of what was there under its name.
 
-        Raises SchemaError, InvalidRequest. The folder is written aside and renamed, so a killed
-        manager leaves the old one or the new one.
+        Raises SchemaError, InvalidRequest, and what `allowed` raises for the configuration's name. The
+        folder is written aside and renamed, so a killed manager leaves the old one or the new one.
         """
         config = loads(schema)
+        check_paths(config)
+        allowed(config.name)
         names = [checked_name(f.name) for f in files]
         if len(set(names)) != len(names) or SCHEMA_FILE in names:
             raise InvalidRequest(f"files of {config.name!r}: names must differ, and none may be {SCHEMA_FILE!r}")
@@ -42,9 +65,10 @@ class Provisioner:
         self._folder.mkdir(parents=True, exist_ok=True)
         new = Path(tempfile.mkdtemp(prefix=f".{config.name}-", dir=self._folder))
         try:
-            (new / SCHEMA_FILE).write_text(schema, encoding="utf-8")
+            _write(new / SCHEMA_FILE, schema.encode())
             for file in files:
-                (new / file.name).write_bytes(file.data)
+                _write(new / file.name, file.data)
+            _sync(new)
             load(new / SCHEMA_FILE)
             self._swap(new, self._folder / config.name)
         except BaseException:
@@ -58,6 +82,7 @@ class Provisioner:
         if place.exists():
             place.rename(old)
         new.rename(place)
+        _sync(self._folder)
         shutil.rmtree(old, ignore_errors=True)
 
     def recover(self) -> None:
@@ -70,3 +95,19 @@ class Provisioner:
                 old.rename(place)
         for half in self._folder.glob(".*-*") if self._folder.exists() else ():
             shutil.rmtree(half, ignore_errors=True)
+
+
+def _write(path: Path, data: bytes) -> None:
+    """Written to the disk, not only to its cache: the renames that follow must not come before the content."""
+    with path.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

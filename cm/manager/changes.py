@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 from cm.errors import CmError
 from cm.manager import plan as planning
 from cm.manager.cost import Throughput
-from cm.manager.errors import StepFailed, UndoFailed
+from cm.manager.errors import StaticUnknown, StepFailed, UndoFailed
 from cm.manager.ports import Files
 from cm.manager.state import BoardState, RegionPhase
 from cm.manager.transaction import Board, Tools, Transaction, abandon
 from cm.messages.status import ErrorInfo
-from cm.schema.model import Config
+from cm.schema.model import Config, ConfigType, Region
 
 
 @dataclass(eq=False)
@@ -26,6 +26,8 @@ class Change:
     config: str
     mode: str
     force: bool = False
+    scopes: tuple[str, ...] = ()  # what leases of others must not cover
+    lease: str = ""  # the requester's own
     error: ErrorInfo | None = None
     seconds: float = 0.0
     on_done: Callable[[Change], None] | None = None
@@ -91,48 +93,91 @@ class ChangeRunner:
         transaction = Transaction(plan, self._board, self._tools, number, cancelled)
         try:
             transaction.run()
-        except (CmError, OSError) as error:
-            raise self._back(before, transaction, error, number) from error
+        except Exception as error:
+            raise self._back(before, goal.config, transaction, error, number) from error
         return plan
 
-    def _back(self, before: BoardState, failed: Transaction, error: Exception, number: int) -> CmError:
+    def _back(self, before: BoardState, goal: Config, failed: Transaction, error: Exception, number: int) -> CmError:
         step = failed.current.text if failed.current else "the change"
-        text, code = f"{step}: {error}", error.code if isinstance(error, CmError) else "device_error"
+        text, code = f"{step}: {_sentence(error)}", _code(error)
         old = self._config(before.config)
         try:
             if old is not None and before.mode in old.modes:
                 self._restore(before, old, number)
                 return StepFailed(f"{text}; the board is back in {before.config}/{before.mode}", code)
-            return self._give_up(before, f"{text}; there was no mode to go back to", code)
-        except (CmError, OSError) as second:
-            given = self._give_up(before, f"{text}; going back failed too: {second}", code)
+            return self._give_up(before, goal, f"{text}; there was no mode to go back to", code)
+        except Exception as second:  # noqa: BLE001 (as above)
+            given = self._give_up(before, goal, f"{text}; going back failed too: {_sentence(second)}", code)
             return UndoFailed(str(given))
         finally:
             self._board.lock_regions(frozenset())
 
     def _restore(self, before: BoardState, old: Config, number: int) -> None:
         assert before.mode is not None
-        back = self.plan(planning.Goal(old, before.mode, values=before.values))
+        goal = planning.Goal(old, before.mode, values=before.values, static=self._static_of(before, old))
+        back = self.plan(goal)
         Transaction(back, self._board, self._tools, number, lambda: False).run()
         self._tools.data_plane.resume(old, before.mode)
 
-    def _give_up(self, before: BoardState, text: str, code: str) -> StepFailed:
+    def _static_of(self, before: BoardState, old: Config) -> Config | None:
+        """The full configuration to load first, where the device held one under a partial configuration.
+
+        Raises StaticUnknown where the one before was the boot loader's and is gone.
+        """
+        now = self._board.state
+        if old.type is ConfigType.FULL or (now.static_sha256 == before.static_sha256 and not now.static_lost):
+            return None
+        static = self._config(before.static_config)
+        if static is None:
+            raise StaticUnknown(
+                f"the static part that {old.name} was running in is gone, and it is not the manager's to load: "
+                "load a full configuration, or restart the board"
+            )
+        return static
+
+    def _give_up(self, before: BoardState, goal: Config, text: str, code: str) -> StepFailed:
         """Leave what is not ready cut off, and say so."""
-        regions = {r.name: r for c in self._configs().values() for r in c.regions.values()}
-        touched = [r for name, r in regions.items() if name in self._board.state.regions]
+        touched = [r for name, r in self._regions(before, goal).items() if name in self._board.state.regions]
         problems = abandon(self._board, self._tools.registers, touched)
         if not self._holds(before):
             self._board.update(lambda state: replace(state, mode=None))
-        self._board.record(None)
+        try:
+            self._board.record(None)
+        except OSError as error:
+            problems.append(f"the state record could not be written: {error}")
         self._tools.data_plane.resume(self._config(before.config), self._board.state.mode)
-        cut = [n for n, r in self._board.state.regions.items() if r.phase is RegionPhase.FAILED]
-        tail = "; ".join([f"regions left decoupled: {', '.join(cut)}" if cut else "no region was touched", *problems])
+        tail = "; ".join([self._left(), *problems])
         return StepFailed(f"{text}; {tail}", code)
+
+    def _regions(self, before: BoardState, goal: Config) -> dict[str, Region]:
+        """Regions by name as the two configurations have them that the device may be in."""
+        old = self._config(before.config)
+        replaced = self._board.state.static_sha256 != before.static_sha256
+        return {**(old.regions if old is not None and not replaced else {}), **goal.regions}
+
+    def _left(self) -> str:
+        state = self._board.state
+        if state.static_lost:
+            return "what the device holds is not known, so nothing in it is accessed"
+        cut = [name for name, region in state.regions.items() if region.phase is RegionPhase.FAILED]
+        return f"regions left decoupled: {', '.join(cut)}" if cut else "no region was touched"
 
     def _holds(self, mode: BoardState) -> bool:
         """Whether the regions still hold what they held in that mode."""
         now = self._board.state
+        if (now.static_sha256, now.static_lost) != (mode.static_sha256, mode.static_lost):
+            return False
         return all(now.region(name) == region for name, region in mode.regions.items())
 
     def _config(self, name: str | None) -> Config | None:
         return self._configs().get(name) if name else None
+
+
+def _code(error: Exception) -> str:
+    if isinstance(error, CmError):
+        return error.code
+    return "device_error" if isinstance(error, OSError) else "internal"
+
+
+def _sentence(error: Exception) -> str:
+    return str(error) if isinstance(error, (CmError, OSError)) else f"{type(error).__name__}: {error}"

@@ -112,6 +112,18 @@ class VerifyFailed(CmError):
     code = "verify_failed"
 
 
+class BadOverlay(InvalidRequest):
+    """A .dtbo that is no device-tree overlay, or that would load another bitstream than the one that was checked."""
+
+    code = "bad_overlay"
+
+
+class StaticUnknown(CmError):
+    """Nobody knows which static part the device holds, so no partial bitstream may be loaded."""
+
+    code = "static_unknown"
+
+
 class UndoFailed(CmError):
     """A change failed and so did the way back: the regions named stay decoupled."""
 

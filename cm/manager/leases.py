@@ -8,6 +8,7 @@ whoever watches processes). Scopes overlap where one contains the other.
 from __future__ import annotations
 
 import secrets
+import threading
 from dataclasses import dataclass, replace
 
 from cm.errors import InvalidRequest, NotFound
@@ -15,6 +16,7 @@ from cm.manager.errors import HeldBy
 from cm.manager.ports import Clock
 from cm.messages.requests import TakeLease
 from cm.messages.status import LeaseInfo
+from cm.schema.model import Config
 
 MAX_SECONDS = 3600.0
 _KINDS = ("board", "config", "region", "registers")
@@ -37,10 +39,15 @@ class Leases:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
+        self._lock = threading.Lock()  # requests and the worker of changes both ask
         self._held: dict[str, _Lease] = {}
 
     def request(self, request: TakeLease) -> LeaseInfo:
         """Take, renew or give back. Raises HeldBy, UnknownLease, InvalidRequest."""
+        with self._lock:
+            return self._request(request)
+
+    def _request(self, request: TakeLease) -> LeaseInfo:
         self._expire()
         if request.release:
             return self._take(request.id, remove=True).info
@@ -55,16 +62,21 @@ class Leases:
         """Raise HeldBy if somebody without `lease` must keep off any of these scopes."""
         if not self._held:
             return
-        self._expire()
+        with self._lock:
+            self._expire()
+            self._check(scopes, lease)
+
+    def _check(self, scopes: tuple[str, ...], lease: str) -> None:
         own = self._held.get(lease)
         for held in self._held.values():
-            shared = own is not None and not held.info.exclusive
+            shared = own is not None and not held.info.exclusive and _overlap(own.info.scope, held.info.scope)
             if held is not own and not shared and any(_overlap(held.info.scope, scope) for scope in scopes):
                 raise HeldBy(_held_by(held.info, self._left(held)))
 
     def drop(self, lease: str) -> bool:
         """End a lease whose holder has died."""
-        return self._held.pop(lease, None) is not None
+        with self._lock:
+            return self._held.pop(lease, None) is not None
 
     def _new(self, request: TakeLease, seconds: float) -> LeaseInfo:
         _checked_scope(request.scope)
@@ -96,6 +108,20 @@ class Leases:
 
     def _left(self, held: _Lease) -> float:
         return max(0.0, held.until - self._clock.monotonic())
+
+
+def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str, ...]:
+    """What a change to a mode touches, as scopes.
+
+    Within a configuration: its regions and the registers that it writes or resets. To another one, or
+    with a whole image: everything. A lease on the configuration or the board covers every change.
+    """
+    if config.name != loaded:
+        return ("config",)
+    regions = {config.modules[m].region for m in config.modes[mode].modules}
+    registers = config.visible_registers(mode).values()
+    names = (r.name for r in registers if r.region in regions or r.default is not None)
+    return ("mode", *(f"region:{name}" for name in sorted(regions)), *(f"registers:{name}" for name in names))
 
 
 def _checked_scope(scope: str) -> None:

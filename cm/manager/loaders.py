@@ -3,21 +3,27 @@
 
 from __future__ import annotations
 
+import errno
 import itertools
 import time
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from cm.device import DeviceBusy, DmaBuffer, FpgaManager, Icap, IcapCompletion, IcapState
+from cm.bitstream.errors import WrongDevice
+from cm.device import DeviceBusy, DeviceUnsupported, DmaBuffer, FpgaManager, Icap, IcapCompletion, IcapState
 from cm.manager.errors import LoadFailed, StepTimeout
 from cm.manager.ports import Clock, Devices, Files, Image
 from cm.schema.model import Config, LoaderKind, Module, Region
 
 _POLL = 0.02  # seconds between two looks at how far a load is
 
+_PAGE = 4096
+_REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
+
 OnBytes = Callable[[int], None]
+_Key = tuple[str | None, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +34,7 @@ class Job:
     image: Image
     region: Region | None = None
     module: Module | None = None
+    overlay: bytes = b""  # by which the module is loaded, for LoaderKind.OVERLAY
 
     @property
     def port(self) -> str | None:
@@ -37,6 +44,9 @@ class Job:
 
 class Loader(Protocol):
     """Loads one image. Returns when the port is done; raises LoadFailed, StepTimeout or DeviceError."""
+
+    def check(self, job: Job) -> None:
+        """Raise what is known beforehand to stand against the job; touches nothing."""
 
     def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:
         """Do the job, telling `on_bytes` how far it is."""
@@ -54,7 +64,7 @@ class Held:
 
 
 class BufferCache:
-    """DMA buffers of one port that hold images, least recently used out first, within a budget of bytes.
+    """DMA buffers that hold images for a port, least recently used out first, within a budget of bytes.
 
     A repeated change finds its image here and does no file I/O.
     """
@@ -62,21 +72,36 @@ class BufferCache:
     def __init__(self, budget: int, close: Callable[[Held], None]) -> None:
         self._budget = budget
         self._close = close
-        self._held: OrderedDict[str, Held] = OrderedDict()
+        self._held: OrderedDict[_Key, Held] = OrderedDict()
 
-    def get(self, image: Image, icap: Icap, read: Callable[[Image], bytes]) -> tuple[Held, bool]:
+    def get(self, job: Job, icap: Icap, read: Callable[[Image], bytes]) -> tuple[Held, bool]:
         """A buffer with the image's words, and whether it stays here (else the caller closes it)."""
-        held = self._held.get(image.sha256)
+        key, image = _key(job), job.image
+        held = self._held.get(key)
         if held is not None:
-            self._held.move_to_end(image.sha256)
+            self._held.move_to_end(key)
             return held, True
         new = _filled(icap, read(image))
         if new.buffer.length > self._budget:
             return new, False
         while self._held and self.bytes + new.buffer.length > self._budget:
             self._close(self._held.popitem(last=False)[1])
-        self._held[image.sha256] = new
+        self._held[key] = new
         return new, True
+
+    def keep_only(self, jobs: Iterable[Job]) -> None:
+        """Close the buffers of all other images."""
+        wanted = {_key(job) for job in jobs}
+        for key in [k for k in self._held if k not in wanted]:
+            self._close(self._held.pop(key))
+
+    def has(self, job: Job) -> bool:
+        """Whether the image is here."""
+        return _key(job) in self._held
+
+    def has_room(self, length: int) -> bool:
+        """Whether a buffer of `length` bytes (buffers are whole pages) fits beside those that are here."""
+        return self.bytes + -(-length // _PAGE) * _PAGE <= self._budget
 
     @property
     def bytes(self) -> int:
@@ -87,6 +112,11 @@ class BufferCache:
         """Give everything back; the port may have gone."""
         while self._held:
             self._close(self._held.popitem()[1])
+
+
+def _key(job: Job) -> _Key:
+    """A buffer belongs to the port on which it was allocated."""
+    return job.port, job.image.sha256
 
 
 def _filled(icap: Icap, data: bytes) -> Held:
@@ -112,16 +142,29 @@ class IcapLoader:
         self._in_use: list[Held] = []
         self._cookies = itertools.count(1)
 
-    def prefetch(self, job: Job) -> None:
-        """Have the image's words in a DMA buffer, if the budget allows."""
-        held, kept = self._cache.get(job.image, self._devices.icap(job.port), self._files.port_bytes)
-        if not kept:
-            self._dispose(held)
+    def prefetch(self, jobs: Sequence[Job], go_on: Callable[[], bool]) -> None:
+        """Have these images' words, and no others, in DMA buffers: the first ones, as many as the budget holds."""
+        self._cache.keep_only(jobs)
+        for job in jobs:
+            if not go_on():
+                return
+            if not self._cache.has(job) and self._cache.has_room(job.image.length):
+                held, kept = self._cache.get(job, self._devices.icap(job.port), self._files.port_bytes)
+                if not kept:
+                    self._dispose(held)
+
+    def check(self, job: Job) -> None:
+        """The port knows its device: a bitstream for another one never reaches it."""
+        there, wanted = self._devices.icap(job.port).info.idcode, job.image.report.idcode
+        if there and wanted is not None and (there ^ wanted) & ~_REVISION:
+            raise WrongDevice(
+                f"{job.image.path}: made for IDCODE {wanted:#010x}, but the port is that of {there:#010x}"
+            )
 
     def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:
         image = job.image
         icap = self._devices.icap(job.port)
-        held, kept = self._cache.get(image, icap, self._files.port_bytes)
+        held, kept = self._cache.get(job, icap, self._files.port_bytes)
         try:
             cookie = next(self._cookies)
             self._await_idle(icap, image, timeout)
@@ -186,6 +229,17 @@ class FpgaManagerLoader:
         self._devices = devices
         self._files = files
 
+    def check(self, job: Job) -> None:
+        """Mainline kernels have no attribute to load by; the image has to lie where the kernel looks."""
+        manager: FpgaManager = self._devices.fpga_manager(job.port)
+        if not manager.can_load:
+            raise DeviceUnsupported(
+                errno.EOPNOTSUPP,
+                f"{job.image.path.name}: this kernel's fpga_manager cannot load through sysfs (linux-xlnx can); "
+                "use loader: overlay with firmware-name, or loader: icap",
+            )
+        self._files.firmware_name(job.image)
+
     def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:  # noqa: ARG002 (the kernel has its own)
         manager: FpgaManager = self._devices.fpga_manager(job.port)
         name = self._files.firmware_name(job.image)
@@ -210,22 +264,29 @@ class OverlayLoader:
     a region refuses a second firmware overlay (Documentation/devicetree/bindings/fpga/fpga-region).
     """
 
-    def __init__(self, devices: Devices, files: Files) -> None:
+    def __init__(self, devices: Devices) -> None:
         self._devices = devices
-        self._files = files
+
+    def check(self, job: Job) -> None:
+        """A whole image cannot be loaded so: the node of its region would go with it."""
+        _region_of(job)
 
     def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:  # noqa: ARG002 (the kernel has its own)
-        if job.region is None or job.module is None:
-            raise LoadFailed(f"{job.image.path.name}: a whole image is loaded by fpga_manager or icap, not by overlay")
         overlays = self._devices.overlays()
-        name = loading_overlay(job.region.name)
-        if name in overlays.list():
+        name = loading_overlay(_region_of(job).name)
+        if name in overlays.list():  # left over from an earlier run
             overlays.remove(name)
-        overlays.apply(name, self._files.loading_overlay(job.config, job.module))
+        overlays.apply(name, job.overlay)
         on_bytes(job.image.length)
 
     def forget(self) -> None:
         """Nothing is kept."""
+
+
+def _region_of(job: Job) -> Region:
+    if job.region is None:
+        raise LoadFailed(f"{job.image.path.name}: a whole image is loaded by fpga_manager or icap, not by overlay")
+    return job.region
 
 
 def loading_overlay(region: str) -> str:
@@ -241,17 +302,16 @@ class Loaders:
         self._all: dict[LoaderKind, Loader] = {
             LoaderKind.ICAP: self._icap,
             LoaderKind.FPGA_MANAGER: FpgaManagerLoader(devices, files),
-            LoaderKind.OVERLAY: OverlayLoader(devices, files),
+            LoaderKind.OVERLAY: OverlayLoader(devices),
         }
 
     def kind(self, kind: LoaderKind) -> Loader:
         """The loader of a kind."""
         return self._all[kind]
 
-    def prefetch(self, job: Job) -> None:
-        """Keep an image ready where its loader can."""
-        if job.region is not None and job.region.loader is LoaderKind.ICAP:
-            self._icap.prefetch(job)
+    def prefetch(self, jobs: Iterable[Job], go_on: Callable[[], bool] = lambda: True) -> None:
+        """Keep these images ready where their loader can, and no others; asks `go_on` before each."""
+        self._icap.prefetch([j for j in jobs if j.region and j.region.loader is LoaderKind.ICAP], go_on)
 
     def forget(self) -> None:
         """The board was lost."""

@@ -8,6 +8,7 @@ which a change takes regions away from overlapping.
 
 from __future__ import annotations
 
+import contextlib
 import queue
 import threading
 from collections.abc import Callable, Mapping
@@ -19,20 +20,21 @@ from cm.manager import resolve
 from cm.manager.changes import Change, ChangeRunner
 from cm.manager.cost import Throughput
 from cm.manager.describe import config_info, region_states
-from cm.manager.errors import Cancelled, ChangeBusy, NothingLoaded, RegionBusy
-from cm.manager.leases import Leases
+from cm.manager.desk import Locked, RegisterDesk
+from cm.manager.errors import Cancelled, ChangeBusy, NothingLoaded, StoreCorrupt
+from cm.manager.leases import Leases, leases_concerned
 from cm.manager.loaders import Job, Loaders
 from cm.manager.plan import Goal
 from cm.manager.ports import Clock, DataPlane, Devices, Files, Observer
 from cm.manager.reconcile import reconcile
-from cm.manager.registers import RegisterAccess, checked_write, find, split_name, value_of
+from cm.manager.registers import RegisterAccess
 from cm.manager.state import BoardState, RegionPhase
 from cm.manager.steps import ApplyOverlay, RemoveOverlay, Step
 from cm.manager.store import Pending, Record, Store
 from cm.manager.transaction import Tools
 from cm.messages.requests import RegWrite, WriteConfig
-from cm.messages.status import ConfigInfo, ErrorInfo, PlanInfo, PrMode, Progress, RegValue, RegValues, Status
-from cm.schema.model import Access, BitField, Config, ConfigType, LoaderKind, Register
+from cm.messages.status import ConfigInfo, ErrorInfo, PlanInfo, PrMode, Progress, RegValues, Status
+from cm.schema.model import Config, ConfigType, LoaderKind
 
 QUEUE_LENGTH = 8
 
@@ -69,21 +71,21 @@ class Manager:
         tools = Tools(env.devices, self.registers, self._loaders, env.data_plane, env.clock)
         self._runner = ChangeRunner(self, tools, env.files, lambda: self._configs, lambda: self.throughput)
         self._access = threading.RLock()
+        self._desk = RegisterDesk(self, self.registers, self.leases, self._access)
         self._queue: queue.Queue[Change | None] = queue.Queue(QUEUE_LENGTH)
         self._worker = threading.Thread(target=self._work, name="cm-changes", daemon=True)
         self._state = BoardState()
         self.throughput = Throughput()
         self._boot_id = ""
-        self._locked: frozenset[str] = frozenset()
         self._progress: Progress | None = None
         self._running: Change | None = None
         self._pending: Pending | None = None
         self._error: ErrorInfo | None = None
         self._failed = False
         self._number = 0
+        self._stopping = threading.Event()
         self._last: tuple[int, float] = (0, 0.0)
         self._dirty = False
-        self._seen: tuple[Config | None, str | None, Mapping[str, Register]] = (None, None, {})
 
     # ---- life -------------------------------------------------------------------
 
@@ -99,8 +101,10 @@ class Manager:
 
     def reconcile(self) -> tuple[str, ...]:
         """Compare record and board (again). Called before the worker starts, or when it is idle."""
-        record = self._env.store.read()
+        record, lost = self._read_record()
         finding = reconcile(record, self._configs, self._env.devices, self.registers)
+        if lost:
+            finding = replace(finding, notes=(lost, *finding.notes))
         self._state, self._boot_id = finding.state, self._env.devices.boot_id()
         if record is not None:
             self.throughput, self._number = record.throughput, record.number
@@ -112,9 +116,19 @@ class Manager:
         self._env.observer.status_changed()
         return finding.notes
 
+    def _read_record(self) -> tuple[Record | None, str]:
+        """The record, and a sentence where it was not readable: then nothing is known, which is no reason to stop."""
+        try:
+            return self._env.store.read(), ""
+        except StoreCorrupt as error:
+            return None, str(error)
+
     def _repair(self, interrupted: Pending | None) -> None:
         """Queue what brings the board back to a whole mode, where it is not in one."""
         config, mode = self.loaded_config(), self.state.mode
+        if interrupted is not None and self.state.static_lost:
+            config = self._configs.get(interrupted.from_config or "")
+            mode = interrupted.from_mode if config is not None and config.type is ConfigType.FULL else None
         if config is None or mode is None or mode not in config.modes:
             self.update(lambda state: replace(state, config=None, mode=None))
             return
@@ -131,6 +145,7 @@ class Manager:
 
     def stop(self) -> None:
         """End after the running change; queued ones are refused as cancelled."""
+        self._stopping.set()
         if self._worker.is_alive():
             self._queue.put(None)
             self._worker.join()
@@ -146,11 +161,18 @@ class Manager:
 
     def add_config(self, config: Config) -> None:
         """Make a configuration known (again). Raises ChangeBusy while it is being changed to."""
-        running = self._running
-        if running is not None and running.config == config.name:
-            raise ChangeBusy(f"configuration {config.name!r} is being loaded; provision it when the change has ended")
+        self.check_replaceable(config.name)
+        self._env.files.forget(config.name)
         self._configs = MappingProxyType({**self._configs, config.name: config})
+        if self.state.config == config.name and self.state.mode not in config.modes:
+            self.update(lambda state: replace(state, mode=None))  # it is in none of the modes that there are now
         self._env.observer.status_changed()
+
+    def check_replaceable(self, name: str) -> None:
+        """Raise ChangeBusy while a configuration is being changed to: its files are in use."""
+        running = self._running
+        if running is not None and running.config == name:
+            raise ChangeBusy(f"configuration {name!r} is being loaded; provision it when the change has ended")
 
     def loaded_config(self) -> Config | None:
         """The configuration that is loaded."""
@@ -162,11 +184,12 @@ class Manager:
         `on_done` is called at its end, from the worker's thread.
         """
         config, mode = resolve.target(request, self._configs, self.state.config)
-        regions = {f"region:{config.modules[m].region}" for m in config.modes[mode].modules}
-        self.leases.check((*regions, "config"), request.lease)
+        scopes = leases_concerned(config, mode, self.state.config)
+        self.leases.check(scopes, request.lease)
         if request.no_queue and self._busy():
             raise ChangeBusy(f"a change to {self._target_text()} is running")
-        return self._enqueue(Change(self._next_number(), config.name, mode, request.force, on_done=on_done))
+        number = self._next_number()
+        return self._enqueue(Change(number, config.name, mode, request.force, scopes, request.lease, on_done=on_done))
 
     def cancel(self) -> bool:
         """Cancel the running change, if there is one."""
@@ -194,7 +217,7 @@ class Manager:
         return self._number
 
     def _busy(self) -> bool:
-        return self._running is not None or not self._queue.empty()
+        return self._queue.unfinished_tasks > 0
 
     def _target_text(self) -> str:
         running = self._running
@@ -209,11 +232,11 @@ class Manager:
 
     def _work(self) -> None:
         while (change := self._queue.get()) is not None:
-            self._run(change)
-        while not self._queue.empty():
-            left = self._queue.get_nowait()
-            if left is not None:
-                left.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
+            if self._stopping.is_set():
+                self._queue.task_done()
+                change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
+            else:
+                self._run(change)
 
     def _run(self, change: Change) -> None:
         started = self._env.clock.monotonic()
@@ -225,6 +248,7 @@ class Manager:
         try:
             if change.cancelled:
                 raise Cancelled("the change was cancelled before it began")
+            self.leases.check(change.scopes, change.lease)  # one may have been given while this change waited
             self._runner.run(Goal(config, change.mode, change.force), change.number, lambda: change.cancelled)
         except CmError as problem:
             error = ErrorInfo(getattr(problem, "cause_code", problem.code), str(problem))
@@ -238,6 +262,7 @@ class Manager:
         self._error, self._failed = error, error is not None and error.code != "cancelled"
         self.lock_regions(frozenset())
         self._try_record()
+        self._queue.task_done()
         self._env.observer.status_changed()
         change.finish(error, seconds)
         if error is None and self._queue.empty():
@@ -247,19 +272,21 @@ class Manager:
         try:
             self.record(None)
         except OSError as problem:
-            self._error = ErrorInfo("store", f"the state record could not be written: {problem}")
+            if self._error is None:  # what went wrong with the change is of more use
+                self._error = ErrorInfo("store", f"the state record could not be written: {problem}")
 
     def _prefetch(self) -> None:
-        """Hold the loaded configuration's other images ready. What is wrong with them shows when they are used."""
+        """Hold the loaded configuration's images ready. What is wrong with them shows when they are used."""
         config = self.loaded_config() if self._env.settings.prefetch_bytes else None
+        jobs = []
         for module in config.modules.values() if config else ():
             if not self._queue.empty() or config is None:
                 return
-            try:
+            with contextlib.suppress(CmError, OSError):
                 image = self._env.files.image(config, module)
-                self._loaders.prefetch(Job(config, image, config.regions[module.region], module))
-            except (CmError, OSError):
-                continue
+                jobs.append(Job(config, image, config.regions[module.region], module))
+        with contextlib.suppress(CmError, OSError):
+            self._loaders.prefetch(jobs, self._queue.empty)
 
     # ---- what a transaction needs (cm.manager.transaction.Board) ---------------------
 
@@ -289,10 +316,9 @@ class Manager:
             self._env.store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
             self._dirty = False
 
-    def lock_regions(self, regions: frozenset[str]) -> None:
-        """Keep requests off these regions' registers; waits for an access under way."""
-        with self._access:
-            self._locked = regions
+    def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:
+        """Keep requests off these regions' registers, or off all; waits for an access under way."""
+        self._desk.keep_off(Locked(regions, whole))
 
     def progress(self, progress: Progress) -> None:
         """Publish how far the running change is."""
@@ -303,22 +329,14 @@ class Manager:
 
     def read_registers(self, names: tuple[str, ...]) -> RegValues:
         """Values by name; of all that can be read if none is given."""
-        visible = self._visible()
-        chosen = [self._find(visible, n) for n in names] if names else self._readable(visible)
-        with self._access:
-            values = tuple(self._read(r, f.name if f else None) for r, f in chosen)
-        return RegValues(values, self.state.config or "", self.state.mode or "")
+        return self._desk.read(names)
 
     def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "") -> RegValues:
         """Check all, then write in order; returns and publishes what the registers then hold."""
-        visible = self._visible()
-        checked = [checked_write(visible, w, lambda n=w.name: self._elsewhere(n, visible)) for w in writes]  # type: ignore[misc]
-        self._check_leases([r for r, _, _ in checked], lease)
-        with self._access:
-            for register, _, _ in checked:
-                self._check_free(register)
-            values = tuple(self._write(register, value, mask) for register, value, mask in checked)
-        result = RegValues(values, self.state.config or "", self.state.mode or "")
+        try:
+            result = self._desk.write(writes, lease)
+        finally:
+            self._dirty = True
         self._env.observer.registers_changed(result)
         return result
 
@@ -326,62 +344,6 @@ class Manager:
         """Record register values that were written since the last record."""
         if self._dirty:
             self._try_record()
-
-    def _visible(self) -> Mapping[str, Register]:
-        config = self.loaded_config()
-        if config is None:
-            raise NothingLoaded(
-                f"nothing is loaded, so there are no registers; there are {resolve.listed(self._configs)}"
-            )
-        mode = self.state.mode
-        known, known_mode, registers = self._seen
-        if known is not config or known_mode != mode:
-            registers = config.visible_registers(mode)
-            self._seen = (config, mode, registers)
-        return registers
-
-    def _find(self, visible: Mapping[str, Register], name: str) -> tuple[Register, BitField | None]:
-        return find(visible, name, lambda: self._elsewhere(name, visible))
-
-    def _elsewhere(self, name: str, visible: Mapping[str, Register]) -> str:
-        """Says in which modes a register can be named, when it cannot be in this one."""
-        register, config = split_name(name)[0], self.loaded_config()
-        if config is None or register in visible:
-            return ""
-        modes = [m for m in config.modes if register in config.visible_registers(m)]
-        return f" ({self.state.mode}); modes {', '.join(modes)} have it" if modes else ""
-
-    def _readable(self, visible: Mapping[str, Register]) -> list[tuple[Register, None]]:
-        return [(r, None) for r in visible.values() if r.access is not Access.WO and self._is_free(r)]
-
-    def _read(self, register: Register, field: str | None) -> RegValue:
-        self._check_free(register)
-        value = value_of(register, self.registers.read(register))
-        if field is None:
-            return value
-        return RegValue(f"{register.name}.{field}", dict(value.fields)[field])
-
-    def _write(self, register: Register, value: int, mask: int) -> RegValue:
-        written = self.registers.write(register, value, mask, self.state.values.get(register.name))
-        self.update(lambda state: state.with_value(register.name, written))
-        self._dirty = True
-        shown = written if register.access is not Access.RW else self.registers.read(register)
-        return value_of(register, shown)
-
-    def _is_free(self, register: Register) -> bool:
-        if register.region is None:
-            return True
-        return register.region not in self._locked and self.state.region(register.region).phase is RegionPhase.READY
-
-    def _check_free(self, register: Register) -> None:
-        if not self._is_free(register):
-            locked = register.region in self._locked
-            how = "being reconfigured" if locked else self.state.region(register.region or "").phase.value
-            raise RegionBusy(f"register {register.name!r} lies in region {register.region}, which is {how}")
-
-    def _check_leases(self, registers: list[Register], lease: str) -> None:
-        scopes = {f"registers:{r.name}" for r in registers} | {f"region:{r.region}" for r in registers if r.region}
-        self.leases.check(tuple(scopes), lease)
 
     # ---- status --------------------------------------------------------------------
 
@@ -403,7 +365,8 @@ class Manager:
 
     def _pr_mode(self, running: Change | None) -> PrMode:
         if running is not None:
-            full = self._configs[running.config].type is ConfigType.FULL and self.state.config != running.config
+            there = self.state.config == running.config and not running.force
+            full = self._configs[running.config].type is ConfigType.FULL and not there
             return PrMode.FULL if full else PrMode.PARTIAL
         return PrMode.ERROR if self._failed else PrMode.IDLE
 

@@ -17,20 +17,32 @@ from types import MappingProxyType
 
 from cm.manager import steps as s
 from cm.manager.cost import Throughput
+from cm.manager.errors import StaticUnknown
+from cm.manager.loaders import loading_overlay
 from cm.manager.ports import Files, Image
 from cm.manager.state import BoardState, RegionPhase
 from cm.messages.status import PlanInfo, PlanStep
-from cm.schema.model import Access, Config, ConfigType, Module, Overlay, Region, Register
+from cm.schema.model import Access, Config, ConfigType, LoaderKind, Module, Overlay, Region, Register
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Where to go. `values` overrides registers' defaults: the way back restores what was written."""
+    """Where to go.
+
+    `values` overrides registers' defaults: the way back restores what was written. `static` is the full
+    configuration whose image a partial one was running in, for the way back to it.
+    """
 
     config: Config
     mode: str
     force: bool = False
     values: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    static: Config | None = None
+
+    @property
+    def base(self) -> Config | None:
+        """The configuration whose image has to be in the device; None where that cannot be known."""
+        return self.config if self.config.type is ConfigType.FULL else self.static
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +90,7 @@ class _Planner:
         modules = [self._config.modules[name] for name in self._mode.modules]
         images = {m.name: self._files.image(self._config, m) for m in modules}
         changed = [m for m in modules if static or self._differs(m, images[m.name])]
-        removed, applied = self._overlays(everything=static is not None)
+        removed, applied = self._overlays({m.region for m in changed}, everything=static is not None)
         writes = self._writes({m.region for m in changed})
         if not (static or changed or removed or applied or writes or self._elsewhere()):
             return Plan(self._goal, ())
@@ -89,31 +101,50 @@ class _Planner:
         return (self._state.config, self._state.mode) != (self._config.name, self._goal.mode)
 
     def _static_image(self) -> Image | None:
-        if self._config.type is not ConfigType.FULL:
+        base = self._goal.base
+        if base is None:
+            self._check_static_known()
             return None
-        image = self._files.static_image(self._config)
-        here = self._state.static_sha256 == image.sha256 and self._state.config == self._config.name
-        return None if here and not self._goal.force else image
+        image = self._files.static_image(base)
+        here = self._state.static_sha256 == image.sha256 and not self._state.static_lost
+        mine = base is not self._config or self._state.config == self._config.name
+        return None if here and mine and not self._goal.force else image
+
+    def _check_static_known(self) -> None:
+        if self._state.static_lost:
+            raise StaticUnknown(
+                f"the load of a full image did not end well, so nobody knows what the device holds; "
+                f"{self._config.name} is partial and needs its static part: load a full configuration, "
+                "or restart the board"
+            )
 
     def _differs(self, module: Module, image: Image) -> bool:
         held = self._state.region(module.region)
-        return self._goal.force or held.phase is not RegionPhase.READY or held.sha256 != image.sha256
+        if self._goal.force or held.phase is not RegionPhase.READY or held.sha256 != image.sha256:
+            return True
+        by_overlay = self._config.regions[module.region].loader is LoaderKind.OVERLAY
+        return by_overlay and loading_overlay(module.region) not in {o.name for o in self._state.overlays}
 
-    def _overlays(self, everything: bool) -> tuple[list[str], list[s.ApplyOverlay]]:
+    def _overlays(self, changed: set[str], everything: bool) -> tuple[list[str], list[s.ApplyOverlay]]:
         """Names to remove (newest first) and overlays to apply.
 
         Overlays form a stack: one that goes takes those applied after it off with it, or the kernel
-        refuses (they may hang from its nodes).
+        refuses (they may hang from its nodes). Only those by which other regions were loaded stay:
+        each targets its own region's node, and off with it would go the region's devices.
         """
         wanted = [self._apply_step(o) for o in _unique((*self._config.overlays, *self._mode.overlays))]
-        held = self._state.overlays
-        keep = 0
-        if not everything:
-            hashes = {step.overlay.name: step.sha256 for step in wanted}
-            while keep < len(held) and hashes.get(held[keep].name) == held[keep].sha256:
-                keep += 1
-        kept = {o.name for o in held[:keep]}
-        return [o.name for o in reversed(held[keep:])], [w for w in wanted if w.overlay.name not in kept]
+        hashes = {step.overlay.name: step.sha256 for step in wanted}
+        loading = {loading_overlay(name): name in changed for name in {*self._state.regions, *changed}}
+        kept: set[str] = set()
+        intact = not everything
+        for held in self._state.overlays:
+            stays = not loading[held.name] if held.name in loading else hashes.get(held.name) == held.sha256
+            if not everything and stays and (intact or held.name in loading):
+                kept.add(held.name)
+            else:
+                intact = False
+        removed = [o.name for o in reversed(self._state.overlays) if o.name not in kept]
+        return removed, [w for w in wanted if w.overlay.name not in kept]
 
     def _apply_step(self, overlay: Overlay) -> s.ApplyOverlay:
         data = self._files.overlay(self._config, overlay)
@@ -152,9 +183,7 @@ class _Planner:
             yield s.Quiesce(streams)
         yield from (s.RemoveOverlay(name) for name in removed)
         if static:
-            loader = self._config.loader
-            whole = Region("(device)", loader=loader, timeout=self._config.timeout)
-            yield s.LoadStatic(static, self._throughput.timeout(whole, static.length), loader)
+            yield self._load_static(static)
         yield from (s.Decouple(self._config.regions[m.region]) for m in changed)
         yield from (self._load(m, images[m.name]) for m in changed)
         yield from applied
@@ -170,7 +199,15 @@ class _Planner:
     def _load(self, module: Module, image: Image) -> s.Load:
         region = self._config.regions[module.region]
         resets = frozenset(name for name, r in self._all_registers() if r.region == region.name)
-        return s.Load(region, module, image, self._throughput.timeout(region, image.length), resets)
+        overlay = b""
+        if region.loader is LoaderKind.OVERLAY:
+            overlay = self._files.loading_overlay(self._config, module, image)
+        return s.Load(region, module, image, self._throughput.timeout(region, image.length), resets, overlay)
+
+    def _load_static(self, image: Image) -> s.LoadStatic:
+        base = self._goal.base or self._config
+        whole = Region("(device)", loader=base.loader, timeout=base.timeout)
+        return s.LoadStatic(image, self._throughput.timeout(whole, image.length), base.name, base.loader)
 
     def _all_registers(self) -> Iterable[tuple[str, Register]]:
         for config in (self._config, *((self._old,) if self._old else ())):

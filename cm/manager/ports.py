@@ -76,8 +76,14 @@ class Files(Protocol):
     def overlay(self, config: Config, overlay: Overlay) -> bytes:
         """The .dtbo's bytes."""
 
-    def loading_overlay(self, config: Config, module: Module) -> bytes:
-        """The .dtbo with `firmware-name` by which a module is loaded: ``<module>.dtbo``."""
+    def loading_overlay(self, config: Config, module: Module, image: Image) -> bytes:
+        """The .dtbo with `firmware-name` by which a module is loaded: ``<module>.dtbo``.
+
+        Raises BadOverlay where the firmware it names has not the content of `image`.
+        """
+
+    def forget(self, config: str) -> None:
+        """This configuration was replaced: what was learned from its files is no longer so."""
 
 
 class DataPlane(Protocol):

@@ -11,11 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from cm.errors import CmError
+from cm.manager.loaders import loading_overlay
 from cm.manager.ports import Devices
 from cm.manager.registers import RegisterAccess
-from cm.manager.state import BoardState, RegionEvent, RegionPhase, RegionState
+from cm.manager.state import BoardState, RegionEvent, RegionPhase, RegionState, all_lost
 from cm.manager.store import Pending, Record
-from cm.schema.model import Config, Module, Region
+from cm.schema.model import Config, LoaderKind, Module, Region
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +41,11 @@ def reconcile(
     notes: list[str] = []
     state = _distrust_pending(state, record.pending)
     state = _overlays(state, record.pending, devices, notes)
-    state = _regions(state, configs.get(state.config or ""), registers, notes)
+    state = _port(state, configs, devices, notes)
+    if state.static_lost:
+        notes.append("a load of a full image did not end well; nothing in the device is accessed")
+    else:
+        state = _regions(state, configs.get(state.config or ""), registers, notes)
     if record.pending is not None:
         notes.append(
             f"the change to {record.pending.config}/{record.pending.mode} was cut short at {record.pending.step}"
@@ -64,12 +69,41 @@ def _overlays(state: BoardState, pending: Pending | None, devices: Devices, note
     overlays = devices.overlays()
     present = set(overlays.list()) if overlays.available() else set()
     kept = tuple(o for o in state.overlays if o.name in present)
+    known = {o.name for o in kept}
+    for left in (loading_overlay(r) for r in state.regions):
+        if left in present and left not in known:
+            overlays.remove(left)
+            notes.append(f"overlay {left}, left over from a load that was cut short, was removed")
     for gone in (o.name for o in state.overlays if o.name not in present):
         notes.append(f"overlay {gone} is no longer applied")
-    if pending is not None and pending.overlay in present and pending.overlay not in {o.name for o in kept}:
+    if pending is not None and pending.overlay in present and pending.overlay not in known:
         overlays.remove(pending.overlay)
         notes.append(f"overlay {pending.overlay}, left over from the change that was cut short, was removed")
     return replace(state, overlays=kept)
+
+
+def _port(state: BoardState, configs: Mapping[str, Config], devices: Devices, notes: list[str]) -> BoardState:
+    """An fpga_manager in an error says that its last load went wrong, whoever asked for it."""
+    by_kernel = (LoaderKind.FPGA_MANAGER, LoaderKind.OVERLAY)
+    static = configs.get(state.static_config or "")
+    if static is not None and static.loader in by_kernel and (said := _error_of(devices, None)):
+        notes.append(f"the fpga_manager says {said!r}, so what {static.name} loaded is not trusted")
+        return all_lost(state)
+    config = configs.get(state.config or "")
+    for name, region in config.regions.items() if config else ():
+        if region.loader in by_kernel and name in state.regions and (said := _error_of(devices, region.loader_name)):
+            notes.append(f"the fpga_manager says {said!r}, so the content of region {name} is not trusted")
+            state = state.with_region(name, state.region(name).after(RegionEvent.LOSE))
+    return state
+
+
+def _error_of(devices: Devices, name: str | None) -> str:
+    """The manager's state if it is an error; empty if it is none, or there is no manager."""
+    try:
+        said = devices.fpga_manager(name).state
+    except (CmError, OSError):
+        return ""
+    return said if "error" in said else ""
 
 
 def _regions(state: BoardState, config: Config | None, registers: RegisterAccess, notes: list[str]) -> BoardState:

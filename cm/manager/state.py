@@ -110,7 +110,9 @@ class BoardState:
 
     config: str | None = None
     mode: str | None = None
-    static_sha256: str | None = None  # of a full image that this manager loaded
+    static_sha256: str | None = None  # of a full image that this manager loaded; None: what was there at boot
+    static_config: str | None = None  # the configuration of that image
+    static_lost: bool = False  # a load of a full image began and did not end well
     regions: Mapping[str, RegionState] = field(default_factory=_empty)
     overlays: tuple[OverlayState, ...] = ()  # in the order they were applied
     values: Mapping[str, int] = field(default_factory=_empty)  # registers written since their region was loaded
@@ -131,6 +133,12 @@ class BoardState:
         """A copy that has forgotten values which a load has reset."""
         kept = {name: value for name, value in self.values.items() if name not in registers}
         return replace(self, values=MappingProxyType(kept))
+
+
+def all_lost(state: BoardState) -> BoardState:
+    """While a full image is loaded nothing is known of the device but the overlays, which the kernel keeps."""
+    lost = {name: region.after(RegionEvent.LOSE) for name, region in state.regions.items()}
+    return BoardState(regions=MappingProxyType(lost), overlays=state.overlays, static_lost=True)
 
 
 def diagram() -> str:

@@ -82,6 +82,7 @@ class Load:
     image: Image
     timeout: float  # seconds
     resets: frozenset[str]  # names of registers that the load puts back to their reset values
+    overlay: bytes = b""  # the .dtbo with `firmware-name`, for a region that is loaded by overlay
     kind = "load"
 
     @property
@@ -99,6 +100,7 @@ class LoadStatic:
 
     image: Image
     timeout: float
+    config: str  # whose image it is
     loader: LoaderKind
     kind = "load_full"
 

@@ -23,7 +23,7 @@ from cm.manager.errors import StoreCorrupt
 from cm.manager.state import BoardState, OverlayState, RegionPhase, RegionState
 from cm.schema.model import LoaderKind
 
-_VERSION = 1
+_VERSION = 2
 _ROTATE = 256 * 1024  # bytes
 
 
@@ -76,20 +76,33 @@ class Store:
     def read(self) -> Record | None:
         """The last whole record; None if there is none yet.
 
-        Raises StoreCorrupt where the file holds lines but no good one; it is set aside first.
+        Raises StoreCorrupt where the file holds lines but no good one, or the last good one is of
+        another version; it is set aside first.
         """
         data = self._path.read_bytes()
         for line in reversed(data.split(b"\n")):
-            record = _decode(line)
-            if record is not None:
-                return record
+            body = _checked(line)
+            if body is not None:
+                return self._understood(body)
         if data.strip():
-            aside = self._path.with_suffix(".corrupt")
-            self._path.replace(aside)
-            os.close(self._fd)
-            self._fd = self._open()
-            raise StoreCorrupt(f"the state record {self._path} holds no readable line; it was moved to {aside}")
+            raise StoreCorrupt(f"the state record {self._path} holds no whole line; it was moved to {self._aside()}")
         return None
+
+    def _understood(self, body: bytes) -> Record:
+        """The newest whole line counts, or none: those before it are no longer true."""
+        try:
+            return _from_plain(json.loads(body))
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+            raise StoreCorrupt(
+                f"the state record {self._path} is of another version of this program; it was moved to {self._aside()}"
+            ) from None
+
+    def _aside(self) -> Path:
+        aside = self._path.with_suffix(".corrupt")
+        self._path.replace(aside)
+        os.close(self._fd)
+        self._fd = self._open()
+        return aside
 
     def _rotate(self, line: bytes) -> None:
         new = self._path.with_suffix(".new")
@@ -110,13 +123,12 @@ def _encode(record: Record) -> bytes:
     return b"\n%08x %b\n" % (zlib.crc32(body), body)
 
 
-def _decode(line: bytes) -> Record | None:
+def _checked(line: bytes) -> bytes | None:
+    """The body of a line whose CRC is right."""
     crc, space, body = line.partition(b" ")
     try:
-        if not space or int(crc, 16) != zlib.crc32(body):
-            return None
-        return _from_plain(json.loads(body))
-    except (ValueError, KeyError, TypeError, AttributeError):
+        return body if space and int(crc, 16) == zlib.crc32(body) else None
+    except ValueError:
         return None
 
 
@@ -128,7 +140,7 @@ def _to_plain(r: Record) -> dict[str, Any]:
         "state": {
             "config": r.state.config,
             "mode": r.state.mode,
-            "static": r.state.static_sha256,
+            "static": [r.state.static_sha256, r.state.static_config, r.state.static_lost],
             "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in r.state.regions.items()},
             "overlays": [[o.name, o.sha256] for o in r.state.overlays],
             "values": dict(r.state.values),
@@ -138,9 +150,10 @@ def _to_plain(r: Record) -> dict[str, Any]:
     }
 
 
-def _from_plain(plain: Mapping[str, Any]) -> Record | None:
+def _from_plain(plain: Mapping[str, Any]) -> Record:
+    """Raises ValueError, KeyError, TypeError, IndexError or AttributeError for what is not of this version."""
     if plain["version"] != _VERSION:
-        return None
+        raise ValueError(plain["version"])
     state = plain["state"]
     return Record(
         boot_id=plain["boot_id"],
@@ -148,7 +161,9 @@ def _from_plain(plain: Mapping[str, Any]) -> Record | None:
         state=BoardState(
             config=state["config"],
             mode=state["mode"],
-            static_sha256=state["static"],
+            static_sha256=state["static"][0],
+            static_config=state["static"][1],
+            static_lost=state["static"][2],
             regions=MappingProxyType(
                 {n: RegionState(RegionPhase(p), m, h) for n, (p, m, h) in state["regions"].items()}
             ),
@@ -158,8 +173,3 @@ def _from_plain(plain: Mapping[str, Any]) -> Record | None:
         pending=None if plain["pending"] is None else Pending(**plain["pending"]),
         throughput=Throughput(MappingProxyType({LoaderKind(k): float(v) for k, v in plain["throughput"].items()})),
     )
-
-
-def _region(plain: list[Any]) -> RegionState:
-    phase, module, sha256 = plain
-    return RegionState(RegionPhase(phase), module, sha256)

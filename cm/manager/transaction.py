@@ -9,16 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any, Protocol
 
 from cm.errors import CmError
 from cm.manager import steps as s
 from cm.manager.errors import Cancelled, IdentityMismatch, VerifyFailed
-from cm.manager.loaders import Job, Loaders
+from cm.manager.loaders import Job, Loaders, loading_overlay
 from cm.manager.plan import Plan
 from cm.manager.ports import Clock, DataPlane, Devices
 from cm.manager.registers import RegisterAccess
-from cm.manager.state import BoardState, OverlayState, RegionEvent, RegionPhase, RegionState
+from cm.manager.state import BoardState, OverlayState, RegionEvent, RegionPhase, RegionState, all_lost
 from cm.messages.status import Progress
 from cm.schema.model import Access, Decoupler, LoaderKind, Region
 
@@ -39,15 +40,11 @@ class Board(Protocol):
     def record(self, step: s.Step | None) -> None:
         """Write the state, and the step about to be taken, to the store."""
 
-    def lock_regions(self, regions: frozenset[str]) -> None:
-        """From here on nobody else touches registers of these regions."""
+    def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:
+        """From here on nobody else touches registers of these regions, or with `whole` any register."""
 
     def progress(self, progress: Progress) -> None:
         """Tell how far the change is."""
-
-
-def _all_lost(state: BoardState) -> BoardState:
-    return BoardState(regions={n: r.after(RegionEvent.LOSE) for n, r in state.regions.items()}, overlays=state.overlays)
 
 
 def drive(registers: RegisterAccess, decoupler: Decoupler, cut: bool) -> None:
@@ -82,6 +79,7 @@ class Transaction:
         self._number = number
         self._cancelled = cancelled
         self._bytes_before = 0
+        self._written: dict[str, int] = {}
         self.current: s.Step | None = None
 
     def run(self) -> None:
@@ -118,9 +116,14 @@ class Transaction:
     # ---- steps ----------------------------------------------------------------
 
     def _validate(self, _: s.Validate) -> None:
-        """The planner has read and checked every image; what is left is to keep readers off."""
+        """The planner has read and checked every image; what is left is to ask the ports, and to keep readers off."""
+        for step in self._plan.steps:
+            if isinstance(step, s.Load):
+                self._tools.loaders.kind(step.region.loader).check(self._job(step))
+            elif isinstance(step, s.LoadStatic):
+                self._tools.loaders.kind(step.loader).check(self._job(step))
         regions = frozenset(x.region.name for x in self._plan.steps if isinstance(x, s.Decouple))
-        self._board.lock_regions(regions)
+        self._board.lock_regions(regions, whole=self._plan.full)
         self._check_cancelled()
 
     def _quiesce(self, step: s.Quiesce) -> None:
@@ -143,28 +146,36 @@ class Transaction:
             drive(self._tools.registers, step.region.decoupler, cut=False)
         self._region_event(step.region.name, RegionEvent.RECOUPLE)
 
+    def _job(self, step: s.Load | s.LoadStatic) -> Job:
+        if isinstance(step, s.LoadStatic):
+            return Job(self._plan.goal.config, step.image)
+        return Job(self._plan.goal.config, step.image, step.region, step.module, step.overlay)
+
     def _load(self, step: s.Load) -> None:
         self._check_cancelled()
         name = step.region.name
         self._region_event(name, RegionEvent.LOAD)
         self._board.update(lambda state: state.without_values(set(step.resets)))
-        job = Job(self._plan.goal.config, step.image, step.region, step.module)
         try:
             self._board.record(step)
-            self._timed_load(step, job, step.region.loader)
+            self._timed_load(step, self._job(step), step.region.loader)
         except BaseException:
             self._region_event(name, RegionEvent.LOAD_FAILED)
             raise
         held = self._board.state.region(name).after(RegionEvent.LOAD_DONE)
         self._set_region(name, held.holding(step.module.name, step.image.sha256))
+        if step.region.loader is LoaderKind.OVERLAY:
+            self._applied(OverlayState(loading_overlay(name), step.image.sha256))
 
     def _load_static(self, step: s.LoadStatic) -> None:
         self._check_cancelled()
-        self._board.update(_all_lost)
+        self._board.update(all_lost)
         self._board.record(step)
         self._tools.registers.forget()
-        self._timed_load(step, Job(self._plan.goal.config, step.image), step.loader)
-        self._board.update(lambda state: replace(state, static_sha256=step.image.sha256))
+        self._timed_load(step, self._job(step), step.loader)
+        self._board.update(
+            lambda x: replace(x, static_sha256=step.image.sha256, static_config=step.config, static_lost=False)
+        )
 
     def _timed_load(self, step: s.Load | s.LoadStatic, job: Job, kind: LoaderKind) -> None:
         index = self._plan.steps.index(step)
@@ -179,8 +190,14 @@ class Transaction:
         if step.overlay.name in overlays.list():
             overlays.remove(step.overlay.name)
         overlays.apply(step.overlay.name, step.data)
-        applied = OverlayState(step.overlay.name, step.sha256)
-        self._board.update(lambda state: replace(state, overlays=(*state.overlays, applied)))
+        self._applied(OverlayState(step.overlay.name, step.sha256))
+
+    def _applied(self, overlay: OverlayState) -> None:
+        def put(state: BoardState) -> BoardState:
+            others = (o for o in state.overlays if o.name != overlay.name)
+            return replace(state, overlays=(*others, overlay))
+
+        self._board.update(put)
         self._tools.registers.forget()
 
     def _check_identity(self, step: s.CheckIdentity) -> None:
@@ -199,6 +216,7 @@ class Transaction:
         register = step.register
         self._tools.registers.write_address(register.address, register.width, step.value)
         self._board.update(lambda state: state.with_value(register.name, step.value))
+        self._written[register.name] = step.value
         if register.access is not Access.RW or register.volatile:
             return
         value = self._tools.registers.read(register)
@@ -206,10 +224,17 @@ class Transaction:
             raise VerifyFailed(f"register {register.name} reads {value:#x} after {step.value:#x} was written")
 
     def _publish(self, step: s.Publish) -> None:
-        self._board.update(lambda state: replace(state, config=step.config, mode=step.mode))
+        self._board.update(self._entered)
         self._board.record(None)
         self._board.lock_regions(frozenset())
         self._tools.data_plane.resume(self._plan.goal.config, step.mode)
+
+    def _entered(self, state: BoardState) -> BoardState:
+        """In another configuration the same names are other registers: only what was written here is known."""
+        goal = self._plan.goal
+        if state.config != goal.config.name:
+            state = replace(state, values=MappingProxyType(dict(self._written)))
+        return replace(state, config=goal.config.name, mode=goal.mode)
 
 
 _TAKE: dict[type, Callable[[Transaction, Any], None]] = {
@@ -230,15 +255,17 @@ _TAKE: dict[type, Callable[[Transaction, Any], None]] = {
 def abandon(board: Board, registers: RegisterAccess, regions: Iterable[Region]) -> list[str]:
     """After a failed way back: cut off every region that is not ready.
 
-    Returns a sentence for each that could not be cut off.
+    Returns a sentence for each that could not be cut off. A device that may not be configured is not
+    accessed at all: its bus would not answer, and the processor would hang.
     """
     problems = []
+    reachable = not board.state.static_lost
     for region in regions:
         state = board.state.region(region.name)
         if state.phase is RegionPhase.READY:
             continue
         try:
-            if region.decoupler:
+            if region.decoupler and reachable:
                 drive(registers, region.decoupler, cut=True)
         except (CmError, OSError) as error:
             problems.append(f"{region.name} could not be decoupled: {error}")
