@@ -142,6 +142,8 @@ class _Planner:
 
     def _interface(self, region: RegionSpec, interface: Interface, boundary: Boundary, parts: _Region) -> None:
         spec = region.interfaces.get(interface.name, ConnectionSpec())
+        if interface.protocol == "axi3":
+            raise BuildError(f"{region.name}.{interface.name} is AXI3: put an AXI3 to AXI4 converter into the module")
         allowed = _CONNECTIONS.get((interface.protocol, interface.mode), _OTHER)
         connect = spec.connect or allowed[0]
         if connect not in allowed:
