@@ -23,15 +23,18 @@ import zmq.asyncio
 
 from cm.client import calls
 from cm.client.address import Keys, load_keys, resolve
+from cm.client.aio_stream import AsyncLocalStream, AsyncRemoteStream, AsyncWriter, Stream, receive
 from cm.client.calls import Call
 from cm.client.errors import NoAnswer
-from cm.client.frame import Frame, frame_of
-from cm.client.link import STREAM_HWM, prepare
-from cm.errors import Timeout
+from cm.client.frame import Frame
+from cm.client.link import prepare
+from cm.errors import InvalidRequest
 from cm.messages.requests import DataConfig, TakeLease
 from cm.messages.status import ConfigInfo, FrameInfo, Irq, LeaseInfo, PlanInfo, Progress, Status, StreamStatus
+from cm.wire import plane as packets
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_reply, encode_request
+from cm.wire.plane import Open
 
 _T = TypeVar("_T")
 
@@ -60,6 +63,9 @@ class Board:
     ) -> None:
         self._endpoints = resolve(endpoint, runtime_dir)
         self._keys = keys if keys is None or isinstance(keys, Keys) else load_keys(keys)
+        folder = Path(self._endpoints.req.removeprefix("ipc://")).parent
+        local = self._endpoints.req.startswith("ipc://")
+        self._data = folder if local and (folder / packets.SOCKET).exists() else None
         self._timeout = timeout
         self._context = zmq.asyncio.Context()
         self._numbers = itertools.count(1)
@@ -212,20 +218,17 @@ class Board:
         """Set properties of a stream (`cm.messages.requests.DataConfig`)."""
         return await self.ask(calls.data_config(DataConfig(stream, **settings)))
 
-    async def stream(self, name: str, timeout: float | None = 5.0) -> AsyncIterator[Frame]:
-        """The frames of a stream; frames lost to slowness show in `sequence`."""
-        await self.configure_stream(name)  # raises for an unknown stream
-        socket = self.subscribe()
-        socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
-        socket.setsockopt(zmq.SUBSCRIBE, topics.STREAM_PREFIX + name.encode())
-        try:
-            while True:
-                frames = await _receive(socket, timeout)
-                info = decode_event(frames)
-                assert isinstance(info, FrameInfo)
-                yield frame_of(info, frames[2])
-        finally:
-            socket.close()
+    def stream(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, newest: bool = False) -> Stream:
+        """The frames of a stream (``async for``), without copies on the manager's machine; see `cm.client.board`."""
+        if self._data is not None:
+            return AsyncLocalStream(self._data, name, timeout, depth, newest)
+        return AsyncRemoteStream(lambda: self.configure_stream(name), self.subscribe, name, timeout)
+
+    def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0) -> AsyncWriter:
+        """Write a stream without copies: ``async with writer.slot() as array: array[...] = frame``."""
+        if self._data is None:
+            raise InvalidRequest("a writer needs the manager's data socket, which only its own machine has")
+        return AsyncWriter(self._data, Open(name, write=True, depth=depth), timeout)
 
 
 class Registers:
@@ -278,15 +281,8 @@ class Interrupts:
             socket.close()
 
 
-async def _receive(socket: zmq.asyncio.Socket, timeout: float | None) -> list[bytes]:
-    try:
-        return await asyncio.wait_for(socket.recv_multipart(), timeout)
-    except asyncio.TimeoutError:
-        raise Timeout(f"nothing came within {timeout:g} s") from None
-
-
 async def _next_event(socket: zmq.asyncio.Socket, timeout: float | None, kind: type[_T]) -> _T:
     while True:
-        event = decode_event(await _receive(socket, timeout))
+        event = decode_event(await receive(socket, timeout))
         if isinstance(event, kind):
             return event

@@ -116,8 +116,13 @@ class LocalStream(Stream):
     def lost(self) -> int:
         return self._lost_before + (self._connection.lost if self._connection else 0)
 
+    @property
+    def is_open(self) -> bool:
+        """Whether it is connected."""
+        return self._connection is not None
+
     def fileno(self) -> int:
-        """Descriptor that polls readable when `read` has something to do."""
+        """Descriptor that polls readable when `poll` has something to do."""
         self.open()
         assert self._connection is not None
         return self._connection.socket.fileno()
@@ -136,7 +141,19 @@ class LocalStream(Stream):
                 if until is not None:
                     connection.set_timeout(max(0.0, until - time.monotonic()))
         except BlockingIOError:
-            raise Timeout(_nothing(self.name, limit, connection)) from None
+            raise Timeout(self.nothing(limit)) from None
+        return self._latest(connection, frame) if self._newest else frame
+
+    def poll(self) -> Frame | None:
+        """The next frame if it is there already; never waits."""
+        self.open()
+        connection = self._connection
+        assert connection is not None
+        try:
+            while (frame := connection.receive(socket.MSG_DONTWAIT)) is None:
+                pass
+        except BlockingIOError:
+            return None
         return self._latest(connection, frame) if self._newest else frame
 
     def _latest(self, connection: Connection, frame: Frame) -> Frame:
@@ -149,19 +166,21 @@ class LocalStream(Stream):
                 frame.release()
                 frame = newer
 
+    def nothing(self, limit: float | None) -> str:
+        """Why nothing may have come, for people."""
+        text = f"stream {self.name!r} gave no frame within {limit or 0:g} s"
+        geometry = self.geometry
+        if geometry is None:
+            return f"{text}: it is stopped"
+        if self._connection and self._connection.held >= geometry.depth:
+            return f"{text}: all {geometry.depth} frames that may be held are; keep copies, or ask for a larger depth"
+        return text
+
     def close(self) -> None:
         if self._connection is not None:
             self._lost_before += self._connection.lost
             self._connection.close()
             self._connection = None
-
-
-def _nothing(name: str, limit: float | None, connection: Connection) -> str:
-    text = f"stream {name!r} gave no frame within {limit or 0:g} s"
-    depth = connection.geometry.depth if connection.geometry else 0
-    if depth and connection.held >= depth:
-        return f"{text}: all {depth} frames that may be held are; keep copies, or ask for a larger depth"
-    return f"{text}: it is stopped" if connection.geometry is None else text
 
 
 class RemoteStream(Stream):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -49,6 +50,20 @@ class Writer:
     def under_way(self) -> int:
         """Frames that the hardware has not taken yet."""
         return len(self._under_way)
+
+    @property
+    def free(self) -> int:
+        """Slots that can be had at once."""
+        return len(self._connection.granted)
+
+    def poll(self) -> bool:
+        """Take note of what has happened, if anything; never waits."""
+        try:
+            self._connection.receive(socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            return False
+        self._collect()
+        return True
 
     @contextmanager
     def slot(self, length: int = 0, timeout: float | None = None) -> Iterator[npt.NDArray[Any]]:
@@ -102,11 +117,11 @@ class Writer:
         if not self._connection.granted:
             self._wait(lambda: bool(self._connection.granted), self._timeout if timeout is None else timeout)
             self._raise_failures()
-        return self._connection.granted.popleft(), self._connection.memory
+        return self._connection.granted.pop(), self._connection.memory
 
     def _put_back(self, grant: Descriptor, memory: Any) -> None:
         if memory is self._connection.memory:
-            self._connection.granted.appendleft(grant)
+            self._connection.granted.append(grant)
 
     def _submit(self, grant: Descriptor, length: int) -> None:
         self._under_way.add(self._next)

@@ -149,7 +149,7 @@ class Streams:
         tap.write(data, done)
 
     def open_local(self, connection: socket.socket, wanted: Open) -> None:
-        """Make a connection to the data socket a reader or writer; it stays the caller's. Raises UnknownStream, Busy."""
+        """Make a connection to the data socket a reader or writer; the caller closes it. Raises UnknownStream."""
         stream = self.named(wanted.name, Direction.MM2S if wanted.write else Direction.S2MM)
         pump = None if stream.name in self._held else self._running(stream)
         client = self._plane.adopt(os.dup(connection.fileno()))

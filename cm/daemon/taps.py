@@ -128,7 +128,7 @@ class ReadTap(_Tap):
         if setup.lines and setup.stride != setup.line_bytes:
             whole = np.frombuffer(view, np.uint8)
             lines = np.lib.stride_tricks.as_strided(whole, (setup.lines, setup.line_bytes), (setup.stride, 1))
-            return memoryview(np.ascontiguousarray(lines).reshape(-1))[: packet.length]
+            return np.ascontiguousarray(lines).reshape(-1).data[: packet.length]
         return view[packet.offset : packet.offset + packet.length]
 
     def close(self) -> None:
