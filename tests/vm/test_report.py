@@ -27,6 +27,7 @@ CLEAN = """\
 [    0.200000] kmemleak: Automatic memory scanning thread started
 [    8.400000] cm_dma: loading out-of-tree module taints kernel.
 [    8.400000] cm_dma: module verification failed: signature and/or required key missing - tainting kernel
+[    9.000000] OF: overlay: WARNING: memory leak will occur if overlay removed, property: /__symbols__/prr0
 """
 REPORTS = {
     "kasan": "BUG: KASAN: slab-use-after-free in cm_queue_take+0x1c/0x40",
@@ -41,6 +42,7 @@ REPORTS = {
     "atomic": "BUG: sleeping function called from invalid context at mm/slab.h:494",
     "hung": "INFO: task python3:88 blocked for more than 60 seconds.",
     "stall": "rcu: INFO: rcu_preempt detected stalls on CPUs/tasks",
+    "property": "OF: overlay: WARNING: memory leak will occur if overlay removed, property: /pl-bus/status",
     "overlay": "OF: ERROR: memory leak, expected refcount 1 instead of 2, of_node_get()/of_node_put() unbalanced",
 }
 
@@ -52,12 +54,12 @@ def test_a_clean_log_has_no_reports() -> None:
 @pytest.mark.parametrize("line", REPORTS.values(), ids=REPORTS)
 def test_each_kind_of_report_is_found(line: str) -> None:
     found = report.scan(f"{CLEAN}[    9.000000] {line}\n")
-    assert [(one.line, line in one.text) for one in found] == [(9, True)]
+    assert [(one.line, line in one.text) for one in found] == [(10, True)]
 
 
 def test_lines_of_one_report_are_one_report() -> None:
     log = CLEAN + "BUG: KASAN: x\nCall trace:\n a\n b\n" + "quiet\n" * 20 + "WARNING: CPU: 0 PID: 1\n"
-    assert [one.line for one in report.scan(log)] == [9, 33]
+    assert [one.line for one in report.scan(log)] == [10, 34]
 
 
 def sent(place: Path, xml: str, status: int = 0, leaks: str = "") -> report.Results:

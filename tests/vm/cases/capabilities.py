@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +14,13 @@ def _module(name: str) -> bool:
     return any(Path("/lib/modules", os.uname().release).rglob(f"{name}.ko*"))
 
 
+def kernel_log() -> str:
+    """What the kernel has said so far."""
+    return subprocess.run(["dmesg"], capture_output=True, text=True, check=True).stdout
+
+
 def _log_says(text: str) -> bool:
-    return text in os.popen("dmesg").read()
+    return text in kernel_log()
 
 
 LOOK: dict[str, Callable[[], bool]] = {

@@ -9,7 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from capabilities import LOOK
+from capabilities import LOOK, kernel_log
 
 from cm import device
 
@@ -31,9 +31,9 @@ def test_there_are_kunit_suites() -> None:
 @pytest.mark.parametrize("suite", SUITES)
 def test_kunit_suite_passes(suite: str) -> None:
     assert modprobe("kunit").returncode == 0
-    seen = len(os.popen("dmesg").read())
+    seen = len(kernel_log())
     assert modprobe(suite).returncode == 0
-    log = os.popen("dmesg").read()[seen:]
+    log = kernel_log()[seen:]
     modprobe("-r", suite)
     assert re.search(r"^\S*\s*ok \d+ \S+|\] ok \d+", log, re.MULTILINE), log
     assert "not ok" not in log

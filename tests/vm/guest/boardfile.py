@@ -11,6 +11,7 @@ import pytest
 FIRMWARE = Path("/lib/firmware/cm/camera")
 MODULES = {"default": 0, "edge": 0, "colorise": 0, "loopback": 1}  # and the index of their region
 SIZE = 16 * 1024  # bytes of a bitstream: an emulated processor looks at each word
+OVERLAY = FIRMWARE / "leds.dtbo"  # only where the kernel takes overlays
 STATIC, EVENTS = 0x58001000, 0x59001000
 
 
@@ -37,6 +38,7 @@ def describe() -> dict[str, object]:
         "irq": device.find_uio(EVENTS, 4, "/")[0].node,
         "trigger": [0x30, 1],
         "icap": next(iter(device.list_icap("/")), None),
+        "overlay": str(OVERLAY) if OVERLAY.exists() else None,
         "bitstream": str(FIRMWARE / "loopback.bit"),
     }
 

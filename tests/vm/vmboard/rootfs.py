@@ -27,7 +27,6 @@ PACKAGES = [
     "python3-pil",
     "python3-pytest",
     "python3-pytest-timeout",
-    "python3-hypothesis",
     "busybox-static",
 ]
 APPLETS = (
