@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 from build_support import EXAMPLES, MINIMAL, NAMES, project
 
-from cm.build.load import check_project, load_project
+from cm.build.load import SCHEMA_FILE, check_project, load_project
 from cm.schema import SchemaError
 from cm.schema.model import Access, LoaderKind
 
@@ -117,3 +118,33 @@ def test_a_module_must_say_where_it_goes_when_there_are_several_regions(tmp_path
     text = MINIMAL.replace("  prr0: {pblock: auto}", "  prr0: {}\n  prr1: {}")
     messages = [str(problem) for problem in check_project(project(tmp_path, text))]
     assert any("with several regions a module must say where it may go" in message for message in messages)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_editors_that_take_the_json_schema_find_no_fault_with_the_examples(name: str) -> None:
+    import fastjsonschema
+    import yaml
+
+    validate = fastjsonschema.compile(json.loads(SCHEMA_FILE.read_text()))
+    validate(yaml.safe_load((EXAMPLES / name / "build.yaml").read_text()))
+
+
+def test_one_file_may_stand_without_a_list(tmp_path: Path) -> None:
+    found = load_project(project(tmp_path, MINIMAL.replace("[one.v]", "one.v")))
+    assert [path.name for path in found.modules["one"].sources] == ["one.v"]
+
+
+def test_every_key_has_a_description() -> None:
+    """It is what the hint of an error says."""
+    missing: list[str] = []
+
+    def walk(node: object, path: str) -> None:
+        if isinstance(node, dict):
+            for key, value in node.get("properties", {}).items():
+                if "description" not in value and "$ref" not in value:
+                    missing.append(f"{path}.{key}")
+            for key, value in node.items():
+                walk(value, f"{path}.{key}")
+
+    walk(json.loads(SCHEMA_FILE.read_text()), "")
+    assert not missing
