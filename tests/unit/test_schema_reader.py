@@ -173,19 +173,19 @@ def many(count: int, entry: str) -> str:
 )
 def test_a_hostile_file_is_refused_in_bounded_time_with_bounded_output(body: str) -> None:
     modes = "" if body.startswith("modes") else "  modes: {m: {}}\n"
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(SchemaError) as caught:
         cm.schema.loads(f"config:\n  name: c\n{modes}  {body}\n")
     assert len(caught.value.problems) <= 100
     assert len(str(caught.value)) < 100_000
-    assert time.perf_counter() - start < 10  # 0.1 to 1 s measured
+    assert time.process_time() - start < 10  # 0.1 to 1 s measured
 
 
 def test_a_large_and_good_file_loads_in_bounded_time() -> None:
     registers = many(4000, "r{0}: {{offset: 0x{0}000}}")
     modes = many(200, "m{0}: {{mmio: [{{base_address: 0, registers: {{s: {{offset: 4}}}}}}]}}")
-    start = time.perf_counter()
+    start = time.process_time()
     mmio = f"[{{base_address: 0, registers: {registers}}}]"
     config = cm.schema.loads(f"config:\n  name: c\n  mmio: {mmio}\n  modes: {modes}")
     assert len(config.visible_registers("m1")) == 4001
-    assert time.perf_counter() - start < 20  # 1.5 s measured
+    assert time.process_time() - start < 20  # 1.5 s measured
