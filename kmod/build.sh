@@ -31,6 +31,9 @@ if ! echo | "$triplet-gcc" -fmin-function-alignment=8 -E - >/dev/null 2>&1; then
 	set -- CONFIG_CC_HAS_MIN_FUNCTION_ALIGNMENT= "$@"
 fi
 
+# there is no vmlinux to take BTF from
+set -- CONFIG_DEBUG_INFO_BTF_MODULES= "$@"
+
 mkdir -p "$out"
 work=$(mktemp -d "$out/.work.XXXXXX")
 trap 'rm -rf "$work"' EXIT

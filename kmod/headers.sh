@@ -60,9 +60,12 @@ depends() {
 }
 
 update() {
+	# lists of today will do
+	if [ -e "$state/updated" ] && [ -n "$(find "$state/updated" -mmin -1440)" ]; then return 0; fi
 	if ! apt apt-get -q -q update >"$state/update.log" 2>&1; then
 		die "the package lists cannot be had ($(grep -m 1 '^[EW]:' "$state/update.log" || echo 'no reason given'))"
 	fi
+	touch "$state/updated"
 }
 
 # unpack PACKAGE...: download and extract below $tree
@@ -146,6 +149,10 @@ if [ ! -e "$tree/.done" ]; then
 		mv "$tree.new" "$whole.new/libc"
 		tree=$whole
 		wrap_tools "$tree.new/libc" $(programs)
+		# the dispatcher looks for its variants beside its own name
+		for tool in $(find "$tree.new/usr/lib" -name modpost); do
+			ln -sf modpost.real-lsb-64 "$tool"
+		done
 	fi
 	if [ "$host/$arch" = amd64/armhf ]; then use_32bit_modpost; fi
 	relocate

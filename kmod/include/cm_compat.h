@@ -15,11 +15,11 @@
 
 /* 6.13: symbol namespaces are strings */
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 13, 0)
-#define CM_EXPORT(symbol) EXPORT_SYMBOL_NS_GPL(symbol, "CM_CORE")
+#define CM_EXPORT_SYMBOL(symbol) EXPORT_SYMBOL_NS_GPL(symbol, "CM_CORE")
 #define CM_IMPORT_CORE MODULE_IMPORT_NS("CM_CORE")
 #define CM_IMPORT_DMA_BUF MODULE_IMPORT_NS("DMA_BUF")
 #else
-#define CM_EXPORT(symbol) EXPORT_SYMBOL_NS_GPL(symbol, CM_CORE)
+#define CM_EXPORT_SYMBOL(symbol) EXPORT_SYMBOL_NS_GPL(symbol, CM_CORE)
 #define CM_IMPORT_CORE MODULE_IMPORT_NS(CM_CORE)
 #define CM_IMPORT_DMA_BUF MODULE_IMPORT_NS(DMA_BUF)
 #endif
@@ -54,6 +54,26 @@ static inline struct device *cm_dma_device(struct dma_chan *chan)
 	return chan->device->dev;
 #endif
 }
+
+/*
+ * The memory of a simulated engine needs no cache maintenance.  The flag is a
+ * member that only some architectures have; kernels with accessor functions
+ * for a device's flags (seen in 7.2, not in 6.12) have no member.
+ */
+static inline void cm_set_coherent(struct device *dev)
+{
+#if defined(CONFIG_ARCH_HAS_SYNC_DMA_FOR_DEVICE) || defined(CONFIG_ARCH_HAS_SYNC_DMA_FOR_CPU) || \
+	defined(CONFIG_ARCH_HAS_SYNC_DMA_FOR_CPU_ALL)
+#if LINUX_VERSION_CODE >= KERNEL_VERSION(7, 1, 0)
+	dev_set_dma_coherent(dev);
+#else
+	dev->dma_coherent = true;
+#endif
+#endif
+}
+
+/* UIO drivers prepare a mapping (seen in 7.2, not in 6.12) instead of making it */
+#define CM_UIO_MMAP_PREPARE (LINUX_VERSION_CODE >= KERNEL_VERSION(7, 1, 0))
 
 /* 6.3: vm_flags may only be changed through functions */
 static inline void cm_vm_flags_set(struct vm_area_struct *vma, unsigned long flags)

@@ -133,11 +133,11 @@ static int add_client(struct plsim_board *board)
 		return 0;
 	device = add_device("cm_dma", board->id, NULL,
 			    (struct property_entry[]){
-				PROPERTY_ENTRY_STRING_ARRAY_LEN("dma-names", names, count),
-				PROPERTY_ENTRY_U32_ARRAY_LEN("fpga-cm,directions", directions, count),
-				PROPERTY_ENTRY_U32_ARRAY_LEN("fpga-cm,types", types, count),
-				PROPERTY_ENTRY_U32_ARRAY_LEN("fpga-cm,frame-lengths", lengths, count),
-				{} },
+		PROPERTY_ENTRY_STRING_ARRAY_LEN("dma-names", names, count),
+		PROPERTY_ENTRY_U32_ARRAY_LEN("fpga-cm,directions", directions, count),
+		PROPERTY_ENTRY_U32_ARRAY_LEN("fpga-cm,types", types, count),
+		PROPERTY_ENTRY_U32_ARRAY_LEN("fpga-cm,frame-lengths", lengths, count),
+		{} },
 			    NULL, 0);
 	if (IS_ERR(device))
 		return PTR_ERR(device);
@@ -175,11 +175,11 @@ static int add_uio(struct plsim_board *board, struct plsim_uio_item *uio, int in
 {
 	return keep_bound(add_device("cm_plsim_uio", board->id * PLSIM_UIO_MAX + index, NULL,
 				     (struct property_entry[]){
-					PROPERTY_ENTRY_STRING("label", config_item_name(&uio->item)),
-					PROPERTY_ENTRY_U64("fpga-cm,address", uio->address),
-					PROPERTY_ENTRY_U32("fpga-cm,size", uio->size),
-					PROPERTY_ENTRY_U32("fpga-cm,doorbell", uio->doorbell),
-					{} },
+		PROPERTY_ENTRY_STRING("label", config_item_name(&uio->item)),
+		PROPERTY_ENTRY_U64("fpga-cm,address", uio->address),
+		PROPERTY_ENTRY_U32("fpga-cm,size", uio->size),
+		PROPERTY_ENTRY_U32("fpga-cm,doorbell", uio->doorbell),
+		{} },
 				     NULL, 0),
 			  &board->uio[index]);
 }

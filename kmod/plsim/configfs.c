@@ -77,7 +77,7 @@ static int store_name(struct plsim_board *board, char *where, const char *page, 
 					       size_t count)                                       \
 	{                                                                                          \
 		struct plsim_channel_item *channel = to_channel(item);                             \
-                                                                                                   \
+												   \
 		return store_u32(channel->board, &channel->_name, page) ?: count;                  \
 	}                                                                                          \
 	CONFIGFS_ATTR(channel_, _name)

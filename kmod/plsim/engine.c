@@ -393,10 +393,7 @@ static int map_status(struct plsim_dma *dma, struct platform_device *pdev)
 /* the engine is the CPU, its caches are the CPU's */
 static int make_coherent(struct device *dev)
 {
-#if defined(CONFIG_ARCH_HAS_SYNC_DMA_FOR_DEVICE) || defined(CONFIG_ARCH_HAS_SYNC_DMA_FOR_CPU) || \
-	defined(CONFIG_ARCH_HAS_SYNC_DMA_FOR_CPU_ALL)
-	dev->dma_coherent = true;
-#endif
+	cm_set_coherent(dev);
 	return dma_coerce_mask_and_coherent(dev, DMA_BIT_MASK(64));
 }
 

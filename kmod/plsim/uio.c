@@ -16,6 +16,7 @@
 #include <linux/vmalloc.h>
 #include <linux/workqueue.h>
 
+#include "cm_compat.h"
 #include "plsim.h"
 
 #define NO_DOORBELL U32_MAX
@@ -25,6 +26,7 @@
  * struct plsim_uio - one device
  * @info: the framework's part
  * @memory: the registers, @size bytes
+ * @pages: its pages
  * @size: whole pages
  * @doorbell: offset of the doorbell, or NO_DOORBELL
  * @poll: looks at the doorbell
@@ -37,6 +39,7 @@
 struct plsim_uio {
 	struct uio_info info;
 	u32 *memory;
+	struct page **pages;
 	u32 size;
 	u32 doorbell;
 	struct delayed_work poll;
@@ -80,12 +83,34 @@ static int plsim_uio_irqcontrol(struct uio_info *info, s32 on)
 }
 
 /* the pages stay for as long as somebody has them mapped */
+#if CM_UIO_MMAP_PREPARE
+static int plsim_uio_mmap(struct uio_info *info, struct vm_area_desc *desc)
+{
+	struct plsim_uio *uio = info->priv;
+
+	if (vma_desc_pages(desc) > uio->size >> PAGE_SHIFT)
+		return -EINVAL;
+	mmap_action_map_kernel_pages_full(desc, uio->pages);
+	return 0;
+}
+
+static void set_mmap(struct plsim_uio *uio)
+{
+	uio->info.mmap_prepare = plsim_uio_mmap;
+}
+#else
 static int plsim_uio_mmap(struct uio_info *info, struct vm_area_struct *vma)
 {
 	struct plsim_uio *uio = info->priv;
 
 	return remap_vmalloc_range(vma, uio->memory, 0);
 }
+
+static void set_mmap(struct plsim_uio *uio)
+{
+	uio->info.mmap = plsim_uio_mmap;
+}
+#endif
 
 static void plsim_uio_poll(struct work_struct *work)
 {
@@ -145,11 +170,14 @@ static int read_properties(struct device *dev, struct plsim_uio *uio)
 static int init_memory(struct device *dev, struct plsim_uio *uio)
 {
 	u32 values[64];
-	int count;
+	int count, i;
 
-	uio->memory = vmalloc_user(uio->size);
+	uio->pages = devm_kcalloc(dev, uio->size >> PAGE_SHIFT, sizeof(*uio->pages), GFP_KERNEL);
+	uio->memory = uio->pages ? vmalloc_user(uio->size) : NULL;
 	if (!uio->memory)
 		return -ENOMEM;
+	for (i = 0; i < uio->size >> PAGE_SHIFT; i++)
+		uio->pages[i] = vmalloc_to_page((void *)uio->memory + i * PAGE_SIZE);
 	count = device_property_count_u32(dev, "fpga-cm,values");
 	if (count > 0 && count <= ARRAY_SIZE(values) &&
 	    !device_property_read_u32_array(dev, "fpga-cm,values", values, count))
@@ -193,7 +221,7 @@ static int plsim_uio_probe(struct platform_device *pdev)
 	uio->info.priv = uio;
 	uio->info.irq = UIO_IRQ_CUSTOM;
 	uio->info.irqcontrol = plsim_uio_irqcontrol;
-	uio->info.mmap = plsim_uio_mmap;
+	set_mmap(uio);
 	uio->info.mem[0].name = "registers";
 	uio->info.mem[0].size = uio->size;
 	uio->info.mem[0].memtype = UIO_MEM_PHYS;
