@@ -27,8 +27,13 @@ CAMERA = Path(__file__).resolve().parents[1] / "cm" / "data" / "camera" / "camer
 
 
 class Clock:
+    """The system's, but tests may put it forward."""
+
+    def __init__(self) -> None:
+        self.ahead = 0.0
+
     def monotonic(self) -> float:
-        return time.monotonic()
+        return time.monotonic() + self.ahead
 
 
 class Nobody:
@@ -133,12 +138,14 @@ class Rig:
     devices: BoardDevices
     fault: Fault
     data_plane: Nobody
-    store: Store
+    store: FaultyStore
+    clock: Clock
+    files: BoardFiles
     notes: tuple[str, ...] = ()
 
-    def go(self, mode: str, timeout: float = 30.0) -> Any:
+    def go(self, mode: str, timeout: float = 30.0, config: str = "camera") -> Any:
         """Go to a mode; the error, or None."""
-        change = self.manager.submit(WriteConfig(config_name="camera", mode=mode))
+        change = self.manager.submit(WriteConfig(config_name=config, mode=mode))
         assert change.wait(timeout), f"the change to {mode} did not end"
         return change.error
 
@@ -165,9 +172,9 @@ def camera(timeout: float | None = None, defaults: Mapping[str, int] | None = No
 
 
 @contextlib.contextmanager
-def rig(root: Path, state: Path, config: Config | None = None) -> Iterator[Rig]:
-    """A started manager on the board under `root`."""
-    made = make_rig(root, state, config)
+def rig(root: Path, state: Path, *configs: Config, prefetch: int = 0) -> Iterator[Rig]:
+    """A started manager on the board under `root`, with the camera example if no configuration is given."""
+    made = make_rig(root, state, *configs, prefetch=prefetch)
     try:
         made.notes = made.manager.start()
         yield made
@@ -175,12 +182,13 @@ def rig(root: Path, state: Path, config: Config | None = None) -> Iterator[Rig]:
         made.close()
 
 
-def make_rig(root: Path, state: Path, config: Config | None = None) -> Rig:
+def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0) -> Rig:
     """A manager that was not started yet."""
     fault, nobody = Fault(), Nobody()
     devices = BoardDevices(Root.of(root))
     store = FaultyStore(state, fault)
-    given = (FaultyDevices(devices, fault), BoardFiles(root), store, nobody, Clock(), nobody)
-    env = Environment(*given, settings=Settings(prefetch_bytes=0))
-    config = config or camera()
-    return Rig(Manager({config.name: config}, env), devices, fault, nobody, store)
+    clock, files = Clock(), BoardFiles(root)
+    given = (FaultyDevices(devices, fault), files, store, nobody, clock, nobody)
+    env = Environment(*given, settings=Settings(prefetch_bytes=prefetch))
+    known = {config.name: config for config in configs or (camera(),)}
+    return Rig(Manager(known, env), devices, fault, nobody, store, clock, files)

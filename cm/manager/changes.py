@@ -26,6 +26,7 @@ class Change:
     config: str
     mode: str
     force: bool = False
+    static: str | None = None  # the full configuration to load first, on the way back to a partial one
     scopes: tuple[str, ...] = ()  # what leases of others must not cover
     lease: str = ""  # the requester's own
     error: ErrorInfo | None = None
@@ -139,14 +140,15 @@ class ChangeRunner:
         """Leave what is not ready cut off, and say so."""
         touched = [r for name, r in self._regions(before, goal).items() if name in self._board.state.regions]
         problems = abandon(self._board, self._tools.registers, touched)
-        if not self._holds(before):
-            self._board.update(lambda state: replace(state, mode=None))
+        mode = before.mode if self._holds(before) else None
+        config = None if self._board.state.static_sha256 != before.static_sha256 else before.config
+        self._board.update(lambda state: replace(state, config=config, mode=mode))
         try:
             self._board.record(None)
         except OSError as error:
             problems.append(f"the state record could not be written: {error}")
         self._tools.data_plane.resume(self._config(before.config), self._board.state.mode)
-        tail = "; ".join([self._left(), *problems])
+        tail = "; ".join([self._left(before), *problems])
         return StepFailed(f"{text}; {tail}", code)
 
     def _regions(self, before: BoardState, goal: Config) -> dict[str, Region]:
@@ -155,19 +157,23 @@ class ChangeRunner:
         replaced = self._board.state.static_sha256 != before.static_sha256
         return {**(old.regions if old is not None and not replaced else {}), **goal.regions}
 
-    def _left(self) -> str:
+    def _left(self, before: BoardState) -> str:
         state = self._board.state
         if state.static_lost:
             return "what the device holds is not known, so nothing in it is accessed"
         cut = [name for name, region in state.regions.items() if region.phase is RegionPhase.FAILED]
-        return f"regions left decoupled: {', '.join(cut)}" if cut else "no region was touched"
+        if cut:
+            return f"regions left decoupled: {', '.join(cut)}"
+        if state.static_sha256 != before.static_sha256:
+            return f"the device holds the image of {state.static_config}, and is in no mode"
+        return "no region was touched" if self._holds(before) else "what was loaded stays, in no mode"
 
     def _holds(self, mode: BoardState) -> bool:
         """Whether the regions still hold what they held in that mode."""
         now = self._board.state
         if (now.static_sha256, now.static_lost) != (mode.static_sha256, mode.static_lost):
             return False
-        return all(now.region(name) == region for name, region in mode.regions.items())
+        return all(now.region(name) == mode.region(name) for name in {*mode.regions, *now.regions})
 
     def _config(self, name: str | None) -> Config | None:
         return self._configs().get(name) if name else None

@@ -126,16 +126,24 @@ class Manager:
     def _repair(self, interrupted: Pending | None) -> None:
         """Queue what brings the board back to a whole mode, where it is not in one."""
         config, mode = self.loaded_config(), self.state.mode
-        if interrupted is not None and self.state.static_lost:
-            config = self._configs.get(interrupted.from_config or "")
-            mode = interrupted.from_mode if config is not None and config.type is ConfigType.FULL else None
+        static = None
+        if interrupted is not None and config is None:  # cut short after the device was given another image
+            config, mode, static = self._way_back(interrupted)
         if config is None or mode is None or mode not in config.modes:
             self.update(lambda state: replace(state, config=None, mode=None))
             return
         regions = {config.modules[m].region for m in config.modes[mode].modules}
         whole = all(self.state.region(r).phase is RegionPhase.READY for r in regions)
         if interrupted is not None or not whole:
-            self._enqueue(Change(self._next_number(), config.name, mode))
+            self._enqueue(Change(self._next_number(), config.name, mode, static=static))
+
+    def _way_back(self, cut: Pending) -> tuple[Config | None, str | None, str | None]:
+        """Configuration, mode, and the image to load first; no configuration where that image is not ours to load."""
+        config = self._configs.get(cut.from_config or "")
+        full = config is not None and config.type is ConfigType.FULL
+        if full or cut.from_static in self._configs:
+            return config, cut.from_mode, None if full else cut.from_static
+        return None, None, None
 
     def board_restarted(self) -> None:
         """The board was started anew: nothing that is recorded is true any more. Raises DeviceError."""
@@ -189,7 +197,13 @@ class Manager:
         if request.no_queue and self._busy():
             raise ChangeBusy(f"a change to {self._target_text()} is running")
         number = self._next_number()
-        return self._enqueue(Change(number, config.name, mode, request.force, scopes, request.lease, on_done=on_done))
+        return self._enqueue(
+            Change(number, config.name, mode, request.force, None, scopes, request.lease, on_done=on_done)
+        )
+
+    def wait_idle(self) -> None:
+        """Wait until no change runs or waits."""
+        self._queue.join()
 
     def cancel(self) -> bool:
         """Cancel the running change, if there is one."""
@@ -242,19 +256,26 @@ class Manager:
         started = self._env.clock.monotonic()
         self._running, self._failed = change, False
         config = self._configs[change.config]
-        self._pending = Pending(change.number, change.config, change.mode, self.state.config, self.state.mode)
+        self._pending = self._begun(change)
         self.progress(Progress(change.number, change.config, change.mode, "validate"))
         error: ErrorInfo | None = None
         try:
             if change.cancelled:
                 raise Cancelled("the change was cancelled before it began")
             self.leases.check(change.scopes, change.lease)  # one may have been given while this change waited
-            self._runner.run(Goal(config, change.mode, change.force), change.number, lambda: change.cancelled)
+            goal = Goal(config, change.mode, change.force, static=self._configs.get(change.static or ""))
+            self._runner.run(goal, change.number, lambda: change.cancelled)
         except CmError as problem:
             error = ErrorInfo(getattr(problem, "cause_code", problem.code), str(problem))
         except Exception as problem:  # noqa: BLE001 (a defect of ours must not end the worker)
             error = ErrorInfo("internal", f"{type(problem).__name__}: {problem}")
         self._end(change, error, self._env.clock.monotonic() - started)
+
+    def _begun(self, change: Change) -> Pending:
+        state = self.state
+        return Pending(
+            change.number, change.config, change.mode, state.config, state.mode, from_static=state.static_config
+        )
 
     def _end(self, change: Change, error: ErrorInfo | None, seconds: float) -> None:
         self._pending, self._progress, self._running = None, None, None

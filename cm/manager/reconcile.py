@@ -7,14 +7,14 @@ under way when the manager died. Touches nothing but leftover overlays of a step
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from cm.errors import CmError
 from cm.manager.loaders import loading_overlay
 from cm.manager.ports import Devices
 from cm.manager.registers import RegisterAccess
-from cm.manager.state import BoardState, RegionEvent, RegionPhase, RegionState, all_lost
+from cm.manager.state import BoardState, OverlayState, RegionEvent, RegionPhase, RegionState, all_lost
 from cm.manager.store import Pending, Record
 from cm.schema.model import Config, LoaderKind, Module, Region
 
@@ -32,6 +32,14 @@ def reconcile(
     record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterAccess
 ) -> Finding:
     """What the board holds, as far as record and board agree. Raises DeviceError where the board cannot be asked."""
+    finding = _compare(record, configs, devices, registers)
+    notes = list(finding.notes)
+    return replace(finding, state=_adopted(finding.state, configs, devices, notes), notes=tuple(notes))
+
+
+def _compare(
+    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterAccess
+) -> Finding:
     if record is None:
         return Finding(BoardState())
     if record.boot_id != devices.boot_id():
@@ -80,6 +88,24 @@ def _overlays(state: BoardState, pending: Pending | None, devices: Devices, note
         overlays.remove(pending.overlay)
         notes.append(f"overlay {pending.overlay}, left over from the change that was cut short, was removed")
     return replace(state, overlays=kept)
+
+
+def _adopted(state: BoardState, configs: Mapping[str, Config], devices: Devices, notes: list[str]) -> BoardState:
+    """Overlays of ours that no record knows, of a run whose record was lost: the next change takes them off."""
+    overlays = devices.overlays()
+    known = {o.name for o in state.overlays}
+    ours = {name for config in configs.values() for name in _overlay_names(config)}
+    for name in overlays.list() if overlays.available() else ():
+        if name in ours and name not in known:
+            notes.append(f"overlay {name} is applied, but not recorded; the next change removes it")
+            state = replace(state, overlays=(*state.overlays, OverlayState(name, "")))
+    return state
+
+
+def _overlay_names(config: Config) -> Iterator[str]:
+    yield from (o.name for o in config.overlays)
+    yield from (o.name for mode in config.modes.values() for o in mode.overlays)
+    yield from (loading_overlay(name) for name in config.regions)
 
 
 def _port(state: BoardState, configs: Mapping[str, Config], devices: Devices, notes: list[str]) -> BoardState:

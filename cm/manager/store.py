@@ -39,6 +39,7 @@ class Pending:
     step: str = ""
     subject: str = ""
     overlay: str | None = None  # being applied or removed
+    from_static: str | None = None  # the full configuration whose image the device held
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from manager_support import Rig, camera, make_rig, rig
+from manager_support import Rig, camera, rig
 
 from cm.sim import Board as SimBoard
 
@@ -164,37 +162,6 @@ def test_nothing_leaks_over_failed_changes(made: Rig, sim: SimBoard) -> None:
     assert held() == before
 
 
-def _killed_at(sim: SimBoard, state: Path, number: int) -> bool:
-    """In a child: go from default to edge_detection and die at write `number` of the record; False if it lived."""
-    pid = os.fork()
-    if pid == 0:
-        try:
-            made = make_rig(sim.root, state, camera(timeout=SHORT))
-            made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
-            made.manager.start()
-            made.go("default")
-            made.arm(number)
-            made.go("edge_detection")
-        finally:
-            os._exit(0)
-    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
-
-
-def test_a_manager_killed_at_any_operation_comes_back_knowing(sim: SimBoard, tmp_path: Path) -> None:
-    ends = set()
-    number = 0
-    while _killed_at(sim, tmp_path, number):
-        with rig(sim.root, tmp_path, camera(timeout=SHORT)) as again:
-            while again.manager.status().fpga_busy or again.manager._busy():
-                pass  # the repair that it queued itself
-            end = settled(again, sim)
-            ends.add(end)
-            assert end in ("default", "edge_detection"), f"killed at operation {number}: {again.notes}"
-        number += 1
-    assert number > 15
-    assert ends == {"default", "edge_detection"}
-
-
 def test_a_board_that_was_restarted_holds_nothing(tmp_path: Path) -> None:
     with SimBoard(arguments=["--icap-rate", "0"]) as fresh:
         with rig(fresh.root, tmp_path) as first:
@@ -213,7 +180,6 @@ def test_a_region_that_somebody_else_reloaded_is_not_trusted(sim: SimBoard, tmp_
     with rig(sim.root, tmp_path / "two") as other:
         assert other.go("edge_detection") is None
     with rig(sim.root, tmp_path / "one") as again:
-        while again.manager._busy():
-            pass
+        again.manager.wait_idle()
         assert any("identity" in note for note in again.notes)
         assert truth(sim)["module"] == "default"

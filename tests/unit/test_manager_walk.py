@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Changes of every kind: each operation fails, each fails for good, and the manager dies at each of them.
+
+Wherever that leaves the board, it is in a mode of which the manager says so, or it is said what is not known.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from manager_schemas import written
+from manager_support import Rig, make_rig, rig
+
+from cm.schema.model import Config
+from cm.sim import Board as SimBoard
+
+
+@dataclass(frozen=True)
+class Way:
+    """A change from one mode to another, given as config/mode; `after` are modes to go through before it."""
+
+    start: str
+    goal: str
+    after: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.start} to {self.goal}"
+
+
+TWO_REGIONS = Way("duo/default", "duo/both")
+TO_FULL = Way("duo/default", "whole/full", after=("ported/only",))
+TO_PORTED = Way("duo/default", "ported/only", after=("whole/full",))
+TO_PARTIAL = Way("whole/full", "duo/default")
+BY_OVERLAY = Way("kernel/default", "kernel/both")
+BY_MANAGER = Way("managed/default", "managed/both")
+WAYS = (TWO_REGIONS, TO_FULL, TO_PARTIAL, BY_OVERLAY, BY_MANAGER)
+
+
+@pytest.fixture(scope="module")
+def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
+    return written(tmp_path_factory.mktemp("configs"))
+
+
+@pytest.fixture(scope="module")
+def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
+    folder = next(iter(configs.values())).source
+    assert folder is not None
+    with SimBoard([folder.parent], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
+        yield board
+
+
+@pytest.fixture
+def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[Rig]:
+    with rig(sim.root, tmp_path, *configs.values()) as started:
+        yield started
+        sim.control.clear()
+
+
+def go(made: Rig, place: str) -> object:
+    config, _, mode = place.partition("/")
+    return made.go(mode, config=config)
+
+
+def begin(made: Rig, way: Way) -> None:
+    made.arm(-1)
+    for place in (*way.after, way.start):
+        assert go(made, place) is None
+
+
+def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
+    """The mode the board is in, or "" where it is in none; the manager and the board say the same."""
+    status, held = made.manager.status(), sim.control.state()
+    assert not status.fpga_busy
+    if made.manager.state.static_lost:
+        assert not status.config_name
+        assert status.last_error is not None
+        return ""
+    for region in status.regions:
+        real = held["regions"][region.name]
+        if region.state == "ready":
+            assert (real["module"], real["decoupled"]) == (region.module, False)
+        elif region.state == "failed":
+            assert real["decoupled"]
+            assert status.last_error is not None
+            assert region.name in status.last_error.message
+    assert sorted(held["overlays"]) == sorted(o.name for o in made.manager.state.overlays)
+    if not (status.config_name and status.mode):
+        return ""
+    config = configs[status.config_name]
+    there = {r.name: r.module for r in status.regions if r.state == "ready"}
+    for name in config.modes[status.mode].modules:
+        if there.get(config.modules[name].region) != name:
+            return ""
+    return f"{status.config_name}/{status.mode}"
+
+
+def operations(made: Rig, way: Way) -> int:
+    """How many operations the change takes."""
+    begin(made, way)
+    made.arm(-1)
+    assert go(made, way.goal) is None
+    return len(made.fault.names)
+
+
+@pytest.mark.parametrize("way", WAYS, ids=str)
+def test_one_failure_of_any_operation_ends_in_the_old_mode_or_the_new(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], way: Way
+) -> None:
+    ends, end = set(), ""
+    for number in range(operations(made, way)):
+        if end != way.start:
+            begin(made, way)
+        made.arm(number)
+        error = go(made, way.goal)
+        name = made.fault.names[number]
+        made.arm(-1)
+        end = where(made, sim, configs)
+        ends.add(end)
+        assert end in (way.start, way.goal), f"operation {number}, {name}: {error}"
+        assert (error is None) == (end == way.goal), f"operation {number}, {name}: {error}"
+    assert way.start in ends
+
+
+@pytest.mark.parametrize("way", [TWO_REGIONS, TO_FULL, BY_OVERLAY], ids=str)
+def test_failures_that_last_leave_a_board_of_which_is_said_what_is_known(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], way: Way
+) -> None:
+    for number in range(0, operations(made, way), 2):
+        begin(made, way)
+        made.arm(number, times=10_000)
+        error = go(made, way.goal)
+        made.arm(-1)
+        if error is None:  # only the record of the end failed
+            assert where(made, sim, configs) == way.goal
+            continue
+        status = made.manager.status()
+        assert status.pr_mode.value == "error"
+        assert status.last_error is not None
+        lost = made.manager.state.static_lost
+        assert lost or all(r.state in ("ready", "failed", "unknown") for r in status.regions)
+        for region in status.regions:
+            real = sim.control.state()["regions"][region.name]
+            assert lost or region.state != "ready" or real["module"] == region.module
+
+
+def test_a_first_change_that_fails_leaves_what_it_touched_cut_off(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    for number in range(0, 45, 3):
+        with rig(sim.root, tmp_path / str(number), *configs.values()) as fresh:
+            fresh.arm(number)
+            error = fresh.go("default", config="duo")
+            fresh.arm(-1)
+            assert where(fresh, sim, configs) == ("" if error else "duo/default")
+
+
+def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, way: Way, number: int) -> bool:
+    """In a child that finds the board in the way's start: die at an operation of the change; False if it lived."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            made = make_rig(sim.root, state, *configs.values())
+            made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
+            made.manager.start()
+            made.arm(number)
+            go(made, way.goal)
+        finally:
+            os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
+
+
+@pytest.mark.parametrize(("way", "stride"), [(TWO_REGIONS, 1), (TO_FULL, 1), (BY_OVERLAY, 4)], ids=str)
+def test_a_manager_killed_at_any_operation_comes_back_knowing(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, way: Way, stride: int
+) -> None:
+    ends: dict[str, int] = {}
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        begin(first, way)
+    number = 0
+    while killed_at(sim, configs, tmp_path, way, number):
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            end = where(again, sim, configs)
+            ends[end] = ends.get(end, 0) + 1
+            lost = again.manager.state.static_lost
+            assert end in (way.start, way.goal) or lost, f"killed at operation {number}: {again.notes}"
+            assert not lost or any("full image" in note for note in again.notes)
+            if end != way.start:
+                begin(again, way)
+        number += stride
+    assert number > 15
+    assert way.start in ends
+
+
+@pytest.mark.parametrize(
+    ("way", "fault", "target", "code"),
+    [
+        (TWO_REGIONS, "icap_crc", "", "load_failed"),
+        (TWO_REGIONS, "icap_id", "", "load_failed"),
+        (TWO_REGIONS, "overlay_error", "duo_extra", "device_invalid"),
+        (BY_OVERLAY, "overlay_error", "cm-prr1", "device_invalid"),
+        (BY_OVERLAY, "fpga_manager_error", "", "device_error"),
+        (BY_MANAGER, "fpga_manager_error", "", "device_error"),
+        (TO_FULL, "fpga_manager_error", "", "device_error"),
+        (TO_FULL, "overlay_error", "whole_extra", "device_invalid"),
+        (TO_PORTED, "icap_crc", "", "load_failed"),
+    ],
+    ids=lambda value: str(value) or "any",
+)
+def test_a_fault_of_the_board_brings_it_back(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], way: Way, fault: str, target: str, code: str
+) -> None:
+    begin(made, way)
+    sim.control.inject(fault, target or None)
+    error = go(made, way.goal)
+    sim.control.clear()
+    assert where(made, sim, configs) == way.start
+    assert error is not None
+    assert error.code == code  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("way", [TWO_REGIONS, TO_FULL, BY_OVERLAY], ids=str)
+def test_nothing_leaks_over_failed_changes(made: Rig, sim: SimBoard, way: Way) -> None:
+    def held() -> tuple[int, int, int, list[str]]:
+        state = sim.control.state()
+        return len(list(Path("/proc/self/fd").iterdir())), state["buffers"], state["connections"], state["overlays"]
+
+    def fail() -> None:
+        made.arm(count - 8)
+        assert go(made, way.goal) is not None
+
+    count = operations(made, way)
+    begin(made, way)
+    for _ in range(2):
+        fail()
+    before = held()
+    for _ in range(6):
+        fail()
+    assert held() == before
