@@ -21,6 +21,9 @@ from cm.wire.plane import DESCRIPTOR, FDS_MAX, PACKET_MAX, Descriptor, Geometry,
 
 _ANCILLARY = socket.CMSG_SPACE(FDS_MAX * 4)
 _SEQUENCES = 1 << 64
+# as plain numbers: operators of the enumerations they come from cost more than the system call
+_CLOEXEC = int(socket.MSG_CMSG_CLOEXEC)
+_NOSIGNAL = int(socket.MSG_NOSIGNAL)
 
 
 class Connection:
@@ -79,9 +82,7 @@ class Connection:
     def receive(self, flags: int = 0) -> LocalFrame | None:
         """Handle one packet; the frame if it was one. Raises BlockingIOError at the time-out, ConnectionLost, …"""
         try:
-            size, ancillary, _, _ = self.socket.recvmsg_into(
-                [self._buffer], _ANCILLARY, flags | socket.MSG_CMSG_CLOEXEC
-            )
+            size, ancillary, _, _ = self.socket.recvmsg_into([self._buffer], _ANCILLARY, flags | _CLOEXEC)
         except (ConnectionError, TimeoutError) as error:
             raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
         if not size:
@@ -109,16 +110,17 @@ class Connection:
         self.held -= 1
         memory.end(frame.slot)
         with suppress(OSError):
-            self.socket.send(frame._replace(kind=packets.RELEASE).pack(), socket.MSG_NOSIGNAL)
+            release = (frame.slot, packets.RELEASE, *frame[2:])
+            self.socket.send(DESCRIPTOR.pack(*release), _NOSIGNAL)
 
     def submit(self, slot: Descriptor, offset: int, length: int, sequence: int) -> None:
         """Send a granted slot to the hardware. Raises ConnectionLost."""
-        self.send(slot._replace(kind=packets.SUBMIT, offset=offset, length=length, sequence=sequence))
+        self.send(Descriptor(slot.slot, packets.SUBMIT, slot.flags, offset, length, sequence, slot.timestamp_ns))
 
     def send(self, packet: Descriptor) -> None:
         """Send a packet. Raises ConnectionLost."""
         try:
-            self.socket.send(DESCRIPTOR.pack(*packet), socket.MSG_NOSIGNAL)
+            self.socket.send(DESCRIPTOR.pack(*packet), _NOSIGNAL)
         except OSError as error:
             raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
 

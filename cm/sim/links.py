@@ -6,6 +6,8 @@ from __future__ import annotations
 import errno
 import time
 
+import numpy as np
+
 from .camera import SHAPE, PhotoReel
 from .datapath import Datapath
 from .dma import Bytes, Channel
@@ -79,6 +81,15 @@ class LoopLink(Link):
     ) -> None:
         super().__init__(loop, faults, interrupts, path)
         self._source, self._sink = source, sink
+        self._inside = np.empty(0, np.uint8)
+
+    def _taken(self, data: Bytes) -> Bytes:
+        """A packet on its way through the PL: its bytes have left the memory that they came from."""
+        if len(self._inside) < len(data):
+            self._inside = np.empty(len(data), np.uint8)
+        inside = self._inside[: len(data)]
+        np.copyto(inside, data)
+        return inside
 
     def _move(self) -> None:
         source, sink = self._source, self._sink
@@ -92,7 +103,7 @@ class LoopLink(Link):
         if self._faults.take("dma_error", source.spec.name):
             source.complete(0, -errno.EIO)
         else:
-            self._deliver(sink, self._path.process(self._path.frame(transfer.data())))
+            self._deliver(sink, self._path.process(self._path.frame(self._taken(transfer.data()))))
             source.complete(transfer.period)
         self.kick()
 

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One producer, 1 to 8 local readers: what a reader costs the others."""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+from contextlib import ExitStack
+
+from cm.bench.machine import unpinned
+from cm.bench.result import Goal, Result
+from cm.bench.run import Run
+from cm.bench.serving import serve, settle
+
+READERS = (1, 2, 4, 8)
+RATE = 200.0  # frames per second that the simulated camera gives
+GOAL = Goal(0.9, at_least=True)
+RAN = (
+    "simulated camera of 200 frames per second (640 × 480), 1, 2, 4 and 8 local readers, each a process that looks at "
+    "every frame; frames per second that a reader got, all CPUs; ratio: rate with 8 readers to rate with one"
+)
+
+
+def run(bench: Run) -> list[Result]:
+    """Measure `fanout`."""
+    with ExitStack() as stack:
+        stack.enter_context(unpinned(set(bench.cpus)))
+        served = stack.enter_context(serve(bench))
+        board = stack.enter_context(served.connect())
+        settle(board)
+        board.configure_stream("camera", rate=RATE, force=True)
+        seconds = 0.5 if bench.quick else 5.0
+        found = {count: _readers(str(served.runtime_dir), count, seconds) for count in READERS}
+    rates = {count: statistics.median(rate for rate, _ in each) for count, each in found.items()}
+    details = {
+        "rates": {str(count): rate for count, rate in rates.items()},
+        "lost": {str(count): sum(lost for _, lost in each) for count, each in found.items()},
+    }
+    return [Result("fanout", rates[8], "frames/s", RAN, rates[1], rates[8] / rates[1], GOAL, details=details)]
+
+
+def _readers(folder: str, count: int, seconds: float) -> list[tuple[float, int]]:
+    """Rate and losses of each of `count` readers at once."""
+    command = [sys.executable, "-m", "cm.bench.reader", folder, str(seconds)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    readers = [subprocess.Popen(command, **pipes, text=True) for _ in range(count)]  # type: ignore[call-overload]
+    for reader in readers:
+        reader.stdout.readline()  # it has had its first frame
+    for reader in readers:
+        reader.stdin.write("go\n")
+        reader.stdin.flush()
+    return [_report(reader) for reader in readers]
+
+
+def _report(reader: subprocess.Popen[str]) -> tuple[float, int]:
+    rate, lost = reader.communicate()[0].split()
+    return float(rate), int(lost)
