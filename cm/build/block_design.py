@@ -145,11 +145,10 @@ def _megahertz(rate: int) -> str:
 def _dma_cell(system: System, dma: Dma, clocks: list[ClockPin]) -> DmaCell:
     sends = dma.direction is Direction.MM2S
     kind = dma.direction.value
-    length = 23 if dma.name == "icap" and dma is system.icap else dma.length_bits
     settings: list[tuple[str, object]] = [
         ("c_include_sg", 1),
         ("c_sg_include_stscntrl_strm", 0),
-        ("c_sg_length_width", max(length, 23) if dma is system.icap else length),
+        ("c_sg_length_width", dma.length_bits),
         ("c_addr_width", system.platform.address_bits),
         ("c_include_mm2s", int(sends)),
         ("c_include_s2mm", int(not sends)),

@@ -129,7 +129,6 @@ def _bitstreams(system: System, run: flow.Run) -> dict[str, Any]:
         "partials": [(one.region.cell, one.name) for one in run.partials],
         "names": [one.name for one in run.partials],
         "properties": properties,
-        "swap": not system.platform.ultrascale,
     }
 
 

@@ -64,3 +64,15 @@ def garbage_module(design: Design) -> str:
     bit = "noise[127] ^ noise[125] ^ noise[100] ^ noise[98]"
     shift = f"    always @(posedge {clock}) noise <= {{noise[126:0], {bit}}};\n"
     return f"`timescale 1ns / 1ps\n{header}{shift}" + "\n".join(assigns) + "\nendmodule\n"
+
+
+@pytest.mark.parametrize("second", ["gain", "invert"])
+def test_two_regions_on_two_clocks(second: str, tmp_path: Path) -> None:
+    examples = tmp_path / "examples"
+    examples.mkdir()
+    design, out = generated(copy_examples(examples), "two_regions")
+    chosen = [design.system.implementation("edge", "filter"), design.system.implementation(second, "correction")]
+    wrappers = [out / f"wrappers/{one.name}/{one.region.module}.v" for one in chosen]
+    sources = [*static_sources(out), *wrappers, *(path for one in chosen for path in one.module.sources)]
+    ids = {"CM_FIRST_ID": str(chosen[0].identity), "CM_SECOND_ID": str(chosen[1].identity), "CM_SECOND": second}
+    assert len(simulate("cm_static", sources, "cocotb_two_regions", tmp_path, **ids)) == 4

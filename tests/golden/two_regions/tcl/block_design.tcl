@@ -50,7 +50,7 @@ connect_bd_net [get_bd_pins reset_pl_clk0/interconnect_aresetn] [get_bd_pins con
 set dma [cm_ip axi_dma dma_icap]
 set_property CONFIG.c_include_sg {1} $dma
 set_property CONFIG.c_sg_include_stscntrl_strm {0} $dma
-set_property CONFIG.c_sg_length_width {23} $dma
+set_property CONFIG.c_sg_length_width {26} $dma
 set_property CONFIG.c_addr_width {40} $dma
 set_property CONFIG.c_include_mm2s {1} $dma
 set_property CONFIG.c_include_s2mm {0} $dma

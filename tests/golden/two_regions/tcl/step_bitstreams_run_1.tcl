@@ -12,6 +12,7 @@ set_property BITSTREAM.GENERAL.CRC ENABLE [current_design]
 write_bitstream -force -no_partial_bitfile bitstreams/two_regions.bit
 write_bitstream -force -cell static_part/filter bitstreams/default.bit
 write_bitstream -force -cell static_part/correction bitstreams/gain.bit
-write_cfgmem -force -format BIN -interface SMAPx32 -loadbit "up 0x0 bitstreams/default.bit" bitstreams/default.bin
-write_cfgmem -force -format BIN -interface SMAPx32 -loadbit "up 0x0 bitstreams/gain.bit" bitstreams/gain.bin
+# bits stay as they are: cm_icap.v swaps them on their way to the port
+write_cfgmem -force -format BIN -interface SMAPx32 -disablebitswap -loadbit "up 0x0 bitstreams/default.bit" bitstreams/default.bin
+write_cfgmem -force -format BIN -interface SMAPx32 -disablebitswap -loadbit "up 0x0 bitstreams/gain.bit" bitstreams/gain.bin
 write_hw_platform -fixed -force -include_bit -file bitstreams/two_regions.xsa

@@ -11,5 +11,6 @@ set_property BITSTREAM.GENERAL.COMPRESS FALSE [current_design]
 set_property BITSTREAM.GENERAL.CRC ENABLE [current_design]
 write_bitstream -force -cell static_part/filter bitstreams/edge.bit
 write_bitstream -force -cell static_part/correction bitstreams/invert.bit
-write_cfgmem -force -format BIN -interface SMAPx32 -loadbit "up 0x0 bitstreams/edge.bit" bitstreams/edge.bin
-write_cfgmem -force -format BIN -interface SMAPx32 -loadbit "up 0x0 bitstreams/invert.bit" bitstreams/invert.bin
+# bits stay as they are: cm_icap.v swaps them on their way to the port
+write_cfgmem -force -format BIN -interface SMAPx32 -disablebitswap -loadbit "up 0x0 bitstreams/edge.bit" bitstreams/edge.bin
+write_cfgmem -force -format BIN -interface SMAPx32 -disablebitswap -loadbit "up 0x0 bitstreams/invert.bit" bitstreams/invert.bin
