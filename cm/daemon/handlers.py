@@ -51,6 +51,7 @@ class Services:
     provisioner: Provisioner
     status: Callable[[], Status]
     watch_holder: Callable[[LeaseInfo, rq.TakeLease], None]
+    complete: Callable[[Config], Config]  # adds what only the board knows
     aside: Executor  # for what reads or writes files, so that the loop goes on
 
 
@@ -143,7 +144,7 @@ class Handlers:
         self._change(request, respond)
 
     def _provisioned(self, request: rq.WriteConfig, config: Config, respond: Respond) -> None:
-        self._s.manager.add_config(config)
+        self._s.manager.add_config(self._s.complete(config))
         if request.provision_only:
             respond(Reply(self._s.manager.describe(config.name, {})))
             return

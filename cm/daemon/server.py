@@ -17,6 +17,7 @@ from pathlib import Path
 import zmq
 
 from cm.daemon.devices import BoardDevices
+from cm.daemon.discover import with_channels
 from cm.daemon.door import Door
 from cm.daemon.files import BoardFiles
 from cm.daemon.handlers import Handlers, Respond, Services, error_info
@@ -90,7 +91,8 @@ class Server:
     def _make_manager(self) -> Manager:
         o = self._options
         self._provisioner.recover()
-        configs = {**o.configs, **_stored(self._provisioner)}
+        named = {**o.configs, **_stored(self._provisioner)}
+        configs = {name: with_channels(config, o.root) for name, config in named.items()}
         files = BoardFiles(o.root.join())
         env = Environment(self._devices, files, self._store, self._streams, _Clock(), self, o.settings)
         return Manager(configs, env)
@@ -104,6 +106,7 @@ class Server:
             provisioner=self._provisioner,
             status=self._complete_status,
             watch_holder=self._holders.watch,
+            complete=lambda config: with_channels(config, self._options.root),
             aside=self._aside,
         )
 
