@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm doctor``: what this machine has, and what to do about what it lacks."""
+
+from __future__ import annotations
+
+import argparse
+import platform
+from collections.abc import Iterator
+from importlib import metadata
+from typing import TYPE_CHECKING
+
+from cm.cli.common import add_connection_options, add_json_option, print_json
+
+if TYPE_CHECKING:
+    from cm.device.survey import Finding, Survey
+
+REQUIRED = ("cffi", "fastjsonschema", "numpy", "protobuf", "pyyaml", "pyzmq")
+OPTIONAL = {
+    "pillow": "fpga-cm[demo]: photographs for the simulated camera",
+    "pyslang": "fpga-cm[build]: interfaces of Verilog sources",
+    "tree-sitter-vhdl": "fpga-cm[build]: interfaces of VHDL sources",
+    "matplotlib": "fpga-cm[bench]: plots",
+    "iceoryx2": "fpga-cm[bench]: a baseline",
+    "eclipse-zenoh": "fpga-cm[bench]: a baseline",
+    "cyclonedds": "fpga-cm[bench]: a baseline",
+}
+_TIMEOUT = 2.0  # seconds for a manager's answer
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "doctor",
+        help="say what this machine has, and what to do about what it lacks",
+        description="Look for devices, kernel modules, libraries and a manager that serves; nothing is opened or "
+        "changed. Exit status 0 when the board can be used, or there is no sign of one (a simulated board works "
+        "everywhere); 1 when something that is needed is missing or denied.",
+    )
+    parser.add_argument("--root", metavar="DIR", help="where the board's /dev and /sys begin (default: $CM_ROOT, /)")
+    add_connection_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look and say; the exit status."""
+    from cm.device.survey import survey
+
+    found = survey(args.root)
+    findings = [*_packages(), _curve(), _manager(args), *map(_plain, found.findings)]
+    verdict = _verdict(found, findings)
+    if args.json:
+        print_json({"usable": not verdict, "problems": verdict, "simulated": found.simulated, "findings": findings})
+    else:
+        _print(findings, verdict, found)
+    return 1 if verdict else 0
+
+
+def _entry(kind: str, name: str, state: str, detail: str = "", advice: str = "", path: str = "") -> dict[str, str]:
+    return {"kind": kind, "name": name, "state": state, "detail": detail, "advice": advice, "path": path}
+
+
+def _plain(finding: Finding) -> dict[str, str]:
+    return _entry(finding.kind, finding.name, finding.state.value, finding.detail, finding.advice, finding.path)
+
+
+def _packages() -> Iterator[dict[str, str]]:
+    yield _entry("python", "python", "ok", f"{platform.python_version()} on {platform.machine()}")
+    for name in (*REQUIRED, *OPTIONAL):
+        try:
+            yield _entry("package", name, "ok", metadata.version(name))
+        except metadata.PackageNotFoundError:
+            advice = f"optional: {OPTIONAL[name]}" if name in OPTIONAL else "reinstall fpga-cm: it needs this package"
+            yield _entry("package", name, "missing", "not installed", advice)
+
+
+def _curve() -> dict[str, str]:
+    import zmq
+
+    if zmq.has("curve"):
+        return _entry("curve", "curve", "ok", f"libzmq {zmq.zmq_version()}")
+    advice = "connections over TCP cannot be encrypted: use a pyzmq wheel, or a libzmq built with libsodium"
+    return _entry("curve", "curve", "missing", f"libzmq {zmq.zmq_version()} without CURVE", advice)
+
+
+def _manager(args: argparse.Namespace) -> dict[str, str]:
+    """Whether a manager answers, and in which mode it is."""
+    from cm.client.address import default_runtime_dir
+    from cm.client.board import connect
+    from cm.errors import CmError
+
+    place = args.connect or str(args.runtime_dir or default_runtime_dir())
+    try:
+        with connect(args.connect, runtime_dir=args.runtime_dir, timeout=_TIMEOUT, keys=args.keys) as board:
+            status = board.status
+    except (CmError, OSError) as error:
+        return _entry(
+            "manager", "manager", "missing", str(error), "start one with 'cm serve' (or 'cm serve --sim')", place
+        )
+    mode = f"{status.config_name}/{status.mode}" if status.mode else "nothing loaded"
+    return _entry("manager", "manager", "ok", f"version {status.version}, {mode}", "", place)
+
+
+def _verdict(found: Survey, findings: list[dict[str, str]]) -> list[str]:
+    """What makes this machine unusable, in sentences; none where no hardware is expected."""
+    problems = [
+        f"the package {f['name']} is not installed"
+        for f in findings
+        if f["kind"] == "package" and f["state"] == "missing" and f["name"] in REQUIRED
+    ]
+    if found.usable or not _expected(found):
+        return problems
+    denied = [f"{f.name}: {f.path} may not be used ({f.advice})" for f in found.findings if f.state.value == "denied"]
+    return problems + (denied or ["there is no way to configure the PL: no ICAP, fpga_manager or overlays"])
+
+
+def _expected(found: Survey) -> bool:
+    """Whether this is meant to be a board: its root was named, or it shows any FPGA device of ours.
+
+    Overlays and modules do not count, nor UIO: other machines have them too.
+    """
+    return found.simulated or any(
+        f.state.value != "missing" for kind in ("icap", "fpga_manager", "dma") for f in found.of(kind)
+    )
+
+
+def _print(findings: list[dict[str, str]], verdict: list[str], found: Survey) -> None:
+    for finding in findings:
+        print(f"{finding['state']:8} {finding['kind']:13} {finding['name']:18} {finding['detail']}".rstrip())
+        if finding["advice"] and finding["state"] != "ok":
+            print(f"{'':9}→ {finding['advice']}")
+    print()
+    if verdict:
+        print("\n".join(f"not usable: {problem}" for problem in verdict))
+    elif found.usable:
+        print("usable" + (" (a simulated board)" if found.simulated else ""))
+    else:
+        print("no FPGA here: 'cm serve --sim' brings a simulated board")
