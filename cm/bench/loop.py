@@ -29,7 +29,7 @@ def looped(bench: Run, size: int) -> Iterator[Callable[[], object]]:
         def trip() -> None:
             with writer.slot():
                 pass  # what lies in the slot goes again
-            reader.read().release()  # type: ignore[attr-defined]
+            reader.read().release()
 
         reader.read()
         yield trip
