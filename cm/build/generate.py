@@ -15,6 +15,7 @@ from cm.build.outputs import render_all
 from cm.build.plan import plan_system
 from cm.build.project import Project
 from cm.build.system import System
+from cm.schema import SchemaError, loads
 
 OUT = "build"
 ANSWERS = "answers.yaml"
@@ -47,4 +48,12 @@ def generate(design: Design, out: Path, answers: Answers | None = None) -> Writt
     """Write everything below `out`; what `cm build configure` was told is taken from there."""
     if answers is None:
         answers = load_answers(out / ANSWERS)
-    return Tree(out).write(render_all(design.system, out, answers))
+    files = render_all(design.system, out, answers)
+    name = f"config/{design.project.name}.yaml"
+    try:
+        loads(files[name], name)
+    except SchemaError as error:
+        raise BuildError(
+            f"what {out / ANSWERS} and {design.project.source} say does not go together:\n{error}"
+        ) from None
+    return Tree(out).write(files)

@@ -125,8 +125,8 @@ class _Planner:
             self._single(spec, port, boundary, lines, parts)
         if parts.undecided:
             self._notes.append(
-                f"{spec.name}: {', '.join(parts.undecided)} belong to no interface and are not connected (inputs are 0); "
-                "`connect: external` under the region's interfaces brings one to a port of the top"
+                f"{spec.name}: {', '.join(parts.undecided)} belong to no interface and are not connected "
+                "(inputs are 0); `connect: external` under the region's interfaces brings one to a port of the top"
             )
         return RegionPlan(
             spec,
