@@ -14,6 +14,7 @@ from capabilities import LOOK
 from served import OVERLAYS, Manager, loads, pl, until
 
 import cm
+from cm import device
 from cm.errors import CmError
 
 pytestmark = pytest.mark.needs("cm", "dma", "plsim")
@@ -121,11 +122,13 @@ def test_a_manager_killed_during_dma_leaves_nothing_behind(manager: Manager, boa
 def test_a_manager_killed_during_a_load_finds_the_board(manager: Manager, board: cm.Board) -> None:
     delay = pl("icap", "delay_us")
     before = delay.read_text()
-    delay.write_text("300000")
+    delay.write_text("1500000")  # less than the port's patience
     try:
-        board.load_async(mode="edge_detection")
-        until(lambda: any(region.state == "loading" for region in board.status.regions))
-        manager.kill()
+        with device.Icap.open() as port:
+            board.load_async(mode="edge_detection")
+            until(lambda: port.status().state is device.IcapState.LOADING)
+            manager.kill()
+            until(lambda: port.status().state is device.IcapState.IDLE)
     finally:
         delay.write_text(before)
     manager.start()

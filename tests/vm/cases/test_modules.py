@@ -30,7 +30,7 @@ def test_there_are_kunit_suites() -> None:
 @pytest.mark.needs("kunit")
 @pytest.mark.parametrize("suite", SUITES)
 def test_kunit_suite_passes(suite: str) -> None:
-    assert modprobe("kunit").returncode == 0
+    assert modprobe("kunit", "enable=1").returncode == 0
     seen = len(kernel_log())
     assert modprobe(suite).returncode == 0
     log = kernel_log()[seen:]

@@ -30,7 +30,7 @@ sleep 1
 kill $watcher $follower
 echo "kernel=$(uname -r) $(uname -m)" >>/tmp/results/facts
 echo "tested=$(cut -d ' ' -f 1 /proc/uptime)" >>/tmp/results/facts
-if [ -w /sys/kernel/debug/kmemleak ]; then
+if grep -q kmemleak=on /proc/cmdline; then
 	echo scan >/sys/kernel/debug/kmemleak
 	echo scan >/sys/kernel/debug/kmemleak
 	cat /sys/kernel/debug/kmemleak >/tmp/results/kmemleak

@@ -10,7 +10,7 @@ watchdog() { # file that grows
 			for stack in /proc/[0-9]*/stack; do
 				pid=${stack#/proc/}
 				pid=${pid%/stack}
-				[ -s "/proc/$pid/cmdline" ] && echo "cm: $pid $(tr '\0' ' ' <"/proc/$pid/cmdline" | cut -c 1-60): $(tr '\n' ' ' <"$stack")" >/dev/kmsg
+				[ -n "$(tr -d "\0" <"/proc/$pid/cmdline")" ] && echo "cm: $pid $(tr '\0' ' ' <"/proc/$pid/cmdline" | cut -c 1-60): $(tr '\n' ' ' <"$stack")" >/dev/kmsg
 			done
 		fi
 		size=$now
