@@ -69,6 +69,7 @@ class Pump:
         except BaseException:
             dma.close()
             raise
+        self._started = self.writes
         try:
             if not self.writes:
                 self._grow(stream.slots)
@@ -76,15 +77,23 @@ class Pump:
             self.close()
             raise
 
+    def start(self) -> None:
+        """Let frames come: who is attached by now misses none."""
+        self._started = True
+        self._hand_over()
+
     # ---- memory ---------------------------------------------------------------------
 
     def _grow(self, count: int) -> None:
         while len(self.slots) < count:
-            slot = self._dma.allocate(self.setup.length)
-            self.slots.append(slot)
-            shared = os.dup(slot.fd) if self.writes else _read_only(slot.fd)
-            self._shared.append(shared)
-            self._plane.add_slot(self.id, shared, slot.handle)
+            self.slots.append(self._dma.allocate(self.setup.length))
+        if self._started:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        for slot in self.slots[len(self._shared) :]:
+            self._shared.append(os.dup(slot.fd) if self.writes else _read_only(slot.fd))
+            self._plane.add_slot(self.id, self._shared[-1], slot.handle)
 
     def _make_room(self, depth: int) -> None:
         """So many slots that readers who hold all they may still leave some to the hardware."""

@@ -106,16 +106,31 @@ class Streams:
         changed = _changed(stream, request)
         if changed != stream and self._pumps.get(stream.name) and self._is_wanted(stream) and not request.force:
             raise Busy(f"stream {stream.name!r} is in use; close its readers, or force the change")
+        before = stream, self._overrides.get(stream.name), self._enabled.get(stream.name)
         if changed != stream:
             self._close(stream.name)
             self._overrides[stream.name] = request
             self._streams[stream.name] = changed
         if request.enable is not None:
             self._enabled[stream.name] = request.enable
-        if self._is_wanted(changed) and stream.name not in self._pumps:
-            self._open(changed)
+        try:
+            if self._is_wanted(changed) and stream.name not in self._held:
+                self._running(changed)
+        except BaseException:
+            self._restore(*before)
+            raise
         self.refresh()
         return self.status_of(stream.name)
+
+    def _restore(self, stream: Stream, override: DataConfig | None, enabled: bool | None) -> None:
+        """A change that the channel refused is none."""
+        name = stream.name
+        self._streams[name] = stream
+        for kept, value in ((self._overrides, override), (self._enabled, enabled)):
+            kept.pop(name, None)  # type: ignore[attr-defined]
+            if value is not None:
+                kept[name] = value  # type: ignore[index]
+        self.refresh()
 
     def named(self, name: str, direction: Direction | None) -> Stream:
         """A stream by name, or the only one of a direction. Raises UnknownStream, NothingLoaded."""
@@ -136,9 +151,8 @@ class Streams:
 
     def read_once(self, name: str, timeout: float, done: Done) -> None:
         """Hand the next frame of a stream to `done`, or a Timeout."""
-        stream = self.named(name, Direction.S2MM)
-        tap = self._read_tap(self._running(stream))
-        tap.read_once(timeout or 1.0, done)
+        pump = self._running(self.named(name, Direction.S2MM), lambda pump: bool(self._read_tap(pump)))
+        self._read_tap(pump).read_once(timeout or 1.0, done)
 
     def write(self, name: str, data: bytes | memoryview, done: Done) -> None:
         """Send a frame; `done` is called when the hardware has taken it. Raises InvalidRequest, Busy."""
@@ -151,17 +165,15 @@ class Streams:
     def open_local(self, connection: socket.socket, wanted: Open) -> None:
         """Make a connection to the data socket a reader or writer; the caller closes it. Raises UnknownStream."""
         stream = self.named(wanted.name, Direction.MM2S if wanted.write else Direction.S2MM)
-        pump = None if stream.name in self._held else self._running(stream)
         client = self._plane.adopt(os.dup(connection.fileno()))
-        self._locals[client] = (stream.name, wanted.depth)
-        if pump is None:
-            return
         try:
-            pump.attach(client, wanted.depth)
+            if stream.name in self._pumps:
+                self._pumps[stream.name].attach(client, wanted.depth)
+            elif stream.name not in self._held:
+                self._open(stream, lambda pump: pump.attach(client, wanted.depth))
+            self._locals[client] = (stream.name, wanted.depth)
         except BaseException:
-            del self._locals[client]
             self._plane.drop(client)
-            self.refresh()
             raise
 
     def status(self) -> tuple[StreamStatus, ...]:
@@ -223,18 +235,26 @@ class Streams:
     def _has_local(self, name: str) -> bool:
         return any(wanted == name for wanted, _ in self._locals.values())
 
-    def _running(self, stream: Stream) -> Pump:
+    def _running(self, stream: Stream, first: Callable[[Pump], bool] = lambda _: True) -> Pump:
         if stream.name in self._held:
             raise StreamStopped(f"stream {stream.name!r} is stopped while its region changes")
-        return self._pumps.get(stream.name) or self._open(stream)
+        return self._pumps.get(stream.name) or self._open(stream, first)
 
-    def _open(self, stream: Stream) -> Pump:
+    def _open(self, stream: Stream, first: Callable[[Pump], bool] = lambda _: True) -> Pump:
+        """Open a stream; who is there already, and what `first` attaches, get it from its first frame on."""
         pump = Pump(self._plane, self._devices.dma(stream.channel), stream)
-        pump.label(self._config.name if self._config else "", self._mode or "")
-        self._pumps[stream.name] = pump
-        for client, (name, depth) in list(self._locals.items()):
-            if name == stream.name:
-                self._attach_again(pump, client, depth)
+        try:
+            pump.label(self._config.name if self._config else "", self._mode or "")
+            self._pumps[stream.name] = pump
+            first(pump)
+            for client, (name, depth) in list(self._locals.items()):
+                if name == stream.name:
+                    self._attach_again(pump, client, depth)
+            self._refresh_tap(stream)
+            pump.start()
+        except BaseException:
+            self._close(stream.name)
+            raise
         return pump
 
     def _attach_again(self, pump: Pump, client: int, depth: int) -> None:
@@ -321,6 +341,8 @@ def _changed(stream: Stream, request: DataConfig) -> Stream:
     )
     if request.rate < 0 or math.isnan(request.rate):
         raise InvalidRequest(f"stream {stream.name!r}: {request.rate} frames per second; a limit is positive")
+    if changed.cyclic and changed.direction is Direction.S2MM:
+        raise InvalidRequest(f"stream {stream.name!r} cannot be cyclic: only a written frame is repeated")
     if not 1 <= changed.slots <= 256:
         raise InvalidRequest(f"stream {stream.name!r}: {changed.slots} slots; 1 to 256 can be had")
     if frame_bytes(changed) > _MAX_FRAME:

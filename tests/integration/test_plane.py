@@ -1,0 +1,450 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames without copies: what readers and writers on the manager's machine can rely on."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from manager_process import Manager, environment, until
+from plane_stress import warm
+
+import cm
+from cm.client.errors import FrameReleased, RequestFailed, TransferFailed
+from cm.errors import Busy, InvalidRequest, NotFound, Timeout
+from cm.sim import Board as SimBoard
+from cm.wire import plane as packets
+from cm.wire.plane import Descriptor, Open
+
+HOLDER = """
+import sys, time, cm
+with cm.connect(runtime_dir=sys.argv[1]) as board, board.stream("camera") as stream:
+    held = [stream.read() for _ in range(4)]
+    print("holding", flush=True)
+    time.sleep(600)
+"""
+
+
+def state(board: cm.Board, name: str) -> cm.messages.status.StreamStatus:
+    return next(s for s in board.status.streams if s.name == name)
+
+
+def fds(manager: Manager) -> int:
+    assert manager.process is not None
+    return len(list(Path(f"/proc/{manager.process.pid}/fd").iterdir()))
+
+
+@pytest.fixture
+def loop(board: cm.Board) -> Iterator[cm.Board]:
+    """The board with what is written to `to_pl` coming back on `from_pl`."""
+    board.load("camera", "loopback")
+    yield board
+    for name in ("to_pl", "from_pl"):
+        board.configure_stream(name, shape=(480, 640), dtype="uint8", force=True)
+
+
+class Raw:
+    """A client that keeps to no rules but those of the socket."""
+
+    def __init__(self, manager: Manager, wanted: Open | bytes) -> None:
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.socket.settimeout(20)
+        self.socket.connect(str(manager.runtime / "data"))
+        self.socket.send(packets.encode_open(wanted) if isinstance(wanted, Open) else wanted)
+
+    def next(self, kind: int) -> Descriptor:
+        while True:
+            data = self.socket.recv(packets.PACKET_MAX)
+            assert data, "hung up"
+            head = Descriptor(*packets.DESCRIPTOR.unpack_from(data))
+            if head.kind == kind:
+                return head
+
+    def close(self) -> None:
+        self.socket.close()
+
+    def hung_up(self) -> bool:
+        try:
+            while self.socket.recv(packets.PACKET_MAX):
+                pass
+        except ConnectionError:
+            pass
+        return True
+
+
+@pytest.fixture
+def raw(manager: Manager) -> Iterator[Callable[[Open | bytes], Raw]]:
+    """A factory of connections that are closed in the end."""
+    with contextlib.ExitStack() as stack:
+        yield lambda wanted: stack.enter_context(contextlib.closing(Raw(manager, wanted)))
+
+
+# ---- reading ---------------------------------------------------------------------------
+
+
+def test_frames_are_read_only_arrays_that_know_what_they_are(board: cm.Board) -> None:
+    with board.stream("camera") as stream:
+        frame = stream.read()
+        assert (frame.shape, frame.dtype, frame.flags.writeable) == ((480, 640), np.uint8, False)
+        assert (frame.info.stream, frame.info.mode, frame.info.length) == ("camera", "default", 480 * 640)
+        with pytest.raises(ValueError, match="read-only"):
+            frame[0, 0] = 1
+
+
+def test_a_frame_is_the_slot_itself(loop: cm.Board) -> None:
+    with loop.stream("from_pl") as reader, loop.writer("to_pl") as writer:
+        with writer.slot() as array:
+            array[...] = 17
+        frame = reader.read()
+        maps = Path("/proc/self/maps").read_text()
+        address = frame.__array_interface__["data"][0]
+        line = next(m for m in maps.splitlines() if _covers(m, address))
+        assert "cm-sim-buffer" in line
+        assert line.split()[1] == "r--s"
+        assert (np.asarray(frame) == 17).all()
+
+
+def _covers(line: str, address: int) -> bool:
+    first, last = (int(x, 16) for x in line.split()[0].split("-"))
+    return first <= address < last
+
+
+def test_a_frame_that_is_held_does_not_change(board: cm.Board) -> None:
+    with board.stream("camera", depth=2) as stream, board.stream("camera") as other:
+        held = stream.read()
+        content = held.copy()
+        frames = [frame.sequence for frame in islice(other, 20)]
+        assert frames[-1] - frames[0] == 19, "one who holds frames makes others lose them"
+        assert (held == content).all()
+
+
+def test_who_holds_all_it_may_is_told_so(board: cm.Board) -> None:
+    with board.stream("camera", depth=2, timeout=0.3) as stream:
+        held = [stream.read(), stream.read()]
+        with pytest.raises(Timeout, match="all 2 frames"):
+            stream.read()
+        first = held[0].sequence
+        held.clear()
+        assert stream.read(timeout=5).sequence > first + 2
+        assert stream.lost > 0
+
+
+def test_views_keep_the_lease(board: cm.Board) -> None:
+    with board.stream("camera", depth=1, timeout=0.2) as stream:
+        row = stream.read()[17]
+        content = row.copy()
+        with pytest.raises(Timeout):
+            stream.read()
+        assert (row == content).all()
+        del row
+        stream.read(timeout=5)
+
+
+def test_a_frame_that_was_given_back_cannot_be_used(board: cm.Board) -> None:
+    with board.stream("camera") as stream:
+        frame = stream.read()
+        frame.release()
+        frame.release()
+        for use in (lambda: frame[0], lambda: frame + 1, lambda: np.sum(frame), frame.copy, frame.tobytes):
+            with pytest.raises(FrameReleased, match="copy"):
+                use()
+
+
+def test_other_libraries_take_frames_as_they_are(board: cm.Board) -> None:
+    from PIL import Image
+
+    with board.stream("camera") as stream:
+        frame = stream.read()
+        content = frame.copy()
+        assert memoryview(frame).tobytes() == content.tobytes()
+        assert np.asarray(Image.fromarray(frame)).tobytes() == content.tobytes()
+        assert Image.frombuffer("L", (640, 480), frame, "raw", "L", 0, 1).tobytes() == content.tobytes()
+        if np.lib.NumpyVersion(np.__version__) >= "2.1.0":
+            taken = np.from_dlpack(frame)
+            assert taken.__array_interface__["data"][0] == frame.__array_interface__["data"][0]
+
+
+def test_the_newest_frame_is_what_a_slow_reader_gets_if_it_wants(board: cm.Board) -> None:
+    with board.stream("camera", newest=True) as stream, board.stream("camera") as other:
+        first = stream.read().sequence
+        last = [frame.sequence for frame in islice(other, 4)][-1]
+        assert stream.read().sequence >= min(last, first + 3)
+
+
+def test_a_stream_goes_on_in_its_new_shape_after_a_change_of_mode(board: cm.Board) -> None:
+    with board.stream("camera", timeout=20) as stream:
+        old = stream.read()
+        content = old.copy()
+        board.mode = "colorise"
+        new = next(f for f in stream if f.info.mode == "colorise")
+        assert new.shape == (480, 640, 3)
+        assert (old == content).all(), "memory of a stopped stream is used again"
+        old.release()
+        del new
+        board.mode = "default"
+        assert next(f for f in stream if f.info.mode == "default").shape == (480, 640)
+
+
+def test_frames_outlive_their_stream_and_the_board(manager: Manager) -> None:
+    with manager.connected() as board:
+        board.load("camera", "default")
+        with board.stream("camera") as stream:
+            frame = stream.read()
+        content = frame.copy()
+    assert (frame == content).all()
+
+
+def test_asyncio_reads_the_same_frames(board: cm.Board, manager: Manager) -> None:
+    async def main() -> list[tuple[int, ...]]:
+        async with cm.aio.connect(runtime_dir=manager.runtime) as twin, twin.stream("camera") as stream:
+            frames = []
+            async for frame in stream:
+                frames.append((frame.sequence, *frame.shape))
+                if len(frames) == 5:
+                    return frames
+            raise AssertionError
+
+    got = asyncio.run(main())
+    assert [shape for _, *shape in got] == [[480, 640]] * 5
+    assert got[-1][0] - got[0][0] == 4
+
+
+def test_asyncio_writes_too(loop: cm.Board, manager: Manager) -> None:
+    async def main() -> int:
+        async with (
+            cm.aio.connect(runtime_dir=manager.runtime) as twin,
+            twin.stream("from_pl") as stream,
+            twin.writer("to_pl") as writer,
+        ):
+            async with writer.slot() as array:
+                array[...] = 99
+            await writer.flush()
+            return int((await stream.read())[5, 5])
+
+    assert asyncio.run(main()) == 99
+
+
+# ---- refusals ----------------------------------------------------------------------------
+
+
+def test_what_cannot_be_opened_is_refused_with_the_reason(board: cm.Board) -> None:
+    with pytest.raises(NotFound, match="camera"):
+        board.stream("camra").open()
+    with pytest.raises(InvalidRequest, match="mm2s"):
+        board.stream("to_pl").open()
+    with pytest.raises(InvalidRequest, match="s2mm"):
+        board.writer("camera")
+    with pytest.raises(InvalidRequest, match="length"):
+        board.echo(0)
+    with pytest.raises(Busy, match="MiB"):
+        board.echo(1 << 40)
+    with board.stream("camera", depth=250), pytest.raises(Busy, match="slots"):
+        board.stream("camera", depth=250).open()
+
+
+@pytest.mark.parametrize("first", [b"x", b"\0" * 32, Descriptor(kind=packets.RELEASE).pack(), b"\xff" * 4096])
+def test_nonsense_at_the_door_is_refused(board: cm.Board, raw: Callable[..., Raw], first: bytes) -> None:
+    peer = raw(first)
+    assert peer.socket.recv(packets.PACKET_MAX)[2] == packets.REFUSED
+    assert peer.hung_up()
+    assert board.status.mode == "default"
+
+
+@pytest.mark.parametrize("packet", [b"x", b"\0" * 31, b"\0" * 33, b"\0" * 32, b"\xff" * 32])
+def test_who_breaks_the_rules_later_is_hung_up_on(board: cm.Board, raw: Callable[..., Raw], packet: bytes) -> None:
+    with board.stream("camera") as other:
+        peer = raw(Open("camera"))
+        peer.next(packets.FRAME)
+        peer.socket.send(packet)
+        assert peer.hung_up()
+        assert [f.sequence for f in islice(other, 3)]
+
+
+def test_what_is_not_held_cannot_be_given_back(board: cm.Board, raw: Callable[..., Raw]) -> None:
+    peer = raw(Open("camera", depth=1))
+    frame = peer.next(packets.FRAME)
+    peer.socket.send(frame._replace(kind=packets.RELEASE).pack())
+    peer.socket.send(frame._replace(kind=packets.RELEASE).pack())
+    assert peer.next(packets.LATE).sequence == frame.sequence
+    peer.socket.send(frame._replace(kind=packets.RELEASE, slot=65535).pack())
+    assert peer.next(packets.LATE).slot == 65535
+
+
+def test_a_writer_cannot_send_what_is_not_its_own(loop: cm.Board, raw: Callable[..., Raw]) -> None:
+    peer = raw(Open("to_pl", write=True, depth=1))
+    grant = peer.next(packets.GRANT)
+    for wrong in (
+        {"slot": grant.slot + 1},
+        {"slot": 65535},
+        {"length": 0},
+        {"length": 1 << 63},
+        {"offset": 480 * 640, "length": 1},
+    ):
+        peer.socket.send(grant._replace(kind=packets.SUBMIT, **{"length": 100, **wrong}).pack())
+        assert peer.next(packets.DONE).offset == 22, wrong
+
+
+# ---- writing -----------------------------------------------------------------------------
+
+
+def test_a_failed_block_sends_nothing(loop: cm.Board) -> None:
+    with loop.stream("from_pl", timeout=0.2) as reader, loop.writer("to_pl", depth=1) as writer:
+        with pytest.raises(ZeroDivisionError), writer.slot():
+            _ = 1 / 0
+        with pytest.raises(Timeout):
+            reader.read()
+        writer.write(np.full((480, 640), 3, np.uint8))
+        assert reader.read(timeout=5)[0, 0] == 3
+
+
+def test_a_writer_waits_for_a_slot_and_says_what_is_wrong(loop: cm.Board) -> None:
+    with loop.writer("to_pl", depth=2, timeout=0.2) as writer:
+        for _ in range(2):
+            with writer.slot() as array:
+                array[...] = 1
+        with pytest.raises(Timeout, match="somebody reading"), writer.slot():
+            pass
+        with loop.stream("from_pl") as reader:
+            reader.read()
+            writer.flush(timeout=5)
+
+
+def test_a_failed_transfer_is_told(loop: cm.Board, shared: tuple[Manager, SimBoard]) -> None:
+    shared[1].control.inject("dma_error", "to_pl")
+    with loop.stream("from_pl"), loop.writer("to_pl") as writer:
+        writer.write(np.zeros((480, 640), np.uint8))
+        with pytest.raises(TransferFailed, match="Input/output"):
+            writer.flush()
+        writer.write(np.zeros((480, 640), np.uint8))
+        writer.flush()
+
+
+def test_an_echo_costs_no_hardware(board: cm.Board, manager: Manager) -> None:
+    before = fds(manager)
+    with board.echo(1 << 20) as echo:
+        assert echo.round_trip().length == 1 << 20
+        with echo.slot() as array:
+            array[...] = 5
+        echo.flush()
+        echo.round_trip()
+    until(lambda: fds(manager) <= before)
+
+
+# ---- settings ------------------------------------------------------------------------------
+
+
+def test_with_backpressure_a_slow_reader_loses_nothing(loop: cm.Board) -> None:
+    for name in ("from_pl", "to_pl"):
+        loop.configure_stream(name, shape=(4096,), force=True)
+    loop.configure_stream("from_pl", backpressure=True, force=True)
+    with loop.stream("from_pl", depth=1) as slow, loop.writer("to_pl", timeout=0.2) as writer:
+        with contextlib.suppress(Timeout):
+            for number in range(100):
+                writer.write(np.full(4096, number, np.uint8))
+        assert 0 < number < 30, "nothing waited for the reader"
+        assert [int(slow.read()[0]) for _ in range(4)] == [0, 1, 2, 3]
+    loop.configure_stream("from_pl", backpressure=False, force=True)
+
+
+def test_a_limit_thins_the_stream_out(board: cm.Board) -> None:
+    board.configure_stream("camera", rate=10, force=True)
+    with board.stream("camera") as stream:
+        times = [f.timestamp_ns for f in islice(stream, 6)]
+        sequences = [f.sequence for f in islice(stream, 2)]
+    assert 8 < 5e9 / (times[-1] - times[0]) < 12
+    assert sequences[1] - sequences[0] == 1, "what a limit leaves out is no loss"
+    board.configure_stream("camera", rate=float("inf"), force=True)
+
+
+def test_lines_may_lie_apart(loop: cm.Board) -> None:
+    for name in ("from_pl", "to_pl"):
+        loop.configure_stream(name, shape=(48, 100), stride=128, force=True)
+    picture = np.arange(4800, dtype=np.uint32).astype(np.uint8).reshape(48, 100)
+    with loop.stream("from_pl") as reader, loop.writer("to_pl") as writer:
+        with writer.slot() as array:
+            array[...] = picture
+        frame = reader.read()
+        assert frame.strides == (128, 1)
+        assert (frame == picture).all()
+        loop.write("to_pl", picture)
+        assert (reader.read() == picture).all()
+    for name in ("from_pl", "to_pl"):
+        loop.configure_stream(name, stride=640, shape=(480, 640), force=True)
+
+
+def test_a_cyclic_frame_repeats_until_the_next(loop: cm.Board) -> None:
+    loop.configure_stream("to_pl", cyclic=True, force=True)
+    with loop.stream("from_pl") as reader, loop.writer("to_pl", depth=2) as writer:
+        for value in (1, 2, 3):
+            with writer.slot() as array:
+                array[...] = value
+            frames = (int(frame[0, 0]) for frame in reader)
+            assert next(f for f in frames if f == value) == value
+            assert next(frames) == value, "it does not repeat"
+    loop.load("camera", "default")  # a mode's settings are the schema's again
+
+
+def test_what_only_the_hardware_could_repeat_is_refused(board: cm.Board) -> None:
+    with pytest.raises(InvalidRequest, match="cyclic"):
+        board.configure_stream("camera", cyclic=True, enable=True, force=True)
+
+
+def test_a_stream_in_use_is_changed_only_by_force(board: cm.Board) -> None:
+    with board.stream("camera", timeout=20) as stream:
+        stream.read()
+        with pytest.raises(Busy, match="in use"):
+            board.configure_stream("camera", dtype="int8")
+        board.configure_stream("camera", dtype="int8", force=True)
+        assert next(f for f in stream if f.dtype == np.int8).shape == (480, 640)
+        board.configure_stream("camera", dtype="uint8", force=True)
+
+
+# ---- those who die -------------------------------------------------------------------------
+
+
+def test_a_killed_reader_gives_everything_back(board: cm.Board, shared: tuple[Manager, SimBoard]) -> None:
+    manager, sim = shared
+    warm(board)
+    before = fds(manager)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(manager.runtime)], stdout=subprocess.PIPE, env=environment()
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline()
+    assert state(board, "camera").open
+    holder.send_signal(signal.SIGKILL)
+    holder.communicate()
+    until(lambda: not state(board, "camera").open)
+    until(lambda: fds(manager) <= before)
+    assert sim.control.state()["channels"]["camera"]["open"] is False
+
+
+def test_the_manager_going_away_is_told(own: tuple[Manager, SimBoard]) -> None:
+    manager, _ = own
+    with manager.connected() as board:
+        board.load("camera", "default")
+        with board.stream("camera", timeout=20) as stream:
+            frame = stream.read()
+            content = frame.copy()
+            manager.kill()
+            with pytest.raises(ConnectionError, match="data socket"):
+                list(islice(stream, 20))
+            assert (frame == content).all()
+    manager.start()
+    assert os.path.exists(manager.runtime / "data")  # noqa: PTH110
+
+
+def test_an_error_of_the_door_is_our_kind(board: cm.Board) -> None:
+    with pytest.raises(RequestFailed) as caught:
+        board.stream("nix").open()
+    assert caught.value.code == "unknown_stream"

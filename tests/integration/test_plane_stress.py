@@ -1,0 +1,16 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Eight readers killed at random for some seconds; `make soak` does it for a minute."""
+
+from __future__ import annotations
+
+from manager_process import Manager
+from plane_stress import stress
+
+from cm.sim import Board as SimBoard
+
+
+def test_killed_readers_stall_nobody_see_nothing_torn_and_leave_nothing(shared: tuple[Manager, SimBoard]) -> None:
+    outcome = stress(*shared, seconds=4.0, seed=1)
+    assert outcome.longest_gap < 5.0
+    assert outcome.kills > 20
+    assert outcome.frames > 100

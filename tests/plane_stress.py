@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A producer that nobody may stall, readers that are killed at random, and what must be left afterwards: nothing."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from manager_process import REPOSITORY, Manager, environment, until
+
+import cm
+from cm.sim import Board as SimBoard
+
+READERS = 8
+WORDS = 16384  # 128 KiB a frame
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a stress run came to."""
+
+    produced: int
+    longest_gap: float  # seconds between two frames that the hardware took
+    frames: int
+    kills: int
+
+
+@dataclass(frozen=True)
+class Held:
+    """What processes hold: descriptors and mappings of slots."""
+
+    manager_fds: int
+    manager_maps: int
+    board_fds: int
+    board_maps: int
+    buffers: int
+    memory: int
+
+
+def held(manager: Manager, sim: SimBoard) -> Held:
+    """What manager and board hold now."""
+    assert manager.process is not None
+    state = sim.control.state()
+    return Held(*_counts(manager.process.pid), *_counts(sim.pid), state["buffers"], state["memory"])
+
+
+def _nothing_is_left(manager: Manager, sim: SimBoard, before: Held) -> None:
+    """Nobody holds more than before; less may be: connections of earlier tests end meanwhile."""
+    left = {}
+
+    def gone() -> bool:
+        now = asdict(held(manager, sim))
+        left.clear()
+        left.update({key: (value, now[key]) for key, value in asdict(before).items() if now[key] > value})
+        return not left
+
+    try:
+        until(gone)
+    except AssertionError:
+        raise AssertionError(f"left behind (before, now): {left}") from None
+
+
+def _counts(pid: int) -> tuple[int, int]:
+    fds = len(list(Path(f"/proc/{pid}/fd").iterdir()))
+    return fds, Path(f"/proc/{pid}/maps").read_text().count("cm-sim-buffer")
+
+
+def warm(board: cm.Board) -> None:
+    """Visit every mode: the manager keeps images that it has loaded, or thinks it will."""
+    board.load("camera", "default")
+    for mode in board.config("camera").modes:
+        board.load("camera", mode.name)
+
+
+def stress(manager: Manager, sim: SimBoard, seconds: float, seed: int) -> Outcome:
+    """Run it on the loop of the camera example. Raises AssertionError for a torn frame, a stall or a leak."""
+    with manager.connected() as board:
+        warm(board)
+        board.load("camera", "loopback")
+        until(lambda: not any(stream.open for stream in board.status.streams))
+        before = held(manager, sim)
+        for name in ("to_pl", "from_pl"):
+            board.configure_stream(name, shape=(WORDS,), dtype="uint64", force=True)
+        board.configure_stream("from_pl", enable=True)
+        outcome = _produce(board, manager, seconds, seed)
+        board.configure_stream("from_pl", enable=False)
+        _nothing_is_left(manager, sim, before)
+        board.load("camera", "default")
+    return outcome
+
+
+def _produce(board: cm.Board, manager: Manager, seconds: float, seed: int) -> Outcome:
+    script = REPOSITORY / "tests" / "plane_readers.py"
+    command = [sys.executable, str(script), str(manager.runtime), "from_pl", str(READERS), str(seconds), str(seed)]
+    readers = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment())
+    produced, longest = 0, 0.0
+    with readers, board.writer("to_pl", timeout=10) as writer:
+        last = time.monotonic()
+        while readers.poll() is None:
+            writer.write(np.full(WORDS, produced, np.uint64))
+            writer.flush()
+            now = time.monotonic()
+            longest, last = max(longest, now - last), now
+            produced += 1
+        assert readers.stdout is not None
+        told = json.loads(readers.stdout.read())
+    assert readers.returncode == 0, told
+    assert told["wrong"] == 0
+    return Outcome(produced, longest, told["frames"], told["kills"])
