@@ -63,8 +63,10 @@ class Fault:
     times: int = 1
     make: Callable[[str], Exception] = lambda name: DeviceError(errno.EIO, f"injected at {name}")
     names: list[str] = field(default_factory=list)
+    watch: Callable[[str], None] = lambda name: None  # called first, in the thread of the operation
 
     def step(self, name: str) -> None:
+        self.watch(name)
         number = len(self.names)
         self.names.append(name)
         if self.at >= 0 and self.at <= number < self.at + self.times:
@@ -172,9 +174,11 @@ def camera(timeout: float | None = None, defaults: Mapping[str, int] | None = No
 
 
 @contextlib.contextmanager
-def rig(root: Path, state: Path, *configs: Config, prefetch: int = 0) -> Iterator[Rig]:
+def rig(
+    root: Path, state: Path, *configs: Config, prefetch: int = 0, files: type[BoardFiles] = BoardFiles
+) -> Iterator[Rig]:
     """A started manager on the board under `root`, with the camera example if no configuration is given."""
-    made = make_rig(root, state, *configs, prefetch=prefetch)
+    made = make_rig(root, state, *configs, prefetch=prefetch, files=files)
     try:
         made.notes = made.manager.start()
         yield made
@@ -182,13 +186,13 @@ def rig(root: Path, state: Path, *configs: Config, prefetch: int = 0) -> Iterato
         made.close()
 
 
-def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0) -> Rig:
+def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0, files: type[BoardFiles] = BoardFiles) -> Rig:
     """A manager that was not started yet."""
     fault, nobody = Fault(), Nobody()
     devices = BoardDevices(Root.of(root))
     store = FaultyStore(state, fault)
-    clock, files = Clock(), BoardFiles(root)
-    given = (FaultyDevices(devices, fault), files, store, nobody, clock, nobody)
+    clock, opened = Clock(), files(root)
+    given = (FaultyDevices(devices, fault), opened, store, nobody, clock, nobody)
     env = Environment(*given, settings=Settings(prefetch_bytes=prefetch))
     known = {config.name: config for config in configs or (camera(),)}
-    return Rig(Manager(known, env), devices, fault, nobody, store, clock, files)
+    return Rig(Manager(known, env), devices, fault, nobody, store, clock, opened)

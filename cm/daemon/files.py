@@ -143,9 +143,12 @@ class BoardFiles:
         found = self._overlays.get(path)
         if found is not None and found[0] == key:
             return found[1]
-        data = checked_overlay(str(path), path.read_bytes())
+        data = checked_overlay(str(path), self._read_overlay(path))
         self._overlays[path] = (key, data)
         return data
+
+    def _read_overlay(self, path: Path) -> bytes:
+        return path.read_bytes()
 
     def _check_firmware(self, overlay: Path, name: str, image: Image) -> None:
         place = self._root / _FIRMWARE / name

@@ -125,8 +125,7 @@ class ChangeRunner:
 
         Raises StaticUnknown where the one before was the boot loader's and is gone.
         """
-        now = self._board.state
-        if old.type is ConfigType.FULL or (now.static_sha256 == before.static_sha256 and not now.static_lost):
+        if old.type is ConfigType.FULL or self._same_static(before):
             return None
         static = self._config(before.static_config)
         if static is None:
@@ -141,7 +140,7 @@ class ChangeRunner:
         touched = [r for name, r in self._regions(before, goal).items() if name in self._board.state.regions]
         problems = abandon(self._board, self._tools.registers, touched)
         mode = before.mode if self._holds(before) else None
-        config = None if self._board.state.static_sha256 != before.static_sha256 else before.config
+        config = before.config if self._same_static(before) else None
         self._board.update(lambda state: replace(state, config=config, mode=mode))
         try:
             self._board.record(None)
@@ -154,8 +153,7 @@ class ChangeRunner:
     def _regions(self, before: BoardState, goal: Config) -> dict[str, Region]:
         """Regions by name as the two configurations have them that the device may be in."""
         old = self._config(before.config)
-        replaced = self._board.state.static_sha256 != before.static_sha256
-        return {**(old.regions if old is not None and not replaced else {}), **goal.regions}
+        return {**(old.regions if old is not None and self._same_static(before) else {}), **goal.regions}
 
     def _left(self, before: BoardState) -> str:
         state = self._board.state
@@ -164,16 +162,20 @@ class ChangeRunner:
         cut = [name for name, region in state.regions.items() if region.phase is RegionPhase.FAILED]
         if cut:
             return f"regions left decoupled: {', '.join(cut)}"
-        if state.static_sha256 != before.static_sha256:
+        if not self._same_static(before):
             return f"the device holds the image of {state.static_config}, and is in no mode"
         return "no region was touched" if self._holds(before) else "what was loaded stays, in no mode"
+
+    def _same_static(self, before: BoardState) -> bool:
+        now = self._board.state
+        return (now.static_sha256, now.static_lost) == (before.static_sha256, before.static_lost)
 
     def _holds(self, mode: BoardState) -> bool:
         """Whether the regions still hold what they held in that mode."""
         now = self._board.state
-        if (now.static_sha256, now.static_lost) != (mode.static_sha256, mode.static_lost):
-            return False
-        return all(now.region(name) == mode.region(name) for name in {*mode.regions, *now.regions})
+        return self._same_static(mode) and all(
+            now.region(name) == mode.region(name) for name in {*mode.regions, *now.regions}
+        )
 
     def _config(self, name: str | None) -> Config | None:
         return self._configs().get(name) if name else None

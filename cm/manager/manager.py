@@ -82,6 +82,7 @@ class Manager:
         self._pending: Pending | None = None
         self._error: ErrorInfo | None = None
         self._failed = False
+        self._full = False  # the running change loads a whole image
         self._number = 0
         self._stopping = threading.Event()
         self._last: tuple[int, float] = (0, 0.0)
@@ -174,6 +175,8 @@ class Manager:
         self._configs = MappingProxyType({**self._configs, config.name: config})
         if self.state.config == config.name and self.state.mode not in config.modes:
             self.update(lambda state: replace(state, mode=None))  # it is in none of the modes that there are now
+        if self.state.config == config.name and not self._busy():
+            self._env.data_plane.resume(config, self.state.mode)
         self._env.observer.status_changed()
 
     def check_replaceable(self, name: str) -> None:
@@ -251,12 +254,13 @@ class Manager:
                 change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
             else:
                 self._run(change)
+        self._queue.task_done()
 
     def _run(self, change: Change) -> None:
         started = self._env.clock.monotonic()
-        self._running, self._failed = change, False
         config = self._configs[change.config]
         self._pending = self._begun(change)
+        self._running, self._failed = change, False
         self.progress(Progress(change.number, change.config, change.mode, "validate"))
         error: ErrorInfo | None = None
         try:
@@ -273,6 +277,9 @@ class Manager:
 
     def _begun(self, change: Change) -> Pending:
         state = self.state
+        whole = self._configs[change.config].type is ConfigType.FULL
+        there = state.config == change.config and not change.force
+        self._full = (whole and not there) or change.static is not None
         return Pending(
             change.number, change.config, change.mode, state.config, state.mode, from_static=state.static_config
         )
@@ -386,9 +393,7 @@ class Manager:
 
     def _pr_mode(self, running: Change | None) -> PrMode:
         if running is not None:
-            there = self.state.config == running.config and not running.force
-            full = self._configs[running.config].type is ConfigType.FULL and not there
-            return PrMode.FULL if full else PrMode.PARTIAL
+            return PrMode.FULL if self._full else PrMode.PARTIAL
         return PrMode.ERROR if self._failed else PrMode.IDLE
 
     def note_error(self, error: ErrorInfo) -> None:
