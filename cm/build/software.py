@@ -42,7 +42,7 @@ def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
     yield f"python/{name}_registers.py", "registers.py.j2", symbols
     yield "kernel/cm.cfg", "kernel.cfg.j2", base
     recipe = f"cm-config-{name.replace('_', '-')}"
-    yield f"yocto/{recipe}/{recipe}.bb", "recipe.bb.j2", base | {"recipe": recipe}
+    yield f"yocto/{recipe}/{recipe}_1.0.bb", "recipe.bb.j2", base | {"recipe": recipe}
     yield "petalinux/README.md", "petalinux.md.j2", base | {"recipe": recipe}
     yield "petalinux/user-rootfsconfig", "rootfsconfig.j2", {"recipe": recipe}
 

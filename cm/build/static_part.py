@@ -6,7 +6,7 @@ from __future__ import annotations
 from cm.build.hdl.model import PortDirection
 from cm.build.lite import LITE, PER_SLAVE, SHARED, slave_port
 from cm.build.netlist import Netlist, concat, zeros
-from cm.build.static_region import RegionBuilder
+from cm.build.static_region import add_region
 from cm.build.system import Domain, System, Window
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
@@ -22,7 +22,7 @@ def static_part(system: System) -> Netlist:
         _interconnect(net, domain)
     _control(net, system)
     for region in system.regions:
-        RegionBuilder(net, system, region).build()
+        add_region(net, system, region)
     if system.icap:
         _icap(net, system)
     return net
