@@ -26,7 +26,7 @@ int cm_args_get(void *args, size_t size, const void __user *from)
 		return -E2BIG;
 	return copy_struct_from_user(args, size, from, user_size);
 }
-CM_EXPORT_SYMBOL(cm_args_get);
+EXPORT_SYMBOL_CM(cm_args_get);
 
 /**
  * cm_args_put() - copy an ioctl's structure back to user space
@@ -42,4 +42,4 @@ int cm_args_put(void __user *to, const void *args, size_t size)
 
 	return copy_to_user(to, args, min(size, user_size)) ? -EFAULT : 0;
 }
-CM_EXPORT_SYMBOL(cm_args_put);
+EXPORT_SYMBOL_CM(cm_args_put);

@@ -88,7 +88,7 @@ struct cm_buffer *cm_buffer_alloc(struct device *dev, u64 length)
 	return buffer_alloc(dev, length,
 			    has_coherent_pool(dev) ? CM_BUFFER_COHERENT : CM_BUFFER_PAGES);
 }
-CM_EXPORT_SYMBOL(cm_buffer_alloc);
+EXPORT_SYMBOL_CM(cm_buffer_alloc);
 
 /**
  * cm_buffer_alloc_coherent() - memory for programs that do not synchronise
@@ -101,7 +101,7 @@ struct cm_buffer *cm_buffer_alloc_coherent(struct device *dev, u64 length)
 {
 	return buffer_alloc(dev, length, CM_BUFFER_COHERENT);
 }
-CM_EXPORT_SYMBOL(cm_buffer_alloc_coherent);
+EXPORT_SYMBOL_CM(cm_buffer_alloc_coherent);
 
 static int buffer_attach(struct cm_buffer *buffer)
 {
@@ -148,7 +148,7 @@ struct cm_buffer *cm_buffer_import(struct device *dev, int fd, enum dma_data_dir
 	}
 	return buffer;
 }
-CM_EXPORT_SYMBOL(cm_buffer_import);
+EXPORT_SYMBOL_CM(cm_buffer_import);
 
 static void buffer_detach(struct cm_buffer *buffer)
 {
@@ -187,7 +187,7 @@ struct cm_buffer *cm_buffer_get(struct cm_buffer *buffer)
 	kref_get(&buffer->ref);
 	return buffer;
 }
-CM_EXPORT_SYMBOL(cm_buffer_get);
+EXPORT_SYMBOL_CM(cm_buffer_get);
 
 /**
  * cm_buffer_put() - give a reference back; may sleep
@@ -197,7 +197,7 @@ void cm_buffer_put(struct cm_buffer *buffer)
 {
 	kref_put(&buffer->ref, buffer_release);
 }
-CM_EXPORT_SYMBOL(cm_buffer_put);
+EXPORT_SYMBOL_CM(cm_buffer_put);
 
 /* the range must lie in one piece: one request is one descriptor */
 static int imported_address(struct cm_buffer *buffer, u64 offset, u64 length, dma_addr_t *address)
@@ -245,7 +245,7 @@ int cm_buffer_address(struct cm_buffer *buffer, u64 offset, u64 length, dma_addr
 	*address = buffer->dma + offset;
 	return 0;
 }
-CM_EXPORT_SYMBOL(cm_buffer_address);
+EXPORT_SYMBOL_CM(cm_buffer_address);
 
 /**
  * cm_buffer_coherent() - whether the CPU sees it without synchronising
@@ -258,7 +258,7 @@ bool cm_buffer_coherent(struct cm_buffer *buffer)
 	return buffer->kind == CM_BUFFER_COHERENT ||
 	       (buffer->kind == CM_BUFFER_PAGES && !dma_need_sync(buffer->dev, buffer->dma));
 }
-CM_EXPORT_SYMBOL(cm_buffer_coherent);
+EXPORT_SYMBOL_CM(cm_buffer_coherent);
 
 /**
  * cm_buffer_sync_for_cpu() - before the CPU touches an allocated buffer
@@ -270,7 +270,7 @@ void cm_buffer_sync_for_cpu(struct cm_buffer *buffer, enum dma_data_direction di
 	if (buffer->kind == CM_BUFFER_PAGES)
 		dma_sync_single_for_cpu(buffer->dev, buffer->dma, buffer->length, direction);
 }
-CM_EXPORT_SYMBOL(cm_buffer_sync_for_cpu);
+EXPORT_SYMBOL_CM(cm_buffer_sync_for_cpu);
 
 /**
  * cm_buffer_sync_for_device() - after the CPU touched an allocated buffer
@@ -282,7 +282,7 @@ void cm_buffer_sync_for_device(struct cm_buffer *buffer, enum dma_data_direction
 	if (buffer->kind == CM_BUFFER_PAGES)
 		dma_sync_single_for_device(buffer->dev, buffer->dma, buffer->length, direction);
 }
-CM_EXPORT_SYMBOL(cm_buffer_sync_for_device);
+EXPORT_SYMBOL_CM(cm_buffer_sync_for_device);
 
 /**
  * cm_buffer_mmap() - map an allocated buffer into a process
@@ -306,4 +306,4 @@ int cm_buffer_mmap(struct cm_buffer *buffer, struct vm_area_struct *vma)
 			       page_to_pfn(virt_to_page(buffer->cpu)) + vma->vm_pgoff,
 			       vma->vm_end - vma->vm_start, vma->vm_page_prot);
 }
-CM_EXPORT_SYMBOL(cm_buffer_mmap);
+EXPORT_SYMBOL_CM(cm_buffer_mmap);

@@ -37,7 +37,7 @@ enum dma_data_direction cm_channel_direction(const struct cm_channel *channel)
 {
 	return channel->info.direction == CM_DMA_MM2S ? DMA_TO_DEVICE : DMA_FROM_DEVICE;
 }
-CM_EXPORT_SYMBOL(cm_channel_direction);
+EXPORT_SYMBOL_CM(cm_channel_direction);
 
 static enum dma_transfer_direction engine_direction(const struct cm_channel *channel)
 {
@@ -142,7 +142,7 @@ struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel
 	}
 	return channel;
 }
-CM_EXPORT_SYMBOL(cm_channel_create);
+EXPORT_SYMBOL_CM(cm_channel_create);
 
 static void channel_free(struct kref *ref)
 {
@@ -165,7 +165,7 @@ struct cm_channel *cm_channel_get(struct cm_channel *channel)
 	kref_get(&channel->ref);
 	return channel;
 }
-CM_EXPORT_SYMBOL(cm_channel_get);
+EXPORT_SYMBOL_CM(cm_channel_get);
 
 /**
  * cm_channel_put() - give a reference back
@@ -175,7 +175,7 @@ void cm_channel_put(struct cm_channel *channel)
 {
 	kref_put(&channel->ref, channel_free);
 }
-CM_EXPORT_SYMBOL(cm_channel_put);
+EXPORT_SYMBOL_CM(cm_channel_put);
 
 /**
  * cm_channel_claim() - have a channel to oneself
@@ -197,7 +197,7 @@ int cm_channel_claim(struct cm_channel *channel)
 	mutex_unlock(&channel->lock);
 	return ret;
 }
-CM_EXPORT_SYMBOL(cm_channel_claim);
+EXPORT_SYMBOL_CM(cm_channel_claim);
 
 static void active_free(struct cm_active *active)
 {
@@ -269,7 +269,7 @@ int cm_channel_cancel(struct cm_channel *channel)
 	mutex_unlock(&channel->lock);
 	return ret;
 }
-CM_EXPORT_SYMBOL(cm_channel_cancel);
+EXPORT_SYMBOL_CM(cm_channel_cancel);
 
 /**
  * cm_channel_release() - end all transfers and give the channel back
@@ -282,7 +282,7 @@ void cm_channel_release(struct cm_channel *channel)
 	channel->claimed = false;
 	mutex_unlock(&channel->lock);
 }
-CM_EXPORT_SYMBOL(cm_channel_release);
+EXPORT_SYMBOL_CM(cm_channel_release);
 
 /**
  * cm_channel_remove() - the device goes away
@@ -300,7 +300,7 @@ void cm_channel_remove(struct cm_channel *channel)
 	wake_up_all(&channel->waiting);
 	cm_channel_put(channel);
 }
-CM_EXPORT_SYMBOL(cm_channel_remove);
+EXPORT_SYMBOL_CM(cm_channel_remove);
 
 static struct dma_async_tx_descriptor *prepare_video(struct cm_channel *channel,
 						     const struct cm_active *active)
@@ -545,7 +545,7 @@ int cm_channel_submit(struct cm_channel *channel, const struct cm_request *reque
 		active_free(active);
 	return ret;
 }
-CM_EXPORT_SYMBOL(cm_channel_submit);
+EXPORT_SYMBOL_CM(cm_channel_submit);
 
 static int statistics_show(struct seq_file *file, void *unused)
 {
@@ -576,4 +576,4 @@ void cm_channel_debugfs(struct cm_channel *channel, struct dentry *parent)
 {
 	debugfs_create_file(channel->info.name, 0444, parent, channel, &statistics_fops);
 }
-CM_EXPORT_SYMBOL(cm_channel_debugfs);
+EXPORT_SYMBOL_CM(cm_channel_debugfs);

@@ -162,4 +162,4 @@ struct dma_buf *cm_buffer_export(struct cm_buffer *buffer)
 		cm_buffer_put(buffer);
 	return dmabuf;
 }
-CM_EXPORT_SYMBOL(cm_buffer_export);
+EXPORT_SYMBOL_CM(cm_buffer_export);

@@ -124,7 +124,7 @@ struct cm_channel *cm_channel_find(const char *name)
 	mutex_unlock(&cm_nodes_lock);
 	return channel;
 }
-CM_EXPORT_SYMBOL(cm_channel_find);
+EXPORT_SYMBOL_CM(cm_channel_find);
 
 /**
  * cm_channel_next() - go through all channels that have a node
@@ -150,7 +150,7 @@ struct cm_channel *cm_channel_next(struct cm_channel *previous)
 	mutex_unlock(&cm_nodes_lock);
 	return channel;
 }
-CM_EXPORT_SYMBOL(cm_channel_next);
+EXPORT_SYMBOL_CM(cm_channel_next);
 
 /**
  * cm_nodes_init() - at the module's start

@@ -16,7 +16,7 @@ void cm_buffer_table_init(struct cm_buffer_table *table)
 	mutex_init(&table->lock);
 	xa_init_flags(&table->buffers, XA_FLAGS_ALLOC1);
 }
-CM_EXPORT_SYMBOL(cm_buffer_table_init);
+EXPORT_SYMBOL_CM(cm_buffer_table_init);
 
 /**
  * cm_buffer_table_destroy() - give back all handles
@@ -32,7 +32,7 @@ void cm_buffer_table_destroy(struct cm_buffer_table *table)
 	xa_destroy(&table->buffers);
 	mutex_destroy(&table->lock);
 }
-CM_EXPORT_SYMBOL(cm_buffer_table_destroy);
+EXPORT_SYMBOL_CM(cm_buffer_table_destroy);
 
 /**
  * cm_buffer_table_get() - the buffer of a handle
@@ -52,7 +52,7 @@ struct cm_buffer *cm_buffer_table_get(struct cm_buffer_table *table, u32 handle)
 	mutex_unlock(&table->lock);
 	return buffer;
 }
-CM_EXPORT_SYMBOL(cm_buffer_table_get);
+EXPORT_SYMBOL_CM(cm_buffer_table_get);
 
 static int table_add(struct cm_buffer_table *table, struct cm_buffer *buffer, u32 *handle)
 {
@@ -124,7 +124,7 @@ long cm_buffer_ioctl_alloc(struct cm_buffer_table *table, struct device *dev, vo
 		table_drop(table, args.handle);
 	return ret;
 }
-CM_EXPORT_SYMBOL(cm_buffer_ioctl_alloc);
+EXPORT_SYMBOL_CM(cm_buffer_ioctl_alloc);
 
 /**
  * cm_buffer_ioctl_import() - the ioctls with a struct cm_buffer_import
@@ -160,7 +160,7 @@ long cm_buffer_ioctl_import(struct cm_buffer_table *table, struct device *dev,
 		table_drop(table, args.handle);
 	return ret;
 }
-CM_EXPORT_SYMBOL(cm_buffer_ioctl_import);
+EXPORT_SYMBOL_CM(cm_buffer_ioctl_import);
 
 /**
  * cm_buffer_ioctl_free() - the ioctls with a struct cm_buffer_free
@@ -193,4 +193,4 @@ long cm_buffer_ioctl_free(struct cm_buffer_table *table, void __user *arg)
 		cm_buffer_put(buffer);
 	return ret;
 }
-CM_EXPORT_SYMBOL(cm_buffer_ioctl_free);
+EXPORT_SYMBOL_CM(cm_buffer_ioctl_free);

@@ -261,8 +261,10 @@ int main(int argc, char **argv)
 	stop.id = video.id;
 	CHECK(ioctl(device, STOP, &stop) == 0);
 	CHECK(((uint32_t *)frames)[0] > 2);
-	CHECK(((uint32_t *)frames)[0] + 1 == ((uint32_t *)frames)[1024] ||
-	      ((uint32_t *)frames)[0] == ((uint32_t *)frames)[1024] + 1);
+	/* a slow machine loses frames, but not within one, and both buffers take part */
+	CHECK(((uint32_t *)frames)[1024] > 2);
+	CHECK(((uint32_t *)frames)[0] != ((uint32_t *)frames)[1024]);
+	CHECK(((uint32_t *)frames)[1023] == ((uint32_t *)frames)[0] + 1023);
 	video.frame.height = 1 << 30;
 	CHECK(ioctl(device, VIDEO_READ, &video) == -1 && errno == EINVAL);
 	video.frame.height = 16;
