@@ -21,6 +21,8 @@ from setuptools.errors import SetupError
 ROOT = Path(__file__).resolve().parent
 PROTO = "cm/wire/cm.proto"
 GENERATED = "cm/wire/cm_pb2.py"
+SCHEMA = "cm/schema/data/runtime.schema.json"
+VALIDATOR = "cm/schema/_validator.py"
 NO_PROTOC = (
     "cannot generate cm/wire/cm_pb2.py: no protobuf compiler found. Set PROTOC, or install one: "
     "'pip install grpcio-tools', or 'apt install protobuf-compiler'"
@@ -64,21 +66,43 @@ def generate(target: Path) -> None:
     scratch.replace(target)
 
 
+def generate_validator(target: Path) -> None:
+    """Write the validator of the runtime schema, where what makes it is installed; else each start makes it anew."""
+    sys.path.insert(0, str(ROOT))
+    try:
+        from cm.schema.compiled import source
+
+        text = source((ROOT / SCHEMA).read_bytes())
+    except (ImportError, ValueError) as error:
+        print(f"{VALIDATOR} is left out ({error}): `cm` compiles it at each start")
+        return
+    finally:
+        sys.path.remove(str(ROOT))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    scratch = target.with_name(target.name + ".new")
+    scratch.write_text(text, encoding="utf-8")
+    scratch.replace(target)
+
+
 class BuildPy(build_py):
     """Generates the protobuf module into what is built, or into the tree when that is what runs."""
 
+    def _base(self) -> Path:
+        return ROOT if self.editable_mode else Path(self.build_lib)
+
     def _target(self) -> Path:
-        return ROOT / GENERATED if self.editable_mode else Path(self.build_lib) / GENERATED
+        return self._base() / GENERATED
 
     def run(self) -> None:
         super().run()
         if not self.dry_run if hasattr(self, "dry_run") else True:
             generate(self._target())
+            generate_validator(self._base() / VALIDATOR)
 
     def get_outputs(self, include_bytecode: bool = True) -> list[str]:
         outputs = super().get_outputs(include_bytecode)
-        target = str(self._target())
-        return outputs if target in outputs else [*outputs, target]
+        made = [str(self._target()), *(str(p) for p in [self._base() / VALIDATOR] if p.exists())]
+        return [*outputs, *(target for target in made if target not in outputs)]
 
 
 class BuildExt(build_ext):
@@ -88,6 +112,7 @@ class BuildExt(build_ext):
         super().run()
         if self.inplace:
             generate(ROOT / GENERATED)
+            generate_validator(ROOT / VALIDATOR)
 
 
 # Free-threaded Python has no stable ABI yet; cffi builds a version-specific module there.

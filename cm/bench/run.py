@@ -28,6 +28,11 @@ class Run:
     cpu: int | None = None
     cpus: frozenset[int] = frozenset()
 
+    @property
+    def bytecode(self) -> Path:
+        """Where bytecode of the run's processes is kept."""
+        return self.folder / "bytecode"
+
     def plan(self, trips: int, rounds: int = 20, warm: int = 3) -> Plan:
         """How often, for trips of which `trips` make a round."""
         return Plan(2, min(trips, 5), 1) if self.quick else Plan(rounds, trips, warm)

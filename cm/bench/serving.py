@@ -45,7 +45,9 @@ def serve(run: Run, *arguments: str, sim: bool = True) -> Iterator[Served]:
     words = [sys.executable, "-m", "cm", "serve", *(["--sim"] if sim else []), "--runtime-dir", str(folder)]
     words += ["--state-dir", str(folder / "state"), *arguments]
     started = time.monotonic()
-    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment(run)
+    )
     try:
         _await_reply(process, folder, started + _PATIENCE)
         seconds = time.monotonic() - started
@@ -53,6 +55,12 @@ def serve(run: Run, *arguments: str, sim: bool = True) -> Iterator[Served]:
     finally:
         process.terminate()
         process.communicate()
+
+
+def environment(run: Run) -> dict[str, str]:
+    """Ours, with bytecode that is kept in the run's folder: an installed package comes with it."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return {**kept, "PYTHONPYCACHEPREFIX": str(run.bytecode)}
 
 
 def _await_reply(process: subprocess.Popen[bytes], folder: Path, until: float) -> None:

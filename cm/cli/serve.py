@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 from cm.errors import CmError, InvalidRequest
 
 if TYPE_CHECKING:
+    from concurrent.futures import Future
+
     from cm.daemon.server import Options, Server
     from cm.daemon.sockets import Security
     from cm.device import Root
@@ -62,10 +64,10 @@ def run(args: argparse.Namespace) -> int:
     logging.basicConfig(
         level=logging.INFO if args.verbose else logging.WARNING, format="cm serve: %(message)s", stream=sys.stderr
     )
-    from cm.daemon.server import Server
-
     with ExitStack() as stack:
         options = _options(args, stack)
+        from cm.daemon.server import Server
+
         server = Server(options)
         _stop_on_signals(server)
         where = [f"{options.runtime_dir}", *options.listen]
@@ -80,14 +82,17 @@ def _stop_on_signals(server: Server) -> None:
 
 def _options(args: argparse.Namespace, stack: ExitStack) -> Options:
     from cm.client.address import default_runtime_dir
+
+    runtime = args.runtime_dir or default_runtime_dir()
+    paths = args.config or ([_camera(stack)] if args.sim else [])
+    board = _simulated_root(args, runtime, paths, stack) if args.sim else None
+    # While the simulator starts, in a process of its own, this one gets on with its imports.
     from cm.daemon.server import Options
     from cm.device import Root
     from cm.manager.manager import Settings
 
-    runtime = args.runtime_dir or default_runtime_dir()
-    paths = args.config or ([_camera(stack)] if args.sim else [])
     configs = _load_configs(paths)
-    root = _simulated_root(args, runtime, paths, stack) if args.sim else Root.of(args.root)
+    root = Root.of(args.root) if board is None else board.result()
     example = args.sim and not args.config
     return Options(
         runtime_dir=runtime,
@@ -119,14 +124,17 @@ def _load_configs(paths: list[Path]) -> dict[str, Config]:
     return found
 
 
-def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], stack: ExitStack) -> Root:
+def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], stack: ExitStack) -> Future[Root]:
+    from concurrent.futures import ThreadPoolExecutor
+
     from cm.cli.simboard import simulated_board
 
     arguments = ["--images", str(args.images)] if args.images else []
     arguments += ["--hold", str(args.sim_hold)] if args.sim_hold is not None else []
     arguments += ["--icap-rate", str(args.sim_icap_rate)] if args.sim_icap_rate is not None else []
     root = Path(args.root) if args.root else runtime / "board"
-    return stack.enter_context(simulated_board(runtime, root, paths, arguments))
+    starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
+    return starter.submit(stack.enter_context, simulated_board(runtime, root, paths, arguments))
 
 
 def _default_state_dir(runtime: Path, sim: bool) -> Path:

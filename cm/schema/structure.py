@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from cm.schema.compiled import ready
 from cm.schema.listing import fold, lift_overlays, windows
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.tree import Entry, Items, Mark, Node, Scalar, Table, plain
@@ -29,10 +30,11 @@ Report = Callable[[Mark, KeyPath, str, str, str], None]  # position, path, code,
 class Structure:
     """A JSON Schema, compiled when it is first needed."""
 
-    def __init__(self, schema: dict[str, Any]) -> None:
+    def __init__(self, schema: dict[str, Any], good: Callable[[Any], Any] | None = None) -> None:
+        """`good`: a validator of values made before (`cm.schema.compiled`), which raises ValueError."""
         self._schema = schema
         self._normal: dict[str, Any] = normal_form(schema)
-        self._good: Callable[[Any], Any] | None = None
+        self._good = good
         self._explain: Callable[[Any], Any] | None = None
 
     def fit(self, root: Node, report: Report) -> Node:
@@ -46,23 +48,29 @@ class Structure:
         (2.16 at least) gives the path of an error only where no ``$ref`` lies on it, so that what is
         wrong is found by a second, without any, which takes longer to compile.
         """
-        import fastjsonschema
-
         data = plain(root)
         if self._good is None:
-            self._good = fastjsonschema.compile(_for_values(self._normal))
+            self._good = _compile(for_values(self._normal))
         try:
             self._good(data)
-        except fastjsonschema.JsonSchemaValueException:
+        except ValueError:
             if self._explain is None:
-                self._explain = fastjsonschema.compile(_without_references(_for_values(self._normal)))
+                self._explain = _compile(_without_references(for_values(self._normal)))
             return findings(data, self._explain)
         return []
 
 
 def load_structure() -> Structure:
     """The structure of the runtime schema, from the file that comes with the package."""
-    return Structure(json.loads(SCHEMA_FILE.read_text()))
+    text = SCHEMA_FILE.read_bytes()
+    return Structure(json.loads(text), ready(text))
+
+
+def _compile(schema: dict[str, Any]) -> Callable[[Any], Any]:
+    import fastjsonschema
+
+    validate: Callable[[Any], Any] = fastjsonschema.compile(schema)
+    return validate
 
 
 def normal_form(schema: Any) -> Any:
@@ -78,17 +86,17 @@ def normal_form(schema: Any) -> Any:
     return result
 
 
-def _for_values(schema: Any) -> Any:
+def for_values(schema: Any) -> Any:
     """`schema` without the rules that the walk has checked, and without defaults."""
     if isinstance(schema, list):
-        return [_for_values(item) for item in schema]
+        return [for_values(item) for item in schema]
     if not isinstance(schema, dict):
         return schema
     keep = {key: value for key, value in schema.items() if key not in _BY_WALK or isinstance(value, dict)}
     keep.pop("patternProperties", None)
     keep.pop("propertyNames", None)
     keep.pop("short", None)
-    return {key: _for_values(value) for key, value in keep.items()}
+    return {key: for_values(value) for key, value in keep.items()}
 
 
 def _without_references(schema: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The validator that setup.py generates says what the one compiled at run time says."""
+
+from __future__ import annotations
+
+import sys
+from importlib import resources
+from types import ModuleType
+
+import pytest
+
+from cm.schema import compiled, loads
+from cm.schema.loader import SchemaError
+from cm.schema.structure import SCHEMA_FILE
+
+CAMERA = resources.files("cm").joinpath("data/camera/camera.yaml").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def generated() -> ModuleType:
+    module = ModuleType("cm.schema._validator")
+    exec(compiled.source(SCHEMA_FILE.read_bytes()), module.__dict__)
+    return module
+
+
+def test_it_serves_the_very_schema_that_it_was_made_from(
+    generated: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "cm.schema._validator", generated)
+    text = SCHEMA_FILE.read_bytes()
+    assert compiled.ready(text) is generated.validate
+    assert compiled.ready(text + b"\n") is None
+
+
+def test_it_is_missed_without_harm(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "cm.schema._validator", None)
+    assert compiled.ready(SCHEMA_FILE.read_bytes()) is None
+    assert loads(CAMERA).name == "camera"
+
+
+def test_it_refuses_values_with_an_exception_of_its_own(generated: ModuleType) -> None:
+    with pytest.raises(ValueError, match="config"):
+        generated.validate({"config": {"name": 3}})
+
+
+def test_what_is_wrong_is_told_in_full_either_way() -> None:
+    with pytest.raises(SchemaError) as refused:
+        loads(CAMERA.replace("rate: 30", "rate: fast").replace("slots: 8", "slots: 0"))
+    assert {problem.key.rpartition(".")[2] for problem in refused.value.problems} == {"rate", "slots"}
