@@ -363,7 +363,8 @@ static void fill(const struct stream *stream, struct cm_plane_stats *stats)
 {
 	*stats = stream->stats;
 	stats->queued = stream->under_way + (stream->cycling >= 0);
-	stats->count = stream->recent < CM_PLANE_RECENT ? (uint32_t)stream->recent : CM_PLANE_RECENT;
+	stats->count =
+		stream->recent < CM_PLANE_RECENT ? (uint32_t)stream->recent : CM_PLANE_RECENT;
 	for (uint32_t i = 0; i < stream->slots; i++)
 		stats->held += stream->slot[i].holders > 0 || stream->slot[i].owner;
 	for (uint32_t i = 0; i < stats->count; i++) {

@@ -12,7 +12,7 @@ struct slot {
 	int fd;		 /* what clients get */
 	uint32_t handle; /* of the channel */
 	uint32_t holders;
-	bool queued; /* at the hardware, or waits for it */
+	bool queued;			  /* at the hardware, or waits for it */
 	struct client *owner;		  /* a writer's */
 	struct cm_plane_descriptor frame; /* what it holds, or carries */
 };

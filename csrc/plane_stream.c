@@ -161,8 +161,7 @@ static bool too_soon(struct stream *stream, uint64_t at_ns)
 	if (at_ns < stream->due_ns)
 		return true;
 	/* In step with the rate, unless a frame was late by more than a period. */
-	stream->due_ns = at_ns - stream->due_ns > period ? at_ns + period
-							 : stream->due_ns + period;
+	stream->due_ns = at_ns - stream->due_ns > period ? at_ns + period : stream->due_ns + period;
 	return false;
 }
 

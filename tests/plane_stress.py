@@ -75,6 +75,7 @@ def warm(board: cm.Board) -> None:
     board.load("camera", "default")
     for mode in board.config("camera").modes:
         board.load("camera", mode.name)
+    board.load("camera", "default")
 
 
 def stress(manager: Manager, sim: SimBoard, seconds: float, seed: int) -> Outcome:

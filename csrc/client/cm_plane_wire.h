@@ -24,10 +24,10 @@
 
 /* from the manager */
 #define CM_PLANE_GEOMETRY 16 /* struct cm_plane_geometry and names follow: what comes now */
-#define CM_PLANE_SLOTS 17    /* slots @slot to @slot + @offset - 1: one descriptor each (SCM_RIGHTS) */
-#define CM_PLANE_FRAME 18    /* reader: a frame, leased until RELEASE */
-#define CM_PLANE_GRANT 19    /* writer: the slot is the client's, for as long as the stream runs */
-#define CM_PLANE_DONE 20     /* writer: the hardware has taken a SUBMIT; its @sequence comes back */
+#define CM_PLANE_SLOTS 17 /* slots @slot to @slot + @offset - 1: one descriptor each (SCM_RIGHTS) */
+#define CM_PLANE_FRAME 18 /* reader: a frame, leased until RELEASE */
+#define CM_PLANE_GRANT 19 /* writer: the slot is the client's, for as long as the stream runs */
+#define CM_PLANE_DONE 20  /* writer: the hardware has taken a SUBMIT; its @sequence comes back */
 #define CM_PLANE_PONG 21
 #define CM_PLANE_STOPPED 22 /* the stream stops (@offset: errno or 0); a GEOMETRY may follow */
 #define CM_PLANE_LATE 23    /* a RELEASE of a slot that this client does not hold */
@@ -36,7 +36,8 @@
 
 /* flags of OPEN; those of other packets are the low bits of the epoch, which change with GEOMETRY */
 #define CM_PLANE_OPEN_WRITE 1
-#define CM_PLANE_OPEN_ECHO 2 /* no stream: @length bytes of memory; SUBMIT comes back as DONE at once */
+#define CM_PLANE_OPEN_ECHO \
+	2 /* no stream: @length bytes of memory; SUBMIT comes back as DONE at once */
 
 /**
  * struct cm_plane_descriptor - 32 bytes
