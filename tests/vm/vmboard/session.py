@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -72,7 +73,9 @@ def _for_test(cache: Cache, tier: Tier, keyword: str) -> qemu.Machine:
 
 
 def _keyword(keyword: str) -> tuple[str, ...]:
-    return (f"cm.keyword={keyword.replace(' ', '+')}",) if keyword else ()
+    changes = os.environ.get("CM_VM_CHANGES")  # of mode in a row; how many is the user's patience
+    words = [f"cm.keyword={keyword.replace(' ', '+')}"] if keyword else []
+    return (*words, *([f"cm.changes={int(changes)}"] if changes else []))
 
 
 def _run(name: str, board: qemu.Machine, place: Path) -> report.Results:
