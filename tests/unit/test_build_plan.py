@@ -18,6 +18,7 @@ from cm.build.load import load_project
 from cm.build.outputs import render_all
 from cm.build.plan import plan_system
 from cm.build.platforms import ZYNQ7000, ZYNQMP, device_of
+from cm.cli.main import main
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 
@@ -227,3 +228,31 @@ def test_the_device_of_a_part(part: str, device: str) -> None:
 def test_plan_and_project_agree_on_the_device(tmp_path: Path) -> None:
     found = load_project(project(tmp_path))
     assert plan_system(found, analyse(found).boundaries).device == "xc7z020"
+
+
+HDL = Path(__file__).parents[1] / "data" / "hdl"
+
+
+def with_component(folder: Path, module: str) -> Path:
+    for name in ("tagged.v", "tagged.xml"):
+        (folder / name).write_text((HDL / name).read_text())
+    (folder / "tagged.xci").write_text("{}\n")
+    return project(folder, MINIMAL.replace("    sources: [one.v]\n", module))
+
+
+def test_the_extraction_is_compared_with_ip_xact(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    path = with_component(tmp_path, "    top: tagged\n    sources: [tagged.v]\n    component: tagged.xml\n")
+    assert main(["build", "check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert f"differs from {tmp_path / 'tagged.xml'}" in said
+
+
+def test_vendor_ip_is_taken_from_its_component_and_synthesised_as_ip(tmp_path: Path) -> None:
+    path = with_component(tmp_path, "    top: tagged_ip\n    ip: [tagged.xci]\n    component: tagged.xml\n")
+    found = load_design(path)
+    written = files(found)
+    assert {bus.interface.name for bus in found.system.regions[0].streams} >= {"pixels_in"}
+    assert "tagged_ip inner (" in written["wrappers/one/cm_region_prr0.v"]
+    step = written["tcl/step_synth_one.tcl"]
+    assert 'read_ip "$cm_source/tagged.xci"\ngenerate_target all [get_ips]\nsynth_ip [get_ips]' in step
+    assert "../tagged.xci" in written["inputs/synth_one.list"]
