@@ -1,11 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 # The board for tests from the host: as for a shell, but the log goes to the port cm.output, and the host ends it.
 . "$here/shell.sh"
-port() {
-	for found in /sys/class/virtio-ports/*; do
-		[ "$(cat "$found/name")" = "$1" ] && echo "/dev/${found##*/}"
-	done
-}
+. "$here/results.sh"
 until grep -q 'ready at' /run/cm.log; do
 	kill -0 $! || break
 	usleep 100000

@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 # Runs the tests and sends what they say: lines to the port cm.output, an archive to the port cm.results.
-port() {
-	for found in /sys/class/virtio-ports/*; do
-		[ "$(cat "$found/name")" = "$1" ] && echo "/dev/${found##*/}"
-	done
-}
+. "$here/results.sh"
 mkdir -p /tmp/results
 echo "booted=$(cut -d ' ' -f 1 /proc/uptime)" >/tmp/results/facts
 cd /opt/cm/tests || exit
@@ -30,11 +26,5 @@ sleep 1
 kill $watcher $follower
 echo "kernel=$(uname -r) $(uname -m)" >>/tmp/results/facts
 echo "tested=$(cut -d ' ' -f 1 /proc/uptime)" >>/tmp/results/facts
-if grep -q kmemleak=on /proc/cmdline; then
-	echo scan >/sys/kernel/debug/kmemleak
-	echo scan >/sys/kernel/debug/kmemleak
-	cat /sys/kernel/debug/kmemleak >/tmp/results/kmemleak
-fi
-dmesg >/tmp/results/dmesg
-echo "uptime=$(cut -d ' ' -f 1 /proc/uptime)" >>/tmp/results/facts
-tar -c -C /tmp/results . >"$(port cm.results)"
+scan_for_leaks
+send_results

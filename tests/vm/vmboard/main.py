@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: build, test, shell, list."""
+"""The command line: build, test, selfcheck, shell."""
 
 from __future__ import annotations
 
@@ -41,6 +41,8 @@ def _parser() -> argparse.ArgumentParser:
         command.add_argument("--output", type=Path, default=None, help="folder for logs and JUnit files")
         command.add_argument("-k", dest="keyword", default="", help="only tests that match, as pytest's -k")
         command.set_defaults(run=run)
+    check = commands.add_parser("selfcheck", help="let kernels misbehave and see that it is noticed")
+    check.set_defaults(run=_selfcheck)
     shell = commands.add_parser("shell", help="a shell on the board, the CM running, its ports forwarded")
     shell.add_argument("--tier", choices=list(TIERS), default="custom")
     shell.add_argument("--port", type=int, default=5560, help="first of the three ports on this host (5560)")
@@ -65,6 +67,11 @@ def _test(chosen: argparse.Namespace) -> int:
     cache = _cache(chosen)
     output = (chosen.output or cache.root / "last-run").resolve()
     return session.test(cache, _tiers(chosen), output, chosen.jobs, chosen.keyword)
+
+
+def _selfcheck(chosen: argparse.Namespace) -> int:
+    cache = _cache(chosen)
+    return session.selfcheck(cache, cache.root / "last-selfcheck")
 
 
 def _shell(chosen: argparse.Namespace) -> int:

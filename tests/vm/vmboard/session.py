@@ -101,6 +101,23 @@ def _print(name: str, result: report.Results, place: Path) -> None:
     )
 
 
+# What the boards that misbehave on purpose must be caught at.
+MISDEEDS = {"custom": ("unreferenced object",), "sanitize": ("WARNING: ", "BUG: KASAN: ")}
+
+
+def selfcheck(cache: Cache, output: Path) -> int:
+    """Let the boards misbehave, and see that each misdeed is found; 0 where all are."""
+    missed = []
+    for name, words in MISDEEDS.items():
+        board = machine(cache, TIERS[name], ("cm.action=selfcheck",))
+        found = "\n".join(report.text for report in _run(name, board, output / name).reports)
+        missed += [f"{name}: {word}" for word in words if word not in found]
+    for line in missed:
+        say(f"FAILED: not found: {line}")
+    say("selfcheck: " + ("FAILED" if missed else "good: every misdeed was found"))
+    return 1 if missed else 0
+
+
 def shell(cache: Cache, name: str, port: int) -> int:
     """The board on this terminal; its ports 5560 to 5562 are this host's `port` and the two after it."""
     forwards = {port + index: there for index, there in enumerate(PORTS)}
