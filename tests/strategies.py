@@ -149,6 +149,9 @@ def streams(draw: st.DrawFn, name: str, known: list[str]) -> Stream:
         region=draw(maybe(st.sampled_from(known))) if known else None,
         cyclic=draw(st.booleans()),
         rate=draw(maybe(st.floats(0.1, 1e6))),
+        limit=draw(maybe(st.floats(0.1, 1e6))),
+        backpressure=draw(st.booleans()),
+        stride=draw(maybe(st.integers(1, 1 << 20))),
         doc=draw(docs),
     )
 

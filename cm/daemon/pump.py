@@ -72,7 +72,7 @@ class Pump:
         self._started = self.writes
         try:
             if not self.writes:
-                self._grow(stream.slots)
+                self._grow(min(stream.slots, SLOTS_MAX))
         except BaseException:
             self.close()
             raise
@@ -208,11 +208,10 @@ def _setup(dma: AxiDma, stream: Stream) -> StreamSetup:
     info, frame = dma.info, frame_bytes(stream)
     write = stream.direction is Direction.MM2S
     length = frame or info.frame_length or min(_FLAT, info.max_length)
-    if stream.cyclic and not (write and info.caps & DmaCaps.CYCLIC):
-        raise InvalidRequest(
-            f"stream {stream.name!r} cannot be cyclic: "
-            + ("its channel cannot repeat a transfer" if write else "only a written frame is repeated by the hardware")
-        )
+    # What is read goes round the slots anyway; the hardware must not do it by itself, under who holds one.
+    cyclic = stream.cyclic and write
+    if cyclic and not info.caps & DmaCaps.CYCLIC:
+        raise InvalidRequest(f"stream {stream.name!r} cannot be cyclic: channel {info.name} cannot repeat a transfer")
     lines, line_bytes = _lines(stream)
     stride = stream.stride or line_bytes
     video = lines > 0 and (info.type is DmaType.VDMA or stride != line_bytes)
@@ -231,7 +230,7 @@ def _setup(dma: AxiDma, stream: Stream) -> StreamSetup:
         write,
         length,
         stream.backpressure,
-        stream.cyclic,
+        cyclic,
         lines if video else 0,
         line_bytes if video else 0,
         stride if video else 0,

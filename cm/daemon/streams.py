@@ -126,10 +126,12 @@ class Streams:
         """A change that the channel refused is none."""
         name = stream.name
         self._streams[name] = stream
-        for kept, value in ((self._overrides, override), (self._enabled, enabled)):
-            kept.pop(name, None)  # type: ignore[attr-defined]
-            if value is not None:
-                kept[name] = value  # type: ignore[index]
+        self._overrides.pop(name, None)
+        self._enabled.pop(name, None)
+        if override is not None:
+            self._overrides[name] = override
+        if enabled is not None:
+            self._enabled[name] = enabled
         self.refresh()
 
     def named(self, name: str, direction: Direction | None) -> Stream:

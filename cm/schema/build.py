@@ -162,10 +162,9 @@ def _stream_values(values: dict[str, Any]) -> dict[str, Any]:
         changes["direction"] = Direction(_DIRECTIONS.get(changes["direction"], changes["direction"]))
     if "shape" in changes:
         changes["shape"] = tuple(int(length) for length in changes["shape"])
-    if "slots" in changes:
-        changes["slots"] = int(changes["slots"])
-    if "rate" in changes:
-        changes["rate"] = float(changes["rate"])
+    for name, kind in (("slots", int), ("stride", int), ("rate", float), ("limit", float)):
+        if name in changes:
+            changes[name] = kind(changes[name])
     return changes
 
 
