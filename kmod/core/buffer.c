@@ -50,6 +50,9 @@ static int buffer_fill(struct cm_buffer *buffer)
 					    DMA_BIDIRECTIONAL, GFP_KERNEL | __GFP_NOWARN);
 	if (!buffer->cpu)
 		return -ENOMEM;
+	/* never one, but DMA_API_DEBUG counts this as a mapping that nobody checked */
+	if (dma_mapping_error(buffer->dev, buffer->dma))
+		return -ENOMEM;
 	/* the zeroes must not come out of the cache on top of received data */
 	dma_sync_single_for_device(buffer->dev, buffer->dma, buffer->length, DMA_BIDIRECTIONAL);
 	return 0;
