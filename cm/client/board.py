@@ -197,7 +197,7 @@ class Board:
         """
         if self._data is not None:
             return LocalStream(self._data, name, timeout, depth, newest)
-        return RemoteStream(self, name, timeout)
+        return RemoteStream(self, name, timeout, newest)
 
     def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0) -> Writer:
         """Write a stream without copies: ``with writer.slot() as array: array[...] = frame``.

@@ -186,10 +186,11 @@ class LocalStream(Stream):
 class RemoteStream(Stream):
     """Frames over ZeroMQ; losses show in `sequence`."""
 
-    def __init__(self, board: Asker, name: str, timeout: float | None) -> None:
+    def __init__(self, board: Asker, name: str, timeout: float | None, newest: bool = False) -> None:
         self._board = board
         self.name = name
         self._timeout = timeout
+        self._newest = newest
         self._socket: Socket | None = None
         self._lost = 0
         self._expected: int | None = None
@@ -211,6 +212,8 @@ class RemoteStream(Stream):
 
     def read(self, timeout: float | None = None) -> Frame:
         frames = receive(self._opened(), self._timeout if timeout is None else timeout)
+        while self._newest and self._opened().poll(0):
+            frames = self._opened().recv_multipart()
         info = decode_event(frames)
         if not isinstance(info, FrameInfo):
             raise TypeError(f"{type(info).__name__} came on the stream's topic")

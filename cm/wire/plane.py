@@ -128,7 +128,7 @@ def decode_geometry(packet: bytes) -> Geometry:
         depth,
         stride,
         tuple(rest[: min(dimensions, _DIMENSIONS)]) or None,
-        rest[-1].rstrip(b"\0").decode(),
+        rest[-1].rstrip(b"\0").decode("ascii", "replace"),
         stream,
         config_name,
         mode,
