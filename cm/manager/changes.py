@@ -104,7 +104,7 @@ class ChangeRunner:
         old = self._config(before.config)
         try:
             if old is not None and before.mode in old.modes:
-                self._restore(before, old, number)
+                self._restore(before, old, {**failed.found, **before.values}, number)
                 return StepFailed(f"{text}; the board is back in {before.config}/{before.mode}", code)
             return self._give_up(before, goal, f"{text}; there was no mode to go back to", code)
         except Exception as second:  # noqa: BLE001 (as above)
@@ -113,9 +113,9 @@ class ChangeRunner:
         finally:
             self._board.lock_regions(frozenset())
 
-    def _restore(self, before: BoardState, old: Config, number: int) -> None:
+    def _restore(self, before: BoardState, old: Config, values: Mapping[str, int], number: int) -> None:
         assert before.mode is not None
-        goal = planning.Goal(old, before.mode, values=before.values, static=self._static_of(before, old))
+        goal = planning.Goal(old, before.mode, values=values, static=self._static_of(before, old))
         back = self.plan(goal)
         Transaction(back, self._board, self._tools, number, lambda: False).run()
         self._tools.data_plane.resume(old, before.mode)

@@ -21,7 +21,7 @@ from cm.manager.ports import Clock, DataPlane, Devices
 from cm.manager.registers import RegisterAccess
 from cm.manager.state import BoardState, OverlayState, RegionEvent, RegionPhase, RegionState, all_lost
 from cm.messages.status import Progress
-from cm.schema.model import Access, Decoupler, LoaderKind, Region
+from cm.schema.model import Access, Decoupler, LoaderKind, Region, Register
 
 
 class Board(Protocol):
@@ -80,6 +80,7 @@ class Transaction:
         self._cancelled = cancelled
         self._bytes_before = 0
         self._written: dict[str, int] = {}
+        self.found: dict[str, int] = {}  # values that were there before, for the way back
         self.current: s.Step | None = None
 
     def run(self) -> None:
@@ -214,6 +215,7 @@ class Transaction:
 
     def _set_register(self, step: s.SetRegister) -> None:
         register = step.register
+        self._remember(register)
         self._tools.registers.write_address(register.address, register.width, step.value)
         self._board.update(lambda state: state.with_value(register.name, step.value))
         self._written[register.name] = step.value
@@ -222,6 +224,13 @@ class Transaction:
         value = self._tools.registers.read(register)
         if value != step.value:
             raise VerifyFailed(f"register {register.name} reads {value:#x} after {step.value:#x} was written")
+
+    def _remember(self, register: Register) -> None:
+        """What a register of the static part or of a region that stays held, where nobody wrote it yet."""
+        loaded = {x.region.name for x in self._plan.steps if isinstance(x, s.Load)}
+        known = register.name in self._board.state.values or register.region in loaded or self._plan.full
+        if not known and register.access is Access.RW and not register.volatile:
+            self.found[register.name] = self._tools.registers.read(register)
 
     def _publish(self, step: s.Publish) -> None:
         self._board.update(self._entered)

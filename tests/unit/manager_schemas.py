@@ -49,9 +49,10 @@ config:
     through1: {{direction: s2mm, region: prr1, shape: [4, 4]}}
   overlays: [duo_base]
   modes:
-    default: {{modules: [a0, a1]}}
+    default: {{modules: [a0, a1], registers: {{lamp: {{base_address: 0x1000, offset: 0x1c}}}}}}
     other: {{modules: [b0]}}
     both: {{modules: [b0, b1], overlays: [duo_extra]}}
+    lit: {{modules: [b0, a1], registers: {{lamp: {{base_address: 0x1000, offset: 0x1c, default: 5}}}}}}
 """
 
 WHOLE = f"""

@@ -469,6 +469,40 @@ def test_values_come_back_with_the_mode_before_even_from_another_configuration(m
     assert values == {"gain": 5, "depth": 6, "led": 3}
 
 
+def test_a_value_that_nobody_had_recorded_comes_back_too(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> None:
+    wrong = {**configs["duo"].modules, "b0": replace(configs["duo"].modules["b0"], identity=0x77)}
+    made.manager.add_config(replace(configs["duo"], modules=wrong))
+    at(made, "duo/default")
+    lamp = made.devices.window(0x101C, 32)
+    lamp.uio.write(lamp.offset, 3, 32, lamp.map)  # as the boot loader may have
+    seen: list[int] = []
+    made.fault.watch = lambda name: (
+        seen.append(lamp.uio.read(lamp.offset, 32, lamp.map)) if name[:4] == "icap" else None
+    )
+    assert error_of(made, "duo/lit") == "identity_mismatch"
+    assert set(seen) == {3, 5}  # 5 was written, and stood while the way back loaded
+    assert made.manager.read_registers(("lamp",)).values[0].value == 3
+
+
+def test_what_the_kernel_failed_to_load_is_not_trusted_after_a_restart(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    at(made, "managed/default")
+    state = sim.root / "sys/class/fpga_manager/fpga0/state"
+    state.write_text("write error\n", encoding="ascii")  # another program tried
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert any("fpga_manager says 'write error'" in note for note in again.notes)
+        again.manager.wait_idle()
+        assert again.fault.names.count("fpga_manager.load") == 2
+        assert again.manager.status().mode == "default"
+        at(again, "whole/default")
+    state.write_text("write error\n", encoding="ascii")
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert again.manager.state.static_lost
+        assert "uio.read" not in again.fault.names
+        at(again, "whole/default")
+
+
 def test_a_value_written_in_one_configuration_is_nothing_to_the_next(made: Rig) -> None:
     at(made, "duo/default")
     made.manager.write_registers((RegWrite("scratch", 5),))

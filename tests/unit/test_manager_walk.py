@@ -202,6 +202,8 @@ def test_a_manager_killed_at_any_operation_comes_back_knowing(
     [
         (TWO_REGIONS, "icap_crc", "", "load_failed"),
         (TWO_REGIONS, "icap_id", "", "load_failed"),
+        (TWO_REGIONS, "icap_hang", "", "load_failed"),
+        (TO_PORTED, "icap_hang", "", "load_failed"),
         (TWO_REGIONS, "overlay_error", "duo_extra", "device_invalid"),
         (BY_OVERLAY, "overlay_error", "cm-prr1", "device_invalid"),
         (BY_OVERLAY, "fpga_manager_error", "", "device_error"),
