@@ -25,33 +25,12 @@ def test_a_descriptor_has_32_bytes() -> None:
     assert len(Descriptor().pack()) == plane.DESCRIPTOR.size == 32
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "OPEN",
-        "RELEASE",
-        "SUBMIT",
-        "PING",
-        "GEOMETRY",
-        "SLOTS",
-        "FRAME",
-        "GRANT",
-        "DONE",
-        "PONG",
-        "STOPPED",
-        "LATE",
-        "LABEL",
-        "REFUSED",
-        "OPEN_WRITE",
-        "OPEN_ECHO",
-        "COHERENT",
-        "WRITABLE",
-        "CYCLIC",
-        "SLOTS_MAX",
-        "FDS_MAX",
-        "PACKET_MAX",
-    ],
-)
+KINDS = ["OPEN", "RELEASE", "SUBMIT", "PING", "GEOMETRY", "SLOTS", "FRAME", "GRANT", "DONE", "PONG", "STOPPED"]
+FLAGS = ["LATE", "LABEL", "REFUSED", "OPEN_WRITE", "OPEN_ECHO", "COHERENT", "WRITABLE", "CYCLIC"]
+LIMITS = ["SLOTS_MAX", "FDS_MAX", "PACKET_MAX"]
+
+
+@pytest.mark.parametrize("name", [*KINDS, *FLAGS, *LIMITS])
 def test_numbers_are_those_of_the_header(name: str) -> None:
     found = re.search(rf"^#define CM_PLANE_{name}[\s\\]+(\d+)", HEADER.read_text(), re.MULTILINE)
     assert found is not None
