@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import TypeVar
 
 from google.protobuf.message import DecodeError, Message
@@ -16,6 +17,7 @@ from cm.wire import text, topics
 
 Frame = bytes | memoryview
 _Message = TypeVar("_Message", bound=Message)
+_SHORT, _KEPT = 256, 256  # bytes of a message whose request is kept, and how many are
 _Decoder = Callable[[bytes, Sequence[Frame]], rq.Request]
 
 
@@ -33,12 +35,23 @@ def decode_request(frames: Sequence[Frame]) -> rq.Request:
     parts = split_text(frames)
     if not parts:
         raise InvalidRequest("an empty message; frames are [topic][message][payload…]")
-    topic = bytes(parts[0])
+    if len(parts) == 2 and len(parts[1]) <= _SHORT:
+        return _decode_again(bytes(parts[0]), bytes(parts[1]))
+    return _decode(bytes(parts[0]), bytes(parts[1]) if len(parts) > 1 else b"", parts[2:])
+
+
+@lru_cache(_KEPT)
+def _decode_again(topic: bytes, message: bytes) -> rq.Request:
+    """Who asks for a register or the status asks again, in the same bytes; requests are frozen."""
+    return _decode(topic, message, ())
+
+
+def _decode(topic: bytes, message: bytes, payload: Sequence[Frame]) -> rq.Request:
     decoder = _DECODERS.get(topic)
     if decoder is None:
         known = ", ".join(sorted(t.decode() for t in _DECODERS))
         raise InvalidRequest(f"unknown topic {topic[:64].decode('utf-8', 'backslashreplace')!r}; topics are {known}")
-    return decoder(bytes(parts[1]) if len(parts) > 1 else b"", parts[2:])
+    return decoder(message, payload)
 
 
 def _parse(message_type: type[_Message], topic: str, payload: bytes) -> _Message:

@@ -126,13 +126,16 @@ _FROM_FIELD = {field: decode for field, _, decode in _BODIES.values()}
 
 def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> list[Frame]:
     """A reply → ``[topic][Reply][payload…]``; `sequence` takes the place of the reply's own."""
-    parts: dict[str, Any] = {}
+    message = pb.Reply()
+    message.ok = reply.error is None
+    message.sequence = reply.sequence if sequence is None else sequence
     if reply.error is not None:
-        parts["error"] = bodies.error_to_pb(reply.error)
-    if reply.body is not None:
+        message.error.CopyFrom(bodies.error_to_pb(reply.error))
+    if isinstance(reply.body, st.RegValues):
+        bodies.registers_into(message.registers, reply.body)
+    elif reply.body is not None:
         field, to_pb, _ = _BODIES[type(reply.body)]
-        parts[field] = to_pb(reply.body)
-    message = pb.Reply(ok=reply.error is None, sequence=reply.sequence if sequence is None else sequence, **parts)
+        getattr(message, field).CopyFrom(to_pb(reply.body))
     return [topic, message.SerializeToString(), *reply.payload]
 
 
