@@ -18,6 +18,7 @@ from cm.client.errors import ConnectionLost, NoAnswer
 Socket = zmq.Socket[bytes]
 
 
+_EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
 STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
 
 _AnySocket = TypeVar("_AnySocket", bound=zmq.Socket[Any])
@@ -93,7 +94,7 @@ class Link:
                 raise NoAnswer(f"no answer from a configuration manager at {self._address} within {timeout:g} s")
 
     def _drain_monitor(self) -> None:
-        while self._monitor.poll(0):
+        while int(self._monitor.getsockopt(_EVENTS)) & _POLLIN:  # `poll(0)` makes a poller each time
             recv_monitor_message(self._monitor)
 
     def close(self) -> None:
