@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,44 +15,60 @@ from cm.build.errors import MissingTool
 TEMPLATES = Path(__file__).parent / "templates"
 
 
+@lru_cache(maxsize=1)
+def _environment() -> Any:
+    """Templates, compiled when they are first used: that takes longer than all rendering."""
+    try:
+        import jinja2  # of the extra `build`
+    except ImportError:
+        raise MissingTool("generating files needs Jinja2: pip install 'fpga-cm[build]'") from None
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,  # Tcl, Verilog and such, escaped by the filters below
+    )
+
+    @jinja2.pass_context
+    def tcl(context: Any, word: object) -> str:
+        renderer: Renderer = context["renderer"]
+        return renderer.tcl(word)
+
+    @jinja2.pass_context
+    def tcl_list(context: Any, words: Iterable[object]) -> str:
+        return f"[list {' '.join(tcl(context, word) for word in words)}]"
+
+    environment.filters |= {
+        "tcl": tcl,
+        "tcl_list": tcl_list,
+        "hex": lambda value: f"{value:#x}",
+        "hex8": lambda value: f"0x{value:08X}",
+        "c_name": c_name,
+        "yaml": yaml_text,
+    }
+    return environment
+
+
 class Renderer:
-    """The template engine for one output folder; paths in files are relative to `base` by ``$cm_source``."""
+    """Templates filled in for one output folder; paths in files are relative to `base` by ``$cm_source``."""
 
     def __init__(self, base: Path, out: Path, banner: str) -> None:
-        try:
-            import jinja2  # of the extra `build`
-        except ImportError:
-            raise MissingTool("generating files needs Jinja2: pip install 'fpga-cm[build]'") from None
-        self._base, self._banner = base, banner
-        self._environment = jinja2.Environment(
-            loader=jinja2.FileSystemLoader(TEMPLATES),
-            undefined=jinja2.StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-            keep_trailing_newline=True,
-            autoescape=False,  # Tcl, Verilog and such, escaped by the filters below
-        )
-        self._environment.filters |= {
-            "tcl": self._tcl,
-            "tcl_list": lambda words: f"[list {' '.join(self._tcl(word) for word in words)}]",
-            "hex": lambda value: f"{value:#x}",
-            "hex8": lambda value: f"0x{value:08X}",
-            "comment": comment,
-            "c_name": c_name,
-            "yaml": yaml_text,
-        }
-        self._out = out
+        self._base, self._out, self._banner = base, out, banner
+        self._environment = _environment()
 
     def render(self, template: str, context: Mapping[str, Any]) -> str:
         """The text of `template`; exactly one newline at its end."""
-        text = self._environment.get_template(template).render(banner=self._banner, **context)
+        given = {"renderer": self, "banner": self._banner, **context}
+        text: str = self._environment.get_template(template).render(given)
         return text.rstrip("\n") + "\n"
 
     def relative(self, path: Path) -> str:
         """`path` as seen from the output folder."""
         return Path(os.path.relpath(path, self._out)).as_posix()
 
-    def _tcl(self, word: object) -> str:
+    def tcl(self, word: object) -> str:
         """One word of Tcl: a path below the project's folder by ``$cm_source``, anything else as it is."""
         if isinstance(word, Path):
             if word.is_relative_to(self._out):
@@ -71,18 +88,6 @@ def tcl_word(text: str) -> str:
     if re.fullmatch(r"[A-Za-z0-9_./:+=,@%~-]+", text):
         return text
     return f'"{tcl_escape(text)}"'
-
-
-def comment(text: str, prefix: str = "# ", width: int = 100) -> str:
-    """`text` as comment lines."""
-    words, lines, line = text.split(), [], ""
-    for word in words:
-        if line and len(line) + 1 + len(word) > width:
-            lines.append(line)
-            line = word
-        else:
-            line = f"{line} {word}".strip()
-    return "\n".join(prefix + each for each in [*lines, line] if each)
 
 
 def c_name(text: str) -> str:
