@@ -46,11 +46,13 @@ def run(args: argparse.Namespace) -> int:
     found = machine.describe()
     with tempfile.TemporaryDirectory(prefix="cmb", dir=_short()) as folder, machine.pinned() as cpu:
         bench = _bench(Path(folder), args.quick, cpu)
-        results = [result for case in cases for result in _measure(case, bench, args.names)]
-    found = {**found, "pinned_to_cpu": cpu, "quick": args.quick, "load_after": list(os.getloadavg())}
+        found.update(pinned_to_cpu=cpu, quick=args.quick)
+        results: list[Result] = []
+        for case in cases:
+            results += _measure(case, bench, args.names)
+            if args.json:  # what was measured is kept if a later case is cut off
+                report.write(args.json, results, {**found, "load_after": list(os.getloadavg())})
     print_table(report.rows(results), report.HEADERS)
-    if args.json:
-        report.write(args.json, results, found)
     if args.plots:
         plots.draw(args.plots, results)
     return 0
