@@ -43,6 +43,7 @@ $(STAMP): $(SOURCES) | $(BIN)/python
 
 $(LINT_STAMP): $(STAMP)
 	$(call install,lint)
+	@$(BIN)/python -m grpc_tools.protoc -I. --pyi_out=. cm/wire/cm.proto
 	@touch $@
 
 setup: $(STAMP) ## a virtual environment with the package, its C shims built
