@@ -23,6 +23,8 @@ PIL = pytest.importorskip("PIL.Image", reason="needs_pillow: the demo writes a p
 def start(out: Path, scratch: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "cm", "demo", "--out", str(out), "--keep-frames"]
     env = {**environment(), "TMPDIR": scratch}
+    # A shell's background job ignores SIGINT, and so would all below it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=env)
 
 
