@@ -14,7 +14,7 @@ PYTEST_ARGS ?=
 JOBS ?= 2
 EXTRAS := demo,test,build
 COMMA := ,
-TESTS ?= tests/unit tests/integration tests/device tests/soak
+SUITES ?= tests/unit tests/integration tests/device tests/soak
 OUT ?= demo
 IMAGES ?=
 
@@ -52,7 +52,7 @@ demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/con
 	@$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
 
 test: $(STAMP) test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
-	$(PYTEST) $(TESTS) --board=sim -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
+	$(PYTEST) $(SUITES) --board=sim -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
 
 test-c: | check-system
 	$(MAKE) -C csrc check $(if $(SANITIZE),SANITIZE=$(SANITIZE))
