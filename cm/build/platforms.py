@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What differs between the processing systems: IP, ports, addresses, interrupts.
 
-Sources: UG585 (Zynq-7000 TRM) chapters 4 and 7, UG1085 (UltraScale+ TRM) chapters 10 and 13, UG470,
-UG570; kernel interrupt numbers count from 32 (`GIC_SPI`).
+From memory, to be checked against UG585 (Zynq-7000 TRM) chapters 4 and 7, UG1085 (UltraScale+ TRM)
+chapters 10 and 13, UG470, UG570. Kernel interrupt numbers count from 32 (`GIC_SPI`).
 """
 
 from __future__ import annotations
