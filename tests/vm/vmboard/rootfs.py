@@ -30,7 +30,7 @@ PACKAGES = [
     "busybox-static",
 ]
 APPLETS = (
-    "sh ash cat cp ln ls mkdir mknod mount mv rm rmdir sleep sync umount uname echo grep sed tar dmesg kill ps "
+    "sh ash cat cp ln ls mkdir mknod mount mv rm rmdir sleep sync umount uname echo grep sed tar dmesg kill pidof ps "
     "ip ifconfig route hostname poweroff reboot insmod lsmod modprobe rmmod depmod switch_root setsid cttyhack "
     "stty vi less more head tail find wc cut sort tr touch test true false date df du free top env id chmod "
     "hexdump xxd od printf seq readlink dirname basename watch stat timeout nc ping usleep clear"
