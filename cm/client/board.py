@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import time
+import weakref
 from collections.abc import Callable, Iterator, MutableMapping
 from pathlib import Path
 from types import TracebackType
@@ -325,12 +326,14 @@ class Interrupt:
 
 
 class ChangeHandle:
-    """A change under way."""
+    """A change under way. The change goes on where the handle is dropped."""
 
     def __init__(self, board: Board, number: int, watcher: Socket) -> None:
         self._board = board
         self.number = number
         self._watcher = watcher
+        # Who asks and never looks leaves no socket behind, which the board's context would wait for at its end.
+        self._close = weakref.finalize(self, watcher.close)
         self.progress: Progress | None = None
         self._ended: Status | None = None
 
@@ -345,7 +348,7 @@ class ChangeHandle:
         """Wait for its end; returns its seconds. Raises RequestFailed, Timeout."""
         while self._ended is None:
             self._take(_next_event(self._watcher, timeout, Status))
-        self._watcher.close()
+        self._close()
         return calls.ended(self._ended, self.number)
 
     def cancel(self) -> None:

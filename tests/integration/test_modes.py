@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import asyncio
+import gc
+import warnings
 from itertools import islice
 
 import numpy as np
@@ -78,6 +80,15 @@ def test_a_stream_of_another_region_runs_while_one_is_reconfigured(runtime) -> N
             assert trips >= 5
     finally:
         slow.stop()
+
+
+def test_a_change_that_nobody_waits_for_leaves_no_socket(board: cm.Board) -> None:
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        board.load_async(mode="edge_detection")
+        until(lambda: board.mode == "edge_detection")
+        gc.collect()
+        assert [str(warning.message) for warning in warned] == []
 
 
 def test_a_register_keeps_what_was_written(board: cm.Board) -> None:
