@@ -7,6 +7,10 @@
 #include "cm_compat.h"
 #include "cm_core.h"
 
+static struct workqueue_struct *releases;
+
+static void buffer_release_work(struct work_struct *work);
+
 static struct cm_buffer *buffer_new(struct device *dev, enum cm_buffer_kind kind, size_t length)
 {
 	struct cm_buffer *buffer = kzalloc(sizeof(*buffer), GFP_KERNEL);
@@ -16,6 +20,7 @@ static struct cm_buffer *buffer_new(struct device *dev, enum cm_buffer_kind kind
 	kref_init(&buffer->ref);
 	mutex_init(&buffer->lock);
 	INIT_LIST_HEAD(&buffer->attachments);
+	INIT_WORK(&buffer->release, buffer_release_work);
 	buffer->dev = get_device(dev);
 	buffer->kind = kind;
 	buffer->length = length;
@@ -160,10 +165,8 @@ static void buffer_detach(struct cm_buffer *buffer)
 	dma_buf_put(buffer->dmabuf);
 }
 
-static void buffer_release(struct kref *ref)
+static void buffer_destroy(struct cm_buffer *buffer)
 {
-	struct cm_buffer *buffer = container_of(ref, struct cm_buffer, ref);
-
 	switch (buffer->kind) {
 	case CM_BUFFER_PAGES:
 		dma_free_noncoherent(buffer->dev, buffer->length, buffer->cpu, buffer->dma,
@@ -177,6 +180,40 @@ static void buffer_release(struct kref *ref)
 		break;
 	}
 	buffer_delete(buffer);
+}
+
+static void buffer_release_work(struct work_struct *work)
+{
+	buffer_destroy(container_of(work, struct cm_buffer, release));
+}
+
+static void buffer_release(struct kref *ref)
+{
+	buffer_destroy(container_of(ref, struct cm_buffer, ref));
+}
+
+static void buffer_release_later(struct kref *ref)
+{
+	queue_work(releases, &container_of(ref, struct cm_buffer, ref)->release);
+}
+
+/**
+ * cm_buffers_init() - before there is a buffer
+ *
+ * Return: 0 or -ENOMEM.
+ */
+int cm_buffers_init(void)
+{
+	releases = alloc_workqueue("cm_dma", WQ_UNBOUND, 0);
+	return releases ? 0 : -ENOMEM;
+}
+
+/**
+ * cm_buffers_exit() - when there is none any more; waits for those on their way
+ */
+void cm_buffers_exit(void)
+{
+	destroy_workqueue(releases);
 }
 
 /**
@@ -201,6 +238,15 @@ void cm_buffer_put(struct cm_buffer *buffer)
 	kref_put(&buffer->ref, buffer_release);
 }
 EXPORT_SYMBOL_CM(cm_buffer_put);
+
+/**
+ * cm_buffer_put_atomic() - give a reference back where one cannot sleep
+ * @buffer: buffer; where this was the last reference, it goes away a little later
+ */
+void cm_buffer_put_atomic(struct cm_buffer *buffer)
+{
+	kref_put(&buffer->ref, buffer_release_later);
+}
 
 /* the range must lie in one piece: one request is one descriptor */
 static int imported_address(struct cm_buffer *buffer, u64 offset, u64 length, dma_addr_t *address)

@@ -106,7 +106,7 @@ static bool config_valid(const struct cm_channel_config *config)
  *
  * Return: a channel with one reference, to be given back by
  * cm_channel_remove(), or an ERR_PTR: -EPROBE_DEFER while the engine is not
- * there, -EINVAL for a configuration that cannot be.
+ * there, -ENODEV where it goes away, -EINVAL for a configuration that cannot be.
  */
 struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel_config *config)
 {
@@ -123,6 +123,12 @@ struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel
 	if (IS_ERR(chan)) {
 		kfree(channel);
 		return ERR_CAST(chan);
+	}
+	/* an engine that is unbound unbinds its clients first, and brings them back */
+	if (!device_link_add(dev, chan->device->dev, DL_FLAG_AUTOPROBE_CONSUMER)) {
+		dma_release_channel(chan);
+		kfree(channel);
+		return ERR_PTR(-ENODEV);
 	}
 	kref_init(&channel->ref);
 	mutex_init(&channel->lock);
@@ -202,21 +208,30 @@ EXPORT_SYMBOL_CM(cm_channel_claim);
 static void active_free(struct cm_active *active)
 {
 	atomic_dec(&active->request.buffer->in_flight);
-	cm_buffer_put(active->request.buffer);
+	cm_buffer_put_atomic(active->request.buffer);
 	kfree(active);
 }
 
-static void active_report(struct cm_active *active, u64 length, int status, bool last)
+static void report(const struct cm_request *request, u64 length, int status, bool last)
 {
 	struct cm_result result = {
-		.cookie = active->request.cookie,
+		.cookie = request->cookie,
 		.length = length,
 		.timestamp_ns = ktime_get_ns(),
 		.status = status,
 		.last = last,
 	};
 
-	active->request.done(active->request.context, &result);
+	request->done(request->context, &result);
+}
+
+/* in this order: who hears of the end may free the buffer at once */
+static void active_finish(struct cm_active *active, u64 length, int status)
+{
+	struct cm_request request = active->request;
+
+	active_free(active);
+	report(&request, length, status, true);
 }
 
 /* the engine has stopped, so no callback runs beside this */
@@ -230,8 +245,7 @@ static void cancel_all(struct cm_channel *channel)
 	spin_unlock_bh(&channel->active_lock);
 	list_for_each_entry_safe(active, next, &cancelled, node) {
 		channel->stats.cancelled++;
-		active_report(active, 0, -ECANCELED, true);
-		active_free(active);
+		active_finish(active, 0, -ECANCELED);
 	}
 }
 
@@ -400,8 +414,7 @@ static void active_end(struct cm_active *active, u64 length, int status)
 	spin_lock_bh(&channel->active_lock);
 	list_del(&active->node);
 	spin_unlock_bh(&channel->active_lock);
-	active_report(active, length, status, true);
-	active_free(active);
+	active_finish(active, length, status);
 }
 
 /* softirq context; a running terminate waits for it */
@@ -418,7 +431,7 @@ static void active_done(void *param, const struct dmaengine_result *result)
 		active_end(active, length, status);
 		return;
 	}
-	active_report(active, length, status, false);
+	report(&active->request, length, status, false);
 	/* engines have no cyclic video transfer: the same frame again */
 	if (active->request.lines && again) {
 		ret = start(channel, active);

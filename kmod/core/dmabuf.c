@@ -11,28 +11,40 @@
 /**
  * struct cm_attachment - another device that uses an exported buffer
  * @dev: that device
- * @table: the buffer as one entry
+ * @table: the buffer, in pieces that @dev takes
  * @mapped: @table is mapped for @dev
+ * @direction: what it is mapped for
  * @node: in the buffer's list
  */
 struct cm_attachment {
 	struct device *dev;
 	struct sg_table table;
 	bool mapped;
+	enum dma_data_direction direction;
 	struct list_head node;
 };
 
+/* cut by the longest segment that the device says it takes: 64 KB where its driver says nothing */
 static int attachment_fill(struct cm_buffer *buffer, struct cm_attachment *attachment)
 {
-	int ret;
+	size_t most = round_down(dma_get_max_seg_size(attachment->dev), PAGE_SIZE) ?: PAGE_SIZE;
+	size_t offset = 0;
+	struct scatterlist *sg;
+	int i, ret;
 
 	if (buffer->kind == CM_BUFFER_COHERENT)
 		return dma_get_sgtable(buffer->dev, &attachment->table, buffer->cpu, buffer->dma,
 				       buffer->length);
-	ret = sg_alloc_table(&attachment->table, 1, GFP_KERNEL);
-	if (!ret)
-		sg_set_page(attachment->table.sgl, virt_to_page(buffer->cpu), buffer->length, 0);
-	return ret;
+	ret = sg_alloc_table(&attachment->table, DIV_ROUND_UP(buffer->length, most), GFP_KERNEL);
+	if (ret)
+		return ret;
+	for_each_sgtable_sg(&attachment->table, sg, i) {
+		size_t length = min(most, buffer->length - offset);
+
+		sg_set_page(sg, virt_to_page(buffer->cpu + offset), length, 0);
+		offset += length;
+	}
+	return 0;
 }
 
 static int cm_dmabuf_attach(struct dma_buf *dmabuf, struct dma_buf_attachment *attach)
@@ -43,12 +55,12 @@ static int cm_dmabuf_attach(struct dma_buf *dmabuf, struct dma_buf_attachment *a
 
 	if (!attachment)
 		return -ENOMEM;
+	attachment->dev = attach->dev;
 	ret = attachment_fill(buffer, attachment);
 	if (ret) {
 		kfree(attachment);
 		return ret;
 	}
-	attachment->dev = attach->dev;
 	attach->priv = attachment;
 	mutex_lock(&buffer->lock);
 	list_add(&attachment->node, &buffer->attachments);
@@ -68,25 +80,41 @@ static void cm_dmabuf_detach(struct dma_buf *dmabuf, struct dma_buf_attachment *
 	kfree(attachment);
 }
 
+/*
+ * The buffer is mapped for its own device already, and may be for others.  So
+ * the caches are cared for apart from the mapping: DMA_API_DEBUG takes a second
+ * mapping of the same memory that cares for them itself for a mistake.
+ */
 static struct sg_table *cm_dmabuf_map(struct dma_buf_attachment *attach,
 				      enum dma_data_direction direction)
 {
+	struct cm_buffer *buffer = attach->dmabuf->priv;
 	struct cm_attachment *attachment = attach->priv;
-	int ret = dma_map_sgtable(attachment->dev, &attachment->table, direction, 0);
+	int ret;
 
-	if (ret)
-		return ERR_PTR(ret);
-	attachment->mapped = true;
-	return &attachment->table;
+	mutex_lock(&buffer->lock);
+	ret = dma_map_sgtable(attachment->dev, &attachment->table, direction,
+			      DMA_ATTR_SKIP_CPU_SYNC);
+	if (!ret) {
+		dma_sync_sgtable_for_device(attachment->dev, &attachment->table, direction);
+		attachment->direction = direction;
+		attachment->mapped = true;
+	}
+	mutex_unlock(&buffer->lock);
+	return ret ? ERR_PTR(ret) : &attachment->table;
 }
 
 static void cm_dmabuf_unmap(struct dma_buf_attachment *attach, struct sg_table *table,
 			    enum dma_data_direction direction)
 {
+	struct cm_buffer *buffer = attach->dmabuf->priv;
 	struct cm_attachment *attachment = attach->priv;
 
+	mutex_lock(&buffer->lock);
 	attachment->mapped = false;
-	dma_unmap_sgtable(attachment->dev, table, direction, 0);
+	dma_sync_sgtable_for_cpu(attachment->dev, table, direction);
+	dma_unmap_sgtable(attachment->dev, table, direction, DMA_ATTR_SKIP_CPU_SYNC);
+	mutex_unlock(&buffer->lock);
 }
 
 static int cm_dmabuf_begin_cpu_access(struct dma_buf *dmabuf, enum dma_data_direction direction)
@@ -98,7 +126,8 @@ static int cm_dmabuf_begin_cpu_access(struct dma_buf *dmabuf, enum dma_data_dire
 	cm_buffer_sync_for_cpu(buffer, direction);
 	list_for_each_entry(attachment, &buffer->attachments, node) {
 		if (attachment->mapped)
-			dma_sync_sgtable_for_cpu(attachment->dev, &attachment->table, direction);
+			dma_sync_sgtable_for_cpu(attachment->dev, &attachment->table,
+						 attachment->direction);
 	}
 	mutex_unlock(&buffer->lock);
 	return 0;
@@ -112,7 +141,8 @@ static int cm_dmabuf_end_cpu_access(struct dma_buf *dmabuf, enum dma_data_direct
 	mutex_lock(&buffer->lock);
 	list_for_each_entry(attachment, &buffer->attachments, node) {
 		if (attachment->mapped)
-			dma_sync_sgtable_for_device(attachment->dev, &attachment->table, direction);
+			dma_sync_sgtable_for_device(attachment->dev, &attachment->table,
+						    attachment->direction);
 	}
 	cm_buffer_sync_for_device(buffer, direction);
 	mutex_unlock(&buffer->lock);

@@ -143,13 +143,22 @@ static struct platform_driver cm_dma_driver = {
 
 static int __init cm_dma_init(void)
 {
-	int ret = cm_nodes_init();
+	int ret = cm_buffers_init();
 
 	if (ret)
 		return ret;
+	ret = cm_nodes_init();
+	if (ret)
+		goto no_nodes;
 	ret = platform_driver_register(&cm_dma_driver);
 	if (ret)
-		cm_nodes_exit();
+		goto no_driver;
+	return 0;
+
+no_driver:
+	cm_nodes_exit();
+no_nodes:
+	cm_buffers_exit();
 	return ret;
 }
 module_init(cm_dma_init);
@@ -158,6 +167,7 @@ static void __exit cm_dma_exit(void)
 {
 	platform_driver_unregister(&cm_dma_driver);
 	cm_nodes_exit();
+	cm_buffers_exit();
 }
 module_exit(cm_dma_exit);
 

@@ -64,7 +64,6 @@ enum cm_icap_select {
  * @full: it takes full bitstreams
  * @timeout_ms: longest load
  * @devcfg: Zynq-7000: CTRL
- * @bridges: struct fpga_bridge of the node's fpga-bridges
  * @manager: FPGA manager
  * @lock: protects @gone, @status and the start of a load
  * @gone: the device is unbound
@@ -92,7 +91,6 @@ struct cm_icap {
 	bool full;
 	u32 timeout_ms;
 	void __iomem *devcfg;
-	struct list_head bridges;
 	struct fpga_manager *manager;
 	struct mutex lock; /* protects gone, status and the start of a load */
 	bool gone;

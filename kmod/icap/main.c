@@ -60,7 +60,6 @@ static struct cm_icap *icap_new(struct device *dev)
 	spin_lock_init(&icap->dma_lock);
 	init_waitqueue_head(&icap->idle);
 	INIT_DELAYED_WORK(&icap->work, cm_icap_work);
-	INIT_LIST_HEAD(&icap->bridges);
 	icap->dev = dev;
 	snprintf(icap->name, sizeof(icap->name), "cm_icap%d", icap->id);
 	return icap;

@@ -14,6 +14,7 @@
 #include <linux/mutex.h>
 #include <linux/spinlock.h>
 #include <linux/wait.h>
+#include <linux/workqueue.h>
 #include <linux/xarray.h>
 
 #include "cm_dma.h"
@@ -50,6 +51,7 @@ enum cm_buffer_kind {
  * @attachment: imported: of @dmabuf to @dev
  * @table: imported: its addresses for @dev
  * @direction: imported: what it is mapped for
+ * @release: frees it, where the last reference went in atomic context
  */
 struct cm_buffer {
 	struct kref ref;
@@ -65,13 +67,17 @@ struct cm_buffer {
 	struct dma_buf_attachment *attachment;
 	struct sg_table *table;
 	enum dma_data_direction direction;
+	struct work_struct release;
 };
 
+int cm_buffers_init(void);
+void cm_buffers_exit(void);
 struct cm_buffer *cm_buffer_alloc(struct device *dev, u64 length);
 struct cm_buffer *cm_buffer_alloc_coherent(struct device *dev, u64 length);
 struct cm_buffer *cm_buffer_import(struct device *dev, int fd, enum dma_data_direction direction);
 struct cm_buffer *cm_buffer_get(struct cm_buffer *buffer);
 void cm_buffer_put(struct cm_buffer *buffer);
+void cm_buffer_put_atomic(struct cm_buffer *buffer);
 int cm_buffer_address(struct cm_buffer *buffer, u64 offset, u64 length, dma_addr_t *address);
 int cm_buffer_mmap(struct cm_buffer *buffer, struct vm_area_struct *vma);
 bool cm_buffer_coherent(struct cm_buffer *buffer);

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from suite_board import Board
+from suite_board import PATIENCE, Board
 
 import cm.device as device
 from cm.bitstream import to_dma_words
@@ -84,7 +84,7 @@ def _load(board: Board) -> None:
     with device.Icap.open(board.icap or "", board.root) as icap, icap.allocate(len(words)) as buffer:
         buffer.array(0, len(words))[:] = bytearray(words)
         icap.load(buffer, len(words))
-        assert icap.wait(30).ok
+        assert icap.wait(PATIENCE).ok
 
 
 @pytest.fixture

@@ -4,7 +4,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Callable
+
+PATIENCE = float(os.environ.get("CM_TEST_PATIENCE", "10"))  # seconds for one step; more for an emulated board
 
 
 @dataclasses.dataclass(frozen=True)

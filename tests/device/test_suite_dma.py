@@ -8,7 +8,7 @@ import select
 
 import numpy as np
 import pytest
-from suite_board import Board
+from suite_board import PATIENCE, Board
 
 import cm.device as device
 
@@ -29,7 +29,7 @@ def round_trip(loop: Loop, data: np.ndarray, room: int) -> tuple[device.Completi
         source.sync_end(write=True)
         back.submit(target, length=room, cookie=1)
         out.submit(source, length=len(data), cookie=2)
-        sent, received = out.wait(10), back.wait(10)
+        sent, received = out.wait(PATIENCE), back.wait(PATIENCE)
         assert (sent.cookie, sent.status, sent.length) == (2, 0, len(data))
         target.sync_begin(write=False)
         arrived = target.array(0, received.length).copy()
@@ -64,8 +64,8 @@ def test_transfers_complete_in_order(loop: Loop) -> None:
             back.submit(target, index * length, length, cookie=100 + index)
         for index in range(count):
             out.submit(source, index * length, length, cookie=200 + index)
-        received = [back.wait(10) for _ in range(count)]
-        sent = [out.wait(10) for _ in range(count)]
+        received = [back.wait(PATIENCE) for _ in range(count)]
+        sent = [out.wait(PATIENCE) for _ in range(count)]
         assert [done.cookie for done in received] == [100 + index for index in range(count)]
         assert [done.cookie for done in sent] == [200 + index for index in range(count)]
         assert [done.sequence for done in received] == list(range(count))
@@ -155,7 +155,7 @@ def test_a_buffer_of_one_channel_serves_another(loop: Loop) -> None:
         ours.array(0, 4096)[:] = data
         back.submit(theirs, 4096, 4096)
         out.submit(ours, 0, 4096)
-        assert (out.wait(10).status, back.wait(10).length) == (0, 4096)
+        assert (out.wait(PATIENCE).status, back.wait(PATIENCE).length) == (0, 4096)
         assert np.array_equal(ours.array(4096, 4096), data)
 
 
@@ -167,7 +167,7 @@ def test_the_descriptor_polls_readable_when_a_completion_waits(loop: Loop) -> No
     with out.allocate(64) as source, back.allocate(64) as target:
         back.submit(target, length=64)
         out.submit(source, length=64)
-        assert poll.poll(10_000) == [(back.fileno(), select.POLLIN)]
+        assert poll.poll(PATIENCE * 1000) == [(back.fileno(), select.POLLIN)]
         assert len(back.completions()) == 1
         assert poll.poll(0) == []
-        out.wait(10)
+        out.wait(PATIENCE)

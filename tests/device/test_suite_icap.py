@@ -7,7 +7,7 @@ import errno
 import time
 
 import pytest
-from suite_board import Board
+from suite_board import PATIENCE, Board
 
 import cm.device as device
 
@@ -17,7 +17,7 @@ def load(icap: device.Icap, words: bytes, cookie: int = 0) -> device.IcapComplet
     with icap.allocate(len(words)) as buffer:
         buffer.array(0, len(words))[:] = bytearray(words)
         icap.load(buffer, len(words), cookie=cookie)
-        return icap.wait(30)
+        return icap.wait(PATIENCE)
 
 
 def test_a_load_ends_with_its_cookie_and_times(icap: device.Icap, words: bytes) -> None:
@@ -62,7 +62,7 @@ def test_a_second_load_meanwhile_is_busy(icap: device.Icap, words: bytes, board:
         icap.load(buffer, len(words))
         with pytest.raises(device.DeviceBusy):
             other.load(theirs, len(words))
-        assert icap.wait(30).ok
+        assert icap.wait(PATIENCE).ok
         assert other.take() is None  # the end of a load is told to the file that started it
 
 

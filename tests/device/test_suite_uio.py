@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from suite_board import Board
+from suite_board import PATIENCE, Board
 
 import cm.device as device
 
@@ -33,7 +33,7 @@ class Line:
             self.uio.write(*self._board.trigger)
 
     def wait(self) -> int:
-        count = self.uio.wait(10)
+        count = self.uio.wait(PATIENCE)
         if self._board.acknowledge is not None:
             self.uio.write(*self._board.acknowledge)
         return count
@@ -88,7 +88,7 @@ def test_every_open_file_hears_an_interrupt(line: Line, board: Board) -> None:
     with device.Uio.open(board.irq or "", board.root) as other:
         line.uio.enable_interrupt()
         line.fire()
-        assert line.wait() == other.wait(10)
+        assert line.wait() == other.wait(PATIENCE)
 
 
 def test_without_an_interrupt_the_wait_times_out(line: Line) -> None:

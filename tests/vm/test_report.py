@@ -58,8 +58,8 @@ def test_each_kind_of_report_is_found(line: str) -> None:
 
 
 def test_lines_of_one_report_are_one_report() -> None:
-    log = CLEAN + "BUG: KASAN: x\nCall trace:\n a\n b\n" + "quiet\n" * 20 + "WARNING: CPU: 0 PID: 1\n"
-    assert [one.line for one in report.scan(log)] == [10, 34]
+    log = CLEAN + "BUG: KASAN: x\nCall trace:\n a\n b\n" + "quiet\n" * 60 + "WARNING: CPU: 0 PID: 1\n"
+    assert [one.line for one in report.scan(log)] == [10, 74]
 
 
 def sent(place: Path, xml: str, status: int = 0, leaks: str = "") -> report.Results:

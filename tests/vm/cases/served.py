@@ -18,10 +18,11 @@ import cm
 
 SYSTEM = Path("/opt/cm/guest/system/camera.yaml")
 OVERLAYS = Path("/sys/kernel/config/device-tree/overlays")
+PATIENCE = float(os.environ.get("CM_TEST_PATIENCE", "10"))  # seconds for one step
 _T = TypeVar("_T")
 
 
-def until(condition: Callable[[], _T], timeout: float = 60.0) -> _T:
+def until(condition: Callable[[], _T], timeout: float = PATIENCE) -> _T:
     """Poll for what nothing announces; returns the first true value."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
@@ -40,6 +41,12 @@ def pl(channel: str, name: str) -> Path:
 def loads() -> int:
     """Bitstreams the port has taken."""
     return int(pl("icap", "loads").read_text(), 0)
+
+
+def driver(device_name: str) -> str | None:
+    """The driver bound to a platform device, None where there is no such device."""
+    bound = Path("/sys/bus/platform/devices", device_name, "driver")
+    return bound.readlink().name if bound.exists() else None
 
 
 def system(folder: Path) -> Path:
@@ -67,7 +74,7 @@ class Manager:
         assert self.process.stderr is not None
         said = b""
         while b"ready at" not in said:
-            ready, _, _ = select.select([self.process.stderr], [], [], 60)
+            ready, _, _ = select.select([self.process.stderr], [], [], PATIENCE)
             piece = os.read(self.process.stderr.fileno(), 65536) if ready else b""
             assert piece, f"the manager did not start: {said.decode()}"
             said += piece
@@ -89,12 +96,12 @@ class Manager:
         if self.process is None:
             return
         self.process.send_signal(number)
-        self.process.wait(60)
+        self.process.wait(PATIENCE)
         if self.process.stderr is not None:
             self.process.stderr.close()
         self.process = None
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[cm.Board]:
-        with cm.connect(runtime_dir=self.runtime, timeout=60) as board:
+        with cm.connect(runtime_dir=self.runtime, timeout=PATIENCE) as board:
             yield board

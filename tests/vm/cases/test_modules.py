@@ -1,21 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kernel modules by themselves: KUnit suites, unloading under load, and coming back."""
+"""The kernel modules by themselves: KUnit suites, and what a killed process leaves."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import subprocess
 from pathlib import Path
 
 import pytest
-from capabilities import LOOK, kernel_log
+from capabilities import kernel_log
+from served import PATIENCE
 
 from cm import device
 
 UPDATES = Path("/lib/modules", os.uname().release, "updates")
 SUITES = sorted(path.stem for path in UPDATES.glob("*kunit*.ko")) + sorted(p.stem for p in UPDATES.glob("*_test.ko"))
-LIVE = Path("/sys/kernel/config/cm_plsim/board/live")
 
 
 def modprobe(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -27,50 +28,51 @@ def test_there_are_kunit_suites() -> None:
     assert SUITES
 
 
+@dataclasses.dataclass
+class Suite:
+    """What a KUnit suite said of itself."""
+
+    planned: int = 0
+    passed: list[str] = dataclasses.field(default_factory=list)
+    failed: list[str] = dataclasses.field(default_factory=list)
+    verdict: str = ""
+
+
+SUBTEST = re.compile(r"# Subtest: (\S+)")
+PLAN = re.compile(r"^\s+1\.\.(\d+)$")
+CASE = re.compile(r"^\s+(not ok|ok) \d+ (?:- )?(\S+)")  # before 6.2 with a dash
+VERDICT = re.compile(r"^(not ok|ok) \d+ (?:- )?(\S+)")
+
+
+def ktap(log: str) -> dict[str, Suite]:
+    """The suites of a kernel's log by name."""
+    suites: dict[str, Suite] = {}
+    suite = Suite()
+    for stamped in log.splitlines():
+        line = re.sub(r"^\[[ \d.]+\] ", "", stamped)
+        if found := SUBTEST.search(line):
+            suite = suites.setdefault(found[1], Suite())
+        elif found := PLAN.match(line):
+            suite.planned = int(found[1])
+        elif found := CASE.match(line):
+            (suite.passed if found[1] == "ok" else suite.failed).append(found[2])
+        elif (found := VERDICT.match(line)) and found[2] in suites:
+            suites[found[2]].verdict = found[1]
+    return suites
+
+
 @pytest.mark.needs("kunit")
-@pytest.mark.parametrize("suite", SUITES)
-def test_kunit_suite_passes(suite: str) -> None:
-    assert modprobe("kunit", "enable=1").returncode == 0
+@pytest.mark.parametrize("module", SUITES)
+def test_kunit_suites_pass(module: str) -> None:
+    assert modprobe("kunit", "enable=1").returncode == 0  # disabled otherwise
     seen = len(kernel_log())
-    assert modprobe(suite).returncode == 0
-    log = kernel_log()[seen:]
-    modprobe("-r", suite)
-    assert re.search(r"^\S*\s*ok \d+ \S+|\] ok \d+", log, re.MULTILINE), log
-    assert "not ok" not in log
-
-
-@pytest.fixture
-def configfs_board() -> Path:
-    if LOOK["overlay"]():
-        pytest.skip("this board is described by its device tree")
-    return LIVE
-
-
-def test_a_board_goes_away_under_an_open_channel_and_comes_back(configfs_board: Path) -> None:
-    with device.AxiDma.open("from_pl") as channel, channel.allocate(4096) as target:
-        channel.submit(target, length=4096)
-        configfs_board.write_text("0")
-        assert not Path("/dev/cm_dma/from_pl").exists()
-        with pytest.raises(device.DeviceError):
-            channel.submit(target, length=4096)
-    configfs_board.write_text("1")
-    with (
-        device.AxiDma.open("to_pl") as out,
-        device.AxiDma.open("from_pl") as back,
-        out.allocate(64) as source,
-        back.allocate(64) as target,
-    ):
-        back.submit(target, length=64)
-        out.submit(source, length=64)
-        assert (out.wait(30).status, back.wait(30).length) == (0, 64)
-
-
-def test_twenty_times_there_and_gone(configfs_board: Path) -> None:
-    for _ in range(20):
-        configfs_board.write_text("0")
-        assert device.list_dma() == []
-        configfs_board.write_text("1")
-        assert Path("/dev/cm_dma/camera").exists()
+    assert modprobe(module).returncode == 0
+    suites = ktap(kernel_log()[seen:])
+    modprobe("-r", module)
+    assert set(suites) == {"cm_queue", "cm_icap_verdict", "cm_configport"}
+    for name, suite in suites.items():
+        assert (suite.verdict, suite.failed) == ("ok", []), name
+        assert len(suite.passed) == suite.planned > 0, name
 
 
 def test_a_process_killed_in_a_transfer_leaves_a_usable_channel() -> None:
@@ -86,6 +88,6 @@ def test_a_process_killed_in_a_transfer_leaves_a_usable_channel() -> None:
         assert process.stdout is not None
         assert process.stdout.readline() == "under way\n"
         process.kill()
-        process.wait(60)
+        process.wait(PATIENCE)
     with device.AxiDma.open("from_pl") as again:
         assert again.completions() == []

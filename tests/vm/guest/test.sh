@@ -4,14 +4,19 @@
 mkdir -p /tmp/results
 echo "booted=$(cut -d ' ' -f 1 /proc/uptime)" >/tmp/results/facts
 cd /opt/cm/tests || exit
+# What is given a time in the tests gets it times the slowness of this board: a step, a test, silence.
+slow=${CM_VM_SLOW:-1}
+export CM_TEST_PATIENCE=$((10 * slow))
+CM_VM_QUIET=$((20 * slow))
 . "$here/board.sh"
 . "$here/watchdog.sh"
 : >/tmp/output
 {
 	board_up
 	slow_port
-	PYTHONPATH="$here:$PYTHONPATH" python3 -m pytest -p no:cacheprovider -p boardfile \
-		-c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests -v -rs --tb=short --durations=8 \
+	COLUMNS=160 PYTHONPATH="$here:$PYTHONPATH" python3 -m pytest -p no:cacheprovider -p boardfile -p tell \
+		-c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests -v --tb=short --timeout=$((60 * slow)) -o faulthandler_timeout=$((40 * slow)) \
+		--no-summary --durations=8 \
 		${CM_VM_KEYWORD:+-k "$(echo "$CM_VM_KEYWORD" | tr + ' ')"} \
 		--board=vm --board-file=/tmp/board.json --junit-xml=/tmp/results/cases.xml vm/cases device
 	echo "status=$?" >>/tmp/results/facts

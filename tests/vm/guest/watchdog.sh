@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 # While the tests run: when nothing was printed for a while, says on the console which tasks are stuck where, and when
 # that goes on ends pytest, which then prints the stacks of its threads; sourced.
-QUIET=${CM_VM_QUIET:-60}
 watchdog() { # file that grows
 	size=-1
 	silent=0
-	while sleep "$QUIET"; do
+	while sleep "$CM_VM_QUIET"; do
 		now=$(stat -c %s "$1")
 		if [ "$now" = "$size" ]; then
-			echo "cm: no output for $QUIET s" >/dev/kmsg
+			echo "cm: no output for $CM_VM_QUIET s" >/dev/kmsg
 			echo w >/proc/sysrq-trigger
 			for stack in /proc/[0-9]*/stack; do
 				pid=${stack#/proc/}

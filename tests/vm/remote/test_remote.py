@@ -12,10 +12,12 @@ import pytest
 
 import cm
 
+PATIENCE = float(os.environ["CM_TEST_PATIENCE"])  # seconds for one step
+
 
 @pytest.fixture
 def board() -> Iterator[cm.Board]:
-    with cm.connect(os.environ["CM_VM_ENDPOINT"], timeout=60) as connected:
+    with cm.connect(os.environ["CM_VM_ENDPOINT"], timeout=PATIENCE) as connected:
         connected.load("camera", "default")
         yield connected
 
@@ -37,7 +39,7 @@ def test_registers_are_set_by_name(board: cm.Board) -> None:
 
 
 def test_pictures_come_over_the_network(board: cm.Board) -> None:
-    with board.stream("camera", timeout=60) as stream:
+    with board.stream("camera", timeout=PATIENCE) as stream:
         board.configure_stream("camera", enable=True)
         frames = list(islice(stream, 3))
     assert [frame.shape for frame in frames] == [(48, 64)] * 3
@@ -47,7 +49,7 @@ def test_pictures_come_over_the_network(board: cm.Board) -> None:
 
 
 def test_modes_change_while_pictures_flow(board: cm.Board) -> None:
-    with board.stream("camera", timeout=60) as stream:
+    with board.stream("camera", timeout=PATIENCE) as stream:
         board.configure_stream("camera", enable=True)
         for mode in ("edge_detection", "default", "edge_detection"):
             board.mode = mode
@@ -57,7 +59,7 @@ def test_modes_change_while_pictures_flow(board: cm.Board) -> None:
 def test_data_go_through_the_loop(board: cm.Board) -> None:
     board.mode = "loopback"
     sent = np.random.default_rng(7).integers(0, 256, (48, 64), np.uint8)
-    with board.stream("from_pl", timeout=60) as stream:
+    with board.stream("from_pl", timeout=PATIENCE) as stream:
         board.configure_stream("from_pl", enable=True)
         board.write("to_pl", sent)
         assert np.array_equal(stream.read(), sent)

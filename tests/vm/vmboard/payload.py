@@ -23,29 +23,18 @@ def image(cache: Cache, kernel: Kernel) -> Path:
     package = software.python_package(cache, kernel.arch)
     modules = software.kernel_modules(cache, kernel)
     trees = software.overlays(cache)
+    programs = software.programs(cache, kernel.arch)
     tests = [REPOSITORY / "tests" / name for name in SHARED_TESTS if (REPOSITORY / "tests" / name).exists()]
-    inputs = [kernel.release, str(kernel.build), package.name, modules.name, trees.name, HERE, *tests]
+    made = [package.name, modules.name, trees.name, programs.name]
+    inputs = [kernel.release, str(kernel.build), *made, HERE, *tests]
 
     def build(place: Path) -> None:
         root = place / "root"
         _copy_software(root, package, modules, trees, tests)
+        shutil.copytree(programs, root / "bin", ignore=shutil.ignore_patterns(".*"))
         _copy_modules(root, kernel, modules)
-        run(
-            [
-                "mke2fs",
-                "-q",
-                "-t",
-                "ext4",
-                "-O",
-                "^has_journal",
-                "-L",
-                "cm-payload",
-                "-d",
-                root,
-                place / "payload.ext4",
-                "96M",
-            ]
-        )
+        filesystem = ["-t", "ext4", "-O", "^has_journal", "-L", "cm-payload"]
+        run(["mke2fs", "-q", *filesystem, "-d", root, place / "payload.ext4", "96M"])
         shutil.rmtree(root)
 
     return cache.entry(f"payload-{kernel.release}", inputs, build) / "payload.ext4"
@@ -62,7 +51,6 @@ def _copy_software(root: Path, package: Path, modules: Path, trees: Path, tests:
         target = root / "firmware" / tree.relative_to(trees)
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(tree, target)
-    (root / "kunit").mkdir()
 
 
 def _copy_modules(root: Path, kernel: Kernel, ours: Path) -> None:

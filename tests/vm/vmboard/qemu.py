@@ -12,6 +12,8 @@ from pathlib import Path
 
 from .arch import AMD64, Arch
 
+BUDGET_S = 200.0  # for all tests of a board, times its slowness
+
 
 @dataclass(frozen=True, slots=True)
 class Machine:
@@ -25,6 +27,7 @@ class Machine:
     initrd: Path | None = None  # None: the kernel has its disk drivers built in
     dtb: Path | None = None  # None: the tree QEMU makes
     kvm: bool = False
+    slow: int = 1  # times slower than silicon; see tiers.py
     arguments: tuple[str, ...] = ()  # of the kernel, read by guest/main
     forwards: dict[int, int] = field(default_factory=dict)  # host port → port on the board
 
@@ -89,7 +92,7 @@ class Finished:
     results: Path
 
 
-def run(machine: Machine, place: Path, timeout_s: float, watch: Callable[[str], None]) -> Finished:
+def run(machine: Machine, place: Path, watch: Callable[[str], None]) -> Finished:
     """Boot, hand each line the tests print to `watch`, and wait for the board to switch itself off."""
     console, output, results = place / "console.log", place / "output.log", place / "results.tar"
     started = time.monotonic()
@@ -103,7 +106,7 @@ def run(machine: Machine, place: Path, timeout_s: float, watch: Callable[[str], 
         ) as process,
     ):
         try:
-            status = _follow(process, output, started + timeout_s, watch)
+            status = _follow(process, output, started + BUDGET_S * machine.slow, watch)
         finally:
             process.kill()
     return Finished(status, time.monotonic() - started, console, output, results)

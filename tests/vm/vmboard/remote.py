@@ -17,7 +17,8 @@ from .errors import VmError
 from .software import REPOSITORY
 
 TESTS = REPOSITORY / "tests/vm/remote"
-BOOT_S = 300.0
+BOOT_S = 50.0  # until the manager answers, times the board's slowness
+PATIENCE_S = 10  # for one step, as on the board
 
 
 def free_ports(count: int = 3) -> int:
@@ -44,7 +45,7 @@ def served(board: qemu.Machine, place: Path) -> Iterator[None]:
     with (place / "qemu.log").open("wb") as log:
         process = subprocess.Popen(arguments, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
     try:
-        _wait(process, place / "output.log", time.monotonic() + BOOT_S)
+        _wait(process, place / "output.log", time.monotonic() + BOOT_S * board.slow)
         yield
     finally:
         process.kill()
@@ -61,7 +62,9 @@ def _wait(process: subprocess.Popen[bytes], output: Path, deadline: float) -> No
 def test(board: qemu.Machine, place: Path, port: int) -> report.Results:
     """Run the tests in tests/vm/remote against the board."""
     with served(board, place):
-        environment = {**os.environ, "CM_VM_ENDPOINT": f"tcp://127.0.0.1:{port}", "PYTHONPATH": str(REPOSITORY)}
+        endpoint, patience = f"tcp://127.0.0.1:{port}", str(PATIENCE_S * board.slow)
+        own = {"CM_VM_ENDPOINT": endpoint, "CM_TEST_PATIENCE": patience, "PYTHONPATH": str(REPOSITORY)}
+        environment = {**os.environ, **own}
         xml = place / "remote.xml"
         command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", f"--junit-xml={xml}", str(TESTS)]
         with (place / "pytest.log").open("wb") as log:

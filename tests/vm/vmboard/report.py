@@ -72,7 +72,7 @@ class Results:
         return self.passed > 0 and not self.failures and not self.reports
 
 
-def scan(log: str, context: int = 12) -> list[Report]:
+def scan(log: str, context: int = 50) -> list[Report]:
     """Every report in a kernel's log; lines within `context` of one belong to it."""
     lines = log.splitlines()
     found: list[Report] = []

@@ -31,8 +31,10 @@ def machine(
     require(tier.arch.qemu)
     kernel = tier.kernel(cache)
     accelerated = tier.kvm and kvm.works(cache, kernel)
+    slow = 1 if accelerated else tier.slow
     if tier.kvm and not accelerated:
         say(f"{tier.name}: no working /dev/kvm here, the board is emulated")
+    own = (f"cm.tier={tier.name}", f"cm.expects={','.join(tier.expects)}", f"cm.slow={slow}")
     return qemu.Machine(
         arch=tier.arch,
         image=kernel.image,
@@ -42,7 +44,8 @@ def machine(
         initrd=None if tier.fragments else initrd.image(cache, kernel),
         dtb=software.overlays(cache) / "qemu-virt.dtb" if tier.fragments else None,
         kvm=accelerated,
-        arguments=(*tier.append.split(), f"cm.tier={tier.name}", f"cm.expects={','.join(tier.expects)}", *arguments),
+        slow=slow,
+        arguments=(*tier.append.split(), *own, *arguments),
         forwards=forwards or {},
     )
 
@@ -67,15 +70,11 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
 
 def _for_test(cache: Cache, tier: Tier, keyword: str) -> qemu.Machine:
     if not tier.remote:
-        return machine(cache, tier, _keyword(keyword))
+        changes = int(os.environ.get("CM_VM_CHANGES", tier.changes))  # how many is the user's patience
+        words = (f"cm.changes={changes}", *([f"cm.keyword={keyword.replace(' ', '+')}"] if keyword else []))
+        return machine(cache, tier, words)
     first = remote.free_ports()
     return machine(cache, tier, ("cm.action=serve",), {first + index: there for index, there in enumerate(PORTS)})
-
-
-def _keyword(keyword: str) -> tuple[str, ...]:
-    changes = os.environ.get("CM_VM_CHANGES")  # of mode in a row; how many is the user's patience
-    words = [f"cm.keyword={keyword.replace(' ', '+')}"] if keyword else []
-    return (*words, *([f"cm.changes={int(changes)}"] if changes else []))
 
 
 def _run(name: str, board: qemu.Machine, place: Path) -> report.Results:
@@ -83,7 +82,7 @@ def _run(name: str, board: qemu.Machine, place: Path) -> report.Results:
     place.mkdir(parents=True)
     if TIERS[name].remote:
         return remote.test(board, place, min(board.forwards))
-    done = qemu.run(board, place, TIERS[name].timeout_s, lambda line: say(f"{name:9}| {line}"))
+    done = qemu.run(board, place, lambda line: say(f"{name:9}| {line}"))
     result = report.collect(done.results, done.console, place)
     say(f"{name}: the board ran {done.seconds:.0f} s" + ("" if done.status == 0 else f", QEMU's status {done.status}"))
     return result

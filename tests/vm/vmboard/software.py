@@ -83,6 +83,21 @@ def _build_modules(kernel: Kernel, source: Path, place: Path) -> None:
     run([*kernel.make(), f"-j{os.cpu_count() or 1}", f"M={place}", "modules"], log=place / "build.log")
 
 
+def programs(cache: Cache, arch: Arch) -> Path:
+    """A folder with the C programs of kmod/tests, static."""
+    sources = sorted((REPOSITORY / "kmod/tests").glob("smoke_*.c"))
+    inputs = [arch.debian, *sources, REPOSITORY / "kmod/uapi"]
+    return cache.entry(f"programs-{arch.debian}", inputs, lambda place: _build_programs(arch, sources, place))
+
+
+def _build_programs(arch: Arch, sources: list[Path], place: Path) -> None:
+    compiler = f"{cross_prefix(arch)}gcc"
+    require(compiler)
+    for source in sources:
+        options = ["-static", "-O2", "-Wall", f"-I{REPOSITORY / 'kmod/uapi'}"]
+        run([compiler, *options, source, "-o", place / source.stem])
+
+
 def overlays(cache: Cache) -> Path:
     """A folder with every compiled tree and overlay of dts/."""
     require("dtc", "cpp", "make")

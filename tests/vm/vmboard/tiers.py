@@ -12,14 +12,19 @@ from .cache import Cache
 
 @dataclass(frozen=True, slots=True)
 class Tier:
-    """One virtual board; a capability in `expects` that is missing on it is a failure, not a skip."""
+    """One virtual board; a capability in `expects` that is missing on it is a failure, not a skip.
+
+    `slow` is how many times slower than a board of silicon it may be. Every time-out of the tests, here and on the
+    board, is multiplied by it, and nothing else is: with KVM it is 1.
+    """
 
     name: str
     arch: Arch
     fragments: tuple[str, ...]  # none: Debian's own kernel
     expects: tuple[str, ...]
     memory_mb: int
-    timeout_s: int
+    slow: int
+    changes: int = 100  # of mode in a row
     kvm: bool = False  # where the host's works; emulated otherwise
     append: str = ""  # more arguments of the kernel
     remote: bool = False  # tests run on the host and talk to the board over TCP
@@ -39,10 +44,10 @@ SANITIZE = (*CUSTOM, "sanitize.config")
 TIERS = {
     tier.name: tier
     for tier in (
-        Tier("stock", ARM64, (), BASIC, memory_mb=768, timeout_s=900),
-        Tier("custom", ARM64, CUSTOM, (*FULL, "kmemleak"), memory_mb=512, timeout_s=1200, append="kmemleak=on"),
-        Tier("sanitize", ARM64, SANITIZE, (*FULL, *SANITIZERS), memory_mb=768, timeout_s=1800),
-        Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, timeout_s=600, remote=True),
-        Tier("x86", AMD64, (), BASIC, memory_mb=768, timeout_s=900, kvm=True),
+        Tier("stock", ARM64, (), BASIC, memory_mb=768, slow=6),
+        Tier("custom", ARM64, CUSTOM, (*FULL, "kmemleak"), memory_mb=512, slow=6, changes=1000, append="kmemleak=on"),
+        Tier("sanitize", ARM64, SANITIZE, (*FULL, *SANITIZERS), memory_mb=768, slow=12),
+        Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, slow=6, remote=True),
+        Tier("x86", AMD64, (), BASIC, memory_mb=768, slow=6, kvm=True),
     )
 }

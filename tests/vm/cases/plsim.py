@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated PL of a test's own: the board's is taken away meanwhile, since the names of channels are unique."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from capabilities import LOOK
+
+from cm import device
+
+ROOT = Path("/sys/kernel/config/cm_plsim")
+LIVE = ROOT / "board" / "live"  # of the board in configfs, where it comes from there
+STATIC = Path("/opt/cm/firmware/qemu-virt/static.dtbo")
+
+Attributes = Mapping[str, object]
+
+
+@contextlib.contextmanager
+def nothing() -> Iterator[None]:
+    """Without the board that the tests were started on; it is back afterwards."""
+    _take_away()
+    try:
+        yield
+    finally:
+        _bring_back()
+
+
+def _take_away() -> None:
+    if LOOK["overlay"]():
+        device.Overlays("/").remove("static")
+    else:
+        LIVE.write_text("0")
+
+
+def _bring_back() -> None:
+    if LOOK["overlay"]():
+        device.Overlays("/").apply("static", STATIC.read_bytes())
+    else:
+        LIVE.write_text("1")
+
+
+@contextlib.contextmanager
+def board(channels: Mapping[str, Attributes], windows: Mapping[str, Attributes]) -> Iterator[Path]:
+    """A board described in configfs, alive; gives the debugfs folder of its engine."""
+    top = ROOT / "test"
+    folders = [top, *(top / "dma" / name for name in channels), *(top / "uio" / name for name in windows)]
+    for folder, attributes in zip(folders, [{}, *channels.values(), *windows.values()], strict=True):
+        folder.mkdir()
+        for name, value in attributes.items():
+            (folder / name).write_text(str(value))
+    (top / "live").write_text("1")
+    try:
+        yield Path("/sys/kernel/debug/cm_plsim", (top / "dev_name").read_text().strip())
+    finally:
+        (top / "live").write_text("0")
+        for folder in reversed(folders):
+            folder.rmdir()

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The C programs of kmod/tests, one of them written as for libaxidma, on a simulated PL of their own."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import plsim
+import pytest
+from served import PATIENCE
+
+pytestmark = pytest.mark.needs("dma", "plsim")
+PROGRAMS = Path("/opt/cm/bin")
+# What the programs expect to find.
+CHANNELS: dict[str, plsim.Attributes] = {
+    "to_pl": {"kind": "loopback", "direction": "mm2s", "peer": "from_pl"},
+    "from_pl": {"kind": "loopback", "direction": "s2mm", "peer": "to_pl"},
+    "camera": {},
+    "display": {"kind": "sink"},
+    "vcam": {"video": 1, "interval_us": 2000},
+    "icap": {"kind": "icap", "idcode": "0x03727093"},
+}
+WINDOWS: dict[str, plsim.Attributes] = {"camera": {"address": "0x43c00000", "size": 8192, "doorbell": "0x1000"}}
+
+
+@pytest.fixture(scope="module")
+def engine() -> Iterator[Path]:
+    with plsim.nothing(), plsim.board(CHANNELS, WINDOWS) as folder:
+        yield folder
+
+
+def run(program: str, engine: Path) -> None:
+    done = subprocess.run([PROGRAMS / program, engine], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    wrong = [line for line in done.stdout.splitlines() if line.startswith("FAIL")]
+    assert (done.returncode, wrong) == (0, []), done.stdout + done.stderr
+    assert done.stdout.count("\nok ") > 10
+
+
+def test_the_c_program_of_the_channels_passes(engine: Path) -> None:
+    run("smoke_dma", engine)
+
+
+def test_the_c_program_of_the_port_passes(engine: Path) -> None:
+    run("smoke_icap", engine)
+
+
+def test_a_program_written_for_libaxidma_passes(engine: Path) -> None:
+    subprocess.run(["modprobe", "cm_axidma_compat"], check=True)
+    run("smoke_axidma", engine)
+    subprocess.run(["rmmod", "cm_axidma_compat"], check=True)
+
+
+def test_what_is_live_cannot_be_changed(engine: Path) -> None:
+    with pytest.raises(OSError, match="busy"):
+        (plsim.ROOT / "test/dma/camera/kind").write_text("sink")
+    with pytest.raises(OSError, match="busy"):
+        (plsim.ROOT / "test/dma/another").mkdir()
