@@ -14,7 +14,7 @@ PYTEST_ARGS ?=
 JOBS ?= 2
 EXTRAS := demo,test,build
 COMMA := ,
-SUITES ?= tests/unit tests/integration tests/device tests/soak
+SUITES ?= tests/unit tests/integration tests/device tests/soak tests/vm
 OUT ?= demo
 IMAGES ?=
 
@@ -62,10 +62,10 @@ test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Ica
 	$(PYTEST) tests/rtl $(PYTEST_ARGS)
 
 test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
-	tests/vm/run test
+	@$(MAKE) --no-print-directory -C tests/vm test PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
 
 vm: $(STAMP) ## a shell on that board, with a manager running and its ports forwarded
-	tests/vm/run shell
+	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)"
 
 soak: $(STAMP) ## ten thousand changes of mode
 	$(PYTEST) tests/soak --changes=10000 $(PYTEST_ARGS)

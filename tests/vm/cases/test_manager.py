@@ -176,4 +176,4 @@ def test_many_changes_in_a_row(manager: Manager, board: cm.Board, fast_port: Non
         board.load(mode=("edge_detection", "default")[number % 2])
     assert loads() == before + count
     assert board.status.last_error is None
-    assert open_files(manager) == files
+    assert until(lambda: open_files(manager) <= files)  # it notices a client's end a little later

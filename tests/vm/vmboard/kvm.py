@@ -18,9 +18,14 @@ PATIENCE_S = 20.0
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
 
+def there(arch: Arch) -> bool:
+    """Whether there is a /dev/kvm for this architecture to try."""
+    return arch == host() and os.access("/dev/kvm", os.R_OK | os.W_OK)
+
+
 def works(cache: Cache, kernel: Kernel) -> bool:
     """Boot the kernel under KVM to its first lines; the answer is kept until the host is started again."""
-    if kernel.arch != host() or not os.access("/dev/kvm", os.R_OK | os.W_OK):
+    if not there(kernel.arch):
         return False
     known = cache.root / f"kvm-{kernel.release}-{BOOT_ID.read_text().strip()}"
     if not known.exists():

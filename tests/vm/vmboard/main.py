@@ -36,7 +36,8 @@ def _parser() -> argparse.ArgumentParser:
         ("test", _test, "run the tests"),
     ):
         command = commands.add_parser(name, help=text)
-        command.add_argument("--tier", action="append", choices=list(TIERS), help="default: every one")
+        tiers = "default: all but those for KVM where it does not work"
+        command.add_argument("--tier", action="append", choices=list(TIERS), help=tiers)
         command.add_argument("--jobs", type=int, default=2, help="boards at a time (2)")
         command.add_argument("--output", type=Path, default=None, help="folder for logs and JUnit files")
         command.add_argument("-k", dest="keyword", default="", help="only tests that match, as pytest's -k")
@@ -54,19 +55,16 @@ def _cache(chosen: argparse.Namespace) -> Cache:
     return Cache((chosen.cache or default_root()).resolve())
 
 
-def _tiers(chosen: argparse.Namespace) -> list[str]:
-    return chosen.tier or list(TIERS)
-
-
 def _build(chosen: argparse.Namespace) -> int:
-    session.build(_cache(chosen), _tiers(chosen))
+    cache = _cache(chosen)
+    session.build(cache, chosen.tier or session.worth_while(cache))
     return 0
 
 
 def _test(chosen: argparse.Namespace) -> int:
     cache = _cache(chosen)
     output = (chosen.output or cache.root / "last-run").resolve()
-    return session.test(cache, _tiers(chosen), output, chosen.jobs, chosen.keyword)
+    return session.test(cache, chosen.tier or session.worth_while(cache), output, chosen.jobs, chosen.keyword)
 
 
 def _selfcheck(chosen: argparse.Namespace) -> int:

@@ -10,12 +10,23 @@ from pathlib import Path
 
 from . import initrd, kvm, payload, qemu, remote, report, rootfs, software
 from .cache import Cache
-from .errors import MissingError
+from .errors import EXIT_MISSING, MissingError
 from .progress import say, step
 from .shell import require
 from .tiers import TIERS, Tier
 
 PORTS = (5560, 5561, 5562)
+
+
+def worth_while(cache: Cache) -> list[str]:
+    """All boards but those that are meant for KVM where it does not work; says which are left out."""
+    chosen = []
+    for name, tier in TIERS.items():
+        if tier.kvm and not (kvm.there(tier.arch) and kvm.works(cache, tier.kernel(cache))):
+            say(f"LEFT OUT {name}: no working /dev/kvm here; --tier {name} runs it emulated, which tells little new")
+        else:
+            chosen.append(name)
+    return chosen
 
 
 def build(cache: Cache, names: list[str]) -> None:
@@ -51,13 +62,15 @@ def machine(
 
 
 def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) -> int:
-    """Run the boards, print what they found; 0 where all that could run is good, 77 where none could."""
+    """Run the boards and print what they found: 0 where all are good, 1 where one is not, else 77 for a skipped one."""
     machines: dict[str, qemu.Machine] = {}
+    skipped = []
     for name in names:
         try:
             machines[name] = _for_test(cache, TIERS[name], keyword)
         except MissingError as missing:
             say(f"SKIPPED {name}: {missing}")
+            skipped.append(name)
     if not machines:
         raise MissingError("no board can run here")
     with step(f"running {', '.join(machines)}"), ThreadPoolExecutor(jobs) as pool:
@@ -65,7 +78,9 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
         results = {name: run.result() for name, run in runs.items()}
     for name, result in results.items():
         _print(name, result, output / name)
-    return 0 if all(result.good for result in results.values()) else 1
+    if not all(result.good for result in results.values()):
+        return 1
+    return EXIT_MISSING if skipped else 0
 
 
 def _for_test(cache: Cache, tier: Tier, keyword: str) -> qemu.Machine:
