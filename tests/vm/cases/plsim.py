@@ -18,6 +18,14 @@ STATIC = Path("/opt/cm/firmware/qemu-virt/static.dtbo")
 Attributes = Mapping[str, object]
 
 
+def remove_overlays() -> None:
+    """Remove those that stand on the static one: a manager leaves them in the kernel when it ends."""
+    overlays = device.Overlays("/")
+    for name in overlays.list():
+        if name != "static":
+            overlays.remove(name)
+
+
 @contextlib.contextmanager
 def nothing() -> Iterator[None]:
     """Without the board that the tests were started on; it is back afterwards."""
@@ -30,9 +38,11 @@ def nothing() -> Iterator[None]:
 
 def _take_away() -> None:
     if LOOK["overlay"]():
+        remove_overlays()
         device.Overlays("/").remove("static")
     else:
         LIVE.write_text("0")
+    assert (device.list_dma(), device.list_icap()) == ([], [])
 
 
 def _bring_back() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from boardfile import FIRMWARE, write_bitstreams
+from plsim import remove_overlays
 from served import PATIENCE, driver, loads, pl, until
 
 from cm import device
@@ -38,11 +39,9 @@ def bitstreams() -> None:
 
 @pytest.fixture
 def overlays() -> Iterator[device.Overlays]:
-    found = device.Overlays("/")
-    yield found
-    for name in found.list():
-        if name.startswith(NAME):
-            found.remove(name)
+    remove_overlays()
+    yield device.Overlays("/")
+    remove_overlays()
 
 
 @pytest.fixture
