@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import zmq
@@ -21,8 +21,15 @@ _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 class Publisher:
     """Keeps track of who subscribes to what; numbers statuses. The loop's thread."""
 
-    def __init__(self, socket: zmq.Socket[bytes], status: Callable[[], Status], changed: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        socket: zmq.Socket[bytes],
+        send: Callable[[Sequence[bytes | memoryview]], None],
+        status: Callable[[], Status],
+        changed: Callable[[], None],
+    ) -> None:
         self._socket = socket
+        self._send = send
         self._status = status
         self._changed = changed  # subscriptions changed: streams may be wanted or not
         self._subscriptions: set[bytes] = set()
@@ -63,15 +70,15 @@ class Publisher:
     def status(self, status: Status) -> None:
         """Publish a status under a new number."""
         self.sequence = next(self._numbers)
-        self._socket.send_multipart(encode.encode_status(self.complete(status)))
+        self._send(encode.encode_status(self.complete(status)))
 
     def registers(self, values: RegValues) -> None:
         """Publish changed registers."""
-        self._socket.send_multipart(encode.encode_registers(values))
+        self._send(encode.encode_registers(values))
 
     def interrupt(self, irq: Irq) -> None:
         """Publish an interrupt."""
-        self._socket.send_multipart(encode.encode_irq(irq))
+        self._send(encode.encode_irq(irq))
 
     def frame(self, frame: Frame) -> None:
         """Publish a frame on every topic that somebody subscribes to; ZeroMQ copies it once for each."""
@@ -79,4 +86,4 @@ class Publisher:
         for topic in (*_FRAME_TOPICS, topics.STREAM_PREFIX + frame.info.stream.encode()):
             if self.has_subscriber(topic):
                 info = info or encode.encode_frame_info(frame.info)
-                self._socket.send_multipart([topic, info, frame.data], copy=True)
+                self._send([topic, info, frame.data])

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import zmq
 
+from cm import multipart
 from cm.daemon.devices import BoardDevices
 from cm.daemon.discover import with_channels
 from cm.daemon.door import Door
@@ -37,7 +38,7 @@ from cm.messages.requests import Request, WriteConfig
 from cm.messages.status import ErrorInfo, Irq, RegValues, Reply, Status
 from cm.schema import load
 from cm.schema.model import Config
-from cm.wire.decode import decode_request, split_text
+from cm.wire.decode import Frame, decode_request, split_text
 from cm.wire.encode import encode_reply
 
 _LOG = logging.getLogger("cm")
@@ -79,7 +80,9 @@ class Server:
         self._store = Store(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         self._manager = self._make_manager()
-        self._publisher = Publisher(self._sockets.pub, self._status, self._streams.refresh)
+        self._publisher = Publisher(
+            self._sockets.pub, partial(self._loop.send, self._sockets.pub), self._status, self._streams.refresh
+        )
         self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
         self._holders = Holders(self._loop, self._manager.leases)
         self._handlers = Handlers(self._services())
@@ -138,13 +141,13 @@ class Server:
         security = self._options.security
         if security is not None:
             self._doorkeeper = Doorkeeper(self._context, security.clients)
-            self._loop.add(self._doorkeeper.socket, self._doorkeeper.answer)
+            self._loop.add_socket(self._doorkeeper.socket, self._doorkeeper.answer)
         for address in self._options.listen:
             bound = self._sockets.bind_tcp(address, security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
-        self._loop.add(self._sockets.pub, self._publisher.subscription)
-        self._loop.add(self._sockets.sub, self._on_sub)
-        self._loop.add(self._sockets.req, self._on_req)
+        self._loop.add_socket(self._sockets.pub, self._publisher.subscription)
+        self._loop.add_socket(self._sockets.sub, self._on_sub)
+        self._loop.add_socket(self._sockets.req, self._on_req)
 
     def _start_manager(self) -> None:
         for note in self._manager.start():
@@ -216,22 +219,17 @@ class Server:
     # ---- sockets ------------------------------------------------------------------------
 
     def _on_req(self) -> None:
-        """One request for each look of the loop: a further look costs half of a receive that finds nothing."""
-        frames = _receive(self._sockets.req)
-        if frames is not None:
-            envelope, message = split_envelope(frames)
-            parts = split_text(message)
-            topic = bytes(parts[0]) if parts else b""
-            self._dispatch(parts, partial(self._reply, envelope, topic))
+        envelope, message = split_envelope(multipart.receive(self._sockets.req))
+        parts = split_text(message)
+        topic = bytes(parts[0]) if parts else b""
+        self._dispatch(parts, partial(self._reply, envelope, topic))
 
-    def _reply(self, envelope: list[bytes], topic: bytes, reply: Reply) -> None:
+    def _reply(self, envelope: list[bytes | memoryview], topic: bytes, reply: Reply) -> None:
         frames = encode_reply(topic, reply, self._publisher.sequence)
-        self._sockets.req.send_multipart([*envelope, *frames])
+        self._loop.send(self._sockets.req, [*envelope, *frames])
 
     def _on_sub(self) -> None:
-        frames = _receive(self._sockets.sub)
-        if frames is not None:
-            self._dispatch(frames, self._fire_and_forget)
+        self._dispatch(multipart.receive(self._sockets.sub), self._fire_and_forget)
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:
@@ -270,23 +268,16 @@ class Server:
         self._autoload()
 
 
-def split_envelope(frames: list[bytes]) -> tuple[list[bytes], list[bytes]]:
+def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
     """What a ROUTER received → return path, message.
 
     A REQ socket puts an empty frame between them; a DEALER may, with frames of its own before it, or
     may send the message straight away.
     """
-    if len(frames) < 2 or frames[1].startswith(b"cm_") or b"" not in frames[1:]:
+    if len(frames) < 2 or bytes(frames[1][:3]) == b"cm_" or b"" not in frames[1:]:
         return frames[:1], frames[1:]
     cut = frames.index(b"", 1) + 1
     return frames[:cut], frames[cut:]
-
-
-def _receive(socket: zmq.Socket[bytes]) -> list[bytes] | None:
-    try:
-        return socket.recv_multipart(zmq.NOBLOCK)
-    except zmq.Again:
-        return None
 
 
 def _stored(provisioner: Provisioner) -> dict[str, Config]:

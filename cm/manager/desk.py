@@ -36,6 +36,10 @@ class Holder(Protocol):
         """Replace the state in one piece."""
 
 
+Found = list[tuple[Register, BitField | None]]
+_KEPT = 256  # requests whose names are kept
+
+
 @dataclass(frozen=True, slots=True)
 class Locked:
     """What a running change has taken away: regions, or the whole device."""
@@ -59,6 +63,7 @@ class RegisterDesk:
         self._lock = lock
         self._locked = Locked()
         self._seen: tuple[Config | None, str | None, Mapping[str, Register]] = (None, None, {})
+        self._found: dict[tuple[str, ...], Found] = {}  # among those seen, by the names of a request
 
     def keep_off(self, locked: Locked) -> None:
         """Refuse what is locked from here on; waits for an access under way."""
@@ -68,9 +73,9 @@ class RegisterDesk:
     def read(self, names: tuple[str, ...]) -> RegValues:
         """Values by name; of all that can be read if none is given."""
         visible = self._visible()
-        chosen = [self._find(visible, n) for n in names] if names else self._readable(visible)
+        chosen = (self._found.get(names) or self._find_all(visible, names)) if names else self._readable(visible)
         with self._lock:
-            return self._values(tuple(self._read(r, f.name if f else None) for r, f in chosen))
+            return self._values(tuple([self._read(register, field) for register, field in chosen]))
 
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
         """Check all, then write in order; what the registers then hold."""
@@ -96,7 +101,15 @@ class RegisterDesk:
         if known is not config or known_mode != mode:
             registers = config.visible_registers(mode)
             self._seen = (config, mode, registers)
+            self._found.clear()
         return registers
+
+    def _find_all(self, visible: Mapping[str, Register], names: tuple[str, ...]) -> Found:
+        """Look names up, and keep what was found: who asks for registers asks again."""
+        found = [self._find(visible, name) for name in names]
+        if len(self._found) < _KEPT:
+            self._found[names] = found
+        return found
 
     def _find(self, visible: Mapping[str, Register], name: str) -> tuple[Register, BitField | None]:
         return find(visible, name, lambda: self._elsewhere(name, visible))
@@ -109,15 +122,15 @@ class RegisterDesk:
         modes = [m for m in config.modes if register in config.visible_registers(m)]
         return f" ({self._holder.state.mode}); modes {', '.join(modes)} have it" if modes else ""
 
-    def _readable(self, visible: Mapping[str, Register]) -> list[tuple[Register, None]]:
+    def _readable(self, visible: Mapping[str, Register]) -> Found:
         return [(r, None) for r in visible.values() if r.access is not Access.WO and self._is_free(r)]
 
-    def _read(self, register: Register, field: str | None) -> RegValue:
+    def _read(self, register: Register, field: BitField | None) -> RegValue:
         self._check_free(register)
-        value = value_of(register, self._access.read(register))
+        value = self._access.read(register)
         if field is None:
-            return value
-        return RegValue(f"{register.name}.{field}", dict(value.fields)[field])
+            return value_of(register, value)
+        return RegValue(f"{register.name}.{field.name}", (value & field.mask) >> field.lsb)
 
     def _write(self, register: Register, value: int, mask: int) -> RegValue:
         written = self._access.write(register, value, mask, self._holder.state.values.get(register.name))

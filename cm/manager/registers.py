@@ -149,5 +149,7 @@ class RegisterAccess:
 
 def value_of(register: Register, value: int) -> RegValue:
     """A value with its fields taken apart."""
+    if not register.fields:
+        return RegValue(register.name, value)
     fields = tuple((f.name, (value & f.mask) >> f.lsb) for f in register.fields.values())
     return RegValue(register.name, value, fields)
