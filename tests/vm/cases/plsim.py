@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from capabilities import LOOK
+from served import pl
 
 from cm import device
 
@@ -50,6 +52,7 @@ def _bring_back() -> None:
         device.Overlays("/").apply("static", STATIC.read_bytes())
     else:
         LIVE.write_text("1")
+    pl("icap", "delay_us").write_text(os.environ["CM_VM_LOAD_US"])
 
 
 @contextlib.contextmanager

@@ -56,6 +56,6 @@ board_configfs() {
 # every load takes a while that tests can meet, as on a real port
 slow_port() {
 	for delay in /sys/kernel/debug/cm_plsim/*/icap/delay_us; do
-		[ -e "$delay" ] && echo 20000 >"$delay"
+		[ -e "$delay" ] && echo "$CM_VM_LOAD_US" >"$delay"
 	done
 }

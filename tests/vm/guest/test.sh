@@ -7,6 +7,7 @@ cd /opt/cm/tests || exit
 # What is given a time in the tests gets it times the slowness of this board: a step, a test, silence.
 slow=${CM_VM_SLOW:-1}
 export CM_TEST_PATIENCE=$((10 * slow))
+export CM_VM_LOAD_US=$((20000 * slow)) # of a bitstream through the simulated port
 CM_VM_QUIET=$((20 * slow))
 . "$here/board.sh"
 . "$here/watchdog.sh"
