@@ -306,6 +306,8 @@ static int attach(struct client *client, struct stream *stream, uint32_t depth, 
 	geometry.head.flags = stream->epoch;
 	client->depth = depth;
 	client->stream = stream;
+	client->frames = 0;
+	client->dropped = 0;
 	if (client_send(client, geometry.bytes, size) || client_send_slots(client, stream, 0))
 		return 0; /* hung up on by the thread, which tells */
 	if (stream->setup.write)
@@ -385,4 +387,31 @@ int cm_plane_get_stats(struct cm_plane *plane, int id, struct cm_plane_stats *st
 		fill(stream, stats);
 	pthread_mutex_unlock(&plane->lock);
 	return stream ? 0 : -1;
+}
+
+static uint32_t under_way(const struct client *client)
+{
+	const struct stream *stream = client->stream;
+	uint32_t count = client->held_count;
+
+	for (uint32_t i = 0; stream && i < stream->slots; i++)
+		count += stream->slot[i].owner == client && stream->slot[i].queued;
+	return count;
+}
+
+int cm_plane_get_client_stats(struct cm_plane *plane, int id, struct cm_plane_client_stats *stats)
+{
+	const struct client *client;
+
+	pthread_mutex_lock(&plane->lock);
+	client = client_find(plane, id);
+	if (client)
+		*stats = (struct cm_plane_client_stats){
+			.frames = client->frames,
+			.dropped = client->dropped,
+			.depth = client->depth,
+			.held = under_way(client),
+		};
+	pthread_mutex_unlock(&plane->lock);
+	return client ? 0 : -1;
 }

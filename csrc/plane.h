@@ -132,4 +132,21 @@ struct cm_plane_stats {
 
 int cm_plane_get_stats(struct cm_plane *plane, int stream, struct cm_plane_stats *stats);
 
+/**
+ * struct cm_plane_client_stats - one client, since it was attached to its stream
+ * @frames: that it was lent, or that it sent and the hardware took
+ * @dropped: that it did not get
+ * @depth: slots that it may hold, or has to write to
+ * @held: slots that it holds; of a writer, those that are under way
+ */
+struct cm_plane_client_stats {
+	uint64_t frames;
+	uint64_t dropped;
+	uint32_t depth;
+	uint32_t held;
+};
+
+int cm_plane_get_client_stats(struct cm_plane *plane, int client,
+			      struct cm_plane_client_stats *stats);
+
 #endif /* CM_SHIM_PLANE_H */

@@ -50,6 +50,7 @@ int client_offer(struct client *client, const struct stream *stream, uint32_t nu
 		return -1;
 	client->held[number] = true;
 	client->held_count++;
+	client->frames++;
 	return 0;
 }
 

@@ -47,6 +47,8 @@ struct client {
 	struct stream *stream; /* or NULL */
 	uint32_t depth;
 	uint32_t held_count;
+	uint64_t frames;  /* handed to it, or taken from it, well; since it was attached */
+	uint64_t dropped; /* that it did not get */
 	bool broken; /* to be dropped */
 	int error;
 	bool held[CM_PLANE_SLOTS_MAX];

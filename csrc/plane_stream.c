@@ -61,8 +61,10 @@ static void tell_done(struct stream *stream, struct slot *slot, uint32_t error, 
 	packet.flags = stream->epoch;
 	packet.offset = error;
 	packet.timestamp_ns = at_ns;
-	if (slot->owner)
-		client_send(slot->owner, &packet, sizeof(packet));
+	if (!slot->owner)
+		return;
+	slot->owner->frames += !error;
+	client_send(slot->owner, &packet, sizeof(packet));
 }
 
 /* The slot is its writer's own again, or free if that has gone. */
@@ -172,10 +174,12 @@ static void hand_on(struct cm_plane *plane, struct stream *stream, uint32_t numb
 	for (struct client *client = plane->clients; client; client = client->next) {
 		if (client->stream != stream || client->broken)
 			continue;
-		if (client_offer(client, stream, number))
-			stream->stats.dropped++;
-		else
+		if (!client_offer(client, stream, number)) {
 			slot->holders++;
+			continue;
+		}
+		client->dropped++;
+		stream->stats.dropped++;
 	}
 	record(stream, slot->frame.timestamp_ns);
 }

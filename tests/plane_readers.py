@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from cm.client.stream import LocalStream
+from cm.wire.plane import Open
 
 TORN = 3
 
@@ -38,7 +39,7 @@ def read(runtime: Path, name: str, seed: int, report: int) -> None:
     chance = random.Random(seed)
     held: deque[tuple[np.ndarray, int]] = deque()
     last = -1
-    with LocalStream(runtime, name, 20.0) as stream:
+    with LocalStream(runtime, Open(name), 20.0) as stream:
         for frame in stream:
             number = number_of(frame)
             if number <= last:

@@ -23,11 +23,19 @@ import zmq.asyncio
 
 from cm.client import calls
 from cm.client.address import Keys, load_keys, resolve
-from cm.client.aio_stream import AsyncLocalStream, AsyncRemoteStream, AsyncWriter, Stream, receive
+from cm.client.aio_stream import (
+    AsyncLocalStream,
+    AsyncNewestStream,
+    AsyncRemoteStream,
+    AsyncWriter,
+    Stream,
+    receive,
+)
 from cm.client.calls import Call
 from cm.client.errors import NoAnswer
 from cm.client.frame import Frame
 from cm.client.link import prepare
+from cm.client.remote import Wanted
 from cm.errors import InvalidRequest
 from cm.messages.requests import DataConfig, TakeLease
 from cm.messages.status import ConfigInfo, FrameInfo, Irq, LeaseInfo, PlanInfo, Progress, Status, StreamStatus
@@ -218,17 +226,34 @@ class Board:
         """Set properties of a stream (`cm.messages.requests.DataConfig`)."""
         return await self.ask(calls.data_config(DataConfig(stream, **settings)))
 
-    def stream(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, newest: bool = False) -> Stream:
+    def stream(
+        self,
+        name: str,
+        timeout: float | None = 5.0,
+        *,
+        depth: int = 0,
+        newest: bool = False,
+        compression: str = "",
+        lease: str = "",
+    ) -> Stream:
         """The frames of a stream (``async for``), without copies on the manager's machine; see `cm.client.board`."""
         if self._data is not None:
-            return AsyncLocalStream(self._data, name, timeout, depth, newest)
-        return AsyncRemoteStream(lambda: self.configure_stream(name), self.subscribe, name, timeout)
+            return AsyncLocalStream(self._data, Open(name, depth=depth, lease=lease), timeout, newest)
+        wanted = Wanted(name, timeout, newest, compression)
+        return AsyncNewestStream(self.ask, wanted) if newest else AsyncRemoteStream(self.ask, self.subscribe, wanted)
 
-    def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0) -> AsyncWriter:
+    def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, lease: str = "") -> AsyncWriter:
         """Write a stream without copies: ``async with writer.slot() as array: array[...] = frame``."""
+        return AsyncWriter(self._local_data("a writer"), Open(name, write=True, depth=depth, lease=lease), timeout)
+
+    def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> AsyncWriter:
+        """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
+        return AsyncWriter(self._local_data("an echo"), Open("", depth=depth, echo=True, length=length), timeout)
+
+    def _local_data(self, what: str) -> Path:
         if self._data is None:
-            raise InvalidRequest("a writer needs the manager's data socket, which only its own machine has")
-        return AsyncWriter(self._data, Open(name, write=True, depth=depth), timeout)
+            raise InvalidRequest(f"{what} needs the manager's data socket, which only its own machine has")
+        return self._data
 
 
 class Registers:

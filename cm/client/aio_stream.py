@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Awaitable, Callable
+import time
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from types import TracebackType
@@ -14,17 +15,19 @@ import numpy.typing as npt
 import zmq
 import zmq.asyncio
 
-from cm.client.frame import Frame, frame_of
+from cm.client import calls
+from cm.client.errors import RequestFailed
+from cm.client.frame import Frame
 from cm.client.link import STREAM_HWM
+from cm.client.remote import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.client.stream import LocalStream
 from cm.client.writer import Writer
 from cm.errors import Timeout
-from cm.messages.status import FrameInfo
-from cm.wire import topics
-from cm.wire.encode import decode_event
+from cm.messages.requests import DataConfig
 from cm.wire.plane import Open
 
 Self = TypeVar("Self", bound="Stream")
+Ask = Callable[..., Any]  # `cm.client.aio.Board.ask`
 
 
 class Stream:
@@ -67,8 +70,8 @@ class Stream:
 class AsyncLocalStream(Stream):
     """Frames in DMA memory; see `LocalStream`."""
 
-    def __init__(self, folder: Path, name: str, timeout: float | None, depth: int = 0, newest: bool = False) -> None:
-        self._stream = LocalStream(folder, name, timeout, depth, newest)
+    def __init__(self, folder: Path, wanted: Open, timeout: float | None, newest: bool = False) -> None:
+        self._stream = LocalStream(folder, wanted, timeout, newest)
         self._timeout = timeout
 
     async def open(self) -> None:
@@ -97,47 +100,67 @@ class AsyncLocalStream(Stream):
 
 
 class AsyncRemoteStream(Stream):
-    """Frames over ZeroMQ."""
+    """Frames over ZeroMQ; see `RemoteStream`."""
 
-    def __init__(
-        self,
-        check: Callable[[], Awaitable[Any]],
-        subscribe: Callable[[], zmq.asyncio.Socket],
-        name: str,
-        timeout: float | None,
-    ) -> None:
-        self._check, self._subscribe, self._name = check, subscribe, name
-        self._timeout = timeout
+    def __init__(self, ask: Ask, subscribe: Callable[[], zmq.asyncio.Socket], wanted: Wanted) -> None:
+        self._ask, self._subscribe, self._wanted = ask, subscribe, wanted
         self._socket: zmq.asyncio.Socket | None = None
-        self._expected: int | None = None
-        self._lost = 0
+        self._arrivals = Arrivals()
 
     @property
     def lost(self) -> int:
-        return self._lost
+        return self._arrivals.lost
 
     async def open(self) -> None:
         if self._socket is None:
-            await self._check()  # raises for an unknown stream
+            # raises for an unknown stream, and for what the manager cannot compress with
+            await self._ask(calls.data_config(DataConfig(self._wanted.name, compression=self._wanted.compression)))
             self._socket = self._subscribe()
             self._socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
-            self._socket.setsockopt(zmq.SUBSCRIBE, topics.STREAM_PREFIX + self._name.encode())
+            self._socket.setsockopt(zmq.SUBSCRIBE, self._wanted.topic)
 
     async def read(self, timeout: float | None = None) -> Frame:
         await self.open()
         assert self._socket is not None
-        frames = await receive(self._socket, self._timeout if timeout is None else timeout)
-        info = decode_event(frames)
-        assert isinstance(info, FrameInfo)
-        if self._expected is not None and info.sequence > self._expected:
-            self._lost += info.sequence - self._expected
-        self._expected = info.sequence + 1
-        return frame_of(info, frames[2])
+        return self._arrivals.frame(await receive(self._socket, self._wanted.timeout if timeout is None else timeout))
 
     async def aclose(self) -> None:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
+
+
+class AsyncNewestStream(Stream):
+    """The next frame from when it is asked for, over ZeroMQ; see `NewestStream`."""
+
+    def __init__(self, ask: Ask, wanted: Wanted) -> None:
+        self._ask, self._wanted = ask, wanted
+        self._arrivals = Arrivals()
+
+    @property
+    def lost(self) -> int:
+        return self._arrivals.lost
+
+    async def open(self) -> None:
+        await self._ask(calls.data_config(DataConfig(self._wanted.name)))  # raises for an unknown stream
+
+    async def read(self, timeout: float | None = None) -> Frame:
+        limit = self._wanted.timeout if timeout is None else timeout
+        until = None if limit is None else time.monotonic() + limit
+        while True:
+            left = ASK_FOR if until is None else min(ASK_FOR, until - time.monotonic())
+            if left <= 0:
+                raise Timeout(f"stream {self._wanted.name!r} gave no frame within {limit:g} s")
+            try:
+                return self._arrivals.count(await self._ask(calls.read_data(self._wanted.name, left), left + 5.0))
+            except RequestFailed as error:
+                if is_stopped(error):
+                    await asyncio.sleep(min(STOPPED_PAUSE, left))
+                elif not isinstance(error, Timeout):
+                    raise
+
+    async def aclose(self) -> None:
+        """Nothing is open between two reads."""
 
 
 class AsyncWriter:
@@ -169,6 +192,17 @@ class AsyncWriter:
         await self._until(lambda: writer.free > 0)
         with writer.slot(length) as array:
             yield array
+
+    async def write(self, data: npt.ArrayLike) -> None:
+        """Copy a frame into a slot and send it. Raises as `slot` does."""
+        writer = self._entered()
+        await self._until(lambda: writer.free > 0)
+        writer.write(data)
+
+    @property
+    def under_way(self) -> int:
+        """Frames that the hardware has not taken yet."""
+        return self._entered().under_way
 
     async def flush(self) -> None:
         """Wait until the hardware has taken all frames. Raises Timeout, TransferFailed."""

@@ -19,7 +19,8 @@ from cm.client.calls import Call
 from cm.client.frame import Frame
 from cm.client.lease import BoardLease
 from cm.client.link import Link, Socket, prepare
-from cm.client.stream import LocalStream, RemoteStream, Stream, receive
+from cm.client.remote import Wanted
+from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream, receive
 from cm.client.writer import Writer
 from cm.errors import InvalidRequest
 from cm.messages.requests import DataConfig
@@ -85,7 +86,7 @@ class Board:
         self._keys = keys if keys is None or isinstance(keys, Keys) else load_keys(keys)
         self.timeout = timeout
         self._context: zmq.Context[Socket] = zmq.Context()
-        self._link = Link(self._context, self._endpoints.req, self._keys)
+        self._link = self._new_link()
         self.registers = Registers(self)
         self.interrupts = Interrupts(self)
 
@@ -189,23 +190,39 @@ class Board:
 
     # ---- data -----------------------------------------------------------------------------
 
-    def stream(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, newest: bool = False) -> Stream:
+    def stream(
+        self,
+        name: str,
+        timeout: float | None = 5.0,
+        *,
+        depth: int = 0,
+        newest: bool = False,
+        compression: str = "",
+        lease: str = "",
+    ) -> Stream:
         """The frames of a stream, as a context manager and iterator; frames lost to slowness show in `sequence`.
 
         On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
         held at a time, and go back when the last reference to them goes. `newest` skips those that wait behind
-        a newer one. From elsewhere they come over ZeroMQ. `timeout` in seconds, None waits for ever.
+        a newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
+        package lz4 at both ends), `newest` asks for each frame when it is read. `timeout` in seconds, None waits
+        for ever. `lease`: the id of one's own, where a stream with back-pressure lies in a region that is held.
         """
         if self._data is not None:
-            return LocalStream(self._data, name, timeout, depth, newest)
-        return RemoteStream(self, name, timeout, newest)
+            return LocalStream(self._data, Open(name, depth=depth, lease=lease), timeout, newest)
+        wanted = Wanted(name, timeout, newest, compression)
+        return NewestStream(self._new_link, wanted) if newest else RemoteStream(self, wanted)
 
-    def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0) -> Writer:
+    def _new_link(self) -> Link:
+        return Link(self._context, self._endpoints.req, self._keys)
+
+    def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, lease: str = "") -> Writer:
         """Write a stream without copies: ``with writer.slot() as array: array[...] = frame``.
 
         `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
+        `lease`: the id of one's own, where the stream's region is held.
         """
-        return Writer(self._local_data("a writer"), Open(name, write=True, depth=depth), timeout)
+        return Writer(self._local_data("a writer"), Open(name, write=True, depth=depth, lease=lease), timeout)
 
     def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> Writer:
         """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""

@@ -101,6 +101,7 @@ class Link:
         """Disconnect; twice is fine."""
         if not self._socket.closed:
             self._socket.disable_monitor()
+            self._monitor.close()
             self._socket.close()
 
 

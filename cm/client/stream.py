@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, TypeVar
@@ -14,14 +14,14 @@ import zmq
 
 from cm.client import calls
 from cm.client.calls import Call
-from cm.client.frame import Frame, frame_of
-from cm.client.link import STREAM_HWM, Socket
+from cm.client.errors import RequestFailed
+from cm.client.frame import Frame
+from cm.client.link import STREAM_HWM, Link, Socket
 from cm.client.plane import Connection
+from cm.client.remote import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.errors import Timeout
 from cm.messages.requests import DataConfig
-from cm.messages.status import FrameInfo
-from cm.wire import topics
-from cm.wire.encode import decode_event
+from cm.wire.encode import decode_reply, encode_request
 from cm.wire.plane import Geometry, Open
 
 _T = TypeVar("_T")
@@ -80,10 +80,10 @@ class LocalStream(Stream):
     mode the frames go on, in the new shape.
     """
 
-    def __init__(self, folder: Path, name: str, timeout: float | None, depth: int = 0, newest: bool = False) -> None:
+    def __init__(self, folder: Path, wanted: Open, timeout: float | None, newest: bool = False) -> None:
         self._folder = folder
-        self._wanted = Open(name, depth=depth)
-        self.name = name
+        self._wanted = wanted
+        self.name = wanted.name
         self._timeout = timeout
         self._newest = newest
         self._connection: Connection | None = None
@@ -186,46 +186,84 @@ class LocalStream(Stream):
 class RemoteStream(Stream):
     """Frames over ZeroMQ; losses show in `sequence`."""
 
-    def __init__(self, board: Asker, name: str, timeout: float | None, newest: bool = False) -> None:
+    def __init__(self, board: Asker, wanted: Wanted) -> None:
         self._board = board
-        self.name = name
-        self._timeout = timeout
-        self._newest = newest
+        self._wanted = wanted
+        self.name = wanted.name
         self._socket: Socket | None = None
-        self._lost = 0
-        self._expected: int | None = None
+        self._arrivals = Arrivals()
 
     def open(self) -> None:
         self._opened()
 
     def _opened(self) -> Socket:
         if self._socket is None:
-            self._board.ask(calls.data_config(DataConfig(self.name)))  # raises for an unknown stream
+            # raises for an unknown stream, and for what the manager cannot compress with
+            self._board.ask(calls.data_config(DataConfig(self.name, compression=self._wanted.compression)))
             self._socket = self._board.subscribe()
             self._socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
-            self._socket.setsockopt(zmq.SUBSCRIBE, topics.STREAM_PREFIX + self.name.encode())
+            self._socket.setsockopt(zmq.SUBSCRIBE, self._wanted.topic)
         return self._socket
 
     @property
     def lost(self) -> int:
-        return self._lost
+        return self._arrivals.lost
 
     def read(self, timeout: float | None = None) -> Frame:
-        frames = receive(self._opened(), self._timeout if timeout is None else timeout)
-        while self._newest and self._opened().poll(0):
-            frames = self._opened().recv_multipart()
-        info = decode_event(frames)
-        if not isinstance(info, FrameInfo):
-            raise TypeError(f"{type(info).__name__} came on the stream's topic")
-        if self._expected is not None and info.sequence > self._expected:
-            self._lost += info.sequence - self._expected
-        self._expected = info.sequence + 1
-        return frame_of(info, frames[2])
+        limit = self._wanted.timeout if timeout is None else timeout
+        return self._arrivals.frame(receive(self._opened(), limit))
 
     def close(self) -> None:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
+
+
+class NewestStream(Stream):
+    """The next frame from when it is asked for, over ZeroMQ: nothing waits anywhere, and nothing is sent in vain."""
+
+    def __init__(self, connect: Callable[[], Link], wanted: Wanted) -> None:
+        self._connect = connect
+        self._wanted = wanted
+        self.name = wanted.name
+        self._link: Link | None = None
+        self._arrivals = Arrivals()
+
+    def open(self) -> None:
+        try:
+            self._ask(calls.data_config(DataConfig(self.name)), 5.0)  # raises for an unknown stream
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def lost(self) -> int:
+        return self._arrivals.lost
+
+    def _ask(self, call: Call[_T], timeout: float) -> _T:
+        if self._link is None:
+            self._link = self._connect()
+        return call.result(decode_reply(self._link.ask(encode_request(call.request), timeout)))
+
+    def read(self, timeout: float | None = None) -> Frame:
+        limit = self._wanted.timeout if timeout is None else timeout
+        until = None if limit is None else time.monotonic() + limit
+        while True:
+            left = ASK_FOR if until is None else min(ASK_FOR, until - time.monotonic())
+            if left <= 0:
+                raise Timeout(f"stream {self.name!r} gave no frame within {limit:g} s")
+            try:
+                return self._arrivals.count(self._ask(calls.read_data(self.name, left), left + 5.0))
+            except RequestFailed as error:
+                if is_stopped(error):
+                    time.sleep(min(STOPPED_PAUSE, left))
+                elif not isinstance(error, Timeout):
+                    raise
+
+    def close(self) -> None:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
 
 
 def receive(socket: Socket, timeout: float | None) -> list[bytes]:

@@ -166,7 +166,7 @@ class Handlers:
 
     def _data_config(self, request: rq.DataConfig, respond: Respond) -> None:
         stream = self._s.streams.named(request.stream, None)
-        self._s.manager.leases.check((f"region:{stream.region}",) if stream.region else (), request.lease)
+        self._s.streams.check_lease(stream, request.lease)
         result: StreamStatus = self._s.streams.configure(request)
         respond(Reply(result))
 
@@ -183,7 +183,7 @@ class Handlers:
         def done(result: Frame | CmError) -> None:
             respond(Reply(error=error_info(result)) if isinstance(result, CmError) else Reply(result.info))
 
-        self._s.streams.write(request.stream, request.data, done)
+        self._s.streams.write(request.stream, request.data, done, request.lease)
 
     def _read_irq(self, request: rq.ReadIrq, respond: Respond) -> None:
         config = self._s.manager.loaded_config()

@@ -135,10 +135,10 @@ class Loop:
         self.add(socket.fileno(), lambda: self._look(watched))
         self._unlooked.add(watched)
 
-    def send(self, socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview]) -> None:
+    def send(self, socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
         """Send on a socket that is watched; the loop looks at it again before it waits."""
-        multipart.send(socket, frames)
         self._unlooked.add(self._sockets[socket])
+        multipart.send(socket, frames, flags)
 
     def call_later(self, seconds: float, call: Callback) -> Timer:
         """Call once, `seconds` from now."""

@@ -5,14 +5,19 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import zmq
 
 from cm._version import __version__
+from cm.daemon.compress import Compressor, compressions
+from cm.daemon.loop import Loop
+from cm.daemon.outbox import Outbox
 from cm.daemon.pump import Frame
-from cm.messages.status import Irq, RegValues, Status
+from cm.messages.status import FrameInfo, Irq, RegValues, Status
 from cm.wire import encode, topics
 
 _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
@@ -22,17 +27,15 @@ class Publisher:
     """Keeps track of who subscribes to what; numbers statuses. The loop's thread."""
 
     def __init__(
-        self,
-        socket: zmq.Socket[bytes],
-        send: Callable[[Sequence[bytes | memoryview]], None],
-        status: Callable[[], Status],
-        changed: Callable[[], None],
+        self, loop: Loop, socket: zmq.Socket[bytes], status: Callable[[], Status], changed: Callable[[], None]
     ) -> None:
         self._socket = socket
-        self._send = send
+        self._outbox = Outbox(loop, socket)
+        self._compressor = Compressor(loop, self._compressed)
         self._status = status
         self._changed = changed  # subscriptions changed: streams may be wanted or not
         self._subscriptions: set[bytes] = set()
+        self._overruns: Counter[str] = Counter()
         self._numbers = itertools.count(1)
         self._started_ns = time.time_ns()
         self.sequence = 0
@@ -53,6 +56,7 @@ class Publisher:
                 self._subscriptions.discard(topic)
         if wanted:
             self.status(self._status())
+        self._outbox.keep(self.wants_stream)
         self._changed()
 
     def has_subscriber(self, topic: bytes) -> bool:
@@ -61,7 +65,16 @@ class Publisher:
 
     def wants_stream(self, name: str) -> bool:
         """Whether somebody listens to a stream's frames."""
-        return any(map(self.has_subscriber, (*_FRAME_TOPICS, topics.STREAM_PREFIX + name.encode())))
+        return self._wants_compressed(name) or any(map(self.has_subscriber, _topics(name)))
+
+    def _wants_compressed(self, name: str) -> bool:
+        """Only who names the topic: a subscription to everything does not mean every form of it."""
+        topic = topics.LZ4_PREFIX + name.encode()
+        return any(s.startswith(topics.LZ4_PREFIX) and topic.startswith(s) for s in self._subscriptions)
+
+    def overruns(self, stream: str) -> int:
+        """How often a subscriber began to lose a stream's frames."""
+        return self._overruns[stream]
 
     def complete(self, status: Status) -> Status:
         """A status with what only the daemon knows."""
@@ -70,20 +83,39 @@ class Publisher:
     def status(self, status: Status) -> None:
         """Publish a status under a new number."""
         self.sequence = next(self._numbers)
-        self._send(encode.encode_status(self.complete(status)))
+        self._outbox.send(encode.encode_status(self.complete(status)))
 
     def registers(self, values: RegValues) -> None:
         """Publish changed registers."""
-        self._send(encode.encode_registers(values))
+        self._outbox.send(encode.encode_registers(values))
 
     def interrupt(self, irq: Irq) -> None:
         """Publish an interrupt."""
-        self._send(encode.encode_irq(irq))
+        self._outbox.send(encode.encode_irq(irq))
 
     def frame(self, frame: Frame) -> None:
         """Publish a frame on every topic that somebody subscribes to; ZeroMQ copies it once for each."""
-        info: bytes | None = None
-        for topic in (*_FRAME_TOPICS, topics.STREAM_PREFIX + frame.info.stream.encode()):
+        name, message = frame.info.stream, None
+        for topic in _topics(name):
             if self.has_subscriber(topic):
-                info = info or encode.encode_frame_info(frame.info)
-                self._send([topic, info, frame.data])
+                message = message or encode.encode_frame_info(frame.info)
+                self._send_frame(name, [topic, message, frame.data])
+        if self._wants_compressed(name) and compressions() and not self._compressor.offer(frame):
+            self._overruns[name] += 1
+
+    def _compressed(self, info: FrameInfo, data: bytes) -> None:
+        if self._wants_compressed(info.stream):
+            topic = topics.LZ4_PREFIX + info.stream.encode()
+            self._send_frame(info.stream, [topic, encode.encode_frame_info(info), data])
+
+    def _send_frame(self, stream: str, message: Sequence[Any]) -> None:
+        if not self._outbox.send_frame(stream, message):
+            self._overruns[stream] += 1
+
+    def close(self) -> None:
+        """End the thread that compresses."""
+        self._compressor.close()
+
+
+def _topics(stream: str) -> tuple[bytes, ...]:
+    return *_FRAME_TOPICS, topics.STREAM_PREFIX + stream.encode()

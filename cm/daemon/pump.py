@@ -8,16 +8,19 @@ given memory, measured and closed, in the loop's thread.
 from __future__ import annotations
 
 import os
+import socket
 import statistics
+import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 
 from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaCaps, DmaType
 from cm.device.plane import Plane, StreamCounts, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest
-from cm.messages.status import FrameInfo, StreamStatus
+from cm.messages.status import FrameInfo, StreamClient, StreamStatus
 from cm.schema.model import Direction, Stream
 from cm.wire.plane import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
 
@@ -48,6 +51,31 @@ class Frame:
 
 Done = Callable[[Frame | CmError], None]
 
+_CREDENTIALS = struct.Struct("=iII")  # struct ucred
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """The process at the other end of a client's socket."""
+
+    pid: int
+    name: str
+
+    @staticmethod
+    def of(connection: socket.socket) -> Peer:
+        """Who made a connection; its name is what the kernel calls it now."""
+        raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        pid = _CREDENTIALS.unpack(raw)[0]
+        try:
+            return Peer(pid, Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip())
+        except OSError:  # it has gone, or is of another PID namespace (0)
+            return Peer(pid, "")
+
+    @staticmethod
+    def ourselves() -> Peer:
+        """The daemon's own taps."""
+        return Peer(os.getpid(), "cm (ZeroMQ)")
+
 
 class Pump:
     """One open stream."""
@@ -62,6 +90,7 @@ class Pump:
         self.slots: list[DmaBuffer] = []
         self._shared: list[int] = []  # descriptors as clients get them
         self._depths: dict[int, int] = {}
+        self._peers: dict[int, Peer] = {}
         self.lost = False
         try:
             self.setup = _setup(dma, stream)
@@ -113,18 +142,20 @@ class Pump:
 
     # ---- clients --------------------------------------------------------------------
 
-    def attach(self, client: int, depth: int) -> bool:
+    def attach(self, client: int, depth: int, peer: Peer | None = None) -> bool:
         """Let a client of the plane read or write; False if it has gone. Raises NoSlots."""
         depth = max(1, min(depth or DEPTH, SLOTS_MAX - _RESERVE))
         self._make_room(depth)
         if not self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth))):
             return False
         self._depths[client] = depth
+        self._peers[client] = peer or Peer.ourselves()
         return True
 
     def detached(self, client: int) -> None:
         """A client has gone."""
         self._depths.pop(client, None)
+        self._peers.pop(client, None)
 
     @property
     def clients(self) -> int:
@@ -187,7 +218,16 @@ class Pump:
             errors=counts.errors,
             rate=_rate(counts),
             latency_us=statistics.median(counts.latency_ns) / 1000 if counts.latency_ns else 0.0,
+            clients=tuple(self._clients()),
         )
+
+    def _clients(self) -> Iterator[StreamClient]:
+        for client, peer in self._peers.items():
+            counts = self._plane.client_counts(client)
+            if counts is not None:
+                yield StreamClient(
+                    peer.pid, peer.name, self.writes, counts.depth, counts.held, counts.frames, counts.dropped
+                )
 
     def close(self, error: int = 0) -> None:
         """Stop the channel and release everything; clients are told, and keep what they have mapped."""

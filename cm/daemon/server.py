@@ -80,9 +80,7 @@ class Server:
         self._store = Store(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         self._manager = self._make_manager()
-        self._publisher = Publisher(
-            self._sockets.pub, partial(self._loop.send, self._sockets.pub), self._status, self._streams.refresh
-        )
+        self._publisher = Publisher(self._loop, self._sockets.pub, self._status, self._streams.refresh)
         self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
         self._holders = Holders(self._loop, self._manager.leases)
         self._handlers = Handlers(self._services())
@@ -119,7 +117,8 @@ class Server:
         """Bind, reconcile, serve. Returns after `stop()`. Raises CmError where it cannot begin."""
         try:
             self._bind()
-            self._streams.wanted_by(self._publisher.wants_stream)
+            self._streams.wanted_by(self._publisher.wants_stream, self._publisher.overruns)
+            self._streams.guarded_by(self._manager.leases.check)
             self._streams.add_sink(self._publisher)
             self._streams.begin()
             self._start_manager()
@@ -168,6 +167,7 @@ class Server:
         self._interrupts.close()
         self._holders.close()
         self._aside.shutdown()
+        self._publisher.close()
         self._devices.lost()
         self._store.close()
         self._sockets.close()

@@ -15,7 +15,7 @@ from cm.errors import Busy, InvalidRequest
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
 ENDPOINTS_FILE = "endpoints.json"
-_HWM_PUB = 1000  # messages waiting for one slow subscriber; frames have a limit of their own
+HWM_PUB = 1000  # messages waiting for one slow subscriber; frames have a limit in bytes (publisher.py)
 
 
 class AlreadyServed(Busy):
@@ -65,7 +65,8 @@ class Sockets:
         self.sub = context.socket(zmq.SUB)
         self.req = context.socket(zmq.ROUTER)
         self.pub.setsockopt(zmq.XPUB_VERBOSE, 1)  # every new subscriber gets the status at once
-        self.pub.setsockopt(zmq.SNDHWM, _HWM_PUB)
+        self.pub.setsockopt(zmq.SNDHWM, HWM_PUB)
+        self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells who publishes of a full queue; see publisher.py
         self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_")
         self.req.setsockopt(zmq.ROUTER_HANDOVER, 1)
         for socket in self.all:

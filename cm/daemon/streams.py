@@ -8,13 +8,14 @@ import math
 import os
 import socket
 from collections.abc import Callable, Collection
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+from cm.daemon.compress import check_compression
 from cm.daemon.devices import BoardDevices
 from cm.daemon.echo import Echoes
 from cm.daemon.loop import Loop
-from cm.daemon.pump import Done, Frame, Pump, StreamStopped, frame_bytes
+from cm.daemon.pump import Done, Frame, Peer, Pump, StreamStopped, frame_bytes
 from cm.daemon.taps import ReadTap, WriteTap
 from cm.device.plane import ClientGone, Plane
 from cm.errors import Busy, CmError, InvalidRequest
@@ -37,6 +38,15 @@ class Sink(Protocol):
         """A frame came."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Local:
+    """A client of the plane in another process; it stays one while its stream is stopped."""
+
+    stream: str
+    depth: int
+    peer: Peer
+
+
 class Streams:
     """`cm.manager.ports.DataPlane`, and what requests ask of streams."""
 
@@ -53,9 +63,11 @@ class Streams:
         self.echoes = Echoes(self._plane)
         self._pumps: dict[str, Pump] = {}
         self._taps: dict[str, ReadTap | WriteTap] = {}
-        self._locals: dict[int, tuple[str, int]] = {}  # clients of the plane: stream and depth
+        self._locals: dict[int, _Local] = {}  # clients of the plane
         self._held: set[str] = set()  # stopped while their region changes
         self._wanted: Callable[[str], bool] = lambda _: False
+        self._overruns: Callable[[str], int] = lambda _: 0
+        self._check_lease: Callable[[tuple[str, ...], str], None] = lambda _, __: None
         self._enabled: dict[str, bool] = {}
 
     # ---- wiring -------------------------------------------------------------------
@@ -64,9 +76,18 @@ class Streams:
         """Frames of all streams go to every sink."""
         self._sinks.append(sink)
 
-    def wanted_by(self, wanted: Callable[[str], bool]) -> None:
-        """Who says whether somebody listens to a stream."""
+    def wanted_by(
+        self,
+        wanted: Callable[[str], bool],
+        overruns: Callable[[str], int] = lambda _: 0,
+    ) -> None:
+        """Who says whether somebody listens to a stream, and how often one fell behind."""
         self._wanted = wanted
+        self._overruns = overruns
+
+    def guarded_by(self, check: Callable[[tuple[str, ...], str], None]) -> None:
+        """Who says whether a lease is needed: called with scopes and a lease's id, raises HeldBy."""
+        self._check_lease = check
 
     def begin(self) -> None:
         """Listen to the plane's thread."""
@@ -103,6 +124,7 @@ class Streams:
     def configure(self, request: DataConfig) -> StreamStatus:
         """Change a stream; refused while it is in use unless forced. Raises UnknownStream, InvalidRequest, Busy."""
         stream = self.named(request.stream, None)
+        check_compression(request.compression)
         changed = _changed(stream, request)
         if changed != stream and self._pumps.get(stream.name) and self._is_wanted(stream) and not request.force:
             raise Busy(f"stream {stream.name!r} is in use; close its readers, or force the change")
@@ -156,27 +178,39 @@ class Streams:
         pump = self._running(self.named(name, Direction.S2MM), lambda pump: bool(self._read_tap(pump)))
         self._read_tap(pump).read_once(timeout or 1.0, done)
 
-    def write(self, name: str, data: bytes | memoryview, done: Done) -> None:
-        """Send a frame; `done` is called when the hardware has taken it. Raises InvalidRequest, Busy."""
-        pump = self._running(self.named(name, Direction.MM2S))
+    def write(self, name: str, data: bytes | memoryview, done: Done, lease: str = "") -> None:
+        """Send a frame; `done` is called when the hardware has taken it. Raises InvalidRequest, Busy, HeldBy."""
+        stream = self.named(name, Direction.MM2S)
+        self.check_lease(stream, lease)
+        pump = self._running(stream)
         tap = self._taps.get(pump.stream.name)
         if not isinstance(tap, WriteTap):
             tap = self._taps[pump.stream.name] = WriteTap(self._loop, self._plane, pump)
         tap.write(data, done)
 
     def open_local(self, connection: socket.socket, wanted: Open) -> None:
-        """Make a connection to the data socket a reader or writer; the caller closes it. Raises UnknownStream."""
+        """Make a connection to the data socket a reader or writer; the caller closes it.
+
+        Raises UnknownStream, NoSlots; HeldBy for who writes, or could hold the hardware up, beside a lease.
+        """
         stream = self.named(wanted.name, Direction.MM2S if wanted.write else Direction.S2MM)
+        if wanted.write or stream.backpressure:
+            self.check_lease(stream, wanted.lease)
+        peer = Peer.of(connection)
         client = self._plane.adopt(os.dup(connection.fileno()))
         try:
             if stream.name in self._pumps:
-                self._pumps[stream.name].attach(client, wanted.depth)
+                self._pumps[stream.name].attach(client, wanted.depth, peer)
             elif stream.name not in self._held:
-                self._open(stream, lambda pump: pump.attach(client, wanted.depth))
-            self._locals[client] = (stream.name, wanted.depth)
+                self._open(stream, lambda pump: pump.attach(client, wanted.depth, peer))
+            self._locals[client] = _Local(stream.name, wanted.depth, peer)
         except BaseException:
             self._plane.drop(client)
             raise
+
+    def check_lease(self, stream: Stream, lease: str) -> None:
+        """Raise HeldBy if somebody without `lease` must keep off a stream's region."""
+        self._check_lease((f"region:{stream.region}" if stream.region else "streams",), lease)
 
     def status(self) -> tuple[StreamStatus, ...]:
         """All streams of this mode."""
@@ -185,7 +219,8 @@ class Streams:
     def status_of(self, name: str) -> StreamStatus:
         """One stream."""
         pump = self._pumps.get(name)
-        return pump.status() if pump else stream_status(self._streams[name])
+        status = pump.status() if pump else stream_status(self._streams[name])
+        return replace(status, overruns=self._overruns(name))
 
     @property
     def any_open(self) -> bool:
@@ -235,7 +270,7 @@ class Streams:
         return stream.direction is Direction.S2MM and self._wanted(stream.name)
 
     def _has_local(self, name: str) -> bool:
-        return any(wanted == name for wanted, _ in self._locals.values())
+        return any(local.stream == name for local in self._locals.values())
 
     def _running(self, stream: Stream, first: Callable[[Pump], bool] = lambda _: True) -> Pump:
         if stream.name in self._held:
@@ -249,9 +284,9 @@ class Streams:
             pump.label(self._config.name if self._config else "", self._mode or "")
             self._pumps[stream.name] = pump
             first(pump)
-            for client, (name, depth) in list(self._locals.items()):
-                if name == stream.name:
-                    self._attach_again(pump, client, depth)
+            for client, local in list(self._locals.items()):
+                if local.stream == stream.name:
+                    self._attach_again(pump, client, local)
             self._refresh_tap(stream)
             pump.start()
         except BaseException:
@@ -259,9 +294,9 @@ class Streams:
             raise
         return pump
 
-    def _attach_again(self, pump: Pump, client: int, depth: int) -> None:
+    def _attach_again(self, pump: Pump, client: int, local: _Local) -> None:
         try:
-            pump.attach(client, depth)
+            pump.attach(client, local.depth, local.peer)
         except (CmError, OSError) as error:
             self._plane.drop(client)
             self._on_error(ErrorInfo("no_slots", f"a client of {pump.stream.name!r} was hung up on: {error}"))
@@ -309,9 +344,9 @@ class Streams:
 
     def _client_gone(self, client: int) -> None:
         self.echoes.gone(client)
-        name, _ = self._locals.pop(client, ("", 0))
-        if name in self._pumps:
-            self._pumps[name].detached(client)
+        local = self._locals.pop(client, None)
+        if local is not None and local.stream in self._pumps:
+            self._pumps[local.stream].detached(client)
         self.refresh()
 
     def _lost(self, number: int, error: int) -> None:

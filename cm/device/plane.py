@@ -43,6 +43,16 @@ class StreamCounts:
 
 
 @dataclass(frozen=True, slots=True)
+class ClientCounts:
+    """One client since it was attached: frames it was lent or sent, and did not get; slots it may hold, and holds."""
+
+    frames: int
+    dropped: int
+    depth: int
+    held: int
+
+
+@dataclass(frozen=True, slots=True)
 class ClientGone:
     """A client hung up, or broke the rules (`error` is an errno then)."""
 
@@ -129,6 +139,13 @@ class Plane:
         """What happened on a stream."""
         raw = native.stats(self._handle, stream)
         return StreamCounts(*raw[:7], tuple(raw.at_ns), tuple(raw.latency_ns))
+
+    def client_counts(self, client: int) -> ClientCounts | None:
+        """What one client got; None if it has gone."""
+        try:
+            return ClientCounts(*native.client_stats(self._handle, client))
+        except FileNotFoundError:
+            return None
 
     def close(self) -> None:
         """End the thread, hang up on all, stop all streams."""

@@ -98,6 +98,7 @@ class DataConfig:
     lease: str = ""
     backpressure: bool | None = None
     stride: int = 0
+    compression: str = ""  # changes nothing: refused unless frames can be published so
 
 
 @dataclass(frozen=True, slots=True)

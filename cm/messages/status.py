@@ -48,6 +48,22 @@ class RegionStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class StreamClient:
+    """A client of a stream on the manager's machine: its process, and what it got since it was attached.
+
+    `frames`: lent to it, or sent by it. `dropped`: lost to it because it held all it may, or did not read.
+    """
+
+    pid: int
+    name: str = ""
+    writes: bool = False
+    depth: int = 0
+    held: int = 0
+    frames: int = 0
+    dropped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class StreamStatus:
     """A stream as it is configured now, and its counters since it was opened."""
 
@@ -63,6 +79,8 @@ class StreamStatus:
     errors: int = 0
     rate: float = 0.0
     latency_us: float = 0.0
+    clients: tuple[StreamClient, ...] = ()
+    overruns: int = 0  # times that a subscriber over ZeroMQ began to lose frames
 
 
 @dataclass(frozen=True, slots=True)

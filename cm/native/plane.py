@@ -34,6 +34,15 @@ class Stats(NamedTuple):
     latency_ns: list[int]
 
 
+class ClientStats(NamedTuple):
+    """``struct cm_plane_client_stats``."""
+
+    frames: int
+    dropped: int
+    depth: int
+    held: int
+
+
 class Setup(NamedTuple):
     """``struct cm_plane_setup``."""
 
@@ -114,3 +123,10 @@ def stats(plane: Handle, stream: int) -> Stats:
     check(lib.cm_plane_get_stats(plane, stream, raw))
     recent = list(raw.at_ns)[: raw.count], list(raw.latency_ns)[: raw.count]
     return Stats(raw.frames, raw.dropped, raw.errors, raw.late, raw.held, raw.queued, raw.idle, *recent)
+
+
+def client_stats(plane: Handle, client: int) -> ClientStats:
+    """What one client got, and what it holds."""
+    raw = ffi.new("struct cm_plane_client_stats *")
+    check(lib.cm_plane_get_client_stats(plane, client, raw))
+    return ClientStats(raw.frames, raw.dropped, raw.depth, raw.held)

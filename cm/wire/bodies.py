@@ -91,6 +91,14 @@ def stream_to_pb(s: st.StreamStatus) -> pb.StreamState:
         errors=s.errors,
         rate=s.rate,
         latency_us=s.latency_us,
+        clients=[_client_to_pb(c) for c in s.clients],
+        overruns=s.overruns,
+    )
+
+
+def _client_to_pb(c: st.StreamClient) -> pb.StreamClient:
+    return pb.StreamClient(
+        pid=c.pid, name=c.name, writes=c.writes, depth=c.depth, held=c.held, frames=c.frames, dropped=c.dropped
     )
 
 
@@ -108,6 +116,8 @@ def stream_from_pb(m: pb.StreamState) -> st.StreamStatus:
         m.errors,
         m.rate,
         m.latency_us,
+        tuple(st.StreamClient(c.pid, c.name, c.writes, c.depth, c.held, c.frames, c.dropped) for c in m.clients),
+        m.overruns,
     )
 
 

@@ -148,6 +148,7 @@ def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         lease=m.lease,
         backpressure=m.backpressure if m.HasField("backpressure") else None,
         stride=m.stride,
+        compression=m.compression,
     )
 
 

@@ -49,6 +49,7 @@ class Open:
     depth: int = 0
     echo: bool = False
     length: int = 0
+    lease: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,8 @@ class Geometry:
 def encode_open(wanted: Open) -> bytes:
     """The first packet of a client."""
     flags = (OPEN_WRITE if wanted.write else 0) | (OPEN_ECHO if wanted.echo else 0)
-    return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + wanted.name.encode()
+    text = f"{wanted.name}\0{wanted.lease}" if wanted.lease else wanted.name
+    return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + text.encode()
 
 
 def decode_open(packet: bytes) -> Open:
@@ -81,10 +83,10 @@ def decode_open(packet: bytes) -> Open:
     if head.kind != OPEN or head.flags & ~(OPEN_WRITE | OPEN_ECHO):
         raise InvalidRequest("the first packet on the data socket must be an OPEN")
     try:
-        name = packet[DESCRIPTOR.size :].decode()
+        name, _, lease = packet[DESCRIPTOR.size :].decode().partition("\0")
     except UnicodeDecodeError:
         raise InvalidRequest("the stream's name is not UTF-8") from None
-    return Open(name, bool(head.flags & OPEN_WRITE), head.slot, bool(head.flags & OPEN_ECHO), head.length)
+    return Open(name, bool(head.flags & OPEN_WRITE), head.slot, bool(head.flags & OPEN_ECHO), head.length, lease)
 
 
 def encode_geometry(geometry: Geometry) -> bytes:

@@ -35,6 +35,13 @@ struct cm_plane_stats {
 	uint64_t latency_ns[...];
 	...;
 };
+struct cm_plane_client_stats {
+	uint64_t frames;
+	uint64_t dropped;
+	uint32_t depth;
+	uint32_t held;
+	...;
+};
 
 struct cm_plane *cm_plane_new(void);
 void cm_plane_close(struct cm_plane *plane);
@@ -49,3 +56,5 @@ int cm_plane_attach(struct cm_plane *plane, int client, int stream, uint32_t dep
 int cm_plane_tell(struct cm_plane *plane, int stream, const void *packet, size_t size);
 int cm_plane_drop(struct cm_plane *plane, int client);
 int cm_plane_get_stats(struct cm_plane *plane, int stream, struct cm_plane_stats *stats);
+int cm_plane_get_client_stats(struct cm_plane *plane, int client,
+			      struct cm_plane_client_stats *stats);

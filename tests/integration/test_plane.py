@@ -295,6 +295,56 @@ def test_a_writer_cannot_send_what_is_not_its_own(loop: cm.Board, raw: Callable[
         assert peer.next(packets.DONE).offset == 22, wrong
 
 
+# ---- leases --------------------------------------------------------------------------------
+
+
+def test_who_writes_beside_a_lease_is_refused_and_its_holder_is_not(loop: cm.Board, manager: Manager) -> None:
+    picture = np.full((480, 640), 7, np.uint8)
+    scope = "region:prr1"
+    with manager.connected() as other, other.lease(scope, holder="the other") as lease:
+        for refused in (lambda: loop.writer("to_pl"), lambda: loop.write("to_pl", picture)):
+            with pytest.raises(Busy, match="the other") as caught:
+                refused()
+            assert caught.value.code == "held_by"
+        with pytest.raises(Busy):
+            loop.configure_stream("to_pl", slots=5)
+        with loop.stream("from_pl") as reader, other.writer("to_pl", lease=lease.id) as writer:
+            writer.write(picture)
+            assert (reader.read() == 7).all(), "to watch takes no lease"
+        with loop.stream("from_pl") as reader:
+            other.write("to_pl", picture, lease=lease.id)
+            reader.read()
+    with loop.writer("to_pl"):
+        pass
+
+
+def test_who_could_hold_the_hardware_up_needs_the_lease(loop: cm.Board, manager: Manager) -> None:
+    loop.configure_stream("from_pl", backpressure=True, force=True)
+    with manager.connected() as other, other.lease("region:prr1") as lease:
+        with pytest.raises(Busy, match="held by"):
+            loop.stream("from_pl").open()
+        with other.stream("from_pl", lease=lease.id):
+            pass
+    loop.configure_stream("from_pl", backpressure=False, force=True)
+
+
+def test_the_status_says_which_client_lost_how_much(board: cm.Board) -> None:
+    with board.stream("camera", depth=1) as slow, board.stream("camera", depth=3) as quick:
+        held = slow.read()
+        last = [frame.sequence for frame in islice(quick, 20)][-1]
+        clients = {c.depth: c for c in state(board, "camera").clients}
+        assert clients[1].pid == clients[3].pid == os.getpid()
+        assert clients[1].name == Path("/proc/self/comm").read_text().strip()
+        assert (clients[1].held, clients[1].writes) == (1, False)
+        assert clients[1].dropped >= 18
+        assert clients[3].dropped == 0
+        assert clients[3].frames >= 20
+        del held
+        after = until(lambda: slow.read().sequence)
+        assert after > last - 2
+        assert slow.lost <= next(c for c in state(board, "camera").clients if c.depth == 1).dropped
+
+
 # ---- writing -----------------------------------------------------------------------------
 
 

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames that come over ZeroMQ, without sockets: shared by `stream` and `aio_stream`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from cm.client.errors import RequestFailed
+from cm.client.frame import Frame, frame_of
+from cm.errors import InvalidRequest
+from cm.messages.status import FrameInfo
+from cm.wire import topics
+from cm.wire.encode import decode_event
+
+STOPPED_PAUSE = 0.05  # seconds until a stream that is stopped for a change is asked again
+ASK_FOR = 5.0  # seconds that one request for the newest frame waits for it
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A stream over ZeroMQ. `newest`: each read asks for the next frame; else they are subscribed to."""
+
+    name: str
+    timeout: float | None
+    newest: bool = False
+    compression: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be. Raises InvalidRequest, also for a package that is missing here."""
+        if self.compression and self.newest:
+            raise InvalidRequest("the newest frame is asked for when it is read, and comes as it is: no compression")
+        if self.compression not in ("", "lz4"):
+            raise InvalidRequest(f"frames cannot be compressed with {self.compression!r}; there is 'lz4'")
+        if self.compression:
+            lz4_frame()
+
+    @property
+    def topic(self) -> bytes:
+        """What to subscribe to."""
+        return (topics.LZ4_PREFIX if self.compression else topics.STREAM_PREFIX) + self.name.encode()
+
+
+class Arrivals:
+    """Published messages → frames; counts those that are missing between them."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self._expected: int | None = None
+
+    def frame(self, frames: Sequence[Any]) -> Frame:
+        """Raises InvalidRequest for what is no frame."""
+        info = decode_event(frames)
+        if not isinstance(info, FrameInfo) or len(frames) != 3:
+            raise InvalidRequest(f"{type(info).__name__} in {len(frames)} parts came on a stream's topic")
+        return self.count(frame_of(info, unpacked(info, frames[2])))
+
+    def count(self, frame: Frame) -> Frame:
+        """Note the frame's number."""
+        if self._expected is not None and frame.sequence > self._expected:
+            self.lost += frame.sequence - self._expected
+        self._expected = frame.sequence + 1
+        return frame
+
+
+def unpacked(info: FrameInfo, payload: Any) -> Any:
+    """The bytes of a frame, whatever they came as. Raises InvalidRequest."""
+    if not info.compression:
+        return payload
+    if info.compression != "lz4":
+        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is compressed with {info.compression!r}")
+    lz4 = lz4_frame()
+    try:
+        unpacker = lz4.LZ4FrameDecompressor()
+        data = unpacker.decompress(bytes(payload), max_length=info.length + 1)  # not more than it claims to be
+    except (RuntimeError, EOFError, ValueError) as error:
+        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is no lz4 frame: {error}") from error
+    if len(data) != info.length:
+        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} has not the {info.length} bytes that it claims")
+    return data
+
+
+def lz4_frame() -> Any:
+    """The module. Raises InvalidRequest where it is not installed."""
+    try:
+        return import_module("lz4.frame")
+    except ModuleNotFoundError:
+        raise InvalidRequest(
+            "compressed frames need the package lz4: pip install 'fpga-cm[lz4]', or apt install python3-lz4"
+        ) from None
+
+
+def is_stopped(error: RequestFailed) -> bool:
+    """Whether a stream is only stopped while its region changes."""
+    return error.code == "stream_stopped"

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames over ZeroMQ: what may wait for a slow subscriber, the newest frame, compression."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from manager_process import CAMERA, Manager, environment, short_folder, until
+
+import cm
+from cm.client import remote
+from cm.client.stream import NewestStream, RemoteStream
+from cm.errors import InvalidRequest, NotFound, Timeout
+from cm.messages.status import FrameInfo
+from cm.sim import Board as SimBoard
+from cm.wire import cm_pb2 as pb
+from cm.wire.encode import decode_event
+
+LARGE = 4 << 20
+
+
+@contextlib.contextmanager
+def listening(env: dict[str, str] | None = None) -> Iterator[tuple[Manager, str]]:
+    """A manager that listens on TCP as well, and where."""
+    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
+        state, listen = str(folder / "state"), "tcp://127.0.0.1:0"
+        arguments = ("--config", str(CAMERA), "--root", str(sim.root), "--state-dir", state, "--listen", listen)
+        manager = Manager(folder / "run", *arguments, env=env)
+        manager.start()
+        try:
+            yield manager, _tcp_pub(folder / "run")
+        finally:
+            manager.stop()
+
+
+def _tcp_pub(runtime: Path) -> str:
+    return str(json.loads((runtime / "endpoints.json").read_text())["tcp"][0]["pub"])
+
+
+@pytest.fixture
+def far(board: cm.Board) -> cm.Board:
+    """The board as a client sees it that has no data socket: everything over ZeroMQ."""
+    board._data = None
+    return board
+
+
+class _Context(zmq.Context):
+    """Keeps its sockets, so that a failed test leaves none unclosed."""
+
+    made: list[zmq.Socket[bytes]] = []  # noqa: RUF012
+
+    def socket(self, *arguments: int, **options: Any) -> zmq.Socket[bytes]:
+        self.made.append(super().socket(*arguments, **options))
+        return self.made[-1]
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context]:
+    made = _Context()
+    yield made
+    for socket in made.made:
+        socket.close(linger=0)
+    made.term()
+
+
+def rss(manager: Manager) -> int:
+    """Resident memory of the manager, without what it shares with others; in bytes."""
+    assert manager.process is not None
+    text = Path(f"/proc/{manager.process.pid}/status").read_text()
+    return int(next(line for line in text.splitlines() if line.startswith("RssAnon")).split()[1]) * 1024
+
+
+def overruns(board: cm.Board, name: str) -> int:
+    return next(s for s in board.status.streams if s.name == name).overruns
+
+
+# ---- slow subscribers --------------------------------------------------------------------
+
+
+def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Context) -> None:
+    with listening() as (manager, address), manager.connected() as board:
+        board.load("camera", "default")
+        board.load("camera", "loopback")
+        for name in ("to_pl", "from_pl"):
+            board.configure_stream(name, shape=(LARGE,), force=True)
+        stuck, lively = context.socket(zmq.SUB), context.socket(zmq.SUB)
+        stuck.setsockopt(zmq.RCVHWM, 1)
+        for socket in (stuck, lively):
+            socket.connect(address)
+            socket.subscribe(b"cm_stream/from_pl")
+        until(lambda: next(s for s in board.status.streams if s.name == "from_pl").open)
+        data = np.zeros(LARGE, np.uint8)
+        with board.writer("to_pl", timeout=20) as writer:
+            while not lively.poll(50):  # its subscription may still be on the way
+                writer.write(data)
+            lively.recv_multipart()
+            writer.flush()
+            while lively.poll(200):
+                lively.recv_multipart()
+            before = 0
+            for number in range(60):
+                data[:8] = number
+                writer.write(data)
+                writer.flush()
+                assert lively.poll(20_000), "a stopped subscriber takes frames from another"
+                assert lively.recv_multipart()[2][0] == number
+                before = before or rss(manager)
+        assert overruns(board, "from_pl") > 0, "nobody was told"
+        # 60 frames have 240 MiB; 32 MiB may wait, and what libzmq, the kernel and malloc have in hand
+        assert rss(manager) - before < 80 << 20
+        sequences = []
+        while stuck.poll(1000):
+            sequences.append(pb.Frame.FromString(stuck.recv_multipart()[1]).sequence)
+        assert sequences == list(range(len(sequences))), "the oldest wait, in order"
+        assert 8 <= len(sequences) < 30
+
+
+def test_who_is_behind_with_frames_costs_nobody_an_interrupt_or_status(context: zmq.Context) -> None:
+    with listening() as (manager, address), manager.connected() as board:
+        board.load("camera", "default")
+        board.load("camera", "loopback")
+        for name in ("to_pl", "from_pl"):
+            board.configure_stream(name, shape=(LARGE,), force=True)
+        stuck, listener = context.socket(zmq.SUB), context.socket(zmq.SUB)
+        stuck.setsockopt(zmq.RCVHWM, 1)
+        stuck.connect(address)
+        stuck.subscribe(b"cm_stream/from_pl")
+        listener.connect(address)
+        listener.subscribe(b"cm_read_reg")
+        until(lambda: next(s for s in board.status.streams if s.name == "from_pl").open)
+        board.registers["focus"] = 0
+        assert listener.poll(20_000)
+        listener.recv_multipart()
+        with board.writer("to_pl", timeout=20) as writer:
+            for _ in range(30):
+                writer.write(np.zeros(LARGE, np.uint8))
+            writer.flush()
+        for value in range(200):
+            board.registers["focus"] = value % 16
+        got = [pb.RegValues.FromString(listener.recv_multipart()[1]).values[0].value for _ in range(200)]
+        assert len(got) == 200
+
+
+# ---- the newest --------------------------------------------------------------------------
+
+
+def test_the_newest_is_asked_for_when_it_is_read(far: cm.Board) -> None:
+    with far.stream("camera", newest=True) as stream, far.stream("camera") as all_frames:
+        assert isinstance(stream, NewestStream)
+        assert isinstance(all_frames, RemoteStream)
+        first = stream.read()
+        assert first.shape == (480, 640)
+        last = [frame.sequence for frame in islice(all_frames, 12)][-1]
+        assert stream.read().sequence > last - 2
+        assert stream.lost > 5
+
+
+def test_the_newest_goes_on_after_a_change_of_mode(far: cm.Board) -> None:
+    with far.stream("camera", newest=True, timeout=20) as stream:
+        stream.read()
+        far.mode = "colorise"
+        assert stream.read().shape == (480, 640, 3)
+        far.mode = "default"
+        assert stream.read().info.mode == "default"
+
+
+def test_nothing_newer_is_a_timeout_and_an_unknown_stream_an_error(far: cm.Board) -> None:
+    far.load("camera", "loopback")
+    with far.stream("from_pl", newest=True, timeout=0.2) as stream, pytest.raises(Timeout):
+        stream.read()
+    with pytest.raises(NotFound, match="camra"):
+        far.stream("camra", newest=True).open()
+
+
+def test_asyncio_has_the_same_over_zeromq(board: cm.Board, manager: Manager) -> None:
+    async def main() -> list[int]:
+        async with cm.aio.connect(runtime_dir=manager.runtime) as twin:
+            twin._data = None
+            async with twin.stream("camera") as every, twin.stream("camera", newest=True) as newest:
+                sequences = [(await every.read()).sequence for _ in range(10)]
+                assert (await newest.read()).sequence > sequences[-1] - 2
+            async with twin.stream("camera", compression="lz4") as packed:
+                assert (await packed.read()).shape == (480, 640)
+            return sequences
+
+    sequences = asyncio.run(main())
+    assert sequences == list(range(sequences[0], sequences[0] + 10))
+
+
+# ---- compression ---------------------------------------------------------------------------
+
+
+def test_lz4_frames_are_the_same_and_smaller(far: cm.Board, manager: Manager, context: zmq.Context) -> None:
+    far.load("camera", "loopback")
+    picture = np.repeat(np.arange(480, dtype=np.uint16).astype(np.uint8), 640).reshape(480, 640)
+    raw = context.socket(zmq.SUB)
+    raw.connect(f"ipc://{manager.runtime}/pub")
+    raw.subscribe(b"cm_lz4/from_pl")
+    with far.stream("from_pl", compression="lz4", timeout=20) as packed, far.stream("from_pl", timeout=20) as plain:
+        until(lambda: next(s for s in far.status.streams if s.name == "from_pl").open)
+        until(lambda: far.write("to_pl", picture) and raw.poll(100))
+        frame = packed.read()
+        assert (frame == picture).all()
+        assert frame.info.compression == "lz4"
+        assert (plain.read() == picture).all()
+        assert plain.read(timeout=5).info.compression == "" if plain._opened().poll(0) else True
+    topic, message, payload = raw.recv_multipart()
+    info = pb.Frame.FromString(message)
+    assert (topic, info.compression, info.length, tuple(info.shape)) == (b"cm_lz4/from_pl", "lz4", 307200, (480, 640))
+    assert len(payload) < info.length / 50
+
+
+def test_a_client_without_lz4_is_told_what_to_install(far: cm.Board, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(_: str) -> None:
+        raise ModuleNotFoundError
+
+    monkeypatch.setattr(remote, "import_module", missing)
+    with pytest.raises(InvalidRequest, match=r"fpga-cm\[lz4\]"):
+        far.stream("camera", compression="lz4")
+    with pytest.raises(InvalidRequest, match="'lz4'"):
+        far.stream("camera", compression="zip")
+
+
+def test_a_manager_without_lz4_refuses(tmp_path: Path) -> None:
+    """As with `python3-lz4` not installed on the board: nothing of that name can be found there."""
+    hidden = "import sys, importlib.machinery as m\nfind = m.PathFinder.find_spec\n" + (
+        "m.PathFinder.find_spec = classmethod(lambda c, n, *a: None if n.split('.')[0] == 'lz4' else find(n, *a))\n"
+    )
+    (tmp_path / "sitecustomize.py").write_text(hidden)
+    env = environment()
+    env["PYTHONPATH"] = f"{tmp_path}:{env['PYTHONPATH']}"
+    with listening(env) as (manager, _), manager.connected() as board:
+        board.load("camera", "default")
+        board._data = None
+        with pytest.raises(InvalidRequest, match="python3-lz4") as caught:
+            board.stream("camera", compression="lz4").open()
+        assert caught.value.code == "unsupported"
+
+
+@pytest.mark.parametrize("payload", [b"", b"\x00" * 40, b"\x04\x22\x4d\x18garbage", b"x" * 100])
+def test_what_is_no_lz4_frame_is_an_error(payload: bytes) -> None:
+    info = FrameInfo("camera", 1, 1, 100, (100,), "uint8", "", "", "lz4")
+    with pytest.raises(InvalidRequest, match=r"lz4 frame|claims"):
+        remote.unpacked(info, payload)
+
+
+def test_a_frame_that_unpacks_to_more_than_it_claims_is_refused() -> None:
+    lz4 = pytest.importorskip("lz4.frame")
+    info = FrameInfo("camera", 1, 1, 100, (100,), "uint8", "", "", "lz4")
+    with pytest.raises(InvalidRequest, match="claims"):
+        remote.unpacked(info, lz4.compress(bytes(1 << 20)))
+    assert remote.unpacked(info, lz4.compress(bytes(100))) == bytes(100)
+
+
+def test_a_subscription_to_everything_does_not_mean_compressed_frames(
+    board: cm.Board, manager: Manager, context: zmq.Context
+) -> None:
+    every = context.socket(zmq.SUB)
+    every.connect(f"ipc://{manager.runtime}/pub")
+    every.subscribe(b"")
+    seen = set()
+    for _ in range(20):
+        assert every.poll(20_000)
+        frames = every.recv_multipart()
+        seen.add(frames[0])
+        decode_event(frames)
+    assert {b"cm_read_data", b"cm_data_read", b"cm_stream/camera"} <= seen
+    assert not [topic for topic in seen if topic.startswith(b"cm_lz4")]
