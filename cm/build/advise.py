@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
 from cm.build.analyse import Analysis
 from cm.build.errors import BuildError
 from cm.build.partition import Group, Problem, Unit, UsedMode, group_of
 from cm.build.parts import part_of
 from cm.build.platforms import device_of, platform_of
 from cm.build.project import ModuleSpec, Project
+from cm.build.utilisation import read_utilisation
 
 ICAP_BYTES = 4  # per clock
 
@@ -20,7 +25,7 @@ def problem_of(project: Project, analysis: Analysis, rate: float | None = None) 
     """
     missing = [module.name for module in project.modules.values() if not module.resources]
     if missing:
-        hint = "take them from reports/synth_*.utilization.rpt, or estimate"
+        hint = "synthesise them (cm build run), give reports with --reports, or estimate"
         raise BuildError(f"resources: is missing for {', '.join(missing)} ({hint})")
     units = {}
     for module in project.modules.values():
@@ -33,6 +38,22 @@ def problem_of(project: Project, analysis: Analysis, rate: float | None = None) 
     ]
     limit = float(platform_of(project.part).icap_rate_max * ICAP_BYTES)
     return Problem(part_of(device_of(project.part)), units, modes, rate or limit)
+
+
+def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, dict[str, Path]]:
+    """`project` with the resources that Vivado's reports say, and which report was read for which module.
+
+    What stands under `resources:` goes first. A module's report is that of our flow,
+    ``synth_<module>.utilization.rpt``, or ``<module>.rpt``; of several folders the first that has one.
+    """
+    listed = list(folders)
+    modules, read = dict(project.modules), {}
+    for name, spec in project.modules.items():
+        names = (f"synth_{name}.utilization.rpt", f"{name}.utilization.rpt", f"{name}.rpt")
+        path = next((folder / file for folder in listed for file in names if (folder / file).is_file()), None)
+        if path is not None and not spec.resources:
+            modules[name], read[name] = replace(spec, resources=read_utilisation(path)), path
+    return replace(project, modules=modules), read
 
 
 def todays_groups(project: Project, problem: Problem) -> list[Group]:

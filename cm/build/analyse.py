@@ -55,10 +55,13 @@ def analyse(project: Project) -> Analysis:
     differences: dict[str, tuple[str, ...]] = {}
     for spec in project.modules.values():
         modules[spec.name], differences[spec.name] = _module(spec, protocols)
-    # by the project's names: two modules may be one top with different parameters
-    named = {name: replace(info, name=name) for name, info in modules.items()}
-    boundaries = {name: boundary([named[spec.name] for spec in project.modules_of(name)]) for name in project.regions}
-    return Analysis(modules, boundaries, differences)
+    return Analysis(modules, {name: _boundary(project, name, modules) for name in project.regions}, differences)
+
+
+def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) -> Boundary:
+    """By the project's names: two modules may have one top with other parameters or sources."""
+    names = [spec.name for spec in project.modules_of(region)]
+    return boundary([modules[name] for name in names], labels=names)
 
 
 def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:

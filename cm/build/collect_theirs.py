@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,10 +13,11 @@ from cm import hwh
 from cm.build import handoff
 from cm.build.collected import Collected, Inputs
 from cm.build.errors import BuildError
+from cm.build.foreign_dma import Engines, engines
 from cm.build.handoff import Handoff
 from cm.build.images import Image, by_region, check_regions, footprint, to_bin
 from cm.build.overlays import compile_overlays
-from cm.build.platforms import platform_of
+from cm.build.platforms import Platform, platform_of
 from cm.build.register_maps import identifier
 from cm.build.render import Renderer
 from cm.schema import dump
@@ -170,33 +171,43 @@ def _renamed(registers: Mapping[str, Register]) -> dict[str, Register]:
 
 
 def _finish(inputs: Inputs, config: Config, files: dict[str, bytes], notes: list[str]) -> Collected:
-    sources = dict(_overlay(inputs, config))
+    sources: dict[str, str] = {}
+    if inputs.whole is not None and config.overlays:
+        platform = platform_of(config.device or inputs.whole.device)
+        dma = engines(inputs.whole.design, platform)
+        sources[f"{config.name}_static"] = _overlay(inputs.whole.design, config.name, platform, dma)
+        notes = [*notes, *dma.notes]
     overlays, more = compile_overlays(sources)
     text = (_HEAD + dump(config)).encode()
     return Collected(config, {**files, **overlays, f"{config.name}.yaml": text}, (*notes, *more))
 
 
-def _overlay(inputs: Inputs, config: Config) -> Iterator[tuple[str, str]]:
+def _overlay(design: hwh.Hwh, name: str, platform: Platform, dma: Engines) -> str:
     """The source of the static overlay: UIO devices for windows, engines and channels for DMA."""
-    if inputs.whole is None or not config.overlays:
-        return
-    design = inputs.whole.design
-    engines = {channel.instance for channel in hwh.dma_channels(design)}
-    lines = {line.instance: line for line in hwh.interrupts(design) if line.controller is None}
-    platform = platform_of(config.device or inputs.whole.device)
-    bases: dict[int, Any] = {window.base: window for window in hwh.windows(design) if window.instance not in engines}
+    zynq = platform.name == "zynq7000"
+    taken = {channel.instance for channel in hwh.dma_channels(design)}
+    spis = {
+        line.instance: platform.spi_at(line.pin, line.index)
+        for line in reversed(hwh.interrupts(design))
+        if line.controller is None
+    }
+    found: dict[int, Any] = {window.base: window for window in hwh.windows(design) if window.instance not in taken}
+    windows = [
+        {
+            "name": identifier(design.modules[window.instance].name).replace("_", "-"),
+            "base": window.base,
+            "size": window.size,
+            "spi": spis.get(window.instance),
+        }
+        for window in found.values()
+        if window.instance in design.modules
+    ]
     context = {
-        "name": config.name,
-        "cells": 1 if platform.name == "zynq7000" else 2,
-        "intc": "intc" if platform.name == "zynq7000" else "gic",
-        "windows": [
-            {"name": identifier(design.modules[w.instance].name).replace("_", "-"), "base": w.base, "size": w.size,
-             "spi": platform.spi(lines[w.instance].index) if w.instance in lines else None}
-            for w in bases.values() if w.instance in design.modules
-        ],
-        "streams": list(config.streams.values()),
-    }  # fmt: skip
-    yield (
-        f"{config.name}_static",
-        Renderer(Path("/"), Path("/"), "Written by cm build collect.").render("collected.dtso.j2", context),
-    )
+        "name": name,
+        "cells": 1 if zynq else 2,
+        "intc": "intc" if zynq else "gic",
+        "windows": windows,
+        "dma": dma,
+        "channels": [(engine, channel) for engine in dma.found for channel in engine.channels],
+    }
+    return Renderer(Path("/"), Path("/"), "Written by cm build collect.").render("collected.dtso.j2", context)

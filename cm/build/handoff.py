@@ -3,18 +3,24 @@
 
 from __future__ import annotations
 
+import lzma
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm import hwh
 from cm.build.errors import BuildError
+from cm.build.foreign_dma import stream_names
 from cm.build.register_maps import identifier, register_of
 from cm.schema.model import Clock, Direction, Interrupt, Register, Stream
 
 ARCHIVES = (".xsa", ".hdf", ".zip")
 MAX_MEMBER = 64 << 20  # bytes of a file in an archive
+# an exception for each kind of damage; RuntimeError is a password
+_DAMAGED = (zipfile.BadZipFile, OSError, EOFError, ValueError, zlib.error, lzma.LZMAError, RuntimeError)
+MAX_ARCHIVE = 512 << 20  # bytes of all that is read from one
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +49,27 @@ def unpack(path: Path, folder: Path) -> list[Path]:
     """The .hwh and .bit files of an archive, written to `folder`."""
     try:
         with zipfile.ZipFile(path) as archive:
-            return list(_members(archive, folder))
-    except (zipfile.BadZipFile, OSError) as error:
+            return list(_members(archive, path, folder))
+    except _DAMAGED as error:
         raise BuildError(f"{path}: no XSA or HDF: {error}") from None
 
 
-def _members(archive: zipfile.ZipFile, folder: Path) -> Iterator[Path]:
+def _members(archive: zipfile.ZipFile, path: Path, folder: Path) -> Iterator[Path]:
+    names: dict[str, str] = {}
+    left = MAX_ARCHIVE
     for info in sorted(archive.infolist(), key=lambda info: info.filename):
-        if Path(info.filename).suffix.lower() not in (".hwh", ".bit"):
+        if info.is_dir() or Path(info.filename).suffix.lower() not in (".hwh", ".bit"):
             continue
-        if info.file_size > MAX_MEMBER:
-            raise BuildError(f"{archive.filename}: {info.filename} has {info.file_size} bytes")
-        target = folder / Path(info.filename).name  # never a path out of the archive
+        left -= info.file_size
+        if info.file_size > MAX_MEMBER or left < 0:
+            limit = f"{MAX_MEMBER >> 20} MiB a file, {MAX_ARCHIVE >> 20} MiB together"
+            raise BuildError(f"{path}: {info.filename} has {info.file_size} bytes: more than an XSA holds ({limit})")
+        name = Path(info.filename).name  # never a path out of the archive
+        if name in names:
+            raise BuildError(f"{path}: {names[name]} and {info.filename} have one name: unpack it and give one of them")
+        names[name] = info.filename
+        target = folder / name
+        # no more than the directory promised: zipfile stops there, and the checksum tells
         target.write_bytes(archive.read(info))
         yield target
 
@@ -120,12 +135,12 @@ def _moved(register: Register, base: int) -> Register:
 def streams(design: hwh.Hwh) -> dict[str, Stream]:
     """One stream per DMA channel; the name is the engine's where it has one channel only."""
     channels = hwh.dma_channels(design)
+    names = stream_names(channels, design)
     found: dict[str, Stream] = {}
     for channel in channels:
-        engine = identifier(design.modules[channel.instance].name)
-        alone = sum(other.instance == channel.instance for other in channels) == 1
-        name = engine if alone else f"{engine}_{channel.direction}"
-        found[name] = Stream(name, name, Direction(channel.direction))
+        name = names[channel.instance, channel.direction]
+        doc = f"{channel.kind} {channel.instance}" + (f", {channel.width} bits a beat" if channel.width else "")
+        found[name] = Stream(name, name, Direction(channel.direction), doc=doc)
     return found
 
 

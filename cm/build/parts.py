@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Resources and configuration data of the parts that the advisor knows.
 
-Sources: DS190 (Zynq-7000 overview), DS891 (Zynq UltraScale+ overview), DS987 (Kria K26); lengths of full
-bitstreams from UG470 and UG570, table 1-1 and 1-4 (K26: about that of the ZU5EV). Block RAMs of 36 Kbit.
+Checked: the full bitstreams of Zynq-7000 with u-boot's include/zynqpl.h (bits, divided by 8); LUTs, flip-flops,
+block RAMs (of 36 Kbit) and DSPs of xc7z020, LUTs and flip-flops of xck26, LUTs, flip-flops and block RAMs of xczu3eg
+and block RAMs of xc7z045 with the column "Available" of published utilisation reports. All else is from memory of
+DS190, DS891, DS987 and UG570 table 1-4, not checked (K26: bitstream about that of the ZU5EV).
 """
 
 from __future__ import annotations

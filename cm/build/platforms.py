@@ -1,8 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What differs between the processing systems: IP, ports, addresses, interrupts.
 
-From memory, to be checked against UG585 (Zynq-7000 TRM) chapters 4 and 7, UG1085 (UltraScale+ TRM)
-chapters 10 and 13, UG470, UG570. Kernel interrupt numbers count from 32 (`GIC_SPI`).
+Kernel interrupt numbers count from 32 (`GIC_SPI`). Checked against public sources:
+
+- interrupts of Zynq-7000: UG585 v1.11, 7.2.3 (IRQ 61 to 68 and 84 to 91, less 32);
+- interrupts of UltraScale+: UG1085 2.4, table 35-6 (89 to 96, 104 to 111), PG201 3.4 (GIC 121 to 128, 136 to
+  143), and Xilinx/device-tree-xlnx ac65e01, device_tree/data/common_proc.tcl (which pin has which);
+- clocks of the ICAP: UG909 2022.2, "Configuration Time", tables 1 and 3.
+
+The address windows and the names of the PS's pins and segments are from memory of UG585 chapter 4 and UG1085
+chapter 10, not checked.
 """
 
 from __future__ import annotations
@@ -49,6 +56,16 @@ class Platform:
             line -= lines
         raise BuildError(f"{self.name} has {self.irq_count} interrupt lines from the PL; one more was asked for")
 
+    def spi_at(self, pin: str, index: int) -> int | None:
+        """GIC SPI of bit `index` of a pin of the PS; None where it is no shared interrupt (nFIQ, nIRQ)."""
+        for name, lines, first in self.irq_pins:
+            if name != pin:
+                continue
+            if index < lines:
+                return first + index
+            index -= lines
+        return None
+
 
 ZYNQ7000 = Platform(
     name="zynq7000",
@@ -61,7 +78,7 @@ ZYNQ7000 = Platform(
     memory_segment="{slave}/HP{index}_DDR_LOWOCM",
     clock_pins=("FCLK_CLK0", "FCLK_CLK1", "FCLK_CLK2", "FCLK_CLK3"),
     reset_pin="FCLK_RESET0_N",
-    # IRQ_F2P[7:0] are SPI 61..68 - 32, [15:8] are 84..91 - 32 (UG585 table 7-4)
+    # IRQ_F2P[7:0] are IRQ 61..68, [15:8] are 84..91; SPI is 32 less
     irq_pins=(("IRQ_F2P", 8, 29), ("IRQ_F2P", 8, 52)),
     base=0x4000_0000,
     size=0x4000_0000,
@@ -83,7 +100,6 @@ ZYNQMP = Platform(
     memory_segment="SAXIGP{gp}/HP{index}_DDR_LOW",
     clock_pins=("pl_clk0", "pl_clk1", "pl_clk2", "pl_clk3"),
     reset_pin="pl_resetn0",
-    # pl_ps_irq0 is SPI 89..96, pl_ps_irq1 SPI 104..111 (UG1085 table 13-1)
     irq_pins=(("pl_ps_irq0", 8, 89), ("pl_ps_irq1", 8, 104)),
     base=0xA000_0000,
     size=0x1000_0000,

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any
 
-from cm.build.advise import problem_of, todays_groups
+from cm.build.advise import problem_of, todays_groups, with_reports
 from cm.build.analyse import analyse
+from cm.build.generate import output_folder
 from cm.build.load import load_project
 from cm.build.partition import Partition, advise, evaluate
 from cm.cli.build_common import add_schema_argument
@@ -20,12 +22,21 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
         "partition",
         help="propose regions and which modules share one",
         description="Propose which modules share a region, so that the worst or the mean time of a change of mode is"
-        " smallest under the part's resources; today's assignment stands beside it. Needs `resources:` of each module"
-        " and the modes.",
+        " smallest under the part's resources; today's assignment stands beside it. Needs the modes, and the resources"
+        " of each module: `resources:` in the build schema, else Vivado's utilisation report.",
     )
     add_schema_argument(parser)
     parser.add_argument("--objective", choices=("worst", "mean"), default="worst", help="default: worst")
     parser.add_argument("--rate", type=float, metavar="MB/S", help="of the configuration port (default: its limit)")
+    parser.add_argument(
+        "--reports",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="folder with synth_<module>.utilization.rpt or <module>.rpt, as report_utilization writes them"
+        " (default: build/reports beside the build schema)",
+    )
     add_json_option(parser)
     parser.set_defaults(run=run_partition)
 
@@ -33,12 +44,16 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
 def run_partition(args: argparse.Namespace) -> int:
     """Print both assignments with their figures."""
     project = load_project(args.schema)
+    project, reports = with_reports(project, args.reports or [output_folder(project, None) / "reports"])
     problem = problem_of(project, analyse(project), args.rate * 1e6 if args.rate else None)
     today = evaluate(problem, todays_groups(project, problem))
     proposed = advise(problem, args.objective)
     if args.json:
-        print_json({"objective": args.objective, "today": _dict(today), "proposed": _dict(proposed)})
+        said = {"objective": args.objective, "today": _dict(today), "proposed": _dict(proposed)}
+        print_json(said | {"reports": {name: str(path) for name, path in reports.items()}})
         return 0
+    for name, path in reports.items():
+        print(f"{name}: resources from {path}")
     for title, found in (("today", today), ("proposed", proposed)):
         _print(title, found)
     return 0

@@ -42,7 +42,7 @@ class Connection:
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A port: `direction` I, O or IO; `kind` is SIGIS (``INTERRUPT``, ``clk``, …); width in bits."""
+    """A port: `direction` I, O or IO; `kind` is SIGIS (``INTERRUPT``, ``clk``, …); `width` in bits, `rate` in Hz."""
 
     name: str
     direction: str
@@ -50,6 +50,7 @@ class Port:
     signal: str
     width: int
     connections: tuple[Connection, ...]
+    rate: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,6 +101,7 @@ def _port(element: ElementTree.Element) -> Port:
         signal=element.get("SIGNAME", ""),
         width=abs(left - right) + 1,
         connections=tuple(Connection(end.get("INSTANCE", ""), end.get("PORT", "")) for end in ends),
+        rate=_number(element.get("CLKFREQUENCY"), f"port {element.get('NAME')}: CLKFREQUENCY"),
     )
 
 

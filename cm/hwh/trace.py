@@ -18,12 +18,16 @@ _GPIO_OUTPUTS = {"gpio_io_o": 0, "gpio2_io_o": 8}  # port → offset of its data
 
 @dataclass(frozen=True, slots=True)
 class InterruptLine:
-    """An interrupt source. `index`: its bit at `controller` (an axi_intc), or at the PS port if that is None."""
+    """An interrupt source. `index`: its bit at `controller` (an axi_intc), or at the PS port if that is None.
+
+    `pin` is the port of the processor that it reaches: ``IRQ_F2P``, ``pl_ps_irq0``, ``pl_ps_irq1``, …
+    """
 
     instance: str
     port: str
     controller: str | None
     index: int
+    pin: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,16 +101,16 @@ def interrupts(hwh: Hwh) -> tuple[InterruptLine, ...]:
     if ps is None:
         return ()
     ports = [name for name in ps.ports if _PS_INTERRUPTS.fullmatch(name)]
-    return tuple(line for port in sorted(ports) for line in _lines(hwh, ps.instance, port, None))
+    return tuple(line for pin in sorted(ports) for line in _lines(hwh, ps.instance, pin, None, pin))
 
 
-def _lines(hwh: Hwh, instance: str, port: str, controller: str | None) -> Iterator[InterruptLine]:
+def _lines(hwh: Hwh, instance: str, port: str, controller: str | None, pin: str) -> Iterator[InterruptLine]:
     for index, source in enumerate(_sources(hwh, instance, port)):
         driver = hwh.modules.get(source.instance)
         if driver is not None and driver.type == "axi_intc" and controller is None:
-            yield from _lines(hwh, driver.instance, "intr", driver.instance)
+            yield from _lines(hwh, driver.instance, "intr", driver.instance, pin)
         elif source.instance:
-            yield InterruptLine(source.instance, source.port, controller, index)
+            yield InterruptLine(source.instance, source.port, controller, index, pin)
 
 
 def dma_channels(hwh: Hwh) -> tuple[DmaChannel, ...]:

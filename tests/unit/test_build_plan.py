@@ -256,3 +256,22 @@ def test_vendor_ip_is_taken_from_its_component_and_synthesised_as_ip(tmp_path: P
     step = written["tcl/step_synth_one.tcl"]
     assert 'read_ip "$cm_source/tagged.xci"\ngenerate_target all [get_ips]\nsynth_ip [get_ips]' in step
     assert "../tagged.xci" in written["inputs/synth_one.list"]
+
+
+def test_two_modules_may_have_one_top_with_other_parameters_or_other_sources(tmp_path: Path) -> None:
+    """Wrappers keep each its own, and so do the region's adaptations."""
+    plain = STREAM_MODULE.format(name="one", high=31)
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more/one.v").write_text(plain.replace("clk,", "clk,\n    output wire irq,", 1))
+    stages = plain.replace("module one", "module one #(parameter STAGES = 1)")
+    text = MINIMAL + (
+        "  deep: {top: one, sources: [one.v], parameters: {STAGES: 4}}\n  loud: {top: one, sources: [more/one.v]}\n"
+    )
+    design = load_design(project(tmp_path, text, one=stages))
+    (found,) = design.analysis.boundaries.values()
+    assert [adaptation.module for adaptation in found.adaptations] == ["one", "deep", "loud"]
+    out = tmp_path / "out"
+    generate(design, out)
+    texts = {path.parent.name: path.read_text().replace(" ", "") for path in out.glob("wrappers/*/*.v")}
+    assert {name: ".STAGES(4)" in body for name, body in texts.items()} == {"one": False, "deep": True, "loud": False}
+    assert {name: ".irq(" in body for name, body in texts.items()} == {"one": False, "deep": False, "loud": True}
