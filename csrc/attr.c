@@ -26,11 +26,12 @@ static void close_keeping_errno(int fd)
 /* Connect to a simulated attribute and hear whether it opens. */
 static int connect_attr(int path_fd)
 {
-	int sock = cm_path_connect(path_fd), event_fd = -1, broken;
+	int sock = cm_path_connect(path_fd), event_fd = -1;
+	uint32_t offers;
 
 	if (sock < 0)
 		return -1;
-	if (cm_message_receive(sock, CM_NODE_OP_OPEN, NULL, 0, &event_fd, &broken) < 0) {
+	if (cm_message_greeting(sock, &event_fd, &offers)) {
 		close_keeping_errno(sock);
 		return -1;
 	}

@@ -111,11 +111,11 @@ static ssize_t receive_packet(int sock, struct msghdr *msg)
 	return got;
 }
 
-ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, int *fd, int *broken)
+static ssize_t receive(int sock, uint32_t op, void *payload, size_t size, int *fd, int *broken,
+		       struct cm_node_reply *reply)
 {
-	struct cm_node_reply reply = { 0 };
 	struct iovec parts[2] = {
-		{ .iov_base = &reply, .iov_len = sizeof(reply) },
+		{ .iov_base = reply, .iov_len = sizeof(*reply) },
 		{ .iov_base = payload, .iov_len = size },
 	};
 	union fd_control control;
@@ -136,14 +136,14 @@ ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, in
 	fds = detach_fds(&msg, &passed); /* an empty packet may bring some, too */
 	if (got == 0)
 		*broken = errno = ENODEV;
-	else if (!well_formed(&reply, &msg, (size_t)got, op) || fds > (fd ? 1 : 0))
+	else if (!well_formed(reply, &msg, (size_t)got, op) || fds > (fd ? 1 : 0))
 		*broken = errno = EPROTO;
-	else if (reply.error)
-		errno = reply.error;
+	else if (reply->error)
+		errno = reply->error;
 	else {
 		if (fd)
 			*fd = passed;
-		return got - (ssize_t)sizeof(reply);
+		return got - (ssize_t)sizeof(*reply);
 	}
 	if (passed >= 0) {
 		int error = errno;
@@ -152,4 +152,22 @@ ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, in
 		errno = error;
 	}
 	return -1;
+}
+
+ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, int *fd, int *broken)
+{
+	struct cm_node_reply reply = { 0 };
+
+	return receive(sock, op, payload, size, fd, broken, &reply);
+}
+
+int cm_message_greeting(int sock, int *event_fd, uint32_t *offers)
+{
+	struct cm_node_reply reply = { 0 };
+	int broken;
+
+	if (receive(sock, CM_NODE_OP_OPEN, NULL, 0, event_fd, &broken, &reply) < 0)
+		return -1;
+	*offers = reply.flags;
+	return 0;
 }

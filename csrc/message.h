@@ -30,4 +30,13 @@ int cm_message_send(int sock, uint32_t op, const void *payload, size_t length, i
  */
 ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, int *fd, int *broken);
 
+/**
+ * cm_message_greeting() - receive what a server says first
+ * @event_fd: set to the event socket, or -1 if none came
+ * @offers: set to the CM_NODE_OFFERS_* bits
+ *
+ * Errors: that of the open; those of cm_message_receive().
+ */
+int cm_message_greeting(int sock, int *event_fd, uint32_t *offers);
+
 #endif /* CM_SHIM_MESSAGE_H */

@@ -20,9 +20,7 @@
 
 static int greet(struct cm_node *node)
 {
-	int broken;
-
-	if (cm_message_receive(node->fd, CM_NODE_OP_OPEN, NULL, 0, &node->event_fd, &broken) < 0)
+	if (cm_message_greeting(node->fd, &node->event_fd, &node->offers))
 		return -1;
 	if (node->event_fd < 0) {
 		errno = EPROTO;
@@ -165,6 +163,18 @@ void cm_node_leave(struct cm_node *node)
 bool cm_node_simulated(const struct cm_node *node)
 {
 	return node->simulated;
+}
+
+bool cm_node_offers(const struct cm_node *node, uint32_t offers)
+{
+	return (node->offers & offers) == offers;
+}
+
+bool cm_node_connected(const struct cm_node *node)
+{
+	struct pollfd end = { .fd = node->fd };
+
+	return !node->simulated || poll(&end, 1, 0) == 0;
 }
 
 int cm_node_event_fd(struct cm_node *node)

@@ -115,6 +115,12 @@ int cm_node_wait(struct cm_node *node, int64_t timeout_ns, void *event, size_t s
 /* Write @size bytes to the device file.  Never blocks. */
 int cm_node_write(struct cm_node *node, const void *data, size_t size);
 
+/* Whether a simulated node offers all of these CM_NODE_OFFERS_*; a real one offers none. */
+bool cm_node_offers(const struct cm_node *node, uint32_t offers);
+
+/* False once the other end of a simulated node has gone; true for a real one. */
+bool cm_node_connected(const struct cm_node *node);
+
 /* Device memory of a real node, as mmap(); MAP_FAILED, ENOTSUP on a simulated one. */
 void *cm_node_mmap(struct cm_node *node, size_t length, off_t offset);
 

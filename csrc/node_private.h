@@ -9,11 +9,12 @@
 #include "node.h"
 
 struct cm_node {
-	int fd;	      /* the device, or the connection; -1 once released */
-	int event_fd; /* the same device, or the event socket */
-	int wake_fd;  /* eventfd: readable once the node is being released */
-	int broken;   /* errno of all further requests, or 0; under @lock */
-	pid_t owner;  /* who opened it: a child after fork() must not hang up for its parent */
+	int fd;		 /* the device, or the connection; -1 once released */
+	int event_fd;	 /* the same device, or the event socket */
+	int wake_fd;	 /* eventfd: readable once the node is being released */
+	int broken;	 /* errno of all further requests, or 0; under @lock */
+	pid_t owner;	 /* who opened it: a child after fork() must not hang up for its parent */
+	uint32_t offers; /* CM_NODE_OFFERS_* of a simulated node */
 	bool simulated;
 	atomic_bool released;
 	pthread_rwlock_t users; /* read: in a call; write: releases */

@@ -2,12 +2,14 @@
 #include "uio.h"
 
 #include <errno.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/mman.h>
 #include <unistd.h>
 
 #include "cm_node.h"
+#include "mirror.h"
 #include "mmio.h"
 #include "node.h"
 
@@ -21,6 +23,7 @@ struct cm_uio {
 		void *base;
 		size_t length;
 	} windows[CM_UIO_MAPS_MAX];
+	struct cm_mirror mirror; /* of a simulated node's window 0 */
 };
 
 /* uio_mmap() chooses the window by the page offset. */
@@ -42,6 +45,27 @@ static int map_windows(struct cm_uio *uio)
 	return 0;
 }
 
+/* Without a mirror every read is a request: slower, and nothing else. */
+static void map_mirror(struct cm_uio *uio)
+{
+	struct cm_node_mirror mirror = { .map = 0, .fd = -1 };
+
+	if (!cm_node_offers(uio->node, CM_NODE_OFFERS_MIRROR) ||
+	    cm_node_request(uio->node, CM_NODE_OP_MIRROR, &mirror, sizeof(mirror), &mirror.fd,
+			    CM_NODE_FD_RECEIVE))
+		return;
+	cm_mirror_map(&uio->mirror, mirror.fd, mirror.size);
+	close(mirror.fd);
+}
+
+static int map_memory(struct cm_uio *uio)
+{
+	if (!cm_node_simulated(uio->node))
+		return map_windows(uio);
+	map_mirror(uio);
+	return 0;
+}
+
 static struct cm_uio *open_described(const char *root, const struct cm_uio_info *info)
 {
 	struct cm_uio *uio = calloc(1, sizeof(*uio));
@@ -52,7 +76,7 @@ static struct cm_uio *open_described(const char *root, const struct cm_uio_info 
 	uio->info = *info;
 	snprintf(path, sizeof(path), "dev/uio%u", info->number);
 	uio->node = cm_node_open(root, path);
-	if (!uio->node || (!cm_node_simulated(uio->node) && map_windows(uio))) {
+	if (!uio->node || map_memory(uio)) {
 		cm_uio_close(uio);
 		return NULL;
 	}
@@ -92,6 +116,7 @@ void cm_uio_close(struct cm_uio *uio)
 		if (uio->windows[i].base)
 			munmap(uio->windows[i].base, uio->windows[i].length);
 	}
+	cm_mirror_unmap(&uio->mirror);
 	cm_node_close(uio->node);
 	free(uio);
 	errno = error;
@@ -133,20 +158,30 @@ static volatile void *register_at(const struct cm_uio *uio, unsigned int map, ui
 	return (char *)uio->windows[map].base + uio->info.maps[map].offset + offset;
 }
 
+/* By a load instruction; false where the node has to be asked. */
+static bool load(const struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
+		 uint64_t *value)
+{
+	if (cm_node_simulated(uio->node))
+		return map == 0 && uio->mirror.values &&
+		       cm_mirror_read(&uio->mirror, offset, width, value) &&
+		       cm_node_connected(uio->node);
+	*value = cm_mmio_read(register_at(uio, map, offset), width);
+	return true;
+}
+
 int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		uint64_t *value)
 {
 	struct cm_node_reg reg = { .map = map, .width = width, .offset = offset };
+	bool loaded;
 
-	if (check_access(uio, map, offset, width))
+	if (check_access(uio, map, offset, width) || cm_node_enter(uio->node))
 		return -1;
-	if (!cm_node_simulated(uio->node)) {
-		if (cm_node_enter(uio->node))
-			return -1;
-		*value = cm_mmio_read(register_at(uio, map, offset), width);
-		cm_node_leave(uio->node);
+	loaded = load(uio, map, offset, width, value);
+	cm_node_leave(uio->node);
+	if (loaded)
 		return 0;
-	}
 	if (cm_node_request(uio->node, CM_NODE_OP_REG_READ, &reg, sizeof(reg), NULL,
 			    CM_NODE_FD_NONE))
 		return -1;

@@ -7,10 +7,11 @@ import errno
 
 from cm.schema.model import Access
 
-from .cells import Cell, Region, Window, writable
+from .cells import Cell, Region, Window, answers, writable
 from .errors import NodeError
 from .fabric import EMPTY_WORD, Fabric
 from .faults import Faults
+from .show import Show
 
 _WIDTHS = (8, 16, 32, 64)
 
@@ -21,6 +22,7 @@ class Bus:
     def __init__(self, fabric: Fabric, faults: Faults) -> None:
         self._fabric = fabric
         self._faults = faults
+        self._show = Show(fabric)
         self._decouplers = [
             _DecouplerBit(fabric, region) for region in fabric.regions.values() if region.spec.decoupler
         ]
@@ -49,7 +51,7 @@ class Bus:
     def _write_piece(self, window: Window, at: int, part: int, bits: int) -> None:
         cell = window.cell_at(at)
         if cell is not None:
-            if not _answers(cell) or not writable(cell.register):
+            if not answers(cell) or not writable(cell.register):
                 return
             if self._faults.take("register_stuck", cell.register.name):
                 return
@@ -102,16 +104,11 @@ def _pieces(window: Window, offset: int, length: int) -> list[tuple[int, int]]:
 def _read_piece(window: Window, at: int, part: int) -> int:
     cell = window.cell_at(at)
     if cell is not None:
-        if not _answers(cell):
+        if not answers(cell):
             return _garbage(cell, at, part)
         if cell.register.access is Access.WO:
             return 0
     return int.from_bytes(window.memory[at : at + part], "little")
-
-
-def _answers(cell: Cell) -> bool:
-    region = cell.region
-    return region is None or (region.running and not region.decoupled)
 
 
 def _garbage(cell: Cell, at: int, part: int) -> int:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from cm.schema.model import Access, Register
 
 from .board import ModuleSpec, RegionSpec
+from .mirror import Mirror
 from .windows import WindowSpec
 
 
@@ -56,8 +57,8 @@ class Window:
 
     def __init__(self, spec: WindowSpec) -> None:
         self.spec = spec
-        # Pages come into being when they are written: a window may be large and hold two registers.
-        self.memory = mmap.mmap(-1, max(spec.size, mmap.PAGESIZE), flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+        self.mirror = Mirror(spec.name, spec.size)
+        self.memory = self.mirror.values
         self.cells: dict[int, list[Cell]] = {}
 
     def add(self, cell: Cell) -> None:
@@ -67,7 +68,7 @@ class Window:
 
     def clear(self) -> None:
         """All zero again."""
-        self.memory.madvise(mmap.MADV_DONTNEED)
+        self.mirror.clear()
 
     def cell_at(self, offset: int) -> Cell | None:
         """The cell that answers at a byte: that of the loaded module before others of its region."""
@@ -100,6 +101,12 @@ class View(Mapping[str, int]):
 def writable(register: Register) -> bool:
     """Whether a bus write changes the register."""
     return register.access is not Access.RO
+
+
+def answers(cell: Cell) -> bool:
+    """Whether the register is on the bus: its region runs and is not cut off."""
+    region = cell.region
+    return region is None or (region.running and not region.decoupled)
 
 
 def same_place(one: Register | None, other: Register) -> bool:

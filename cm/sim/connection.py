@@ -16,7 +16,7 @@ from . import protocol
 from .errors import NodeError
 from .events import Events
 from .loop import Loop
-from .session import Answer, Later, Node, Session
+from .session import Answer, Later, Node, Opened, Session
 
 _log = logging.getLogger(__name__)
 _FDS_MAX = 4
@@ -66,16 +66,18 @@ class Connection:
         ours.setblocking(False)
         self._loop.add(self._sock.fileno(), self._readable)
         try:
-            self._session = node.open(Events(ours, self._host.cost))
+            opened = node.open(Events(ours, self._host.cost))
         except NodeError as error:
             self._reply(protocol.OP_OPEN, error.number)
             ours.close()
             theirs.close()
             self.close()
             return
+        offers = opened.offers if isinstance(opened, Opened) else 0
+        self._session = opened.session if isinstance(opened, Opened) else opened
         self._events = ours
         self._loop.add(ours.fileno(), self._event_readable)
-        self._reply(protocol.OP_OPEN, 0, b"", [theirs.detach()])
+        self._reply(protocol.OP_OPEN, 0, b"", [theirs.detach()], offers)
 
     def _readable(self) -> None:
         """Serve one request: more of them make the descriptor ready again, after others had their turn."""
@@ -132,11 +134,11 @@ class Connection:
         else:
             self._reply(op, 0, result)
 
-    def _reply(self, op: int, error: int, payload: bytes = b"", fds: Sequence[int] = ()) -> None:
+    def _reply(self, op: int, error: int, payload: bytes = b"", fds: Sequence[int] = (), flags: int = 0) -> None:
         if self._sock.fileno() < 0:
             _close_all(fds)
             return
-        self._unsent = (protocol.REPLY.pack(op, error, len(payload), 0) + payload, fds)
+        self._unsent = (protocol.REPLY.pack(op, error, len(payload), flags) + payload, fds)
         self._flush()
 
     def _flush(self) -> None:

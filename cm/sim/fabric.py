@@ -26,6 +26,7 @@ class Fabric:
         self.regions = {name: Region(region) for name, region in spec.regions.items()}
         self.windows = [Window(window) for window in spec.windows]
         self.changed: Callable[[], None] = lambda: None  # called when data may flow that did not
+        self.answering: Callable[[Region], None] = lambda _: None  # called when a region answers, or does not any more
         self._by_name: dict[str, list[Cell]] = {}
         self._noise = np.random.default_rng(seed).integers(0, 256, _GARBAGE, np.uint8)
         self._noise_at = 0
@@ -62,6 +63,7 @@ class Fabric:
         """The first frame of a bitstream reaches the region: what ran there is gone."""
         region.loading = True
         region.module = None
+        self.answering(region)
         self.changed()
 
     def end_load(self, region: Region, module: ModuleSpec | None) -> None:
@@ -70,15 +72,18 @@ class Fabric:
         region.module = module
         self._views.clear()
         self._reset_cells(region)
+        self.answering(region)
         self.changed()
 
     def reset(self) -> None:
         """As after power-up or a full image: no modules, nothing decoupled, registers at reset."""
         self._views.clear()
+        for region in self.regions.values():
+            region.module, region.loading, region.decoupled = None, False, False
+            self.answering(region)
         for window in self.windows:
             window.clear()
         for region in self.regions.values():
-            region.module, region.loading, region.decoupled = None, False, False
             self._reset_cells(region)
             self._set_decoupler_bit(region)
         self._reset_cells(None)
@@ -95,6 +100,7 @@ class Fabric:
         """Cut the region off, or connect it again."""
         if region.decoupled != decoupled:
             region.decoupled = decoupled
+            self.answering(region)
             self.changed()
 
     def _add(self, register: Register) -> None:

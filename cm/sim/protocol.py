@@ -13,8 +13,9 @@ import struct
 from .errors import NodeError
 
 REQUEST = struct.Struct("<II")  # cm_node_request: op, length
-REPLY = struct.Struct("<IiII")  # cm_node_reply: op, error, length, reserved
+REPLY = struct.Struct("<IiII")  # cm_node_reply: op, error, length, flags
 REG = struct.Struct("<IIQQ")  # cm_node_reg: map, width, offset, value
+MIRROR = struct.Struct("<IiQ")  # cm_node_mirror: map, fd, size
 PAYLOAD_MAX = 65536
 
 OP_OPEN = 0
@@ -24,6 +25,8 @@ OP_ATTR_READ = 3
 OP_ATTR_WRITE = 4
 OP_MKDIR = 5
 OP_RMDIR = 6
+OP_MIRROR = 7
+OFFERS_MIRROR = 1
 
 BUFFER_ALLOC = struct.Struct("<IIQIiII")  # size, flags, length, handle, fd, coherent, reserved
 BUFFER_IMPORT = struct.Struct("<IIiIQ")  # size, flags, fd, handle, length

@@ -40,6 +40,16 @@ class Answer:
         self.fds = fds
 
 
+class Opened:
+    """A session, and what its greeting offers (``CM_NODE_OFFERS_*``)."""
+
+    __slots__ = ("offers", "session")
+
+    def __init__(self, session: Session, offers: int) -> None:
+        self.session = session
+        self.offers = offers
+
+
 class Session(Protocol):
     """One open file of a node."""
 
@@ -56,5 +66,5 @@ class Session(Protocol):
 class Node(Protocol):
     """What listens at a path."""
 
-    def open(self, events: Events) -> Session:
+    def open(self, events: Events) -> Session | Opened:
         """A client connects; raise `NodeError` to make its open() fail."""

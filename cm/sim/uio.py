@@ -13,6 +13,7 @@ from .errors import NodeError
 from .events import Events
 from .interrupts import Line
 from .root import Root
+from .session import Answer, Opened
 
 
 class UioNode:
@@ -21,9 +22,10 @@ class UioNode:
     def __init__(self, window: Window, line: Line, bus: Bus) -> None:
         self._window, self._line, self._bus = window, line, bus
 
-    def open(self, events: Events) -> UioSession:
+    def open(self, events: Events) -> Opened:
         """A new open file."""
-        return UioSession(self._window, self._line, self._bus, events)
+        session = UioSession(self._window, self._line, self._bus, events)
+        return Opened(session, protocol.OFFERS_MIRROR if self._window.spec.size else 0)
 
 
 class UioSession:
@@ -33,8 +35,10 @@ class UioSession:
         self._window, self._line, self._bus, self._events = window, line, bus, events
         line.listen(events)
 
-    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes:  # noqa: ARG002 - none is taken
-        """Answer a register access."""
+    def request(self, op: int, payload: bytes, fds: Sequence[int]) -> bytes | Answer:  # noqa: ARG002 - none is taken
+        """Answer a register access, or hand out the window's mirror."""
+        if op == protocol.OP_MIRROR:
+            return self._mirror(payload)
         if op not in (protocol.OP_REG_READ, protocol.OP_REG_WRITE):
             raise NodeError(errno.ENOTTY, "a UIO device has register accesses only")
         if len(payload) != protocol.REG.size:
@@ -47,6 +51,14 @@ class UioSession:
         else:
             self._bus.write(self._window, offset, width, value)
         return protocol.REG.pack(number, width, offset, value)
+
+    def _mirror(self, payload: bytes) -> Answer:
+        if len(payload) != protocol.MIRROR.size:
+            raise NodeError(errno.EINVAL, "a mirror is asked for by a struct cm_node_mirror")
+        if protocol.MIRROR.unpack(payload)[0] != 0 or not self._window.spec.size:
+            raise NodeError(errno.EINVAL, "there is no such map")
+        mirror = self._window.mirror
+        return Answer(protocol.MIRROR.pack(0, -1, mirror.size), [mirror.descriptor()])
 
     def write(self, data: bytes) -> None:
         """Unmask (u32 1) or mask (0) the interrupt."""

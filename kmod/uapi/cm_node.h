@@ -36,6 +36,10 @@
 #define CM_NODE_OP_ATTR_WRITE 4u /* request payload: the bytes */
 #define CM_NODE_OP_MKDIR 5u	 /* payload: the name; sent to a folder's ".node" */
 #define CM_NODE_OP_RMDIR 6u
+#define CM_NODE_OP_MIRROR 7u /* struct cm_node_mirror; only where it is offered */
+
+/* Bits of a greeting's flags. */
+#define CM_NODE_OFFERS_MIRROR 1u
 
 /**
  * struct cm_node_request - header of a request
@@ -52,13 +56,13 @@ struct cm_node_request {
  * @op: as requested
  * @error: 0 or a positive errno
  * @length: bytes of payload behind this header
- * @reserved: 0
+ * @flags: in the greeting CM_NODE_OFFERS_*, else 0
  */
 struct cm_node_reply {
 	__u32 op;
 	__s32 error;
 	__u32 length;
-	__u32 reserved;
+	__u32 flags;
 };
 
 /**
@@ -73,6 +77,26 @@ struct cm_node_reg {
 	__u32 width;
 	__u64 offset;
 	__u64 value;
+};
+
+/**
+ * struct cm_node_mirror - a UIO node's registers, as memory
+ * @map: number of the UIO map
+ * @fd: a memfd of twice @size bytes
+ * @size: bytes of the window, in whole pages
+ *
+ * The memfd's first half is the window as a read finds it.  Where a byte of its
+ * second half is not 0, the byte at the same place in the first is not what a
+ * read would return, or a read does more than return it, and only
+ * CM_NODE_OP_REG_READ will do.  A client maps it for reading, and looks at the
+ * second half before and after it has read the first, and whether the
+ * connection stands.  The server has changed it when it answers a write.
+ * A node whose hardware has to see each access does not offer it.
+ */
+struct cm_node_mirror {
+	__u32 map;
+	__s32 fd;
+	__u64 size;
 };
 
 #endif /* _UAPI_CM_NODE_H */

@@ -20,6 +20,7 @@ SIZES = {
     "struct cm_node_request": p.REQUEST,
     "struct cm_node_reply": p.REPLY,
     "struct cm_node_reg": p.REG,
+    "struct cm_node_mirror": p.MIRROR,
     "struct cm_buffer_alloc": p.BUFFER_ALLOC,
     "struct cm_buffer_import": p.BUFFER_IMPORT,
     "struct cm_buffer_free": p.BUFFER_FREE,
@@ -35,6 +36,7 @@ SIZES = {
 }
 FIELDS = {
     "struct cm_node_reg": "map width offset value",
+    "struct cm_node_mirror": "map fd size",
     "struct cm_buffer_alloc": "size flags length handle fd coherent reserved",
     "struct cm_buffer_import": "size flags fd handle length",
     "struct cm_dma_info": "size flags direction type caps queue_depth max_length alignment frame_length name",
@@ -50,6 +52,8 @@ NUMBERS = {
     "CM_NODE_PAYLOAD_MAX": p.PAYLOAD_MAX,
     "CM_NODE_OP_REG_READ": p.OP_REG_READ,
     "CM_NODE_OP_REG_WRITE": p.OP_REG_WRITE,
+    "CM_NODE_OP_MIRROR": p.OP_MIRROR,
+    "CM_NODE_OFFERS_MIRROR": p.OFFERS_MIRROR,
     "CM_NODE_OP_ATTR_READ": p.OP_ATTR_READ,
     "CM_NODE_OP_ATTR_WRITE": p.OP_ATTR_WRITE,
     "CM_NODE_OP_MKDIR": p.OP_MKDIR,
