@@ -189,6 +189,17 @@ int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned 
 	return 0;
 }
 
+int64_t cm_uio_read32(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width)
+{
+	uint64_t value;
+
+	if (width > 32) {
+		errno = EINVAL;
+		return -1;
+	}
+	return cm_uio_read(uio, map, offset, width, &value) ? -1 : (int64_t)value;
+}
+
 int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		 uint64_t value)
 {

@@ -55,6 +55,9 @@ int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned 
 int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		 uint64_t value);
 
+/* cm_uio_read() of at most 32 bits, which returns the value, or -1. */
+int64_t cm_uio_read32(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width);
+
 /**
  * cm_uio_enable_interrupt() - let the next interrupt through
  *

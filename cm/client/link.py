@@ -10,15 +10,17 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import zmq
+from zmq.backend import zmq_poll
 from zmq.utils.monitor import recv_monitor_message
 
+from cm import multipart
 from cm.client.address import Keys
 from cm.client.errors import ConnectionLost, NoAnswer
 
 Socket = zmq.Socket[bytes]
 
 
-_EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
+_POLLIN = int(zmq.POLLIN)  # an operation on pyzmq's enums costs as much as a system call
 STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
 
 _AnySocket = TypeVar("_AnySocket", bound=zmq.Socket[Any])
@@ -48,9 +50,7 @@ class Link:
         self._socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
         self._socket.connect(address)
-        self._poller = zmq.Poller()
-        self._poller.register(self._socket, zmq.POLLIN)
-        self._poller.register(self._monitor, zmq.POLLIN)
+        self._sources: list[tuple[Any, int]] = [(self._socket, _POLLIN), (self._monitor, _POLLIN)]
 
     def ask(
         self,
@@ -66,27 +66,22 @@ class Link:
         with self._lock:
             number = b"%d" % next(self._numbers)
             self._drain_monitor()
-            self._socket.send_multipart([number, b"", *frames])
-            if beside is not None:
-                self._poller.register(beside, zmq.POLLIN)
-            try:
-                return self._wait(number, timeout, beside, on_beside)
-            finally:
-                if beside is not None:
-                    self._poller.unregister(beside)
+            multipart.send(self._socket, (number, b"", *frames))
+            return self._wait(number, timeout, beside, on_beside)
 
     def _wait(
         self, number: bytes, timeout: float | None, beside: Socket | None, on_beside: Callable[[], None] | None
     ) -> list[bytes]:
         until = None if timeout is None else time.monotonic() + timeout
+        sources = self._sources if beside is None else [*self._sources, (beside, _POLLIN)]
         while True:
-            ready = dict(self._poller.poll(_milliseconds(until)))
+            ready = dict(zmq_poll(sources, _milliseconds(until)))
             if beside in ready and on_beside is not None:
                 on_beside()
             if self._socket in ready:
-                frames = self._socket.recv_multipart()
+                frames = multipart.receive(self._socket)
                 if frames[0] == number:  # others answer requests that timed out
-                    return frames[2:]
+                    return [bytes(frame) for frame in frames[2:]]
             elif self._monitor in ready:
                 self._drain_monitor()
                 raise ConnectionLost(f"the configuration manager at {self._address} went away")
@@ -94,7 +89,7 @@ class Link:
                 raise NoAnswer(f"no answer from a configuration manager at {self._address} within {timeout:g} s")
 
     def _drain_monitor(self) -> None:
-        while int(self._monitor.getsockopt(_EVENTS)) & _POLLIN:  # `poll(0)` makes a poller each time
+        while zmq_poll(self._sources[1:], 0):
             recv_monitor_message(self._monitor)
 
     def close(self) -> None:
@@ -105,5 +100,5 @@ class Link:
             self._socket.close()
 
 
-def _milliseconds(until: float | None) -> int | None:
-    return None if until is None else max(0, int((until - time.monotonic()) * 1000) + 1)
+def _milliseconds(until: float | None) -> int:
+    return -1 if until is None else max(0, int((until - time.monotonic()) * 1000) + 1)

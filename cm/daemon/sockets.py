@@ -12,6 +12,7 @@ from pathlib import Path
 import zmq
 
 from cm.errors import Busy, InvalidRequest
+from cm.wire.plane import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
 ENDPOINTS_FILE = "endpoints.json"
@@ -103,7 +104,8 @@ class Sockets:
 
     def announce(self) -> None:
         """Write where this manager listens, for clients and people."""
-        text = json.dumps({"pid": os.getpid(), "ipc": asdict(self.ipc), "tcp": [asdict(e) for e in self.tcp]}, indent=1)
+        listens = {"ipc": asdict(self.ipc), "tcp": [asdict(e) for e in self.tcp], "data": str(self._folder / SOCKET)}
+        text = json.dumps({"pid": os.getpid(), **listens}, indent=1)
         new = self._folder / (ENDPOINTS_FILE + ".new")
         new.write_text(text + "\n", encoding="utf-8")
         new.replace(self._folder / ENDPOINTS_FILE)

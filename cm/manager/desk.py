@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from cm.manager import resolve
-from cm.manager.errors import NothingLoaded, RegionBusy
+from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
 from cm.manager.leases import Leases
 from cm.manager.registers import RegisterAccess, checked_write, find, split_name, value_of
 from cm.manager.state import BoardState, RegionPhase
@@ -19,25 +19,16 @@ from cm.schema.model import Access, BitField, Config, Register
 
 
 class Holder(Protocol):
-    """Who has the state."""
+    """Who has the state: values that are replaced, never changed."""
 
-    @property
-    def state(self) -> BoardState:
-        """What the board holds."""
-
-    @property
-    def configs(self) -> Mapping[str, Config]:
-        """All configurations."""
+    state: BoardState
+    configs: Mapping[str, Config]
 
     def loaded_config(self) -> Config | None:
         """The one that is loaded."""
 
     def update(self, change: Callable[[BoardState], BoardState]) -> None:
         """Replace the state in one piece."""
-
-
-Found = list[tuple[Register, BitField | None]]
-_KEPT = 256  # requests whose names are kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +42,31 @@ class Locked:
         return self.whole or region in self.regions
 
 
+_WO, _RW, _READY = Access.WO, Access.RW, RegionPhase.READY  # a look into an enum's class is not free
+
+
+class _Place(NamedTuple):
+    """Where a name leads."""
+
+    register: Register
+    field: BitField | None
+    region: str | None
+    address: int
+    width: int
+
+
+class _View:
+    """What can be named in the state that the board is in, what was named in it before, and what is free."""
+
+    __slots__ = ("config", "configs", "free", "mode", "places", "registers", "state")
+
+    def __init__(self, config: Config, configs: Mapping[str, Config], state: BoardState) -> None:
+        self.config, self.configs, self.state, self.mode = config, configs, state, state.mode
+        self.registers: Mapping[str, Register] = config.visible_registers(state.mode)
+        self.places: dict[str, _Place] = {}
+        self.free: set[str | None] = set()  # regions, and None for the static part
+
+
 class RegisterDesk:
     """Reads and writes for requests. `lock` is held over each access, so that a change waits for its end."""
 
@@ -62,24 +78,26 @@ class RegisterDesk:
         self._leases = leases
         self._lock = lock
         self._locked = Locked()
-        self._seen: tuple[Config | None, str | None, Mapping[str, Register]] = (None, None, {})
-        self._found: dict[tuple[str, ...], Found] = {}  # among those seen, by the names of a request
+        self._view: _View | None = None
 
     def keep_off(self, locked: Locked) -> None:
         """Refuse what is locked from here on; waits for an access under way."""
         with self._lock:
             self._locked = locked
+            self._view = None
 
     def read(self, names: tuple[str, ...]) -> RegValues:
         """Values by name; of all that can be read if none is given."""
-        visible = self._visible()
-        chosen = (self._found.get(names) or self._find_all(visible, names)) if names else self._readable(visible)
         with self._lock:
-            return self._values(tuple([self._read(register, field) for register, field in chosen]))
+            view = self._look()
+            known = view.places
+            places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
+            values = tuple([self._read(place, view) for place in places])
+            return RegValues(values, view.config.name, view.mode or "")
 
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
         """Check all, then write in order; what the registers then hold."""
-        visible = self._visible()
+        visible = self._look().registers
         checked = [checked_write(visible, w, lambda n=w.name: self._elsewhere(n, visible)) for w in writes]  # type: ignore[misc]
         self._check_leases([r for r, _, _ in checked], lease)
         with self._lock:
@@ -91,28 +109,27 @@ class RegisterDesk:
         state = self._holder.state
         return RegValues(values, state.config or "", state.mode or "")
 
-    def _visible(self) -> Mapping[str, Register]:
-        config = self._holder.loaded_config()
+    def _look(self) -> _View:
+        view, holder = self._view, self._holder
+        if view is None or view.state is not holder.state or view.configs is not holder.configs:
+            view = self._view = self._renewed(view)
+        return view
+
+    def _renewed(self, view: _View | None) -> _View:
+        holder, config = self._holder, self._holder.loaded_config()
         if config is None:
-            there = resolve.listed(self._holder.configs)
+            there = resolve.listed(holder.configs)
             raise NothingLoaded(f"nothing is loaded, so there are no registers; there are {there}")
-        mode = self._holder.state.mode
-        known, known_mode, registers = self._seen
-        if known is not config or known_mode != mode:
-            registers = config.visible_registers(mode)
-            self._seen = (config, mode, registers)
-            self._found.clear()
-        return registers
+        if view is None or view.config is not config or view.mode != holder.state.mode:
+            view = _View(config, holder.configs, holder.state)
+        view.state, view.configs = holder.state, holder.configs
+        view.free = {r.region for r in view.registers.values() if self._is_free(r)}
+        return view
 
-    def _find_all(self, visible: Mapping[str, Register], names: tuple[str, ...]) -> Found:
-        """Look names up, and keep what was found: who asks for registers asks again."""
-        found = [self._find(visible, name) for name in names]
-        if len(self._found) < _KEPT:
-            self._found[names] = found
-        return found
-
-    def _find(self, visible: Mapping[str, Register], name: str) -> tuple[Register, BitField | None]:
-        return find(visible, name, lambda: self._elsewhere(name, visible))
+    def _find(self, view: _View, name: str) -> _Place:
+        register, field = find(view.registers, name, lambda: self._elsewhere(name, view.registers))
+        place = view.places[name] = _Place(register, field, register.region, register.address, register.width)
+        return place
 
     def _elsewhere(self, name: str, visible: Mapping[str, Register]) -> str:
         """Says in which modes a register can be named, when it cannot be in this one."""
@@ -122,12 +139,17 @@ class RegisterDesk:
         modes = [m for m in config.modes if register in config.visible_registers(m)]
         return f" ({self._holder.state.mode}); modes {', '.join(modes)} have it" if modes else ""
 
-    def _readable(self, visible: Mapping[str, Register]) -> Found:
-        return [(r, None) for r in visible.values() if r.access is not Access.WO and self._is_free(r)]
+    def _readable(self, view: _View) -> list[_Place]:
+        readable = (r for r in view.registers.values() if r.access is not _WO and r.region in view.free)
+        return [view.places.get(r.name) or self._find(view, r.name) for r in readable]
 
-    def _read(self, register: Register, field: BitField | None) -> RegValue:
-        self._check_free(register)
-        value = self._access.read(register)
+    def _read(self, place: _Place, view: _View) -> RegValue:
+        register, field, region, address, width = place
+        if region not in view.free:
+            self._check_free(register)
+        if register.access is _WO:
+            raise AccessDenied(f"register {register.name!r} is write-only")
+        value = self._access.read_address(address, width)
         if field is None:
             return value_of(register, value)
         return RegValue(f"{register.name}.{field.name}", (value & field.mask) >> field.lsb)
@@ -135,18 +157,20 @@ class RegisterDesk:
     def _write(self, register: Register, value: int, mask: int) -> RegValue:
         written = self._access.write(register, value, mask, self._holder.state.values.get(register.name))
         self._holder.update(lambda state: state.with_value(register.name, written))
-        shown = written if register.access is not Access.RW else self._access.read(register)
+        shown = written if register.access is not _RW else self._access.read(register)
         return value_of(register, shown)
 
     def _is_free(self, register: Register) -> bool:
         if register.region is None:
             return not self._locked.whole
-        ready = self._holder.state.region(register.region).phase is RegionPhase.READY
+        ready = self._holder.state.region(register.region).phase is _READY
         return ready and register.region not in self._locked
 
     def _check_free(self, register: Register) -> None:
-        if self._is_free(register):
-            return
+        if not self._is_free(register):
+            self._refuse(register)
+
+    def _refuse(self, register: Register) -> None:
         where = f"region {register.region}" if register.region else "the static part"
         locked = self._locked.whole or register.region in self._locked
         how = "being reconfigured" if locked else self._holder.state.region(register.region or "").phase.value

@@ -63,19 +63,20 @@ class Manager:
     """One per board. `start()` reconciles and starts the worker; `stop()` ends it between two changes."""
 
     def __init__(self, configs: Mapping[str, Config], env: Environment) -> None:
-        self._configs: Mapping[str, Config] = MappingProxyType(dict(configs))
+        self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
         self._env = env
+        self.throughput = Throughput()
         self.registers = RegisterAccess(env.devices)
         self.leases = Leases(env.clock)
         self._loaders = Loaders(env.devices, env.files, env.clock, env.settings.prefetch_bytes)
         tools = Tools(env.devices, self.registers, self._loaders, env.data_plane, env.clock)
-        self._runner = ChangeRunner(self, tools, env.files, lambda: self._configs, lambda: self.throughput)
+        self._runner = ChangeRunner(self, tools, env.files, lambda: self.configs, lambda: self.throughput)
         self._access = threading.RLock()
         self._desk = RegisterDesk(self, self.registers, self.leases, self._access)
+        self.read_registers = self._desk.read
         self._queue: queue.Queue[Change | None] = queue.Queue(QUEUE_LENGTH)
         self._worker = threading.Thread(target=self._work, name="cm-changes", daemon=True)
-        self._state = BoardState()
-        self.throughput = Throughput()
+        self.state = BoardState()  # what the board holds, as far as is known; replaced by `update`
         self._boot_id = ""
         self._progress: Progress | None = None
         self._running: Change | None = None
@@ -103,10 +104,10 @@ class Manager:
     def reconcile(self) -> tuple[str, ...]:
         """Compare record and board (again). Called before the worker starts, or when it is idle."""
         record, lost = self._read_record()
-        finding = reconcile(record, self._configs, self._env.devices, self.registers)
+        finding = reconcile(record, self.configs, self._env.devices, self.registers)
         if lost:
             finding = replace(finding, notes=(lost, *finding.notes))
-        self._state, self._boot_id = finding.state, self._env.devices.boot_id()
+        self.state, self._boot_id = finding.state, self._env.devices.boot_id()
         if record is not None:
             self.throughput, self._number = record.throughput, record.number
         if finding.notes:
@@ -140,9 +141,9 @@ class Manager:
 
     def _way_back(self, cut: Pending) -> tuple[Config | None, str | None, str | None]:
         """Configuration, mode, and the image to load first; no configuration where that image is not ours to load."""
-        config = self._configs.get(cut.from_config or "")
+        config = self.configs.get(cut.from_config or "")
         full = config is not None and config.type is ConfigType.FULL
-        if full or cut.from_static in self._configs:
+        if full or cut.from_static in self.configs:
             return config, cut.from_mode, None if full else cut.from_static
         return None, None, None
 
@@ -163,16 +164,11 @@ class Manager:
 
     # ---- configurations and changes -----------------------------------------------
 
-    @property
-    def configs(self) -> Mapping[str, Config]:
-        """All configurations that can be loaded."""
-        return self._configs
-
     def add_config(self, config: Config) -> None:
         """Make a configuration known (again). Raises ChangeBusy while it is being changed to."""
         self.check_replaceable(config.name)
         self._env.files.forget(config.name)
-        self._configs = MappingProxyType({**self._configs, config.name: config})
+        self.configs = MappingProxyType({**self.configs, config.name: config})
         if self.state.config == config.name and self.state.mode not in config.modes:
             self.update(lambda state: replace(state, mode=None))  # it is in none of the modes that there are now
         if self.state.config == config.name and not self._busy():
@@ -187,14 +183,14 @@ class Manager:
 
     def loaded_config(self) -> Config | None:
         """The configuration that is loaded."""
-        return self._configs.get(self.state.config) if self.state.config else None
+        return self.configs.get(self.state.config) if self.state.config else None
 
     def submit(self, request: WriteConfig, on_done: Callable[[Change], None] | None = None) -> Change:
         """Accept a change; it runs when those before it have ended. Nothing is touched if this raises.
 
         `on_done` is called at its end, from the worker's thread.
         """
-        config, mode = resolve.target(request, self._configs, self.state.config)
+        config, mode = resolve.target(request, self.configs, self.state.config)
         scopes = leases_concerned(config, mode, self.state.config)
         self.leases.check(scopes, request.lease)
         if request.no_queue and self._busy():
@@ -217,14 +213,14 @@ class Manager:
 
     def plan(self, request: WriteConfig) -> PlanInfo:
         """What a change would do; touches nothing, but reads and validates all files."""
-        config, mode = resolve.target(request, self._configs, self.state.config)
+        config, mode = resolve.target(request, self.configs, self.state.config)
         return self._runner.plan(Goal(config, mode, request.force)).info(self.throughput)
 
     def describe(self, name: str, counts: Mapping[str, int]) -> ConfigInfo:
         """A configuration, with its schema's text; the loaded one if `name` is empty."""
         if not name and self.state.config is None:
             raise NothingLoaded("nothing is loaded: name a configuration")
-        config = resolve.config_named(name or self.state.config or "", self._configs)
+        config = resolve.config_named(name or self.state.config or "", self.configs)
         mode = self.state.mode if self.state.config == config.name else ""
         text = config.source.read_text(encoding="utf-8") if config.source and config.source.exists() else ""
         return config_info(config, mode or "", counts, text)
@@ -258,7 +254,7 @@ class Manager:
 
     def _run(self, change: Change) -> None:
         started = self._env.clock.monotonic()
-        config = self._configs[change.config]
+        config = self.configs[change.config]
         self._pending = self._begun(change)
         self._running, self._failed = change, False
         self.progress(Progress(change.number, change.config, change.mode, "validate"))
@@ -267,7 +263,7 @@ class Manager:
             if change.cancelled:
                 raise Cancelled("the change was cancelled before it began")
             self.leases.check(change.scopes, change.lease)  # one may have been given while this change waited
-            goal = Goal(config, change.mode, change.force, static=self._configs.get(change.static or ""))
+            goal = Goal(config, change.mode, change.force, static=self.configs.get(change.static or ""))
             self._runner.run(goal, change.number, lambda: change.cancelled)
         except CmError as problem:
             error = ErrorInfo(getattr(problem, "cause_code", problem.code), str(problem))
@@ -277,7 +273,7 @@ class Manager:
 
     def _begun(self, change: Change) -> Pending:
         state = self.state
-        whole = self._configs[change.config].type is ConfigType.FULL
+        whole = self.configs[change.config].type is ConfigType.FULL
         there = state.config == change.config and not change.force
         self._full = (whole and not there) or change.static is not None
         return Pending(
@@ -318,15 +314,10 @@ class Manager:
 
     # ---- what a transaction needs (cm.manager.transaction.Board) ---------------------
 
-    @property
-    def state(self) -> BoardState:
-        """What the board holds, as far as is known."""
-        return self._state
-
     def update(self, change: Callable[[BoardState], BoardState]) -> None:
         """Replace the state in one piece; both threads do."""
         with self._access:
-            self._state = change(self._state)
+            self.state = change(self.state)
 
     def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
         """Keep a measurement for plans and time-outs."""
@@ -355,10 +346,6 @@ class Manager:
 
     # ---- registers -----------------------------------------------------------------
 
-    def read_registers(self, names: tuple[str, ...]) -> RegValues:
-        """Values by name; of all that can be read if none is given."""
-        return self._desk.read(names)
-
     def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "") -> RegValues:
         """Check all, then write in order; returns and publishes what the registers then hold."""
         try:
@@ -386,7 +373,7 @@ class Manager:
             progress=progress,
             last_error=self._error,
             regions=region_states(self.loaded_config(), state),
-            configs=tuple(sorted(self._configs)),
+            configs=tuple(sorted(self.configs)),
             last_change=self._last[0],
             last_change_seconds=self._last[1],
         )

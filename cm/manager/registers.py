@@ -13,6 +13,8 @@ from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue
 from cm.schema.model import Access, BitField, Register
 
+_WO = Access.WO
+
 
 def split_name(name: str) -> tuple[str, str | None]:
     """``"control.enable"`` → register, field."""
@@ -109,7 +111,7 @@ class RegisterAccess:
 
     def read(self, register: Register) -> int:
         """The register's value. Raises AccessDenied for a write-only one, DeviceError."""
-        if register.access is Access.WO:
+        if register.access is _WO:
             raise AccessDenied(f"register {register.name!r} is write-only")
         return self.read_address(register.address, register.width)
 
@@ -151,5 +153,6 @@ def value_of(register: Register, value: int) -> RegValue:
     """A value with its fields taken apart."""
     if not register.fields:
         return RegValue(register.name, value)
-    fields = tuple((f.name, (value & f.mask) >> f.lsb) for f in register.fields.values())
-    return RegValue(register.name, value, fields)
+    return RegValue(
+        register.name, value, tuple([(f.name, (value & f.mask) >> f.lsb) for f in register.fields.values()])
+    )

@@ -100,6 +100,9 @@ class OverlayState:
     sha256: str
 
 
+_UNKNOWN = RegionState()
+
+
 def _empty() -> Mapping[str, Any]:
     return MappingProxyType({})
 
@@ -119,7 +122,7 @@ class BoardState:
 
     def region(self, name: str) -> RegionState:
         """State of a region; one never heard of is unknown."""
-        return self.regions.get(name, RegionState())
+        return self.regions.get(name, _UNKNOWN)
 
     def with_region(self, name: str, region: RegionState) -> BoardState:
         """A copy with one region changed."""

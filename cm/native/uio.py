@@ -9,6 +9,8 @@ from cm.native._cm import ffi, lib
 from cm.native.call import Handle, check, encode, last_error, owned, wait
 
 LIST_ROOM = 64
+_read32 = lib.cm_uio_read32
+_VALUE = ffi.typeof("uint64_t *")
 
 
 class Map(NamedTuple):
@@ -86,7 +88,12 @@ def event_fd(handle: Handle) -> int:
 
 def read(handle: Handle, index: int, offset: int, width: int) -> int:
     """Read one register of ``width`` bits."""
-    value = ffi.new("uint64_t *")
+    if width <= 32:
+        found = _read32(handle, index, offset, width)
+        if found < 0:
+            raise last_error()
+        return found  # type: ignore[no-any-return]
+    value = ffi.new(_VALUE)
     if lib.cm_uio_read(handle, index, offset, width, value) < 0:
         raise last_error()
     return int(value[0])

@@ -140,8 +140,12 @@ def registers_into(message: pb.RegValues, r: st.RegValues) -> None:
 
 
 def registers_from_pb(m: pb.RegValues) -> st.RegValues:
-    values = tuple(st.RegValue(v.name, v.value, tuple(sorted(v.fields.items()))) for v in m.values)
-    return st.RegValues(values, m.config_name, m.mode)
+    return st.RegValues(tuple([_value_from_pb(v) for v in m.values]), m.config_name, m.mode)
+
+
+def _value_from_pb(m: pb.RegValue) -> st.RegValue:
+    fields = m.fields
+    return st.RegValue(m.name, m.value, tuple(sorted(fields.items())) if fields else ())
 
 
 def config_to_pb(c: st.ConfigInfo) -> pb.Config:

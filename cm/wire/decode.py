@@ -32,11 +32,11 @@ def split_text(frames: Sequence[Frame]) -> list[Frame]:
 
 def decode_request(frames: Sequence[Frame]) -> rq.Request:
     """``[topic][message][payload…]`` → the request. Raises InvalidRequest, never anything else."""
+    if len(frames) == 2 and len(frames[1]) <= _SHORT:
+        return _decode_again(bytes(frames[0]), bytes(frames[1]))
     parts = split_text(frames)
     if not parts:
         raise InvalidRequest("an empty message; frames are [topic][message][payload…]")
-    if len(parts) == 2 and len(parts[1]) <= _SHORT:
-        return _decode_again(bytes(parts[0]), bytes(parts[1]))
     return _decode(bytes(parts[0]), bytes(parts[1]) if len(parts) > 1 else b"", parts[2:])
 
 

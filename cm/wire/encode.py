@@ -127,16 +127,17 @@ _FROM_FIELD = {field: decode for field, _, decode in _BODIES.values()}
 
 def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> list[Frame]:
     """A reply → ``[topic][Reply][payload…]``; `sequence` takes the place of the reply's own."""
+    body, error = reply.body, reply.error
     message = pb.Reply()
-    message.ok = reply.error is None
+    message.ok = error is None
     message.sequence = reply.sequence if sequence is None else sequence
-    if reply.error is not None:
-        message.error.CopyFrom(bodies.error_to_pb(reply.error))
-    if isinstance(reply.body, st.RegValues):
-        bodies.registers_into(message.registers, reply.body)
-    elif reply.body is not None:
-        field, to_pb, _ = _BODIES[type(reply.body)]
-        getattr(message, field).CopyFrom(to_pb(reply.body))
+    if error is not None:
+        message.error.CopyFrom(bodies.error_to_pb(error))
+    if isinstance(body, st.RegValues):
+        bodies.registers_into(message.registers, body)
+    elif body is not None:
+        field, to_pb, _ = _BODIES[type(body)]
+        getattr(message, field).CopyFrom(to_pb(body))
     return [topic, message.SerializeToString(), *reply.payload]
 
 
@@ -144,9 +145,8 @@ def decode_reply(frames: Sequence[Frame]) -> st.Reply:
     """``[topic][Reply][payload…]`` → the reply. Raises InvalidRequest for anything else."""
     if len(frames) < 2:
         raise InvalidRequest(f"a reply of {len(frames)} frames; [topic][Reply][payload…] is expected")
-    message = pb.Reply()
     try:
-        message.ParseFromString(bytes(frames[1]))
+        message = pb.Reply.FromString(bytes(frames[1]))
     except DecodeError as problem:
         raise InvalidRequest(f"a reply that is no Reply message: {problem}") from problem
     field = message.WhichOneof("body")
