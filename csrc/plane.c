@@ -3,6 +3,7 @@
 #include "plane.h"
 
 #include <errno.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
@@ -13,6 +14,7 @@
 #include "plane_private.h"
 
 #define EVENTS_AT_ONCE 16
+#define YIELDS_AT_ONCE 50
 
 void plane_report(struct cm_plane *plane, uint32_t kind, int id, int error)
 {
@@ -40,6 +42,23 @@ static void dispatch(struct cm_plane *plane, int id)
 		stream_completed(plane, stream);
 }
 
+/*
+ * A mutex is not fair: where frames come without a pause, the thread would take it again before
+ * anybody whom its release wakes.  So callers say that they wait, and the thread lets them.
+ */
+static void lock(struct cm_plane *plane)
+{
+	atomic_fetch_add(&plane->callers, 1);
+	pthread_mutex_lock(&plane->lock);
+	atomic_fetch_sub(&plane->callers, 1);
+}
+
+static void let_callers_in(struct cm_plane *plane)
+{
+	for (int i = 0; i < YIELDS_AT_ONCE && atomic_load(&plane->callers); i++)
+		sched_yield();
+}
+
 static void *run(void *argument)
 {
 	struct cm_plane *plane = argument;
@@ -49,6 +68,7 @@ static void *run(void *argument)
 	while (!stopping) {
 		int ready = epoll_wait(plane->epoll_fd, events, EVENTS_AT_ONCE, -1);
 
+		let_callers_in(plane);
 		pthread_mutex_lock(&plane->lock);
 		for (int i = 0; i < ready; i++)
 			dispatch(plane, (int)events[i].data.u64);
@@ -120,7 +140,7 @@ void cm_plane_close(struct cm_plane *plane)
 
 	if (!plane)
 		return;
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	plane->stopping = true;
 	pthread_mutex_unlock(&plane->lock);
 	if (write(plane->wake_fd, &one, sizeof(one)) == sizeof(one))
@@ -146,7 +166,7 @@ int cm_plane_take(struct cm_plane *plane, struct cm_plane_event *event)
 	struct event *first;
 	uint64_t count;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	first = plane->events;
 	if (first) {
 		*event = first->event;
@@ -189,7 +209,7 @@ int cm_plane_start(struct cm_plane *plane, struct cm_dma *dma, const struct cm_p
 	struct stream *stream;
 	int id;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	stream = new_stream(plane, dma, setup);
 	id = stream ? stream->id : -1;
 	pthread_mutex_unlock(&plane->lock);
@@ -219,7 +239,7 @@ int cm_plane_add_slot(struct cm_plane *plane, int id, int fd, uint32_t handle)
 	struct stream *stream;
 	int result = -1;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	stream = stream_find(plane, id);
 	if (stream)
 		result = add_slot(plane, stream, fd, handle);
@@ -232,7 +252,7 @@ int cm_plane_stop(struct cm_plane *plane, int id, int error)
 {
 	struct stream *stream;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	stream = stream_find(plane, id);
 	if (stream)
 		stream_end(plane, stream, error);
@@ -248,7 +268,7 @@ int cm_plane_adopt(struct cm_plane *plane, int fd)
 
 	if (!client)
 		return -1;
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	client->fd = fd;
 	client->id = plane->last_id + 1;
 	if (!watch(plane, fd, client->id)) {
@@ -322,7 +342,7 @@ int cm_plane_attach(struct cm_plane *plane, int client_id, int stream_id, uint32
 	struct stream *stream;
 	int result = -1;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	client = client_find(plane, client_id);
 	stream = stream_find(plane, stream_id);
 	if (client && stream && !client->stream)
@@ -338,7 +358,7 @@ int cm_plane_tell(struct cm_plane *plane, int id, const void *packet, size_t siz
 {
 	struct stream *stream;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	stream = stream_find(plane, id);
 	for (struct client *client = plane->clients; stream && client; client = client->next)
 		if (client->stream == stream)
@@ -352,7 +372,7 @@ int cm_plane_drop(struct cm_plane *plane, int id)
 {
 	struct client *client;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	client = client_find(plane, id);
 	if (client)
 		client->broken = true;
@@ -381,7 +401,7 @@ int cm_plane_get_stats(struct cm_plane *plane, int id, struct cm_plane_stats *st
 {
 	struct stream *stream;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	stream = stream_find(plane, id);
 	if (stream)
 		fill(stream, stats);
@@ -403,7 +423,7 @@ int cm_plane_get_client_stats(struct cm_plane *plane, int id, struct cm_plane_cl
 {
 	const struct client *client;
 
-	pthread_mutex_lock(&plane->lock);
+	lock(plane);
 	client = client_find(plane, id);
 	if (client)
 		*stats = (struct cm_plane_client_stats){

@@ -4,6 +4,7 @@
 #define CM_SHIM_PLANE_PRIVATE_H
 
 #include <pthread.h>
+#include <stdatomic.h>
 
 #include "client/cm_plane_wire.h"
 #include "plane.h"
@@ -62,6 +63,7 @@ struct event {
 struct cm_plane {
 	pthread_t thread;
 	pthread_mutex_t lock; /* of everything below */
+	atomic_int callers;   /* that wait for the lock */
 	int epoll_fd;
 	int wake_fd; /* ends the thread */
 	int event_fd;

@@ -14,6 +14,7 @@ import numpy as np
 from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
 from cm.errors import InvalidRequest
+from cm.messages.status import StreamStatus
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -47,9 +48,26 @@ def run_list(args: argparse.Namespace) -> int:
     if args.json:
         print_json([plain(s) for s in streams])
         return 0
-    rows = [(s.name, s.channel, s.direction, "x".join(map(str, s.shape)) or "-", s.dtype, s.slots) for s in streams]
-    print_table(rows, ("NAME", "CHANNEL", "DIRECTION", "SHAPE", "DTYPE", "SLOTS"))
+    rows = [
+        (s.name, s.channel, s.direction, "x".join(map(str, s.shape)) or "-", s.dtype, s.slots, *_flow(s))
+        for s in streams
+    ]
+    print_table(rows, ("NAME", "CHANNEL", "DIRECTION", "SHAPE", "DTYPE", "SLOTS", "FRAMES", "LOST", "RATE", "LATENCY"))
+    for s in streams:
+        for c in s.clients:
+            does = "writes" if c.writes else "reads"
+            print(
+                f"  {s.name}: {c.name or '?'} (pid {c.pid}) {does}: {c.frames} frames, {c.dropped} lost, holds {c.held}"
+            )
+        if s.overruns:
+            print(f"  {s.name}: subscribers over ZeroMQ fell behind {s.overruns} times")
     return 0
+
+
+def _flow(stream: StreamStatus) -> tuple[str, ...]:
+    if not stream.open:
+        return ("-",) * 4
+    return str(stream.frames), str(stream.dropped), f"{stream.rate:.1f}/s", f"{stream.latency_us:.0f} us"
 
 
 def run_capture(args: argparse.Namespace) -> int:

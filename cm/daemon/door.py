@@ -16,6 +16,7 @@ from cm.wire import plane as packets
 from cm.wire.plane import Open, decode_open, encode_refused
 
 _BACKLOG = 64
+_WAITING = 64  # connections that have not said yet what they want; the oldest makes room
 
 
 class Door:
@@ -41,13 +42,18 @@ class Door:
             connection, _ = self._listener.accept()
         except (BlockingIOError, ConnectionAbortedError):
             return
+        if len(self._waiting) >= _WAITING:
+            self._forget(next(iter(self._waiting.values()))).close()
         connection.setblocking(False)
         self._waiting[connection.fileno()] = connection
         self._loop.add(connection.fileno(), lambda: self._first(connection))
 
-    def _first(self, connection: socket.socket) -> None:
+    def _forget(self, connection: socket.socket) -> socket.socket:
         self._loop.remove(connection.fileno())
-        del self._waiting[connection.fileno()]
+        return self._waiting.pop(connection.fileno())
+
+    def _first(self, connection: socket.socket) -> None:
+        self._forget(connection)
         with connection, suppress(OSError):
             packet = connection.recv(packets.PACKET_MAX)
             if not packet:

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from manager_process import Manager, environment, until
 from plane_stress import warm
 
@@ -42,6 +44,21 @@ def state(board: cm.Board, name: str) -> cm.messages.status.StreamStatus:
 def fds(manager: Manager) -> int:
     assert manager.process is not None
     return len(list(Path(f"/proc/{manager.process.pid}/fd").iterdir()))
+
+
+packet_like = st.builds(
+    lambda head, rest: Descriptor(*head).pack() + rest,
+    st.tuples(
+        st.integers(0, 65535),
+        st.integers(0, 30),
+        st.integers(0, 255),
+        st.integers(0, 2**32 - 1),
+        *[st.one_of(st.integers(0, 2**64 - 1), st.integers(0, 5000))] * 3,
+    ),
+    st.one_of(
+        st.just(b""), st.binary(max_size=60), st.sampled_from([b"camera", b"to_pl", b"camera\0\0\0", b"\xff\xfe"])
+    ),
+)
 
 
 @pytest.fixture
@@ -261,6 +278,33 @@ def test_nonsense_at_the_door_is_refused(board: cm.Board, raw: Callable[..., Raw
     assert board.status.mode == "default"
 
 
+def test_who_knocks_and_says_nothing_keeps_nobody_out(board: cm.Board, manager: Manager) -> None:
+    before = fds(manager)
+    with contextlib.ExitStack() as stack:
+        for _ in range(200):
+            silent = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+            silent.connect(str(manager.runtime / "data"))
+        with board.stream("camera") as stream:
+            stream.read()
+        assert fds(manager) < before + 100
+    until(lambda: fds(manager) <= before)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.one_of(st.binary(max_size=200), packet_like), min_size=1, max_size=4), st.booleans())
+def test_no_packets_whatsoever_bring_the_plane_down(
+    board: cm.Board, manager: Manager, sent: list[bytes], opened: bool
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as peer:
+        peer.connect(str(manager.runtime / "data"))
+        with contextlib.suppress(OSError):
+            for packet in [packets.encode_open(Open("camera"))] * opened + sent:
+                peer.send(packet)
+    assert board.status.mode == "default"
+    with board.echo(64) as echo:
+        echo.round_trip()
+
+
 @pytest.mark.parametrize("packet", [b"x", b"\0" * 31, b"\0" * 33, b"\0" * 32, b"\xff" * 32])
 def test_who_breaks_the_rules_later_is_hung_up_on(board: cm.Board, raw: Callable[..., Raw], packet: bytes) -> None:
     with board.stream("camera") as other:
@@ -337,7 +381,7 @@ def test_the_status_says_which_client_lost_how_much(board: cm.Board) -> None:
         assert clients[1].name == Path("/proc/self/comm").read_text().strip()
         assert (clients[1].held, clients[1].writes) == (1, False)
         assert clients[1].dropped >= 18
-        assert clients[3].dropped == 0
+        assert clients[3].dropped < clients[1].dropped
         assert clients[3].frames >= 20
         del held
         after = until(lambda: slow.read().sequence)

@@ -1,0 +1,348 @@
+// SPDX-License-Identifier: Apache-2.0
+/*
+ * The data plane under stress: readers of the client library that come and go, some that hang
+ * up with frames in hand or talk nonsense, a writer, and streams that end under them.  Run under
+ * the sanitizers too.
+ */
+#include <poll.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#include <sys/mman.h>
+#include <sys/socket.h>
+#include <sys/un.h>
+
+#include "client/cm_plane.h"
+#include "fake_node.h"
+#include "plane.h"
+#include "test.h"
+
+#define READERS 3
+#define LIVES 3
+#define FRAMES 40 /* of a reader's life, at most */
+#define SLOTS 12
+#define DEPTH 2
+#define LENGTH 8192
+
+struct place {
+	char *root;
+	struct fake_node *fake;
+	struct cm_dma *dma;
+	struct cm_plane *plane;
+	int listener;
+	atomic_int stream; /* readers are let in to it */
+	atomic_bool ending;
+	atomic_uint frames, releases_refused;
+	int memory[SLOTS];
+	pthread_t door;
+};
+
+static size_t geometry_packet(unsigned char *packet, bool writable)
+{
+	struct cm_plane_descriptor head = { .kind = CM_PLANE_GEOMETRY };
+	struct cm_plane_geometry body = {
+		.slot_length = LENGTH,
+		.frame_length = LENGTH / 2,
+		.flags = CM_PLANE_COHERENT | (writable ? CM_PLANE_WRITABLE : 0),
+		.depth = DEPTH,
+		.dimensions = 1,
+		.shape = { LENGTH / 2 },
+		.dtype = "uint8",
+	};
+	static const char names[] = "x\0config\0mode";
+
+	memcpy(packet, &head, sizeof(head));
+	memcpy(packet + sizeof(head), &body, sizeof(body));
+	memcpy(packet + sizeof(head) + sizeof(body), names, sizeof(names));
+	return sizeof(head) + sizeof(body) + sizeof(names);
+}
+
+/* Let one in, as the manager does; -1 if the stream has just ended. */
+static int admit(struct place *place, int connection, bool writer)
+{
+	unsigned char packet[CM_PLANE_PACKET_MAX];
+	int client = cm_plane_adopt(place->plane, connection);
+
+	CHECK(client > 0);
+	if (!cm_plane_attach(place->plane, client, place->stream, DEPTH, packet,
+			     geometry_packet(packet, writer)))
+		return client;
+	CHECK(errno == ENOENT || errno == EAGAIN);
+	cm_plane_drop(place->plane, client);
+	return -1;
+}
+
+static void *keep_the_door(void *argument)
+{
+	struct place *place = argument;
+	struct pollfd listener = { .fd = place->listener, .events = POLLIN };
+
+	while (!place->ending) {
+		unsigned char open[CM_PLANE_PACKET_MAX];
+		int connection;
+
+		if (poll(&listener, 1, 20) <= 0)
+			continue;
+		connection = accept4(place->listener, NULL, NULL, SOCK_CLOEXEC);
+		CHECK(connection >= 0);
+		if (recv(connection, open, sizeof(open), 0) >=
+		    (ssize_t)sizeof(struct cm_plane_descriptor))
+			admit(place, connection, false);
+		else
+			close(connection);
+	}
+	return NULL;
+}
+
+static void start_stream(struct place *place)
+{
+	struct cm_plane_setup setup = { .queue_depth = 4, .length = LENGTH };
+	int stream = cm_plane_start(place->plane, place->dma, &setup);
+
+	CHECK(stream > 0);
+	for (int i = 0; i < SLOTS; i++)
+		CHECK(cm_plane_add_slot(place->plane, stream, place->memory[i], 7) == i);
+	place->stream = stream;
+}
+
+static struct place *place_make(void)
+{
+	struct place *place = calloc(1, sizeof(*place));
+	struct sockaddr_un address = { .sun_family = AF_UNIX };
+
+	CHECK(place);
+	place->root = fake_root_make();
+	place->fake = fake_node_start(place->root, "dev/cm_dma/x", WELL_BEHAVED);
+	place->dma = cm_dma_open(place->root, "x");
+	place->plane = cm_plane_new();
+	CHECK(place->dma && place->plane);
+	for (int i = 0; i < SLOTS; i++) {
+		place->memory[i] = memfd_create("slot", MFD_CLOEXEC);
+		CHECK(place->memory[i] >= 0 && !ftruncate(place->memory[i], LENGTH));
+	}
+	start_stream(place);
+	CHECK((size_t)snprintf(address.sun_path, sizeof(address.sun_path), "%s/data", place->root) <
+	      sizeof(address.sun_path));
+	place->listener = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0);
+	CHECK(!bind(place->listener, (struct sockaddr *)&address, sizeof(address)));
+	CHECK(!listen(place->listener, 16));
+	CHECK(!pthread_create(&place->door, NULL, keep_the_door, place));
+	return place;
+}
+
+static void place_end(struct place *place)
+{
+	place->ending = true;
+	pthread_join(place->door, NULL);
+	cm_plane_close(place->plane);
+	cm_dma_close(place->dma);
+	fake_node_stop(place->fake);
+	close(place->listener);
+	for (int i = 0; i < SLOTS; i++)
+		close(place->memory[i]);
+	fake_root_remove(place->root);
+	free(place);
+}
+
+/* One life of a reader: some frames, and an end with or without them in hand. */
+static void live(struct place *place, unsigned int *seed)
+{
+	struct cm_reader *reader = cm_reader_open(place->root, "x", DEPTH);
+	int wanted = rand_r(seed) % FRAMES;
+
+	CHECK(reader);
+	for (int i = 0; i < wanted; i++) {
+		struct cm_frame frame;
+		int got = cm_reader_next(reader, 50, &frame);
+
+		if (got < 0)
+			break; /* the stream ended as we came */
+		if (!got)
+			continue;
+		CHECK(frame.length == LENGTH / 2);
+		CHECK(*(const volatile unsigned char *)frame.data == 0);
+		place->frames++;
+		if (rand_r(seed) % 16 == 0)
+			continue; /* kept, until the end gives it back */
+		if (cm_reader_release(reader, &frame))
+			place->releases_refused++;
+	}
+	cm_reader_close(reader);
+}
+
+static void *live_on(void *argument)
+{
+	struct place *place = argument;
+	unsigned int seed = (unsigned int)(uintptr_t)&seed;
+
+	for (int i = 0; i < LIVES; i++)
+		live(place, &seed);
+	return NULL;
+}
+
+static void *talk_nonsense(void *argument)
+{
+	struct place *place = argument;
+	unsigned int seed = 7;
+
+	while (!place->ending) {
+		unsigned char packet[64];
+		int pair[2];
+
+		CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+		if (admit(place, pair[1], false) > 0) {
+			for (int i = 0; i < 4; i++) {
+				for (size_t k = 0; k < sizeof(packet); k++)
+					packet[k] = (unsigned char)rand_r(&seed);
+				packet[2] = (unsigned char)(rand_r(&seed) % 8);
+				if (send(pair[0], packet, i ? 32 : 1 + (size_t)rand_r(&seed) % 64,
+					 MSG_NOSIGNAL | MSG_DONTWAIT) < 0)
+					break;
+			}
+		}
+		close(pair[0]);
+		poll(NULL, 0, 2);
+	}
+	return NULL;
+}
+
+static void *look_on(void *argument)
+{
+	struct place *place = argument;
+	struct cm_plane_stats stats;
+	struct cm_plane_client_stats client;
+	struct cm_plane_event event;
+	struct cm_plane_descriptor label = { .kind = CM_PLANE_LABEL };
+
+	while (!place->ending) {
+		if (!cm_plane_get_stats(place->plane, place->stream, &stats))
+			CHECK(stats.held <= SLOTS && stats.queued <= SLOTS);
+		cm_plane_get_client_stats(place->plane, (int)(stats.frames % 64), &client);
+		cm_plane_tell(place->plane, place->stream, &label, sizeof(label));
+		while (cm_plane_take(place->plane, &event))
+			CHECK(event.kind == CM_PLANE_CLIENT_GONE);
+		poll(NULL, 0, 1);
+	}
+	return NULL;
+}
+
+static void run_with(struct place *place, void (*meanwhile)(struct place *))
+{
+	pthread_t readers[READERS], nonsense, looker;
+
+	CHECK(!pthread_create(&nonsense, NULL, talk_nonsense, place));
+	CHECK(!pthread_create(&looker, NULL, look_on, place));
+	for (int i = 0; i < READERS; i++)
+		CHECK(!pthread_create(&readers[i], NULL, live_on, place));
+	if (meanwhile)
+		meanwhile(place);
+	for (int i = 0; i < READERS; i++)
+		pthread_join(readers[i], NULL);
+	place->ending = true;
+	pthread_join(nonsense, NULL);
+	pthread_join(looker, NULL);
+	CHECK(place->frames > 0);
+}
+
+/* When all have gone, nobody holds anything, and frames go on. */
+static void nothing_is_held(struct place *place)
+{
+	struct cm_plane_stats stats = { .held = 1 };
+	uint64_t before = 0;
+
+	for (int i = 0; i < 2000 && (stats.held || stats.frames <= before); i++) {
+		before = stats.frames && !before ? stats.frames : before;
+		poll(NULL, 0, 1);
+		CHECK(!cm_plane_get_stats(place->plane, place->stream, &stats));
+	}
+	CHECK(stats.held == 0 && stats.frames > before && stats.errors == 0);
+}
+
+static void readers_come_and_go(void)
+{
+	struct place *place = place_make();
+
+	run_with(place, NULL);
+	nothing_is_held(place);
+	place_end(place);
+}
+
+static void stop_and_start(struct place *place)
+{
+	for (int i = 0; i < 4; i++) {
+		poll(NULL, 0, 10);
+		CHECK(!cm_plane_stop(place->plane, place->stream, 0));
+		start_stream(place);
+	}
+}
+
+static void streams_end_under_their_readers(void)
+{
+	struct place *place = place_make();
+
+	run_with(place, stop_and_start);
+	nothing_is_held(place);
+	place_end(place);
+}
+
+static void the_plane_ends_under_its_readers(void)
+{
+	struct place *place = place_make();
+	struct cm_reader *reader = cm_reader_open(place->root, "x", DEPTH);
+	struct cm_frame frame;
+
+	CHECK(cm_reader_next(reader, 5000, &frame) == 1);
+	place_end(place);
+	CHECK(*(const volatile unsigned char *)frame.data == 0);
+	while (cm_reader_next(reader, 5000, &frame) >= 0)
+		;
+	CHECK(errno == ECONNRESET);
+	cm_reader_close(reader);
+}
+
+/* A writer without hardware: every frame is done at once, and its slot its own again. */
+static void a_writer_gets_its_slots_back(void)
+{
+	struct cm_plane *plane = cm_plane_new();
+	struct cm_plane_setup setup = { .write = true, .length = LENGTH };
+	struct cm_plane_descriptor packet, grant = { 0 };
+	unsigned char geometry[CM_PLANE_PACKET_MAX];
+	int pair[2], memory = memfd_create("slot", MFD_CLOEXEC), stream, client;
+	struct cm_plane_client_stats stats;
+
+	CHECK(plane && !ftruncate(memory, LENGTH));
+	stream = cm_plane_start(plane, NULL, &setup);
+	CHECK(cm_plane_add_slot(plane, stream, memory, 0) == 0);
+	CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+	client = cm_plane_adopt(plane, pair[1]);
+	CHECK_ERRNO(cm_plane_attach(plane, client, stream, 2, geometry,
+				    geometry_packet(geometry, true)),
+		    EAGAIN);
+	CHECK(!cm_plane_attach(plane, client, stream, 1, geometry,
+			       geometry_packet(geometry, true)));
+	while (grant.kind != CM_PLANE_GRANT)
+		CHECK(recv(pair[0], &grant, sizeof(grant), 0) > 0);
+	for (uint64_t i = 0; i < 2000; i++) {
+		packet = grant;
+		packet.kind = CM_PLANE_SUBMIT;
+		packet.length = i % 7 ? LENGTH : LENGTH + 1; /* one that does not fit is refused */
+		packet.sequence = i;
+		CHECK(send(pair[0], &packet, sizeof(packet), 0) == sizeof(packet));
+		CHECK(recv(pair[0], &packet, sizeof(packet), 0) == sizeof(packet));
+		CHECK(packet.kind == CM_PLANE_DONE && packet.sequence == i);
+		CHECK(packet.offset == (i % 7 ? 0 : EINVAL));
+	}
+	CHECK(!cm_plane_get_client_stats(plane, client, &stats));
+	CHECK(stats.frames == 2000 - 2000 / 7 - 1 && stats.held == 0 && stats.depth == 1);
+	cm_plane_close(plane);
+	close(pair[0]);
+	close(memory);
+}
+
+int main(void)
+{
+	RUN(readers_come_and_go);
+	RUN(streams_end_under_their_readers);
+	RUN(the_plane_ends_under_its_readers);
+	RUN(a_writer_gets_its_slots_back);
+	return 0;
+}
