@@ -19,7 +19,7 @@ OUT ?= demo
 IMAGES ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-c test-rtl test-vm vm soak bench lint format kmod kmod-matrix dtbo clean distclean check-system
+.PHONY: help setup demo test test-c test-rtl test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -90,6 +90,9 @@ format: $(LINT_STAMP) ## format Python and C
 
 kmod: ## the kernel modules for one kernel: make kmod KDIR=… ARCH=… CROSS_COMPILE=…
 	$(MAKE) -C kmod $(if $(KDIR),KDIR=$(abspath $(KDIR)))
+
+kmod-lint: ## checkpatch --strict, sparse and W=1 over the kernel modules
+	@kmod/lint.sh || { status=$$?; [ $$status = 3 ] && echo "SKIPPED: see above" || exit $$status; }
 
 kmod-matrix: ## the kernel modules against all supported kernels
 	$(MAKE) -C kmod matrix

@@ -14,6 +14,7 @@
 #define AXIDMA_FRAMES_MAX 32
 
 struct axidma_video;
+struct platform_driver;
 
 /**
  * struct axidma_channel - a channel as this interface numbers it
@@ -58,8 +59,14 @@ void axidma_regions_destroy(struct axidma_file *file);
 struct cm_buffer *axidma_region_find(struct axidma_file *file, unsigned long address,
 				     unsigned long length, u64 *offset);
 
-/* transfer.c */
+/* tree.c */
+struct cm_channel *axidma_tree_channel(int index, int *id);
+extern struct platform_driver axidma_driver;
+
+/* frame.c */
 int axidma_frame_request(const struct axidma_abi_frame *frame, struct cm_request *request);
+
+/* transfer.c */
 long axidma_one_way(struct axidma_file *file, u32 direction, void __user *arg);
 long axidma_two_way(struct axidma_file *file, void __user *arg);
 

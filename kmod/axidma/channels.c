@@ -11,7 +11,7 @@
 
 static char *channels;
 module_param(channels, charp, 0444);
-MODULE_PARM_DESC(channels, "name[:id],... of cm_dma channels; all of them, numbered from 0, if empty");
+MODULE_PARM_DESC(channels, "name[:id],... of cm_dma channels; those of the device tree, or all, if empty");
 
 /* takes over the caller's reference */
 static int add(struct axidma_file *file, struct cm_channel *channel, int id)
@@ -51,6 +51,16 @@ static int add_all(struct axidma_file *file)
 	return ret;
 }
 
+static int add_described(struct axidma_file *file)
+{
+	struct cm_channel *channel;
+	int id, i, ret = 0;
+
+	for (i = 0; !ret && (channel = axidma_tree_channel(i, &id)); i++)
+		ret = add(file, channel, id);
+	return ret;
+}
+
 static int add_named(struct axidma_file *file, char *entry)
 {
 	char *name = strsep(&entry, ":");
@@ -78,12 +88,17 @@ static int add_list(struct axidma_file *file)
  * axidma_channels_claim() - have all channels to oneself
  * @file: file
  *
+ * Those that the module parameter names; without it those that a device tree
+ * describes; without that all of cm_dma.
+ *
  * Return: 0, -EBUSY where somebody has one, -ENODEV where there is none.
  */
 int axidma_channels_claim(struct axidma_file *file)
 {
-	int ret = channels && *channels ? add_list(file) : add_all(file);
+	int ret = channels && *channels ? add_list(file) : add_described(file);
 
+	if (!ret && !file->count)
+		ret = add_all(file);
 	if (!ret && !file->count)
 		ret = -ENODEV;
 	if (ret)

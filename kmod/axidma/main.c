@@ -11,6 +11,7 @@
 #include <linux/fs.h>
 #include <linux/miscdevice.h>
 #include <linux/module.h>
+#include <linux/platform_device.h>
 #include <linux/signal.h>
 #include <linux/slab.h>
 
@@ -106,7 +107,26 @@ static struct miscdevice axidma_misc = {
 	.name = "axidma",
 	.fops = &axidma_fops,
 };
-module_misc_device(axidma_misc);
+
+static int __init axidma_init(void)
+{
+	int ret = platform_driver_register(&axidma_driver);
+
+	if (ret)
+		return ret;
+	ret = misc_register(&axidma_misc);
+	if (ret)
+		platform_driver_unregister(&axidma_driver);
+	return ret;
+}
+module_init(axidma_init);
+
+static void __exit axidma_exit(void)
+{
+	misc_deregister(&axidma_misc);
+	platform_driver_unregister(&axidma_driver);
+}
+module_exit(axidma_exit);
 
 MODULE_DESCRIPTION("/dev/axidma for programs built against libaxidma");
 MODULE_LICENSE("GPL");

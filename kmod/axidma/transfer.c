@@ -3,7 +3,6 @@
 #include <linux/completion.h>
 #include <linux/kref.h>
 #include <linux/moduleparam.h>
-#include <linux/overflow.h>
 #include <linux/pid.h>
 #include <linux/sched/signal.h>
 #include <linux/slab.h>
@@ -86,27 +85,6 @@ static void transfer_done(void *context, const struct cm_result *result)
 		send_signal(waiter);
 	complete(&waiter->over);
 	waiter_put(waiter);
-}
-
-/**
- * axidma_frame_request() - a video frame as a request
- * @frame: its shape
- * @request: lines, line_bytes and stride are filled in
- *
- * Return: 0, or -EINVAL for a shape that cannot be.
- */
-int axidma_frame_request(const struct axidma_abi_frame *frame, struct cm_request *request)
-{
-	u32 bytes;
-
-	if (frame->height <= 0 || frame->width <= 0 || frame->depth <= 0)
-		return -EINVAL;
-	if (check_mul_overflow((u32)frame->width, (u32)frame->depth, &bytes))
-		return -EINVAL;
-	request->lines = frame->height;
-	request->line_bytes = bytes;
-	request->stride = bytes;
-	return 0;
 }
 
 static int fill(struct axidma_file *file, struct axidma_channel *channel, unsigned long address,

@@ -17,6 +17,7 @@
 int cm_args_get(void *args, size_t size, const void __user *from)
 {
 	u32 user_size;
+	int ret;
 
 	if (get_user(user_size, (const u32 __user *)from))
 		return -EFAULT;
@@ -24,7 +25,11 @@ int cm_args_get(void *args, size_t size, const void __user *from)
 		return -EINVAL;
 	if (user_size > PAGE_SIZE)
 		return -E2BIG;
-	return copy_struct_from_user(args, size, from, user_size);
+	ret = copy_struct_from_user(args, size, from, user_size);
+	/* it may have been changed between the two reads */
+	if (!ret)
+		*(u32 *)args = user_size;
+	return ret;
 }
 EXPORT_SYMBOL_CM(cm_args_get);
 

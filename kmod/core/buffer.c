@@ -338,7 +338,8 @@ EXPORT_SYMBOL_CM(cm_buffer_sync_for_device);
  * @buffer: buffer; the caller sees to it that it outlives the mapping
  * @vma: range; its offset counts from the start of the buffer
  *
- * Return: 0, -EINVAL for a range outside the buffer or an imported buffer.
+ * Return: 0, -EINVAL for a range outside the buffer, a private mapping or an
+ * imported buffer.
  */
 int cm_buffer_mmap(struct cm_buffer *buffer, struct vm_area_struct *vma)
 {
@@ -346,6 +347,9 @@ int cm_buffer_mmap(struct cm_buffer *buffer, struct vm_area_struct *vma)
 
 	if (buffer->kind == CM_BUFFER_IMPORTED || vma->vm_pgoff > pages ||
 	    vma_pages(vma) > pages - vma->vm_pgoff)
+		return -EINVAL;
+	/* what is written to a private mapping is a copy that the device never sees */
+	if (!(vma->vm_flags & VM_SHARED))
 		return -EINVAL;
 	cm_vm_flags_set(vma, VM_DONTEXPAND | VM_DONTDUMP);
 	if (buffer->kind == CM_BUFFER_COHERENT)

@@ -3,7 +3,6 @@
 #include <linux/debugfs.h>
 #include <linux/ktime.h>
 #include <linux/log2.h>
-#include <linux/math64.h>
 #include <linux/of.h>
 #include <linux/seq_file.h>
 #include <linux/slab.h>
@@ -72,13 +71,12 @@ static u64 engine_max_length(struct dma_chan *chan)
 	return BIT_ULL(clamp(bits, 8U, 26U)) - 1;
 }
 
-static int channel_describe(struct cm_channel *channel, const struct cm_channel_config *config)
+static void channel_describe(struct cm_channel *channel, const struct cm_channel_config *config)
 {
 	struct cm_dma_info *info = &channel->info;
 	u32 align = 1U << channel->chan->device->copy_align;
 
-	if (strscpy(info->name, config->name, sizeof(info->name)) < 0)
-		return -ENAMETOOLONG;
+	strscpy(info->name, config->name, sizeof(info->name));
 	info->direction = config->direction;
 	info->type = config->type;
 	info->queue_depth = config->queue_depth;
@@ -87,12 +85,12 @@ static int channel_describe(struct cm_channel *channel, const struct cm_channel_
 	info->alignment = max(config->alignment, align);
 	info->max_length = config->max_length ?: engine_max_length(channel->chan);
 	info->max_length = round_down(info->max_length, info->alignment);
-	return 0;
 }
 
 static bool config_valid(const struct cm_channel_config *config)
 {
-	return (config->direction == CM_DMA_MM2S || config->direction == CM_DMA_S2MM) &&
+	return cm_channel_name_valid(config->name) &&
+	       (config->direction == CM_DMA_MM2S || config->direction == CM_DMA_S2MM) &&
 	       (config->type == CM_DMA_TYPE_AXIDMA || config->type == CM_DMA_TYPE_VDMA) &&
 	       config->queue_depth && config->queue_depth <= 256 &&
 	       (!config->alignment || is_power_of_2(config->alignment)) &&
@@ -112,7 +110,6 @@ struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel
 {
 	struct cm_channel *channel;
 	struct dma_chan *chan;
-	int ret;
 
 	if (!config_valid(config))
 		return ERR_PTR(-EINVAL);
@@ -141,11 +138,7 @@ struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel
 	/* with a memory-region of its own the client's device has the memory */
 	channel->alloc_dev = get_device(of_find_property(dev->of_node, "memory-region", NULL) ?
 					dev : channel->dma_dev);
-	ret = channel_describe(channel, config);
-	if (ret) {
-		cm_channel_remove(channel);
-		return ERR_PTR(ret);
-	}
+	channel_describe(channel, config);
 	return channel;
 }
 EXPORT_SYMBOL_CM(cm_channel_create);
@@ -440,52 +433,6 @@ static void active_done(void *param, const struct dmaengine_result *result)
 	}
 }
 
-static int check_video(const struct cm_channel *channel, const struct cm_request *request)
-{
-	if (!(channel->info.caps & CM_DMA_CAP_VIDEO))
-		return -EOPNOTSUPP;
-	if (!request->line_bytes || request->stride < request->line_bytes)
-		return -EINVAL;
-	return 0;
-}
-
-static int check_cyclic(const struct cm_channel *channel, const struct cm_request *request)
-{
-	u64 rest;
-
-	if (!(channel->info.caps & CM_DMA_CAP_CYCLIC))
-		return -EOPNOTSUPP;
-	if (!request->period || request->period > request->length ||
-	    request->period & (channel->info.alignment - 1))
-		return -EINVAL;
-	div64_u64_rem(request->length, request->period, &rest);
-	if (rest)
-		return -EINVAL;
-	return request->period > channel->info.max_length ? -EMSGSIZE : 0;
-}
-
-static int check(const struct cm_channel *channel, const struct cm_request *request)
-{
-	u32 mask = channel->info.alignment - 1;
-
-	if (request->lines)
-		return check_video(channel, request);
-	if (request->offset & mask || request->length & mask)
-		return -EINVAL;
-	if (request->cyclic)
-		return check_cyclic(channel, request);
-	if (request->period)
-		return -EINVAL;
-	return request->length > channel->info.max_length ? -EMSGSIZE : 0;
-}
-
-static u64 footprint(const struct cm_request *request)
-{
-	if (!request->lines)
-		return request->length;
-	return (u64)(request->lines - 1) * request->stride + request->line_bytes;
-}
-
 /* a cyclic request has the channel alone */
 static bool room_for(struct cm_channel *channel, const struct cm_request *request)
 {
@@ -534,7 +481,7 @@ static int submit_locked(struct cm_channel *channel, struct cm_active *active)
 int cm_channel_submit(struct cm_channel *channel, const struct cm_request *request)
 {
 	struct cm_active *active;
-	int ret = check(channel, request);
+	int ret = cm_request_check(&channel->info, request);
 
 	if (ret)
 		return ret;
@@ -543,7 +490,7 @@ int cm_channel_submit(struct cm_channel *channel, const struct cm_request *reque
 		return -ENOMEM;
 	active->channel = channel;
 	active->request = *request;
-	ret = cm_buffer_address(request->buffer, request->offset, footprint(request),
+	ret = cm_buffer_address(request->buffer, request->offset, cm_request_footprint(request),
 				&active->address);
 	if (ret) {
 		kfree(active);

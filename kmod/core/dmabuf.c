@@ -32,9 +32,9 @@ static int attachment_fill(struct cm_buffer *buffer, struct cm_attachment *attac
 	struct scatterlist *sg;
 	int i, ret;
 
-	if (buffer->kind == CM_BUFFER_COHERENT)
-		return dma_get_sgtable(buffer->dev, &attachment->table, buffer->cpu, buffer->dma,
-				       buffer->length);
+	/* a reserved pool without pages has nothing that another device could map */
+	if (buffer->kind != CM_BUFFER_PAGES)
+		return -EOPNOTSUPP;
 	ret = sg_alloc_table(&attachment->table, DIV_ROUND_UP(buffer->length, most), GFP_KERNEL);
 	if (ret)
 		return ret;

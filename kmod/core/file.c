@@ -2,6 +2,7 @@
 /* What a process can do with /dev/cm_dma/<name>. */
 #include <linux/compat.h>
 #include <linux/fs.h>
+#include <linux/math64.h>
 #include <linux/poll.h>
 #include <linux/slab.h>
 #include <linux/uaccess.h>

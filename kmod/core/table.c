@@ -54,16 +54,26 @@ struct cm_buffer *cm_buffer_table_get(struct cm_buffer_table *table, u32 handle)
 }
 EXPORT_SYMBOL_CM(cm_buffer_table_get);
 
+/* the table's reference is its own: another thread may free the handle at once */
 static int table_add(struct cm_buffer_table *table, struct cm_buffer *buffer, u32 *handle)
 {
-	return xa_alloc(&table->buffers, handle, buffer, xa_limit_31b, GFP_KERNEL);
+	int ret = xa_alloc(&table->buffers, handle, cm_buffer_get(buffer), xa_limit_31b,
+			   GFP_KERNEL);
+
+	if (ret)
+		cm_buffer_put(buffer);
+	return ret;
 }
 
-static void table_drop(struct cm_buffer_table *table, u32 handle)
+/* the handle may have been guessed: freed, and given to another buffer since */
+static void table_drop(struct cm_buffer_table *table, struct cm_buffer *buffer, u32 handle)
 {
-	struct cm_buffer *buffer = xa_erase(&table->buffers, handle);
+	bool ours;
 
-	if (buffer)
+	mutex_lock(&table->lock);
+	ours = xa_cmpxchg(&table->buffers, handle, buffer, NULL, GFP_KERNEL) == buffer;
+	mutex_unlock(&table->lock);
+	if (ours)
 		cm_buffer_put(buffer);
 }
 
@@ -115,13 +125,12 @@ long cm_buffer_ioctl_alloc(struct cm_buffer_table *table, struct device *dev, vo
 	if (IS_ERR(buffer))
 		return PTR_ERR(buffer);
 	ret = table_add(table, buffer, &args.handle);
-	if (ret) {
-		cm_buffer_put(buffer);
-		return ret;
+	if (!ret) {
+		ret = publish(buffer, &args, arg);
+		if (ret)
+			table_drop(table, buffer, args.handle);
 	}
-	ret = publish(buffer, &args, arg);
-	if (ret)
-		table_drop(table, args.handle);
+	cm_buffer_put(buffer);
 	return ret;
 }
 EXPORT_SYMBOL_CM(cm_buffer_ioctl_alloc);
@@ -151,13 +160,12 @@ long cm_buffer_ioctl_import(struct cm_buffer_table *table, struct device *dev,
 		return PTR_ERR(buffer);
 	args.length = buffer->length;
 	ret = table_add(table, buffer, &args.handle);
-	if (ret) {
-		cm_buffer_put(buffer);
-		return ret;
+	if (!ret) {
+		ret = cm_args_put(arg, &args, sizeof(args));
+		if (ret)
+			table_drop(table, buffer, args.handle);
 	}
-	ret = cm_args_put(arg, &args, sizeof(args));
-	if (ret)
-		table_drop(table, args.handle);
+	cm_buffer_put(buffer);
 	return ret;
 }
 EXPORT_SYMBOL_CM(cm_buffer_ioctl_import);

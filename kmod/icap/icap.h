@@ -64,6 +64,7 @@ enum cm_icap_select {
  * @full: it takes full bitstreams
  * @timeout_ms: longest load
  * @devcfg: Zynq-7000: CTRL
+ * @pcap_pr: Zynq-7000: PCAP_PR as it was before the load
  * @manager: FPGA manager
  * @lock: protects @gone, @status and the start of a load
  * @gone: the device is unbound
@@ -91,6 +92,7 @@ struct cm_icap {
 	bool full;
 	u32 timeout_ms;
 	void __iomem *devcfg;
+	u32 pcap_pr;
 	struct fpga_manager *manager;
 	struct mutex lock; /* protects gone, status and the start of a load */
 	bool gone;

@@ -127,18 +127,32 @@ static void finish(struct cm_icap *icap, u32 errors)
 void cm_icap_work(struct work_struct *work)
 {
 	struct cm_icap *icap = container_of(to_delayed_work(work), struct cm_icap, work);
-
 	unsigned long now = jiffies;
-	bool running;
+	bool early;
 
 	if (!READ_ONCE(icap->request.buffer))
 		return;
 	/* woken by what an earlier load left behind */
-	dma_result(icap, &running);
-	if (running && time_before(now, icap->deadline))
+	spin_lock_bh(&icap->dma_lock);
+	early = icap->dma_left && time_before(now, icap->deadline);
+	if (early)
 		queue_delayed_work(system_wq, &icap->work, icap->deadline - now);
-	else
+	spin_unlock_bh(&icap->dma_lock);
+	if (!early)
 		finish(icap, load_errors(icap));
+}
+
+/* not before all is sent: the work must not end a load that is still being sent */
+static void watch(struct cm_icap *icap)
+{
+	unsigned long timeout = msecs_to_jiffies(icap->timeout_ms);
+
+	spin_lock_bh(&icap->dma_lock);
+	icap->deadline = jiffies + timeout;
+	/* otherwise the end has queued the work, or will */
+	if (icap->dma_left)
+		mod_delayed_work(system_wq, &icap->work, timeout);
+	spin_unlock_bh(&icap->dma_lock);
 }
 
 /* the port sees one stream, however many descriptors it is cut into */
@@ -154,13 +168,14 @@ static int send(struct cm_icap *icap)
 	};
 	int ret = 0;
 
-	queue_delayed_work(system_wq, &icap->work, msecs_to_jiffies(icap->timeout_ms));
 	for (; left && !ret; left -= request.length, request.offset += request.length) {
 		request.length = min(left, most);
 		ret = cm_channel_submit(icap->channel, &request);
 		if (ret)
 			break;
 	}
+	if (!ret)
+		watch(icap);
 	return ret;
 }
 
@@ -218,8 +233,8 @@ static void arm(struct cm_icap *icap, const struct cm_icap_request *request)
 	spin_lock_bh(&icap->dma_lock);
 	icap->dma_left = DIV64_U64_ROUND_UP(request->length, most);
 	icap->dma_error = 0;
+	icap->deadline = jiffies + MAX_JIFFY_OFFSET;
 	spin_unlock_bh(&icap->dma_lock);
-	icap->deadline = jiffies + msecs_to_jiffies(icap->timeout_ms);
 	icap->started_ns = ktime_get_ns();
 	mutex_lock(&icap->lock);
 	icap->request = *request;

@@ -16,6 +16,7 @@
 
 #define CM_ICAP_MAX_LENGTH 0x3FFFFFC
 #define CM_ICAP_TIMEOUT_MS 2000
+#define CM_ICAP_TIMEOUT_MAX_MS 600000
 
 static DEFINE_IDA(cm_icap_ids);
 
@@ -133,6 +134,9 @@ static int read_properties(struct cm_icap *icap, struct platform_device *pdev)
 	device_property_read_u32(icap->dev, "fpga-cm,timeout-ms", &icap->timeout_ms);
 	device_property_read_u32(icap->dev, "fpga-cm,max-length", &max_length);
 	device_property_read_u32(icap->dev, "fpga-cm,idcode", &icap->info.idcode);
+	if (!icap->timeout_ms || icap->timeout_ms > CM_ICAP_TIMEOUT_MAX_MS)
+		return dev_err_probe(icap->dev, -EINVAL, "fpga-cm,timeout-ms must be 1 to %u\n",
+				     CM_ICAP_TIMEOUT_MAX_MS);
 	if (data)
 		icap->port = *data;
 	icap->full = icap->port.full;

@@ -2,12 +2,21 @@
 /*
  * ICAP instead of PCAP: one of them has the configuration logic at a time.
  *
- * Zynq-7000 (UG585, devcfg.CTRL): PCAP_PR, bit 27, is 0 for ICAP.  The
- * mainline PCAP driver has the register range, so it is mapped and not
- * requested; that driver sets the bit itself for each load of its own.
+ * Zynq-7000 (UG585, devcfg.CTRL, 0xF8007000): PCAP_PR, bit 27, is 0 for ICAP.
+ * Mainline's PCAP driver (drivers/fpga/zynq-fpga.c, CTRL_PCAP_PR_MASK) has the
+ * register range, so it is mapped and not requested; it sets the bit for each
+ * load of its own and clears it after, so what was found is put back here.
  *
- * ZynqMP (UG1087, CSU pcap_ctrl): bit 0 is 0 for ICAP.  Only the platform
- * firmware may write it, and each PCAP load sets it to 1 again.
+ * ZynqMP (UG1087, CSU pcap_ctrl, 0xFFCA3008; CSU_PCAP_CTRL_PCAP_PR_MASK of the
+ * vendor's xilfpga library): pcap_pr, bit 0, is 0 for ICAP, and each PCAP load
+ * sets it to 1 again.  Only the platform firmware may write it.  The call is
+ * PM_MMIO_WRITE (19) as drivers/firmware/xilinx/zynqmp.c makes it: function
+ * PM_SIP_SVC | 19, first register address and, above it, mask, second register
+ * value; the status is in the low word.  The PMU firmware allows the address
+ * in pmAccessTable of its pm_mmio_access.c only if it was built with
+ * SECURE_ACCESS, and says XST_PM_NO_ACCESS (2002) otherwise.
+ *
+ * None of it was run on silicon.
  */
 #include <linux/arm-smccc.h>
 #include <linux/io.h>
@@ -21,13 +30,22 @@
 
 #define ZYNQMP_CSU_PCAP_CTRL 0xFFCA3008
 #define ZYNQMP_PCAP_PR BIT(0)
-#define ZYNQMP_PM_MMIO_WRITE 0xC2000013 /* SiP service, PM API 19 */
+#define ZYNQMP_PM_MMIO_WRITE 0xC2000013 /* PM_SIP_SVC | PM_MMIO_WRITE */
+#define ZYNQMP_XST_PM_NO_ACCESS 2002
 
-static void zynq_set(struct cm_icap *icap, u32 bit)
+static void zynq_select(struct cm_icap *icap)
 {
 	u32 value = readl(icap->devcfg);
 
-	writel((value & ~ZYNQ_PCAP_PR) | bit, icap->devcfg);
+	icap->pcap_pr = value & ZYNQ_PCAP_PR;
+	writel(value & ~ZYNQ_PCAP_PR, icap->devcfg);
+}
+
+static void zynq_restore(struct cm_icap *icap)
+{
+	u32 value = readl(icap->devcfg);
+
+	writel((value & ~ZYNQ_PCAP_PR) | icap->pcap_pr, icap->devcfg);
 }
 
 #ifdef CONFIG_ARM64
@@ -37,8 +55,14 @@ static int zynqmp_set(u32 bit)
 	u64 address_and_mask = ZYNQMP_CSU_PCAP_CTRL | (u64)ZYNQMP_PCAP_PR << 32;
 
 	arm_smccc_smc(ZYNQMP_PM_MMIO_WRITE, address_and_mask, bit, 0, 0, 0, 0, 0, &result);
-	/* the firmware's own status is in the low word, 0 is success */
-	return lower_32_bits(result.a0) ? -EACCES : 0;
+	switch (lower_32_bits(result.a0)) {
+	case 0:
+		return 0;
+	case ZYNQMP_XST_PM_NO_ACCESS:
+		return -EACCES;
+	default:
+		return -EIO;
+	}
 }
 #else
 static int zynqmp_set(u32 bit)
@@ -76,23 +100,24 @@ int cm_icap_select_init(struct cm_icap *icap)
  * cm_icap_select_port() - before a load
  * @icap: port
  *
- * Return: 0, -EACCES where the firmware refuses, -EOPNOTSUPP.
+ * Return: 0, -EACCES where the firmware does not allow it, -EIO for another
+ * answer of it, -EOPNOTSUPP.
  */
 int cm_icap_select_port(struct cm_icap *icap)
 {
 	if (icap->select == CM_SELECT_ZYNQ)
-		zynq_set(icap, 0);
+		zynq_select(icap);
 	return icap->select == CM_SELECT_ZYNQMP ? zynqmp_set(0) : 0;
 }
 
 /**
- * cm_icap_deselect_port() - after a load: PCAP has the logic again
+ * cm_icap_deselect_port() - after a load: as it was before
  * @icap: port
  */
 void cm_icap_deselect_port(struct cm_icap *icap)
 {
 	if (icap->select == CM_SELECT_ZYNQ)
-		zynq_set(icap, ZYNQ_PCAP_PR);
+		zynq_restore(icap);
 	if (icap->select == CM_SELECT_ZYNQMP && zynqmp_set(ZYNQMP_PCAP_PR))
 		dev_warn(icap->dev, "PCAP could not be selected again\n");
 }

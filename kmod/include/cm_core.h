@@ -221,6 +221,10 @@ struct cm_channel {
 	wait_queue_head_t waiting;
 };
 
+int cm_request_check(const struct cm_dma_info *info, const struct cm_request *request);
+u64 cm_request_footprint(const struct cm_request *request);
+bool cm_channel_name_valid(const char *name);
+
 struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel_config *config);
 struct cm_channel *cm_channel_get(struct cm_channel *channel);
 void cm_channel_put(struct cm_channel *channel);

@@ -79,7 +79,8 @@ static int overlay_apply(struct cm_overlay *overlay)
 	return ret;
 }
 
-static int overlay_load(struct cm_overlay *overlay, const void *data, size_t length)
+static int overlay_load(struct cm_overlay *overlay, const void *data, size_t length,
+			const char *path)
 {
 	int ret;
 
@@ -92,6 +93,8 @@ static int overlay_load(struct cm_overlay *overlay, const void *data, size_t len
 			memcpy(overlay->blob, data, length);
 			overlay->length = length;
 			ret = overlay_apply(overlay);
+			if (!ret)
+				strscpy(overlay->path, path, sizeof(overlay->path));
 		} else {
 			ret = -ENOMEM;
 		}
@@ -142,7 +145,7 @@ static void overlay_remove(struct cm_overlay *overlay)
 
 static ssize_t overlay_dtbo_write(struct config_item *item, const void *data, size_t length)
 {
-	return overlay_load(to_overlay(item), data, length) ?: length;
+	return overlay_load(to_overlay(item), data, length, "") ?: length;
 }
 
 static ssize_t overlay_dtbo_read(struct config_item *item, void *data, size_t length)
@@ -168,7 +171,13 @@ static struct configfs_bin_attribute *overlay_binary_attributes[] = {
 
 static ssize_t overlay_path_show(struct config_item *item, char *page)
 {
-	return sprintf(page, "%s\n", to_overlay(item)->path);
+	struct cm_overlay *overlay = to_overlay(item);
+	ssize_t length;
+
+	mutex_lock(&overlay->lock);
+	length = sprintf(page, "%s\n", overlay->path);
+	mutex_unlock(&overlay->lock);
+	return length;
 }
 
 static ssize_t overlay_path_store(struct config_item *item, const char *page, size_t count)
@@ -184,12 +193,9 @@ static ssize_t overlay_path_store(struct config_item *item, const char *page, si
 	ret = request_firmware_direct(&firmware, path, NULL);
 	if (ret)
 		return ret;
-	ret = overlay_load(overlay, firmware->data, firmware->size);
+	ret = overlay_load(overlay, firmware->data, firmware->size, path);
 	release_firmware(firmware);
-	if (ret)
-		return ret;
-	strscpy(overlay->path, path, sizeof(overlay->path));
-	return count;
+	return ret ?: count;
 }
 CONFIGFS_ATTR(overlay_, path);
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0
 /* Frames that can be told apart and checked. */
 #include <linux/ktime.h>
+#include <linux/math64.h>
 #include <linux/overflow.h>
 #include <linux/slab.h>
 #include <asm/byteorder.h>
@@ -50,6 +51,7 @@ static bool frame_due(struct plsim_chan *chan)
 {
 	u64 interval = (u64)READ_ONCE(chan->interval_us) * NSEC_PER_USEC;
 	u64 now = ktime_get_ns();
+	u64 missed;
 
 	if (!interval)
 		return true;
@@ -58,12 +60,10 @@ static bool frame_due(struct plsim_chan *chan)
 	if (now < chan->next_frame)
 		return false;
 	/* a camera does not wait: what nobody took is gone */
-	while (now - chan->next_frame >= interval) {
-		chan->next_frame += interval;
-		chan->frames++;
-		chan->lost++;
-	}
-	chan->next_frame += interval;
+	missed = div64_u64(now - chan->next_frame, interval);
+	chan->frames += missed;
+	chan->lost += missed;
+	chan->next_frame += (missed + 1) * interval;
 	return true;
 }
 

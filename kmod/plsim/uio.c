@@ -122,8 +122,12 @@ static void plsim_uio_poll(struct work_struct *work)
 	schedule_delayed_work(&uio->poll, msecs_to_jiffies(DOORBELL_MS));
 }
 
+#define FIRE_MAX 1000000
+
 static int fire_set(void *data, u64 count)
 {
+	if (count > FIRE_MAX)
+		return -EINVAL;
 	for (; count; count--)
 		raise_interrupt(data);
 	return 0;

@@ -332,6 +332,61 @@ static void test_death(void)
 	close(channel);
 }
 
+/* handles can be guessed: another process frees them while they are made */
+static void test_guessed_handles(int channel)
+{
+	pid_t guesser = fork();
+	int status, made = 0;
+
+	if (!guesser) {
+		struct cm_buffer_free args = { .size = sizeof(args) };
+
+		for (;;) {
+			args.handle = args.handle % 8 + 1;
+			ioctl(channel, CM_DMA_IOC_FREE, &args);
+		}
+	}
+	for (int i = 0; i < 2000; i++) {
+		struct cm_buffer_alloc args = { .size = sizeof(args), .length = 4096 };
+
+		if (ioctl(channel, CM_DMA_IOC_ALLOC, &args))
+			continue;
+		made++;
+		/* the memory is there, whatever became of the handle */
+		if (lseek(args.fd, 0, SEEK_END) != (off_t)args.length)
+			made = -1000000;
+		if (i % 4 == 0) {
+			struct cm_buffer_import import = { .size = sizeof(import), .fd = args.fd };
+
+			ioctl(channel, CM_DMA_IOC_IMPORT, &import);
+		}
+		close(args.fd);
+	}
+	kill(guesser, SIGKILL);
+	waitpid(guesser, &status, 0);
+	CHECK(made == 2000);
+}
+
+static void test_bad_answers(int channel)
+{
+	struct cm_buffer_alloc args = { .size = sizeof(args), .length = 4096 };
+	struct cm_buffer_free give = { .size = sizeof(give) };
+	size_t page = sysconf(_SC_PAGESIZE);
+	struct buffer buffer = allocate(channel, 4096);
+	void *fixed = mmap(NULL, page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+
+	/* where the answer cannot be written, neither handle nor descriptor is left */
+	memcpy(fixed, &args, sizeof(args));
+	mprotect(fixed, page, PROT_READ);
+	CHECK(ioctl(channel, CM_DMA_IOC_ALLOC, fixed) == -1 && errno == EFAULT);
+	give.handle = buffer.handle + 1;
+	CHECK(ioctl(channel, CM_DMA_IOC_FREE, &give) == -1 && errno == ENOENT);
+	/* a private mapping would be a copy */
+	CHECK(mmap(NULL, page, PROT_READ, MAP_PRIVATE, buffer.fd, 0) == MAP_FAILED);
+	munmap(fixed, page);
+	release(&buffer);
+}
+
 int main(int argc, char **argv)
 {
 	int channel;
@@ -351,6 +406,8 @@ int main(int argc, char **argv)
 	test_depth(channel);
 	test_cyclic(channel);
 	test_video(channel);
+	test_bad_answers(channel);
+	test_guessed_handles(channel);
 	close(channel);
 	test_loopback();
 	test_death();

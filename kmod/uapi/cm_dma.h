@@ -124,7 +124,8 @@ struct cm_dma_cancel {
  * @cookie: as submitted
  * @length: bytes moved; with S2MM the bytes that arrived, may be fewer
  * @timestamp_ns: CLOCK_MONOTONIC at the completion
- * @sequence: number of the completion on this file, from 0
+ * @sequence: number of the completion on this file, from 0; lost ones of a
+ *            cyclic transfer have numbers too, so a gap is how many were lost
  * @status: 0, or a negative errno (-EIO DMA error, -ECANCELED)
  * @flags: CM_DMA_COMPLETION_* bits
  */
