@@ -27,13 +27,10 @@ def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags:
 def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryview]:
     """As `recv_multipart`, but large frames are views of ZeroMQ's own memory. Raises zmq.Again."""
     pull = socket.recv
-    frame = pull(flags, copy=False)
-    frames = [_content(frame)]
-    while frame.more:
-        frame = pull(copy=False)
-        frames.append(_content(frame))
+    frames: list[bytes | memoryview] = []
+    more = True
+    while more:
+        frame = pull(flags, False)
+        frames.append(frame.bytes if len(frame) <= _SMALL else frame.buffer)
+        more = frame.more
     return frames
-
-
-def _content(frame: zmq.Frame) -> bytes | memoryview:
-    return frame.bytes if len(frame) <= _SMALL else frame.buffer

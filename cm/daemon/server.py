@@ -220,9 +220,10 @@ class Server:
 
     def _on_req(self) -> None:
         envelope, message = split_envelope(multipart.receive(self._sockets.req))
-        parts = split_text(message)
-        topic = bytes(parts[0]) if parts else b""
-        self._dispatch(parts, partial(self._reply, envelope, topic))
+        if len(message) == 1:
+            message = split_text(message)
+        topic = bytes(message[0]) if message else b""
+        self._dispatch(message, partial(self._reply, envelope, topic))
 
     def _reply(self, envelope: list[bytes | memoryview], topic: bytes, reply: Reply) -> None:
         frames = encode_reply(topic, reply, self._publisher.sequence)
@@ -274,6 +275,8 @@ def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
     A REQ socket puts an empty frame between them; a DEALER may, with frames of its own before it, or
     may send the message straight away.
     """
+    if len(frames) > 1 and not frames[1]:  # most do
+        return frames[:2], frames[2:]
     if len(frames) < 2 or bytes(frames[1][:3]) == b"cm_" or b"" not in frames[1:]:
         return frames[:1], frames[1:]
     cut = frames.index(b"", 1) + 1

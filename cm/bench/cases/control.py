@@ -17,8 +17,8 @@ from cm.wire.encode import encode_request
 
 REGISTER = "focus"
 RAN = (
-    "cm_read_reg of one register by a REQ socket, manager on the simulated board (each access is a round trip to the "
-    "simulator's process); baseline: pyzmq REQ/REP over ipc with the same frames"
+    "cm_read_reg of one register by a REQ socket, manager on the simulated board, whose registers are read as memory; "
+    "baseline: pyzmq REQ/REP over ipc with the same frames"
 )
 
 
