@@ -14,6 +14,7 @@ from cm.build.project import (
     ConnectionSpec,
     FieldSpec,
     ModeSpec,
+    ModeStreamSpec,
     ModuleSpec,
     Project,
     RegionSpec,
@@ -191,7 +192,8 @@ class _Builder:
                 self._report.key(("modes", name, "modules"), "region_conflict", message, "a region holds one module")
             if region is not None:
                 chosen[region] = module
-        return ModeSpec(name, chosen, spec.get("registers") or {}, spec.get("share", 1.0), spec.get("doc", ""))
+        streams = {key: _mode_stream(value) for key, value in (spec.get("streams") or {}).items()}
+        return ModeSpec(name, chosen, spec.get("registers") or {}, streams, spec.get("share", 1.0), spec.get("doc", ""))
 
     def _only_region(self, mode: str, module: str, modules: dict[str, ModuleSpec]) -> str | None:
         if module not in modules:
@@ -218,6 +220,11 @@ def _implied_modes(modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
 def _connection(spec: dict[str, Any]) -> ConnectionSpec:
     shape = spec.get("shape")
     return ConnectionSpec(**{**spec, "shape": tuple(shape) if shape else None})
+
+
+def _mode_stream(spec: dict[str, Any]) -> ModeStreamSpec:
+    shape = spec.get("shape")
+    return ModeStreamSpec(tuple(shape) if shape else None, spec.get("dtype"))
 
 
 def _registers(spec: dict[str, Any]) -> dict[str, RegisterSpec]:

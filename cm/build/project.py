@@ -80,6 +80,7 @@ class ConnectionSpec:
     shape: tuple[int, ...] | None = None
     dtype: str = "uint8"
     slots: int = 8
+    rate: float | None = None
     max_length: int | None = None
 
 
@@ -129,12 +130,21 @@ class ModuleSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class ModeStreamSpec:
+    """What is different about a stream in a mode; None: as the interface says."""
+
+    shape: tuple[int, ...] | None = None
+    dtype: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ModeSpec:
     """A mode: region to module; regions that are not named keep theirs."""
 
     name: str
     modules: Mapping[str, str]
     registers: Mapping[str, int] = field(default_factory=empty)
+    streams: Mapping[str, ModeStreamSpec] = field(default_factory=empty)
     share: float = 1.0
     doc: str = ""
 

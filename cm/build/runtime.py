@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from cm.build.answers import Answers
 from cm.build.errors import BuildError
-from cm.build.project import FieldSpec, ModuleSpec, RegisterSpec
+from cm.build.project import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
 from cm.build.system import RegionPlan, System
 from cm.schema.model import (
     Access,
@@ -26,6 +28,7 @@ from cm.schema.model import (
     Register,
     Stream,
 )
+from cm.schema.problems import did_you_mean
 
 REGION_BLOCK = 0x100  # of cm_control.v
 REGION_STRIDE = 0x10
@@ -37,6 +40,7 @@ def runtime_config(system: System, answers: Answers) -> Config:
     """The configuration that `system` is on the target."""
     project = system.project
     overlays = (Overlay(f"{project.name}_static"),) if answers.static_overlay else ()
+    streams = {stream.name: stream for stream in _streams(system, answers)}
     return Config(
         name=project.name,
         type=ConfigType.PARTIAL,
@@ -44,10 +48,10 @@ def runtime_config(system: System, answers: Answers) -> Config:
         default_mode=answers.default_mode or project.default_mode,
         regions={region.name: _region(system, region) for region in system.regions},
         modules=dict(_module(module, answers) for module in _targets(system)),
-        modes={mode.name: _mode(system, mode.name) for mode in project.modes.values()},
+        modes={mode.name: _mode(system, mode, streams) for mode in project.modes.values()},
         registers=_static_registers(system),
         overlays=overlays,
-        streams={stream.name: stream for stream in _streams(system, answers)},
+        streams=streams,
         interrupts={line.name: _interrupt(system, line.name, line.bit) for line in system.lines},
         clocks={clock.name: Clock(clock.name, clock.rate, clock.doc) for clock in project.clocks.values()},
         doc=project.doc,
@@ -119,8 +123,7 @@ def _field(spec: FieldSpec) -> BitField:
     return BitField(spec.name, spec.lsb, spec.width, spec.doc, spec.values)
 
 
-def _mode(system: System, name: str) -> Mode:
-    mode = system.project.modes[name]
+def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode:
     chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
     registers = {}
     for one in chosen:
@@ -130,8 +133,20 @@ def _mode(system: System, name: str) -> Mode:
                 registers[key] = _register(spec, register_base(one.region, one.module), one.region.name, value)
     overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
     return Mode(
-        name=name, modules=tuple(one.name for one in chosen), registers=registers, overlays=overlays, doc=mode.doc
+        name=mode.name,
+        modules=tuple(one.name for one in chosen),
+        registers=registers,
+        overlays=overlays,
+        streams=dict(_mode_stream(mode, name, spec, streams) for name, spec in mode.streams.items()),
+        doc=mode.doc,
     )
+
+
+def _mode_stream(mode: ModeSpec, name: str, spec: ModeStreamSpec, streams: Mapping[str, Stream]) -> tuple[str, Stream]:
+    if name not in streams:
+        raise BuildError(f"mode {mode.name} names the stream {name!r}: {did_you_mean(name, streams)}")
+    stream = streams[name]
+    return name, replace(stream, shape=spec.shape or stream.shape, dtype=spec.dtype or stream.dtype)
 
 
 def _static_registers(system: System) -> dict[str, Register]:
@@ -162,7 +177,7 @@ def _streams(system: System, answers: Answers) -> list[Stream]:
             if own is not None:
                 shape, dtype, slots = own.shape or shape, own.dtype or dtype, own.slots or slots
             direction = Direction(bus.dma.direction.value)
-            found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region.name))
+            found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region.name, rate=bus.spec.rate))
     return found
 
 

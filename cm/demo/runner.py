@@ -20,6 +20,8 @@ from cm.errors import CmError, Timeout
 _HOLD = 10  # frames for which the camera looks at one photograph
 _START_TIMEOUT = 30.0
 _STOP_TIMEOUT = 15.0
+# What `cm build generate` makes of the example beside it.
+_SCHEMA = Path(__file__).parents[1] / "data" / "examples" / "camera" / "config" / "camera.yaml"
 SHEET = "contact-sheet.png"
 FRAMES = "frames.npz"
 
@@ -64,6 +66,7 @@ def _interrupt(*_: object) -> None:
 def _manager(runtime: Path, images: Path | None) -> Iterator[None]:
     """A manager with its board, in a process group of its own: Ctrl-C reaches it through us, in order."""
     command = [sys.executable, "-m", "cm.cli.main", "serve", "--sim", "--runtime-dir", str(runtime)]
+    command += ["--config", str(_SCHEMA), "--load", "camera"]
     command += ["--sim-hold", str(_HOLD), *(["--images", str(images)] if images else [])]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, env=_environment(), start_new_session=True)
     try:

@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).parent.parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "unit")]
 
-from build_support import GOLDEN, NAMES, copy_examples, generated  # noqa: E402
+from build_support import EXAMPLES, GOLDEN, NAMES, SHIPPED, copy_examples, generated  # noqa: E402
 
 
 def main() -> None:
@@ -27,6 +27,7 @@ def main() -> None:
                     target = GOLDEN / name / relative
                     target.parent.mkdir(parents=True, exist_ok=True)
                     shutil.copyfile(path, target)
+        shutil.copyfile(GOLDEN / "camera" / SHIPPED, EXAMPLES / "camera" / SHIPPED)
 
 
 if __name__ == "__main__":

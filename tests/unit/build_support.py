@@ -15,6 +15,7 @@ from cm.build.generate import Design, generate, load_design, output_folder
 EXAMPLES = Path(cm.__file__).parent / "data" / "examples"
 GOLDEN = Path(__file__).parent.parent / "golden"
 NAMES = ("camera", "two_regions")
+SHIPPED = Path("config/camera.yaml")  # beside the camera example: what `cm demo` runs
 
 
 def copy_examples(folder: Path) -> Path:

@@ -21,7 +21,7 @@ def test_check_tells_interfaces_fits_and_runs(capsys: pytest.CaptureFixture) -> 
     assert main(["build", "check", str(EXAMPLES / "two_regions/build.yaml")]) == 0
     said = capsys.readouterr().out
     assert "  s_axis: axis slave, 32 bits" in said
-    assert "  frame_done_irq: interrupt" in said
+    assert "  frame_done: interrupt" in said
     assert "  invert: adapted: s_axi: answered with SLVERR" in said
     assert "3 implementation runs (the fewest possible)" in said
 
@@ -46,6 +46,14 @@ def test_a_mistake_in_the_schema_ends_every_command(tmp_path: Path, capsys: pyte
     for action in ("check", "generate", "run", "partition"):
         assert main(["build", action, str(path)]) == 1
         assert f"{path}:3:10: regions.prr0.pblok: unknown key 'pblok' (did you mean pblock?)" in capsys.readouterr().err
+
+
+def test_a_mode_cannot_change_a_stream_that_there_is_not(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    schema = copy_examples(tmp_path) / "camera/build.yaml"
+    schema.write_text(schema.read_text().replace("streams: {camera:", "streams: {camra:"))
+    assert main(["build", "generate", str(schema)]) == 1
+    assert "mode colorise names the stream 'camra': did you mean camera?" in capsys.readouterr().err
+    assert not (tmp_path / "camera/build/config").exists()
 
 
 def test_generate_says_what_it_did_and_fails_on_a_conflict(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

@@ -39,7 +39,7 @@ def test_questions_are_asked_with_defaults_until_the_answer_does(camera: tuple[D
     answers = answer_all(asked, {}, reply, Path("terminal"))
     assert answers["default_mode"] == "colorise"
     assert answers["streams.camera.shape"] == [240, 320, 4]
-    assert answers["registers.edge.threshold"] == 64
+    assert answers["registers.edge.zoom"] == 1
     assert any("'night' is none of default, edge_detection, colorise" in prompt for prompt in shown)
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from build_support import GOLDEN, NAMES, copy_examples, generated
+from build_support import EXAMPLES, GOLDEN, NAMES, SHIPPED, copy_examples, generated
 
 
 def tree(folder: Path) -> dict[str, bytes]:
@@ -21,6 +21,11 @@ def test_an_example_generates_its_golden_files(name: str, tmp_path: Path) -> Non
     assert sorted(have) == sorted(want)
     for path, data in want.items():
         assert have[path].decode() == data.decode(), path
+
+
+def test_the_demo_runs_what_is_generated_from_the_example(tmp_path: Path) -> None:
+    _, out = generated(copy_examples(tmp_path), "camera")
+    assert (EXAMPLES / "camera" / SHIPPED).read_text() == (out / SHIPPED).read_text()
 
 
 def test_the_same_input_gives_the_same_bytes_wherever_it_lies(tmp_path: Path) -> None:

@@ -31,14 +31,16 @@ module cm_static (
     output wire s_axi_fclk0_rvalid,
     input  wire s_axi_fclk0_rready,
     output wire irq,
-    input  wire [31:0] axis_to_camera_tdata,
-    input  wire axis_to_camera_tvalid,
-    output wire axis_to_camera_tready,
-    input  wire axis_to_camera_tlast,
-    output wire [31:0] axis_camera_tdata,
+    input  wire [7:0] axis_prr0_s_axis_tdata,
+    input  wire axis_prr0_s_axis_tvalid,
+    output wire axis_prr0_s_axis_tready,
+    input  wire axis_prr0_s_axis_tlast,
+    output wire [7:0] axis_camera_tdata,
     output wire axis_camera_tvalid,
     input  wire axis_camera_tready,
     output wire axis_camera_tlast,
+    output wire [3:0] ext_prr0_lens_focus,
+    output wire [3:0] ext_prr0_lens_zoom,
     input  wire axis_icap_tvalid,
     output wire axis_icap_tready,
     input  wire [31:0] axis_icap_tdata,
@@ -90,15 +92,17 @@ module cm_static (
     wire [1:0] prr0_s_axi_rresp;
     wire prr0_s_axi_rvalid;
     wire prr0_s_axi_rready;
-    wire [31:0] prr0_s_axis_tdata;
+    wire [7:0] prr0_s_axis_tdata;
     wire prr0_s_axis_tlast;
     wire prr0_s_axis_tvalid;
     wire prr0_s_axis_tready;
-    wire [31:0] prr0_m_axis_tdata;
+    wire [7:0] prr0_m_axis_tdata;
     wire prr0_m_axis_tlast;
     wire prr0_m_axis_tvalid;
     wire prr0_m_axis_tready;
     wire prr0_interrupt;
+    wire [3:0] prr0_lens_focus;
+    wire [3:0] prr0_lens_zoom;
     wire [31:0] prr0_cm_identity;
     wire [1:0] prr0_request;
     wire prr0_hold;
@@ -121,6 +125,8 @@ module cm_static (
     assign prr0_known = prr0_cm_identity & {32{!prr0_cut}};
     assign prr0_interrupt_gated = prr0_interrupt & {1{!prr0_cut}};
     assign irq_lines[0] = prr0_interrupt_gated;
+    assign ext_prr0_lens_focus = prr0_lens_focus & {4{!prr0_cut}};
+    assign ext_prr0_lens_zoom = prr0_lens_zoom & {4{!prr0_cut}};
     assign prr0_decoupled = prr0_cut && prr0_s_axi_drained && prr0_s_axis_drained && prr0_m_axis_drained;
     assign prr0_stuck = prr0_s_axi_stuck;
 
@@ -239,6 +245,8 @@ module cm_static (
         .m_axis_tvalid(prr0_m_axis_tvalid),
         .m_axis_tready(prr0_m_axis_tready),
         .interrupt(prr0_interrupt),
+        .lens_focus(prr0_lens_focus),
+        .lens_zoom(prr0_lens_zoom),
         .cm_identity(prr0_cm_identity)
     );
 
@@ -329,7 +337,7 @@ module cm_static (
 
     // prr0.s_axis: axis slave
     cm_axis_slave_decoupler #(
-        .PAYLOAD_WIDTH(32),
+        .PAYLOAD_WIDTH(8),
         .HAS_LAST(1)
     ) prr0_s_axis_decoupler (
         .clk(clk_fclk0),
@@ -340,17 +348,17 @@ module cm_static (
         .m_tready(prr0_s_axis_tready),
         .m_tlast(prr0_s_axis_tlast),
         .m_tpayload(prr0_s_axis_tdata),
-        .s_tpayload(axis_to_camera_tdata),
-        .s_tvalid(axis_to_camera_tvalid),
-        .s_tready(axis_to_camera_tready),
-        .s_tlast(axis_to_camera_tlast)
+        .s_tpayload(axis_prr0_s_axis_tdata),
+        .s_tvalid(axis_prr0_s_axis_tvalid),
+        .s_tready(axis_prr0_s_axis_tready),
+        .s_tlast(axis_prr0_s_axis_tlast)
     );
 
     // prr0.m_axis: axis master
     cm_axis_master_decoupler #(
-        .PAYLOAD_WIDTH(32),
+        .PAYLOAD_WIDTH(8),
         .HAS_LAST(1),
-        .CLOSING({32{1'b0}})
+        .CLOSING({8{1'b0}})
     ) prr0_m_axis_decoupler (
         .clk(clk_fclk0),
         .resetn(resetn_fclk0),

@@ -27,7 +27,13 @@ module cm_top (
     inout  wire [53:0] FIXED_IO_mio,
     inout  wire FIXED_IO_ps_clk,
     inout  wire FIXED_IO_ps_porb,
-    inout  wire FIXED_IO_ps_srstb
+    inout  wire FIXED_IO_ps_srstb,
+    input  wire [7:0] axis_prr0_s_axis_tdata,
+    input  wire axis_prr0_s_axis_tvalid,
+    output wire axis_prr0_s_axis_tready,
+    input  wire axis_prr0_s_axis_tlast,
+    output wire [3:0] ext_prr0_lens_focus,
+    output wire [3:0] ext_prr0_lens_zoom
 );
     wire clk_fclk0;
     wire resetn_fclk0;
@@ -51,11 +57,7 @@ module cm_top (
     wire s_axi_fclk0_rvalid;
     wire s_axi_fclk0_rready;
     wire irq;
-    wire [31:0] axis_to_camera_tdata;
-    wire axis_to_camera_tvalid;
-    wire axis_to_camera_tready;
-    wire axis_to_camera_tlast;
-    wire [31:0] axis_camera_tdata;
+    wire [7:0] axis_camera_tdata;
     wire axis_camera_tvalid;
     wire axis_camera_tready;
     wire axis_camera_tlast;
@@ -109,10 +111,6 @@ module cm_top (
         .m_axi_fclk0_rvalid(s_axi_fclk0_rvalid),
         .m_axi_fclk0_rready(s_axi_fclk0_rready),
         .irq(irq),
-        .axis_to_camera_tdata(axis_to_camera_tdata),
-        .axis_to_camera_tvalid(axis_to_camera_tvalid),
-        .axis_to_camera_tready(axis_to_camera_tready),
-        .axis_to_camera_tlast(axis_to_camera_tlast),
         .axis_camera_tdata(axis_camera_tdata),
         .axis_camera_tvalid(axis_camera_tvalid),
         .axis_camera_tready(axis_camera_tready),
@@ -147,14 +145,16 @@ module cm_top (
         .s_axi_fclk0_rvalid(s_axi_fclk0_rvalid),
         .s_axi_fclk0_rready(s_axi_fclk0_rready),
         .irq(irq),
-        .axis_to_camera_tdata(axis_to_camera_tdata),
-        .axis_to_camera_tvalid(axis_to_camera_tvalid),
-        .axis_to_camera_tready(axis_to_camera_tready),
-        .axis_to_camera_tlast(axis_to_camera_tlast),
+        .axis_prr0_s_axis_tdata(axis_prr0_s_axis_tdata),
+        .axis_prr0_s_axis_tvalid(axis_prr0_s_axis_tvalid),
+        .axis_prr0_s_axis_tready(axis_prr0_s_axis_tready),
+        .axis_prr0_s_axis_tlast(axis_prr0_s_axis_tlast),
         .axis_camera_tdata(axis_camera_tdata),
         .axis_camera_tvalid(axis_camera_tvalid),
         .axis_camera_tready(axis_camera_tready),
         .axis_camera_tlast(axis_camera_tlast),
+        .ext_prr0_lens_focus(ext_prr0_lens_focus),
+        .ext_prr0_lens_zoom(ext_prr0_lens_zoom),
         .axis_icap_tvalid(axis_icap_tvalid),
         .axis_icap_tready(axis_icap_tready),
         .axis_icap_tdata(axis_icap_tdata),

@@ -10,33 +10,33 @@
 #define CAMERA_CONTROL_IRQ_STATUS 0x08u /* 32 bit, w1c: interrupts that happened, write 1 to clear */
 #define CAMERA_CONTROL_IRQ_ENABLE 0x0Cu /* 32 bit, rw: interrupts that are told */
 
-/* default: Sharpens (focus) and enlarges pixels (zoom) */
+/* default: Pictures as they are */
 #define CAMERA_DEFAULT_BASE 0x40010000u
-#define CAMERA_DEFAULT_ID 0x00u /* 32 bit, ro: which module this is */
-#define CAMERA_DEFAULT_FRAMES 0x04u /* 32 bit, ro: frames since reset */
-#define CAMERA_DEFAULT_FOCUS 0x10u /* 32 bit, rw: strength of the sharpening */
-#define CAMERA_DEFAULT_ZOOM 0x14u /* 32 bit, rw: blocks of 2^zoom pixels */
+#define CAMERA_DEFAULT_IDENT 0x00u /* 32 bit, ro: which module this is */
+#define CAMERA_DEFAULT_FRAME_COUNT 0x04u /* 32 bit, ro: pictures since the module was loaded */
+#define CAMERA_DEFAULT_FOCUS 0x10u /* 32 bit, rw: of the lens; 1 is sharp */
+#define CAMERA_DEFAULT_ZOOM 0x14u /* 32 bit, rw: of the lens */
 
-/* edge: Edge detection (Sobel) */
+/* edge: Edges (3×3 Sobel) */
 #define CAMERA_EDGE_BASE 0x40010000u
-#define CAMERA_EDGE_ID 0x00u /* 32 bit, ro: which module this is */
-#define CAMERA_EDGE_FRAMES 0x04u /* 32 bit, ro: frames since reset */
-#define CAMERA_EDGE_FOCUS 0x10u /* 32 bit, rw: strength of the sharpening */
-#define CAMERA_EDGE_ZOOM 0x14u /* 32 bit, rw: blocks of 2^zoom pixels */
-#define CAMERA_EDGE_THRESHOLD 0x18u /* 32 bit, rw: smallest gradient that is an edge */
+#define CAMERA_EDGE_IDENT 0x00u /* 32 bit, ro: which module this is */
+#define CAMERA_EDGE_FRAME_COUNT 0x04u /* 32 bit, ro: pictures since the module was loaded */
+#define CAMERA_EDGE_FOCUS 0x10u /* 32 bit, rw: of the lens; 1 is sharp */
+#define CAMERA_EDGE_ZOOM 0x14u /* 32 bit, rw: of the lens */
+#define CAMERA_EDGE_THRESHOLD 0x18u /* 32 bit, rw: gradients below this are black */
 
 /* colorise: False colours */
 #define CAMERA_COLORISE_BASE 0x40010000u
-#define CAMERA_COLORISE_ID 0x00u /* 32 bit, ro: which module this is */
-#define CAMERA_COLORISE_FRAMES 0x04u /* 32 bit, ro: frames since reset */
-#define CAMERA_COLORISE_FOCUS 0x10u /* 32 bit, rw: strength of the sharpening */
-#define CAMERA_COLORISE_ZOOM 0x14u /* 32 bit, rw: blocks of 2^zoom pixels */
+#define CAMERA_COLORISE_IDENT 0x00u /* 32 bit, ro: which module this is */
+#define CAMERA_COLORISE_FRAME_COUNT 0x04u /* 32 bit, ro: pictures since the module was loaded */
+#define CAMERA_COLORISE_FOCUS 0x10u /* 32 bit, rw: of the lens; 1 is sharp */
+#define CAMERA_COLORISE_ZOOM 0x14u /* 32 bit, rw: of the lens */
 #define CAMERA_COLORISE_PALETTE 0x1Cu /* 32 bit, rw */
 #define CAMERA_COLORISE_PALETTE_COLOURS_SHIFT 0u
 #define CAMERA_COLORISE_PALETTE_COLOURS_MASK 0x3u
-#define CAMERA_COLORISE_PALETTE_COLOURS_GREY 0u
-#define CAMERA_COLORISE_PALETTE_COLOURS_HEAT 1u
-#define CAMERA_COLORISE_PALETTE_COLOURS_COLD 2u
-#define CAMERA_COLORISE_PALETTE_COLOURS_INVERTED 3u
+#define CAMERA_COLORISE_PALETTE_COLOURS_HEAT 0u
+#define CAMERA_COLORISE_PALETTE_COLOURS_COLD 1u
+#define CAMERA_COLORISE_PALETTE_COLOURS_RAINBOW 2u
+#define CAMERA_COLORISE_PALETTE_COLOURS_GREY 3u
 
 #endif

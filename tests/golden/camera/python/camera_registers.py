@@ -14,21 +14,21 @@ class CONTROL:
 
 
 class DEFAULT:
-    """Sharpens (focus) and enlarges pixels (zoom)"""
+    """Pictures as they are"""
 
     BASE = 0x40010000
-    ID = 0x00
-    FRAMES = 0x04
+    IDENT = 0x00
+    FRAME_COUNT = 0x04
     FOCUS = 0x10
     ZOOM = 0x14
 
 
 class EDGE:
-    """Edge detection (Sobel)"""
+    """Edges (3×3 Sobel)"""
 
     BASE = 0x40010000
-    ID = 0x00
-    FRAMES = 0x04
+    IDENT = 0x00
+    FRAME_COUNT = 0x04
     FOCUS = 0x10
     ZOOM = 0x14
     THRESHOLD = 0x18
@@ -38,14 +38,14 @@ class COLORISE:
     """False colours"""
 
     BASE = 0x40010000
-    ID = 0x00
-    FRAMES = 0x04
+    IDENT = 0x00
+    FRAME_COUNT = 0x04
     FOCUS = 0x10
     ZOOM = 0x14
     PALETTE = 0x1C
     PALETTE_COLOURS_SHIFT = 0
     PALETTE_COLOURS_MASK = 0x3
-    PALETTE_COLOURS_GREY = 0
-    PALETTE_COLOURS_HEAT = 1
-    PALETTE_COLOURS_COLD = 2
-    PALETTE_COLOURS_INVERTED = 3
+    PALETTE_COLOURS_HEAT = 0
+    PALETTE_COLOURS_COLD = 1
+    PALETTE_COLOURS_RAINBOW = 2
+    PALETTE_COLOURS_GREY = 3

@@ -25,10 +25,10 @@ connect_bd_net [get_bd_pins ps7/FCLK_RESET0_N] [get_bd_pins reset_fclk0/ext_rese
 create_bd_port -dir O -type rst resetn_fclk0
 connect_bd_net [get_bd_pins reset_fclk0/peripheral_aresetn] [get_bd_ports resetn_fclk0]
 
-# registers: M_AXI_GP0 to 4 ports
+# registers: M_AXI_GP0 to 3 ports
 set control [cm_ip smartconnect control_interconnect]
 set_property CONFIG.NUM_SI 1 $control
-set_property CONFIG.NUM_MI 4 $control
+set_property CONFIG.NUM_MI 3 $control
 set_property CONFIG.NUM_CLKS 1 $control
 connect_bd_intf_net [get_bd_intf_pins ps7/M_AXI_GP0] [get_bd_intf_pins control_interconnect/S00_AXI]
 connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins ps7/M_AXI_GP0_ACLK]
@@ -54,26 +54,7 @@ create_bd_intf_port -mode Master -vlnv xilinx.com:interface:axis_rtl:1.0 axis_ic
 set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_icap]
 connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXIS_MM2S] [get_bd_intf_ports axis_icap]
 
-# to_camera: memory to stream, registers at 0x44010000
-set dma [cm_ip axi_dma dma_to_camera]
-set_property CONFIG.c_include_sg {1} $dma
-set_property CONFIG.c_sg_include_stscntrl_strm {0} $dma
-set_property CONFIG.c_sg_length_width {26} $dma
-set_property CONFIG.c_addr_width {32} $dma
-set_property CONFIG.c_include_mm2s {1} $dma
-set_property CONFIG.c_include_s2mm {0} $dma
-set_property CONFIG.c_m_axis_mm2s_tdata_width {32} $dma
-set_property CONFIG.c_m_axi_mm2s_data_width {32} $dma
-set_property CONFIG.c_include_mm2s_dre {0} $dma
-connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins dma_to_camera/s_axi_lite_aclk]
-connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins dma_to_camera/m_axi_sg_aclk]
-connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins dma_to_camera/m_axi_mm2s_aclk]
-connect_bd_net [get_bd_pins reset_fclk0/peripheral_aresetn] [get_bd_pins dma_to_camera/axi_resetn]
-create_bd_intf_port -mode Master -vlnv xilinx.com:interface:axis_rtl:1.0 axis_to_camera
-set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_to_camera]
-connect_bd_intf_net [get_bd_intf_pins dma_to_camera/M_AXIS_MM2S] [get_bd_intf_ports axis_to_camera]
-
-# camera: stream to memory, registers at 0x44020000
+# camera: stream to memory, registers at 0x44010000
 set dma [cm_ip axi_dma dma_camera]
 set_property CONFIG.c_include_sg {1} $dma
 set_property CONFIG.c_sg_include_stscntrl_strm {0} $dma
@@ -81,7 +62,7 @@ set_property CONFIG.c_sg_length_width {26} $dma
 set_property CONFIG.c_addr_width {32} $dma
 set_property CONFIG.c_include_mm2s {0} $dma
 set_property CONFIG.c_include_s2mm {1} $dma
-set_property CONFIG.c_s_axis_s2mm_tdata_width {32} $dma
+set_property CONFIG.c_s_axis_s2mm_tdata_width {8} $dma
 set_property CONFIG.c_m_axi_s2mm_data_width {32} $dma
 set_property CONFIG.c_include_s2mm_dre {0} $dma
 connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins dma_camera/s_axi_lite_aclk]
@@ -89,7 +70,7 @@ connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins dma_camera/m_axi_sg_aclk
 connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins dma_camera/m_axi_s2mm_aclk]
 connect_bd_net [get_bd_pins reset_fclk0/peripheral_aresetn] [get_bd_pins dma_camera/axi_resetn]
 create_bd_intf_port -mode Slave -vlnv xilinx.com:interface:axis_rtl:1.0 axis_camera
-set_property CONFIG.TDATA_NUM_BYTES {4} [get_bd_intf_ports axis_camera]
+set_property CONFIG.TDATA_NUM_BYTES {1} [get_bd_intf_ports axis_camera]
 set_property CONFIG.HAS_TLAST {1} [get_bd_intf_ports axis_camera]
 set_property CONFIG.HAS_TKEEP {0} [get_bd_intf_ports axis_camera]
 set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_camera]
@@ -105,12 +86,11 @@ set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports m_axi_fclk0]
 # which port of the control interconnect is what
 connect_bd_intf_net [get_bd_intf_pins control_interconnect/M00_AXI] [get_bd_intf_ports m_axi_fclk0]
 connect_bd_intf_net [get_bd_intf_pins control_interconnect/M01_AXI] [get_bd_intf_pins dma_icap/S_AXI_LITE]
-connect_bd_intf_net [get_bd_intf_pins control_interconnect/M02_AXI] [get_bd_intf_pins dma_to_camera/S_AXI_LITE]
-connect_bd_intf_net [get_bd_intf_pins control_interconnect/M03_AXI] [get_bd_intf_pins dma_camera/S_AXI_LITE]
+connect_bd_intf_net [get_bd_intf_pins control_interconnect/M02_AXI] [get_bd_intf_pins dma_camera/S_AXI_LITE]
 
 # memory through S_AXI_HP0
 set memory [cm_ip smartconnect memory_interconnect_0]
-set_property CONFIG.NUM_SI 6 $memory
+set_property CONFIG.NUM_SI 4 $memory
 set_property CONFIG.NUM_MI 1 $memory
 set_property CONFIG.NUM_CLKS 1 $memory
 connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins memory_interconnect_0/aclk]
@@ -119,27 +99,23 @@ connect_bd_intf_net [get_bd_intf_pins memory_interconnect_0/M00_AXI] [get_bd_int
 connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins ps7/S_AXI_HP0_ACLK]
 connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S00_AXI]
 connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_0/S01_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_to_camera/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S02_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_to_camera/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_0/S03_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_camera/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S04_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_camera/M_AXI_S2MM] [get_bd_intf_pins memory_interconnect_0/S05_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_camera/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S02_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_camera/M_AXI_S2MM] [get_bd_intf_pins memory_interconnect_0/S03_AXI]
 
 # interrupts: line 0 is the concentrator's, then one per DMA engine
 create_bd_port -dir I -type intr irq
 set_property CONFIG.SENSITIVITY {LEVEL_HIGH} [get_bd_ports irq]
 set lines [cm_ip xlconcat interrupt_lines_0]
-set_property CONFIG.NUM_PORTS 4 $lines
+set_property CONFIG.NUM_PORTS 3 $lines
 connect_bd_net [get_bd_ports irq] [get_bd_pins interrupt_lines_0/In0]
 connect_bd_net [get_bd_pins dma_icap/mm2s_introut] [get_bd_pins interrupt_lines_0/In1]
-connect_bd_net [get_bd_pins dma_to_camera/mm2s_introut] [get_bd_pins interrupt_lines_0/In2]
-connect_bd_net [get_bd_pins dma_camera/s2mm_introut] [get_bd_pins interrupt_lines_0/In3]
+connect_bd_net [get_bd_pins dma_camera/s2mm_introut] [get_bd_pins interrupt_lines_0/In2]
 connect_bd_net [get_bd_pins interrupt_lines_0/dout] [get_bd_pins ps7/IRQ_F2P]
 
 # addresses
 assign_bd_address -offset 0x40000000 -range 16777216 -target_address_space [get_bd_addr_spaces ps7/Data] [get_bd_addr_segs m_axi_fclk0/Reg]
 assign_bd_address -offset 0x44000000 -range 65536 -target_address_space [get_bd_addr_spaces ps7/Data] [get_bd_addr_segs dma_icap/S_AXI_LITE/Reg]
-assign_bd_address -offset 0x44010000 -range 65536 -target_address_space [get_bd_addr_spaces ps7/Data] [get_bd_addr_segs dma_to_camera/S_AXI_LITE/Reg]
-assign_bd_address -offset 0x44020000 -range 65536 -target_address_space [get_bd_addr_spaces ps7/Data] [get_bd_addr_segs dma_camera/S_AXI_LITE/Reg]
+assign_bd_address -offset 0x44010000 -range 65536 -target_address_space [get_bd_addr_spaces ps7/Data] [get_bd_addr_segs dma_camera/S_AXI_LITE/Reg]
 # memory for every master that is left
 assign_bd_address
 

@@ -52,11 +52,11 @@ module cm_static (
     output wire s_axi_pl_clk1_rvalid,
     input  wire s_axi_pl_clk1_rready,
     output wire irq,
-    input  wire [31:0] axis_to_filter_tdata,
+    input  wire [7:0] axis_to_filter_tdata,
     input  wire axis_to_filter_tvalid,
     output wire axis_to_filter_tready,
     input  wire axis_to_filter_tlast,
-    output wire [31:0] axis_from_filter_tdata,
+    output wire [7:0] axis_from_filter_tdata,
     output wire axis_from_filter_tvalid,
     input  wire axis_from_filter_tready,
     output wire axis_from_filter_tlast,
@@ -138,15 +138,17 @@ module cm_static (
     wire [1:0] filter_s_axi_rresp;
     wire filter_s_axi_rvalid;
     wire filter_s_axi_rready;
-    wire [31:0] filter_s_axis_tdata;
+    wire [7:0] filter_s_axis_tdata;
     wire filter_s_axis_tlast;
     wire filter_s_axis_tvalid;
     wire filter_s_axis_tready;
-    wire [31:0] filter_m_axis_tdata;
+    wire [7:0] filter_m_axis_tdata;
     wire filter_m_axis_tlast;
     wire filter_m_axis_tvalid;
     wire filter_m_axis_tready;
     wire filter_interrupt;
+    wire [3:0] filter_lens_focus;
+    wire [3:0] filter_lens_zoom;
     wire [31:0] filter_cm_identity;
     wire [1:0] filter_request;
     wire filter_hold;
@@ -383,6 +385,8 @@ module cm_static (
         .m_axis_tvalid(filter_m_axis_tvalid),
         .m_axis_tready(filter_m_axis_tready),
         .interrupt(filter_interrupt),
+        .lens_focus(filter_lens_focus),
+        .lens_zoom(filter_lens_zoom),
         .cm_identity(filter_cm_identity)
     );
 
@@ -473,7 +477,7 @@ module cm_static (
 
     // filter.s_axis: axis slave
     cm_axis_slave_decoupler #(
-        .PAYLOAD_WIDTH(32),
+        .PAYLOAD_WIDTH(8),
         .HAS_LAST(1)
     ) filter_s_axis_decoupler (
         .clk(clk_pl_clk0),
@@ -492,9 +496,9 @@ module cm_static (
 
     // filter.m_axis: axis master
     cm_axis_master_decoupler #(
-        .PAYLOAD_WIDTH(32),
+        .PAYLOAD_WIDTH(8),
         .HAS_LAST(1),
-        .CLOSING({32{1'b0}})
+        .CLOSING({8{1'b0}})
     ) filter_m_axis_decoupler (
         .clk(clk_pl_clk0),
         .resetn(resetn_pl_clk0),
@@ -712,7 +716,7 @@ module cm_static (
         .words(icap_words)
     );
 
-    wire unused = &{1'b0, pl_clk0_awaddr, pl_clk0_awprot, pl_clk0_araddr, pl_clk0_arprot, pl_clk1_awaddr, pl_clk1_awprot, pl_clk1_araddr, pl_clk1_arprot};
+    wire unused = &{1'b0, pl_clk0_awaddr, pl_clk0_awprot, pl_clk0_araddr, pl_clk0_arprot, pl_clk1_awaddr, pl_clk1_awprot, pl_clk1_araddr, pl_clk1_arprot, filter_lens_focus, filter_lens_zoom};
 endmodule
 /* verilator lint_on PINCONNECTEMPTY */
 

@@ -51,11 +51,11 @@ module cm_top (
     wire s_axi_pl_clk1_rvalid;
     wire s_axi_pl_clk1_rready;
     wire irq;
-    wire [31:0] axis_to_filter_tdata;
+    wire [7:0] axis_to_filter_tdata;
     wire axis_to_filter_tvalid;
     wire axis_to_filter_tready;
     wire axis_to_filter_tlast;
-    wire [31:0] axis_from_filter_tdata;
+    wire [7:0] axis_from_filter_tdata;
     wire axis_from_filter_tvalid;
     wire axis_from_filter_tready;
     wire axis_from_filter_tlast;

@@ -12,8 +12,7 @@
 
 /* default */
 #define TWO_REGIONS_DEFAULT_BASE 0xA0010000u
-#define TWO_REGIONS_DEFAULT_FOCUS 0x10u /* 32 bit, rw */
-#define TWO_REGIONS_DEFAULT_ZOOM 0x14u /* 32 bit, rw */
+#define TWO_REGIONS_DEFAULT_IDENT 0x00u /* 32 bit, ro */
 
 /* edge */
 #define TWO_REGIONS_EDGE_BASE 0xA0010000u

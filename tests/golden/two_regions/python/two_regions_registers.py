@@ -17,8 +17,7 @@ class DEFAULT:
     """default"""
 
     BASE = 0xA0010000
-    FOCUS = 0x10
-    ZOOM = 0x14
+    IDENT = 0x00
 
 
 class EDGE:

@@ -73,7 +73,7 @@ set_property CONFIG.c_sg_length_width {26} $dma
 set_property CONFIG.c_addr_width {40} $dma
 set_property CONFIG.c_include_mm2s {1} $dma
 set_property CONFIG.c_include_s2mm {0} $dma
-set_property CONFIG.c_m_axis_mm2s_tdata_width {32} $dma
+set_property CONFIG.c_m_axis_mm2s_tdata_width {8} $dma
 set_property CONFIG.c_m_axi_mm2s_data_width {32} $dma
 set_property CONFIG.c_include_mm2s_dre {0} $dma
 connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins dma_to_filter/s_axi_lite_aclk]
@@ -92,7 +92,7 @@ set_property CONFIG.c_sg_length_width {26} $dma
 set_property CONFIG.c_addr_width {40} $dma
 set_property CONFIG.c_include_mm2s {0} $dma
 set_property CONFIG.c_include_s2mm {1} $dma
-set_property CONFIG.c_s_axis_s2mm_tdata_width {32} $dma
+set_property CONFIG.c_s_axis_s2mm_tdata_width {8} $dma
 set_property CONFIG.c_m_axi_s2mm_data_width {32} $dma
 set_property CONFIG.c_include_s2mm_dre {0} $dma
 connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins dma_from_filter/s_axi_lite_aclk]
@@ -100,7 +100,7 @@ connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins dma_from_filter/m_axi_sg_a
 connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins dma_from_filter/m_axi_s2mm_aclk]
 connect_bd_net [get_bd_pins reset_pl_clk0/peripheral_aresetn] [get_bd_pins dma_from_filter/axi_resetn]
 create_bd_intf_port -mode Slave -vlnv xilinx.com:interface:axis_rtl:1.0 axis_from_filter
-set_property CONFIG.TDATA_NUM_BYTES {4} [get_bd_intf_ports axis_from_filter]
+set_property CONFIG.TDATA_NUM_BYTES {1} [get_bd_intf_ports axis_from_filter]
 set_property CONFIG.HAS_TLAST {1} [get_bd_intf_ports axis_from_filter]
 set_property CONFIG.HAS_TKEEP {0} [get_bd_intf_ports axis_from_filter]
 set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_from_filter]

@@ -1,20 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// False colours of the luma: palette 0 grey, 1 heat (black, red, yellow, white), 2 cold (black,
-// blue, cyan, white), 3 inverted grey. One pixel per clock, no memory.
+// False colours: red, green and blue of a palette for each grey pixel, three bytes for one. The same as
+// `colorise` of the simulated board, bit by bit; v being the grey value, and every result cut to 0..255:
+//   0 heat    3v, 3v - 255, 3v - 510          2 rainbow  255 - |4v - 765|, 255 - |4v - 510|, 255 - |4v - 255|
+//   1 cold    3v - 510, 3v - 255, 3v          3 grey     v, v, v
 `default_nettype none
 
-module camera_colorise #(
-    parameter LINE = 640  // not used: the same parameter as the other modules have
-) (
+module camera_colorise (
     input  wire        clk,
     input  wire        resetn,
-    // pixels in and out: 0x00RRGGBB, TLAST with the last one of a frame
-    input  wire [31:0] s_axis_tdata,
+    // grey pixels in, red, green, blue out, a byte a beat; TLAST with the last one of a frame
+    input  wire [7:0]  s_axis_tdata,
     input  wire        s_axis_tvalid,
     output wire        s_axis_tready,
     input  wire        s_axis_tlast,
-    output reg  [31:0] m_axis_tdata,
+    output reg  [7:0]  m_axis_tdata,
     output reg         m_axis_tvalid,
     input  wire        m_axis_tready,
     output reg         m_axis_tlast,
@@ -35,60 +35,57 @@ module camera_colorise #(
     output wire [31:0] s_axi_rdata,
     output wire [1:0]  s_axi_rresp,
     output wire        s_axi_rvalid,
-    input  wire        s_axi_rready
+    input  wire        s_axi_rready,
+    // to the sensor
+    output wire [3:0]  lens_focus,
+    output wire [3:0]  lens_zoom,
+    // one clock for each frame that has left
+    (* X_INTERFACE_INFO = "xilinx.com:signal:interrupt:1.0 frame_done INTERRUPT" *)
+    output wire        frame_done
 );
-    wire [3:0]  focus;
-    wire [1:0]  zoom;
-    wire [7:0]  threshold;
-    wire [1:0]  palette;
-    reg  [31:0] frames;
+    wire [7:0] threshold;
+    wire [1:0] palette;
 
+    reg [1:0] channel;  // of the byte that goes out next: red, green, blue
+    reg [7:0] pixel;
+    reg       last;     // of the frame
+    reg       busy;     // green and blue of `pixel` are still to come
+
+    wire room = !m_axis_tvalid || m_axis_tready;
     wire take = s_axis_tvalid && s_axis_tready;
-    assign s_axis_tready = !m_axis_tvalid || m_axis_tready;
+    assign s_axis_tready = room && !busy;
+    wire [7:0] value = busy ? pixel : s_axis_tdata;
 
-    // luma by 77 R + 150 G + 29 B (BT.601, 8 bits)
-    wire [15:0] weighted = 16'd77 * {8'd0, s_axis_tdata[23:16]} + 16'd150 * {8'd0, s_axis_tdata[15:8]}
-                         + 16'd29 * {8'd0, s_axis_tdata[7:0]};
-    wire [7:0]  grey = weighted[15:8];
-
-    // three ramps of 85 steps each, 3 per step
-    wire [7:0] low    = ramp(grey, 8'd0);
-    wire [7:0] middle = ramp(grey, 8'd85);
-    wire [7:0] high   = ramp(grey, 8'd170);
-    reg [23:0] colour;
-
-    function [7:0] ramp(input [7:0] value, input [7:0] from);
-        reg [7:0] above;
-        begin
-            above = value - from;
-            ramp = value <= from ? 8'd0 : above >= 8'd85 ? 8'd255 : above * 8'd3;
-        end
-    endfunction
-
-    always @* begin
-        case (palette)
-            2'd0: colour = {3{grey}};
-            2'd1: colour = {low, middle, high};
-            2'd2: colour = {high, middle, low};
-            default: colour = {3{~grey}};
-        endcase
-    end
+    // Heat counts its channels from red, cold from blue.
+    wire        [1:0]  step = palette == 2'd1 ? 2'd2 - channel : channel;
+    wire signed [11:0] ramp = $signed({4'd0, value}) * 12'sd3 - $signed({10'd0, step}) * 12'sd255;
+    wire signed [11:0] from_peak = $signed({2'd0, value, 2'd0}) - 12'sd765 + $signed({10'd0, channel}) * 12'sd255;
+    wire signed [11:0] peak = 12'sd255 - (from_peak < 0 ? -from_peak : from_peak);
+    wire signed [11:0] chosen = palette == 2'd2 ? peak : palette == 2'd3 ? $signed({4'd0, value}) : ramp;
 
     always @(posedge clk) begin
         if (!resetn) begin
             m_axis_tvalid <= 1'b0;
             m_axis_tlast  <= 1'b0;
-            m_axis_tdata  <= 32'd0;
-            frames        <= 32'd0;
-        end else begin
-            if (s_axis_tready) m_axis_tvalid <= take;
+            m_axis_tdata  <= 8'd0;
+            channel       <= 2'd0;
+            pixel         <= 8'd0;
+            last          <= 1'b0;
+            busy          <= 1'b0;
+        end else if (room) begin
+            m_axis_tvalid <= take || busy;
+            m_axis_tdata  <= chosen < 0 ? 8'd0 : chosen > 255 ? 8'd255 : chosen[7:0];
+            m_axis_tlast  <= busy && channel == 2'd2 && last;
             if (take) begin
-                m_axis_tdata <= {8'd0, colour};
-                m_axis_tlast <= s_axis_tlast;
-                if (s_axis_tlast) frames <= frames + 32'd1;
-            end
+                pixel <= s_axis_tdata;
+                last  <= s_axis_tlast;
+                busy  <= 1'b1;
+            end else if (channel == 2'd2) busy <= 1'b0;
+            if (take || busy) channel <= channel == 2'd2 ? 2'd0 : channel + 2'd1;
         end
     end
+
+    assign frame_done = m_axis_tvalid && m_axis_tready && m_axis_tlast;
 
     camera_registers #(.ID(32'h434F4C4F)) registers (
         .clk(clk), .resetn(resetn),
@@ -97,10 +94,10 @@ module camera_colorise #(
         .s_axi_bresp(s_axi_bresp), .s_axi_bvalid(s_axi_bvalid), .s_axi_bready(s_axi_bready),
         .s_axi_araddr(s_axi_araddr), .s_axi_arvalid(s_axi_arvalid), .s_axi_arready(s_axi_arready),
         .s_axi_rdata(s_axi_rdata), .s_axi_rresp(s_axi_rresp), .s_axi_rvalid(s_axi_rvalid), .s_axi_rready(s_axi_rready),
-        .frames(frames), .focus(focus), .zoom(zoom), .threshold(threshold), .palette(palette)
+        .frame_done(frame_done), .focus(lens_focus), .zoom(lens_zoom), .threshold(threshold), .palette(palette)
     );
 
-    wire unused = &{1'b0, focus, zoom, threshold, s_axis_tdata[31:24], weighted[7:0], LINE != 0};
+    wire unused = &{1'b0, threshold};
 endmodule
 
 `default_nettype wire

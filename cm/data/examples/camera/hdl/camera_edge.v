@@ -1,21 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Edge detection: Sobel on luma, |gx| + |gy| against the threshold, white on black. The window
-// trails the pixel that comes in: the output at (x, y) belongs to the centre (x-1, y-1), and the
-// first two lines and columns of a frame are black. One pixel per clock, two lines of memory.
+// Edge detection: 3x3 Sobel, |gx| + |gy| cut at 255; values below the threshold, and the border of the
+// frame, are black. The same as `edge` of the simulated board, bit by bit.
+//
+// A pixel's neighbours are complete when the one below and to the right of it comes, a line and a pixel
+// later. So nothing comes out for the first LINE + 1 pixels of a frame, and as many, all of them border,
+// follow its last one; meanwhile the next frame waits. Two lines of memory.
 `default_nettype none
 
 module camera_edge #(
-    parameter LINE = 640  // pixels in a line, at most 4096
+    parameter LINE = 640  // pixels in a line, 3 to 4096
 ) (
     input  wire        clk,
     input  wire        resetn,
-    // pixels in and out: 0x00RRGGBB, TLAST with the last one of a frame
-    input  wire [31:0] s_axis_tdata,
+    // grey pixels in, edges out, a byte a beat; TLAST with the last one of a frame
+    input  wire [7:0]  s_axis_tdata,
     input  wire        s_axis_tvalid,
     output wire        s_axis_tready,
     input  wire        s_axis_tlast,
-    output reg  [31:0] m_axis_tdata,
+    output reg  [7:0]  m_axis_tdata,
     output reg         m_axis_tvalid,
     input  wire        m_axis_tready,
     output reg         m_axis_tlast,
@@ -37,34 +40,36 @@ module camera_edge #(
     output wire [1:0]  s_axi_rresp,
     output wire        s_axi_rvalid,
     input  wire        s_axi_rready,
-    output reg         frame_done_irq  // one clock per frame
+    // to the sensor
+    output wire [3:0]  lens_focus,
+    output wire [3:0]  lens_zoom,
+    // one clock for each frame that has left
+    (* X_INTERFACE_INFO = "xilinx.com:signal:interrupt:1.0 frame_done INTERRUPT" *)
+    output wire        frame_done
 );
     localparam ABITS = $clog2(LINE);
+    localparam [12:0] LAG = LINE + 1;
 
-    wire [3:0]  focus;
-    wire [1:0]  zoom;
-    wire [7:0]  threshold;
-    wire [1:0]  palette;
-    reg  [31:0] frames;
+    wire [7:0] threshold;
+    wire [1:0] palette;
 
-    wire take = s_axis_tvalid && s_axis_tready;
-    assign s_axis_tready = !m_axis_tvalid || m_axis_tready;
-
-    // luma by 77 R + 150 G + 29 B (BT.601, 8 bits)
-    wire [15:0] weighted = 16'd77 * {8'd0, s_axis_tdata[23:16]} + 16'd150 * {8'd0, s_axis_tdata[15:8]}
-                         + 16'd29 * {8'd0, s_axis_tdata[7:0]};
-    wire [7:0]  grey = weighted[15:8];
+    reg  [12:0] owed;      // pixels that came in and did not go out yet
+    reg         flushing;  // the frame's last pixel is in
+    wire        room = !m_axis_tvalid || m_axis_tready;
+    wire        take = s_axis_tvalid && s_axis_tready;
+    wire        full = owed == LAG;
+    assign s_axis_tready = room && !flushing;
 
     reg  [11:0] x, y;
     reg  [7:0]  above [0:LINE-1], top [0:LINE-1];  // the lines one and two before
-    wire [7:0]  a = top[x[ABITS-1:0]], b = above[x[ABITS-1:0]];
+    wire [7:0]  a = top[x[ABITS-1:0]], b = above[x[ABITS-1:0]], c = s_axis_tdata;
     reg  [7:0]  a1, a2, b1, b2, c1, c2;            // the two columns before
 
-    wire signed [10:0] gx = tap(a) + tap2(b) + tap(grey) - tap(a2) - tap2(b2) - tap(c2);
-    wire signed [10:0] gy = tap(c2) + tap2(c1) + tap(grey) - tap(a2) - tap2(a1) - tap(a);
+    wire signed [10:0] gx = tap(a) + tap2(b) + tap(c) - tap(a2) - tap2(b2) - tap(c2);
+    wire signed [10:0] gy = tap(c2) + tap2(c1) + tap(c) - tap(a2) - tap2(a1) - tap(a);
     wire        [10:0] magnitude = (gx < 0 ? -gx : gx) + (gy < 0 ? -gy : gy);
+    wire        [7:0]  cut = magnitude > 11'd255 ? 8'd255 : magnitude[7:0];
     wire               framed = x > 12'd1 && y > 12'd1;
-    wire               is_edge = framed && magnitude > {3'd0, threshold};
 
     function signed [10:0] tap(input [7:0] value);
         tap = $signed({3'd0, value});
@@ -77,36 +82,40 @@ module camera_edge #(
     always @(posedge clk) begin
         if (take) begin
             top[x[ABITS-1:0]]   <= b;
-            above[x[ABITS-1:0]] <= grey;
+            above[x[ABITS-1:0]] <= c;
         end
     end
 
     always @(posedge clk) begin
         if (!resetn) begin
-            m_axis_tvalid  <= 1'b0;
-            m_axis_tlast   <= 1'b0;
-            m_axis_tdata   <= 32'd0;
-            frames         <= 32'd0;
-            frame_done_irq <= 1'b0;
-            x              <= 12'd0;
-            y              <= 12'd0;
+            m_axis_tvalid <= 1'b0;
+            m_axis_tlast  <= 1'b0;
+            m_axis_tdata  <= 8'd0;
+            owed          <= 13'd0;
+            flushing      <= 1'b0;
+            x             <= 12'd0;
+            y             <= 12'd0;
             {a1, a2, b1, b2, c1, c2} <= 48'd0;
-        end else begin
-            frame_done_irq <= take && s_axis_tlast;
-            if (s_axis_tready) m_axis_tvalid <= take;
-            if (take) begin
-                m_axis_tdata <= is_edge ? 32'h00FFFFFF : 32'd0;
-                m_axis_tlast <= s_axis_tlast;
+        end else if (room) begin
+            m_axis_tvalid <= (take && full) || flushing;
+            m_axis_tdata  <= framed && !flushing && cut >= threshold ? cut : 8'd0;
+            m_axis_tlast  <= flushing && owed == 13'd1;
+            if (flushing) begin
+                owed     <= owed - 13'd1;
+                flushing <= owed != 13'd1;
+            end else if (take) begin
+                if (!full) owed <= owed + 13'd1;
+                flushing     <= s_axis_tlast;
                 {a2, b2, c2} <= {a1, b1, c1};
-                {a1, b1, c1} <= {a, b, grey};
+                {a1, b1, c1} <= {a, b, c};
                 x            <= (x == LINE - 1 || s_axis_tlast) ? 12'd0 : x + 12'd1;
-                if (s_axis_tlast) begin
-                    y      <= 12'd0;
-                    frames <= frames + 32'd1;
-                end else if (x == LINE - 1) y <= y + 12'd1;
+                if (s_axis_tlast) y <= 12'd0;
+                else if (x == LINE - 1) y <= y + 12'd1;
             end
         end
     end
+
+    assign frame_done = m_axis_tvalid && m_axis_tready && m_axis_tlast;
 
     camera_registers #(.ID(32'h45444745)) registers (
         .clk(clk), .resetn(resetn),
@@ -115,10 +124,10 @@ module camera_edge #(
         .s_axi_bresp(s_axi_bresp), .s_axi_bvalid(s_axi_bvalid), .s_axi_bready(s_axi_bready),
         .s_axi_araddr(s_axi_araddr), .s_axi_arvalid(s_axi_arvalid), .s_axi_arready(s_axi_arready),
         .s_axi_rdata(s_axi_rdata), .s_axi_rresp(s_axi_rresp), .s_axi_rvalid(s_axi_rvalid), .s_axi_rready(s_axi_rready),
-        .frames(frames), .focus(focus), .zoom(zoom), .threshold(threshold), .palette(palette)
+        .frame_done(frame_done), .focus(lens_focus), .zoom(lens_zoom), .threshold(threshold), .palette(palette)
     );
 
-    wire unused = &{1'b0, focus, zoom, palette, s_axis_tdata[31:24], weighted[7:0]};
+    wire unused = &{1'b0, palette};
 endmodule
 
 `default_nettype wire

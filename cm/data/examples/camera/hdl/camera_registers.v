@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Registers that the camera modules share, on AXI4-Lite:
-//   0x00 id        ro   which module this is
-//   0x04 frames    ro   frames that went through since reset
-//   0x10 focus     rw   strength of the horizontal sharpening, 0 to 15
-//   0x14 zoom      rw   blocks of 2^zoom pixels, 0 to 3
+//   0x00 ident     ro   which module this is
+//   0x04 frames    ro   frames that have left since reset
+//   0x10 focus     rw   of the lens: 1 is sharp, 0 to 15
+//   0x14 zoom      rw   of the lens, 1 to 8
 //   0x18 threshold rw   of the edge detection, 0 to 255
 //   0x1C palette   rw   colours of colorise, 0 to 3
 `default_nettype none
@@ -31,13 +31,14 @@ module camera_registers #(
     output wire [1:0]  s_axi_rresp,
     output reg         s_axi_rvalid,
     input  wire        s_axi_rready,
-    input  wire [31:0] frames,
+    input  wire        frame_done,
     output reg  [3:0]  focus,
-    output reg  [1:0]  zoom,
+    output reg  [3:0]  zoom,
     output reg  [7:0]  threshold,
     output reg  [1:0]  palette
 );
     wire write = s_axi_awvalid && s_axi_wvalid && !s_axi_bvalid;
+    reg [31:0] frames;
     wire read  = s_axi_arvalid && !s_axi_rvalid;
 
     assign s_axi_awready = write;
@@ -50,8 +51,8 @@ module camera_registers #(
         if (!resetn) begin
             s_axi_bvalid <= 1'b0;
             focus        <= 4'd1;
-            zoom         <= 2'd0;
-            threshold    <= 8'd64;
+            zoom         <= 4'd1;
+            threshold    <= 8'd0;
             palette      <= 2'd0;
         end else begin
             if (write) s_axi_bvalid <= 1'b1;
@@ -59,12 +60,17 @@ module camera_registers #(
             if (write && s_axi_wstrb[0])
                 case (s_axi_awaddr[7:2])
                     6'h04: focus <= s_axi_wdata[3:0];
-                    6'h05: zoom <= s_axi_wdata[1:0];
+                    6'h05: zoom <= s_axi_wdata[3:0];
                     6'h06: threshold <= s_axi_wdata[7:0];
                     6'h07: palette <= s_axi_wdata[1:0];
                     default: ;
                 endcase
         end
+    end
+
+    always @(posedge clk) begin
+        if (!resetn) frames <= 32'd0;
+        else if (frame_done) frames <= frames + 32'd1;
     end
 
     always @(posedge clk) begin
@@ -77,7 +83,7 @@ module camera_registers #(
                 6'h00: s_axi_rdata <= ID;
                 6'h01: s_axi_rdata <= frames;
                 6'h04: s_axi_rdata <= {28'd0, focus};
-                6'h05: s_axi_rdata <= {30'd0, zoom};
+                6'h05: s_axi_rdata <= {28'd0, zoom};
                 6'h06: s_axi_rdata <= {24'd0, threshold};
                 6'h07: s_axi_rdata <= {30'd0, palette};
                 default: s_axi_rdata <= 32'd0;

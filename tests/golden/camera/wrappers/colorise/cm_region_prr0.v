@@ -28,20 +28,21 @@ module cm_region_prr0 (
     output wire [1:0] s_axi_rresp,
     output wire s_axi_rvalid,
     input  wire s_axi_rready,
-    input  wire [31:0] s_axis_tdata,
+    input  wire [7:0] s_axis_tdata,
     input  wire s_axis_tlast,
     input  wire s_axis_tvalid,
     output wire s_axis_tready,
-    output wire [31:0] m_axis_tdata,
+    output wire [7:0] m_axis_tdata,
     output wire m_axis_tlast,
     output wire m_axis_tvalid,
     input  wire m_axis_tready,
     output wire interrupt,
+    output wire [3:0] lens_focus,
+    output wire [3:0] lens_zoom,
     output wire [31:0] cm_identity
 );
 
     assign cm_identity = 32'h73C23BF5;
-    assign interrupt = 1'b0;
 
     // colorise
     camera_colorise inner (
@@ -71,7 +72,10 @@ module cm_region_prr0 (
         .m_axis_tdata(m_axis_tdata),
         .m_axis_tlast(m_axis_tlast),
         .m_axis_tvalid(m_axis_tvalid),
-        .m_axis_tready(m_axis_tready)
+        .m_axis_tready(m_axis_tready),
+        .frame_done(interrupt),
+        .lens_focus(lens_focus),
+        .lens_zoom(lens_zoom)
     );
 endmodule
 

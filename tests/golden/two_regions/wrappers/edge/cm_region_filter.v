@@ -28,15 +28,17 @@ module cm_region_filter (
     output wire [1:0] s_axi_rresp,
     output wire s_axi_rvalid,
     input  wire s_axi_rready,
-    input  wire [31:0] s_axis_tdata,
+    input  wire [7:0] s_axis_tdata,
     input  wire s_axis_tlast,
     input  wire s_axis_tvalid,
     output wire s_axis_tready,
-    output wire [31:0] m_axis_tdata,
+    output wire [7:0] m_axis_tdata,
     output wire m_axis_tlast,
     output wire m_axis_tvalid,
     input  wire m_axis_tready,
     output wire interrupt,
+    output wire [3:0] lens_focus,
+    output wire [3:0] lens_zoom,
     output wire [31:0] cm_identity
 );
 
@@ -71,7 +73,9 @@ module cm_region_filter (
         .m_axis_tlast(m_axis_tlast),
         .m_axis_tvalid(m_axis_tvalid),
         .m_axis_tready(m_axis_tready),
-        .frame_done_irq(interrupt)
+        .frame_done(interrupt),
+        .lens_focus(lens_focus),
+        .lens_zoom(lens_zoom)
     );
 endmodule
 
