@@ -252,6 +252,19 @@ def test_asyncio_writes_too(loop: cm.Board, manager: Manager) -> None:
     assert asyncio.run(main()) == 99
 
 
+def test_asyncio_has_an_echo_too(board: cm.Board, manager: Manager) -> None:
+    async def main() -> int:
+        async with cm.aio.connect(runtime_dir=manager.runtime) as twin, twin.echo(4096) as echo:
+            async with echo.slot() as array:
+                assert array.shape == (4096,)
+                array[...] = 1
+            await echo.write(np.zeros(4096, np.uint8))
+            await echo.flush()
+            return echo.under_way
+
+    assert asyncio.run(main()) == 0
+
+
 # ---- refusals ----------------------------------------------------------------------------
 
 
