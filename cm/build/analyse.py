@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from cm.build import hdl
@@ -11,9 +12,11 @@ from cm.build.boundary import boundary
 from cm.build.boundary.model import Boundary
 from cm.build.errors import BuildError
 from cm.build.hdl import UserProtocol
-from cm.build.hdl.model import ModuleInfo
+from cm.build.hdl.model import ModuleInfo, Problem
 from cm.build.project import ModuleSpec, Project
 from cm.build.register_maps import read_register_map
+
+_PRIMITIVE = re.compile(r"[A-Z][A-Z0-9_]*|xpm_\w+")  # of the vendor's library: BUFG, RAMB36E2, xpm_cdc_single
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +72,7 @@ def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[Modu
         if spec.component is None:
             raise BuildError(f"{spec.name}: nothing tells its interfaces; give sources, sim_sources or component")
         return hdl.load_component_xml(spec.component), ()
-    found = hdl.extract(
+    reading = hdl.read(
         spec.readable,
         top=spec.top,
         include_dirs=spec.include_dirs,
@@ -77,7 +80,16 @@ def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[Modu
         parameters={name: str(value) for name, value in spec.parameters.items()},
         protocols=protocols,
     )
-    info = found[0]
+    info = _with_missing(reading.modules[0], spec, reading.outside)
     if spec.component is None:
         return info, ()
     return info, tuple(str(difference) for difference in hdl.compare(info, hdl.load_component_xml(spec.component)))
+
+
+def _with_missing(info: ModuleInfo, spec: ModuleSpec, outside: Sequence[str]) -> ModuleInfo:
+    """A problem for submodules that synthesis will look for in vain; vendor IP may bring them, primitives are there."""
+    missing = [name for name in outside if not _PRIMITIVE.fullmatch(name)]
+    if not missing or spec.ip or spec.tcl or spec.sim_sources:
+        return info
+    text = f"no file has {', '.join(missing)}, which {info.name} needs below it: add to sources: (or ip:, if vendor IP)"
+    return replace(info, problems=(*info.problems, Problem(text, info.file, info.line)))

@@ -78,7 +78,7 @@ class Tree:
         if have is None or have == data:
             new.unlink(missing_ok=True)
             (done.unchanged if have == data else done.created).append(name)
-        elif digest(have) == self._before.get(name):
+        elif digest(have) == self._before.get(name) or self._ours(original, have):
             done.updated.append(name)
         elif digest(data) == self._before.get(name):
             done.kept.append(name)
@@ -87,10 +87,16 @@ class Tree:
             done.conflicts.append(name)
             self._put(new, data)
             return
-        if have != data:
-            self._put(path, data)
+        # the original first: killed between the two, the file is still known by the manifest
         if not original.exists() or original.read_bytes() != data:
             self._put(original, data)
+        if have != data:
+            self._put(path, data)
+
+    @staticmethod
+    def _ours(original: Path, have: bytes) -> bool:
+        """Written by a generation that was killed before its manifest was."""
+        return original.exists() and original.read_bytes() == have
 
     def _remove(self, name: str, done: Written) -> None:
         path = self._folder / name

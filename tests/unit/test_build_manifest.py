@@ -83,3 +83,28 @@ def test_a_damaged_manifest_is_an_error_that_says_so(tmp_path: Path) -> None:
     (tmp_path / MANIFEST).write_text("[]")
     with pytest.raises(BuildError, match="damaged"):
         Tree(tmp_path)
+
+
+@pytest.mark.parametrize("writes", range(1, 6))
+def test_a_generation_that_is_killed_anywhere_is_made_good_by_the_next(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
+) -> None:
+    """What the killed one wrote is never taken for the user's, even where the input has changed again since."""
+    Tree(tmp_path).write({"a": "1", "b": "1", "c": "1"})
+    put, left = Tree._put, [writes]
+
+    def killed(path: Path, data: bytes) -> None:
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        put(path, data)
+
+    half = Tree(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(Tree, "_put", staticmethod(killed))
+        with pytest.raises(KeyboardInterrupt):
+            half.write({"a": "2", "b": "2", "c": "2"})
+    done = Tree(tmp_path).write({"a": "3", "b": "3", "c": "3"})
+    assert (done.updated, done.conflicts, done.kept) == (["a", "b", "c"], [], [])
+    assert [(tmp_path / name).read_text() for name in "abc"] == ["3", "3", "3"]
+    assert not list(tmp_path.rglob("*.new"))

@@ -275,3 +275,20 @@ def test_two_modules_may_have_one_top_with_other_parameters_or_other_sources(tmp
     texts = {path.parent.name: path.read_text().replace(" ", "") for path in out.glob("wrappers/*/*.v")}
     assert {name: ".STAGES(4)" in body for name, body in texts.items()} == {"one": False, "deep": True, "loud": False}
     assert {name: ".irq(" in body for name, body in texts.items()} == {"one": False, "deep": False, "loud": True}
+
+
+def test_a_submodule_that_no_file_has_is_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    below = STREAM_MODULE.format(name="one", high=31).replace(
+        "endmodule",
+        "    helper h ();\n    BUFG b ();\n    xpm_cdc_single x ();\nendmodule\n"
+        "module helper;\n    gone g ();\nendmodule",
+    )
+    path = project(tmp_path, one=below)
+    assert main(["build", "check", str(path)]) == 0
+    said = capsys.readouterr().out
+    assert "no file has gone, which one needs below it" in said
+    assert "BUFG" not in said
+    path.write_text(path.read_text().replace("[one.v]", "[one.v, gone.v]"))
+    (tmp_path / "gone.v").write_text("module gone;\nendmodule\n")
+    assert main(["build", "check", str(path)]) == 0
+    assert "no file has" not in capsys.readouterr().out

@@ -22,10 +22,14 @@ _ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECA
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """All modules asked for, and the problems of files that declare none of them."""
+    """All modules asked for, and the problems of files that declare none of them.
+
+    `outside`: what the modules instantiate, at any depth, that no file declares (told of Verilog only).
+    """
 
     modules: tuple[ModuleInfo, ...]
     problems: tuple[Problem, ...] = ()
+    outside: tuple[str, ...] = ()
 
 
 def extract(
@@ -64,7 +68,7 @@ def read(
     detector = Detector(protocols)
     modules = [detector.detect(module) for module in sources.evaluate(top, parameters)]
     _check_parameters(modules, parameters)
-    return Reading(tuple(modules), tuple(sources.problems))
+    return Reading(tuple(modules), tuple(sources.problems), sources.outside(module.name for module in modules))
 
 
 def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
@@ -82,6 +86,7 @@ class _Sources:
         self._verilog: VerilogReader | None = None
         self._vhdl: VhdlReader | None = None
         self._found: dict[str, tuple[Language, Path]] = {}
+        self._below: dict[str, tuple[str, ...]] = {}
         self.problems: list[Problem] = []
 
     def add(self, path: Path) -> None:
@@ -92,24 +97,42 @@ class _Sources:
         if path.suffix.lower() in VHDL_SUFFIXES:
             self._vhdl = self._vhdl or VhdlReader()
             entities = self._vhdl.parse(path, text)
-            self._register([entity.name for entity in entities], Language.VHDL, path)
+            # architectures are searched, not parsed: too vague to say that something is missing
+            self._register([(entity.name, ()) for entity in entities], Language.VHDL, path)
             if not entities and "package" not in text.lower():
                 self.problems.append(Problem("no entity in this file", str(path)))
             return
         self._verilog = self._verilog or VerilogReader(self._include_dirs, self._defines)
         tree = self._verilog.parse(path, text)
-        self._register([name for name, _ in tree.modules], tree.language, path)
+        self._register(tree.modules, tree.language, path)
         if not tree.modules:
             self.problems.extend(tree.errors)
 
-    def _register(self, names: Sequence[str], language: Language, path: Path) -> None:
-        for name in names:
+    def _register(self, units: Iterable[tuple[str, tuple[str, ...]]], language: Language, path: Path) -> None:
+        for name, below in units:
             if name in self._found:
                 first = self._found[name][1]
                 text = f"module {name} is declared in {first} too: the first one is taken"
                 self.problems.append(Problem(text, str(path)))
             else:
                 self._found[name] = (language, path)
+                self._below[name.lower()] = below
+
+    def outside(self, modules: Iterable[str]) -> tuple[str, ...]:
+        """What `modules` instantiate, at any depth, that no file declares; VHDL entities answer in any case."""
+        found: dict[str, str] = {}
+        seen: set[str] = set()
+        todo = list(modules)
+        while todo:
+            name = todo.pop()
+            if name.lower() in seen:
+                continue
+            seen.add(name.lower())
+            if name.lower() in self._below:
+                todo += self._below[name.lower()]
+            else:
+                found[name.lower()] = name
+        return tuple(sorted(found.values()))
 
     def check(self, top: str | None) -> None:
         if not self._found:
