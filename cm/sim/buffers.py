@@ -7,7 +7,7 @@ import errno
 import fcntl
 import mmap
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,9 @@ class Buffers:
 
     def __len__(self) -> int:
         return len(self._table)
+
+    def __iter__(self) -> Iterator[tuple[int, Buffer]]:
+        return iter(self._table.items())
 
     def get(self, handle: int) -> Buffer:
         """The buffer of a handle (ENOENT)."""

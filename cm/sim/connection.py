@@ -9,7 +9,7 @@ import errno
 import logging
 import os
 import socket
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from . import protocol
@@ -46,12 +46,14 @@ class Connection:
         self._unsent: tuple[bytes, Sequence[int]] | None = None
         self._events: socket.socket | None = None
         self._session: Session | None = None
+        self._take_back: Callable[[], None] | None = None
         self._open(node)
 
     def close(self) -> None:
         """End the connection and release what its session held; harmless twice."""
         if self._sock.fileno() < 0:
             return
+        self._recover()
         self._close_events()
         self._loop.remove(self._sock.fileno())
         self._sock.close()
@@ -61,12 +63,35 @@ class Connection:
             self._session.close()
         self._host.forget(self)
 
+    @property
+    def lendable(self) -> bool:
+        """Whether it is open, and nothing waits to be sent."""
+        return self._take_back is None and self._events is not None and self._unsent is None
+
+    def lend(self, take_back: Callable[[], None]) -> tuple[int, int]:
+        """Serve nothing until `take_back` was called (before we do anything); its descriptors: requests, events."""
+        assert self._events is not None
+        self._take_back = take_back
+        self._loop.pause(self._sock.fileno())
+        return self._sock.fileno(), self._events.fileno()
+
+    def returned(self, op: int, owed: bytes | None) -> None:
+        """Serve it again; `owed` is the payload of a reply that was not sent yet."""
+        self._take_back = None
+        self._loop.resume(self._sock.fileno())
+        if owed is not None:
+            self._reply(op, 0, owed)
+
+    def _recover(self) -> None:
+        if self._take_back is not None:
+            self._take_back()
+
     def _open(self, node: Node) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         self._loop.add(self._sock.fileno(), self._readable)
         try:
-            opened = node.open(Events(ours, self._host.cost))
+            opened = node.open(Events(ours, self._host.cost, self))
         except NodeError as error:
             self._reply(protocol.OP_OPEN, error.number)
             ours.close()
@@ -81,6 +106,7 @@ class Connection:
 
     def _readable(self) -> None:
         """Serve one request: more of them make the descriptor ready again, after others had their turn."""
+        self._recover()
         try:
             length, ancillary, flags, _ = self._sock.recvmsg_into([self._host.inbox], _ANCILLARY, _CLOEXEC)
         except BlockingIOError:
@@ -163,6 +189,7 @@ class Connection:
         self._flush()
 
     def _event_readable(self) -> None:
+        self._recover()
         if self._events is None:
             return
         try:

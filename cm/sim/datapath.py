@@ -11,7 +11,7 @@ from .board import ModuleSpec
 from .cells import Region
 from .dma import Bytes
 from .fabric import Fabric
-from .models import Models
+from .models import Models, default
 
 _log = logging.getLogger(__name__)
 
@@ -30,6 +30,16 @@ class Datapath:
     def flows(self) -> bool:
         """False while the region is decoupled."""
         return self._region is None or not self._region.decoupled
+
+    @property
+    def plain(self) -> bool:
+        """Whether data leaves as it enters, and nothing is to be kept of it."""
+        if self._fabric.cell("frame_count", self._name) is not None:
+            return False
+        if self._region is None:
+            return True
+        module = self._region.module
+        return self._region.running and module is not None and self._models.get(module.model) is default
 
     def register(self, name: str, default: int) -> int:
         """A register that the source itself obeys, or `default` where the schema has none."""

@@ -6,13 +6,15 @@ from __future__ import annotations
 import errno
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cm.schema.model import Direction
+
 from . import protocol
-from .buffers import Buffer
+from .buffers import Buffer, Buffers
 from .channels import ChannelSpec
 from .errors import NodeError
 from .events import Events
@@ -25,16 +27,25 @@ Bytes = NDArray[np.uint8]
 class Transfer:
     """One descriptor: a run of bytes or a frame of lines in a buffer."""
 
-    __slots__ = ("buffer", "cookie", "cyclic", "length", "period", "position", "view")
+    __slots__ = ("buffer", "cookie", "cyclic", "handle", "length", "offset", "period", "position", "view")
 
-    def __init__(self, buffer: Buffer, view: Bytes, cookie: int, period: int = 0) -> None:
+    def __init__(
+        self, buffer: Buffer, view: Bytes, cookie: int, period: int = 0, at: tuple[int, int] | None = None
+    ) -> None:
+        """`at` is where the client said that it is: handle and offset."""
         self.buffer = buffer
+        self.handle, self.offset = at or (0, 0)
         self.view = view  # one dimension, or (lines, bytes of a line)
         self.cookie = cookie
         self.length = view.size
         self.cyclic = period > 0
         self.period = period or self.length
         self.position = 0
+
+    @property
+    def plain(self) -> bool:
+        """Whether it is a run of bytes that is moved once."""
+        return self.handle > 0 and self.view.ndim == 1 and not self.cyclic
 
     def data(self) -> Bytes:
         """The bytes to send; copied only where lines are apart."""
@@ -67,21 +78,21 @@ class Completions:
     """The completion queue of one open file."""
 
     def __init__(self, events: Events) -> None:
-        self._events = events
-        self._sequence = 0
-        self._read = 0
+        self.events = events
+        self.sequence = 0
+        self.read = 0
         self._lost = False
 
     def send(self, cookie: int, length: int, status: int, flags: int = 0) -> None:
         """One more completion."""
         now = time.monotonic_ns()
-        self._events.send(protocol.DMA_COMPLETION.pack(cookie, length, now, self._sequence, status, flags))
-        self._sequence += 1
+        self.events.send(protocol.DMA_COMPLETION.pack(cookie, length, now, self.sequence, status, flags))
+        self.sequence += 1
 
     def send_period(self, cookie: int, length: int, periods: int) -> None:
         """A period of a cyclic transfer: lost, and counted, if the client is a whole round behind."""
         if not self.room(periods):
-            self._sequence += 1
+            self.sequence += 1
             self._lost = True
             return
         flags = protocol.COMPLETION_OVERRUN if self._lost else 0
@@ -90,10 +101,10 @@ class Completions:
 
     def room(self, limit: int) -> bool:
         """Whether fewer than `limit` completions wait to be read."""
-        if self._events.sent - self._read < limit:
+        if self.events.sent - self.read < limit:
             return True
-        self._read = self._events.sent - self._events.unread()
-        return self._events.sent - self._read < limit
+        self.read = self.events.sent - self.events.unread()
+        return self.events.sent - self.read < limit
 
 
 class Channel:
@@ -103,21 +114,28 @@ class Channel:
         self.spec = spec
         self.queue: deque[Transfer] = deque()
         self.completions: Completions | None = None  # of the file that has it open
+        self._buffers: Buffers | None = None  # of that file
         self.kick: Callable[[], None] = lambda: None
         self.moved = 0
 
-    def claim(self, completions: Completions) -> None:
+    def claim(self, completions: Completions, buffers: Buffers) -> None:
         """An open file takes the channel (EBUSY)."""
         if self.completions is not None:
             raise NodeError(errno.EBUSY, f"{self.spec.name} is open already")
-        self.completions = completions
+        self.completions, self._buffers = completions, buffers
+
+    def usable(self) -> Iterator[tuple[int, Buffer]]:
+        """The buffers that the channel may use, by handle."""
+        assert self._buffers is not None
+        reads = self.spec.direction is Direction.MM2S
+        return ((handle, buffer) for handle, buffer in self._buffers if reads or buffer.writable)
 
     def release(self) -> None:
         """The file is closed: nothing runs any more."""
         for transfer in self.queue:
             transfer.buffer.inflight -= 1
         self.queue.clear()
-        self.completions = None
+        self.completions = self._buffers = None
 
     def submit(self, transfer: Transfer) -> None:
         """Queue a transfer (EBUSY when the queue is full)."""

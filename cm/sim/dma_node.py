@@ -30,9 +30,9 @@ class DmaNode:
 
     def open(self, events: Events) -> DmaSession:
         """Claim the channel."""
-        completions = Completions(events)
-        self._channel.claim(completions)
-        session = DmaSession(self._channel, Buffers(self._memory), self.sessions.discard)
+        buffers = Buffers(self._memory)
+        self._channel.claim(Completions(events), buffers)
+        session = DmaSession(self._channel, buffers, self.sessions.discard)
         self.sessions.add(session)
         return session
 
@@ -92,7 +92,8 @@ class DmaSession:
         _check_range(buffer, offset, length)
         if cyclic != bool(period) or (cyclic and length % period):
             raise NodeError(errno.EINVAL, "a cyclic transfer, and no other, has a period that divides its length")
-        self._channel.submit(Transfer(buffer, buffer.bytes[offset : offset + length], cookie, period))
+        view = buffer.bytes[offset : offset + length]
+        self._channel.submit(Transfer(buffer, view, cookie, period, (handle, offset)))
         return payload
 
     def _submit_video(self, payload: bytes) -> bytes:

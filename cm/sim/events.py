@@ -6,18 +6,35 @@ from __future__ import annotations
 import fcntl
 import socket
 import struct
+from collections.abc import Callable
+from typing import Protocol
 
 from . import protocol
 
 SIOCOUTQ = 0x5411  # bytes sent and not yet read, linux/sockios.h
 
 
+class Line(Protocol):
+    """A connection that may be served by somebody else for a while."""
+
+    @property
+    def lendable(self) -> bool:
+        """Whether it is open, and nothing waits to be sent."""
+
+    def lend(self, take_back: Callable[[], None]) -> tuple[int, int]:
+        """Serve nothing until `take_back` was called (before we do anything); its descriptors: requests, events."""
+
+    def returned(self, op: int, owed: bytes | None) -> None:
+        """Serve it again; `owed` is the payload of a reply that was not sent yet."""
+
+
 class Events:
     """Our end of a connection's event socket."""
 
-    def __init__(self, end: socket.socket, cost: int) -> None:
+    def __init__(self, end: socket.socket, cost: int, line: Line | None = None) -> None:
         self._socket = end
-        self._cost = cost
+        self.cost = cost  # of a packet, in the socket's send queue
+        self.line = line
         self.sent = 0
 
     def send(self, packet: bytes) -> bool:
@@ -32,7 +49,7 @@ class Events:
     def unread(self) -> int:
         """Packets sent and not yet read by the client, where they are about 48 bytes long."""
         try:
-            return _queued(self._socket) // self._cost
+            return _queued(self._socket) // self.cost
         except (OSError, ValueError):
             return 0
 

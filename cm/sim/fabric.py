@@ -87,6 +87,7 @@ class Fabric:
             self._reset_cells(region)
             self._set_decoupler_bit(region)
         self._reset_cells(None)
+        self.changed()
 
     def noise(self, length: int) -> NDArray[np.uint8]:
         """Garbage, different each time but the same in every run with the same seed."""

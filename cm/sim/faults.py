@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 # What can be injected, and what the target is.
@@ -38,12 +38,19 @@ class Faults:
 
     def __init__(self) -> None:
         self._waiting: list[Fault] = []
+        self.ordered: Callable[[], None] = lambda: None  # called when one is
+
+    @property
+    def waiting(self) -> bool:
+        """Whether any are to happen."""
+        return bool(self._waiting)
 
     def inject(self, kind: str, target: str = "", value: int = 0, count: int = 1) -> None:
         """Order a fault; `count` 0 and the sticky kinds last until they are cleared."""
         if kind in STICKY:
             count = UNTIL_CLEARED
         self._waiting.append(Fault(kind, target, value, count))
+        self.ordered()
 
     def take(self, kind: str, target: str = "") -> Fault | None:
         """The fault that happens now, if one does; counts it."""

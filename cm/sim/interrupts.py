@@ -103,11 +103,18 @@ class Interrupts:
         Interrupts called …_done in its region's window come, `<channel>_done` wherever it is, and
         `frame_done` if that is in no region.
         """
+        for name in self.of_packets(channel, region):
+            self.fire(name)
+
+    def of_packets(self, channel: str, region: str | None) -> list[str]:
+        """The interrupts that come with each packet."""
+        found = []
         for name, wired in self._wiring.items():
             in_region = wired.region is not None and wired.region == region and name.endswith("_done")
             in_static = wired.region is None and name == "frame_done"
             if name == f"{channel}_done" or in_region or in_static:
-                self.fire(name)
+                found.append(name)
+        return found
 
     def _wire(self, name: str, interrupt: Interrupt) -> None:
         index = self._find(interrupt)

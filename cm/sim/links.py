@@ -11,6 +11,7 @@ import numpy as np
 from .camera import SHAPE, PhotoReel
 from .datapath import Datapath
 from .dma import Bytes, Channel
+from .fastpath import FastPath
 from .faults import Faults
 from .interrupts import Interrupts
 from .loop import Loop, Timer
@@ -30,6 +31,12 @@ class Link:
         if not self._soon:
             self._soon = True
             self._loop.soon(self._wake)
+
+    def take_back(self) -> None:
+        """Have the channels here; they may be with somebody who is faster."""
+
+    def close(self) -> None:
+        """End what runs beside us."""
 
     def _wake(self) -> None:
         self._soon = False
@@ -82,6 +89,32 @@ class LoopLink(Link):
         super().__init__(loop, faults, interrupts, path)
         self._source, self._sink = source, sink
         self._inside = np.empty(0, np.uint8)
+        self._fast = FastPath(loop, source, sink, self._returned)
+        self._slow = False  # something waits that only we can serve
+
+    def kick(self) -> None:
+        """Something changed: look again before the next wait, at channels that are ours by then."""
+        self._slow = False
+        self.take_back()
+        super().kick()
+
+    def take_back(self) -> None:
+        """Have the channels here."""
+        self._fast.take_back()
+
+    def close(self) -> None:
+        """End what runs beside us."""
+        self._fast.close()
+
+    def _returned(self) -> None:
+        self._slow = True
+        super().kick()
+
+    @property
+    def _plain(self) -> bool:
+        """Whether nothing happens to data but that it is passed on, and nobody is told."""
+        told = self._interrupts.of_packets(self._sink.spec.name, self._sink.spec.region)
+        return not (self._slow or self._faults.waiting or told) and self._path.flows and self._path.plain
 
     def _taken(self, data: Bytes) -> Bytes:
         """A packet on its way through the PL: its bytes have left the memory that they came from."""
@@ -93,6 +126,8 @@ class LoopLink(Link):
 
     def _move(self) -> None:
         source, sink = self._source, self._sink
+        if self._plain and self._fast.lend():
+            return
         if not source.queue or not sink.queue or not self._path.flows:
             return
         if self._hangs(source) or self._hangs(sink):
@@ -105,7 +140,7 @@ class LoopLink(Link):
         else:
             self._deliver(sink, self._path.process(self._path.frame(self._taken(transfer.data()))))
             source.complete(transfer.period)
-        self.kick()
+        super().kick()
 
 
 class SinkLink(Link):

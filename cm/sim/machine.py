@@ -74,7 +74,7 @@ class Machine:
         self.links = self._links()
         self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
         self.icap_node = self._icap_node()
-        self.fabric.changed = self.kick
+        self.fabric.changed = self.faults.ordered = self.kick
 
     def serve(self) -> None:
         """Make the nodes; from now on clients can come."""
@@ -99,9 +99,12 @@ class Machine:
     def close(self) -> None:
         """End all connections."""
         self.server.close()
+        for link in self.links.values():
+            link.close()
 
     def state(self) -> dict[str, object]:
         """What the board holds now, for tests and people."""
+        self.kick()  # nothing is lent while we look
         return {
             "pid": os.getpid(),
             "arguments": sys.argv[1:],

@@ -26,7 +26,7 @@ MAY = {
     "wire": BASE | {"messages"},
     "daemon": BASE | {"messages", "device", "bitstream", "schema", "manager", "wire", "native", "multipart"},
     "client": BASE | {"messages", "wire", "native", "multipart"},
-    "sim": BASE | {"schema", "bitstream", "hwh"},
+    "sim": BASE | {"native", "schema", "bitstream", "hwh"},
     "importers": BASE | {"schema", "bitstream", "hwh"},
     "build": BASE | {"schema", "bitstream", "hwh", "sim"},
 }

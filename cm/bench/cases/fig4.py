@@ -9,7 +9,7 @@ from cm.bench.floor import Copies
 from cm.bench.loop import looped
 from cm.bench.peer import Unavailable
 from cm.bench.result import Result
-from cm.bench.rounds import Batch, Plan, interleave, timed
+from cm.bench.rounds import Batch, Plan, interleave
 from cm.bench.run import IMAGE, IMAGES, Rivals, Run
 
 TRIPS = 1000
@@ -26,7 +26,7 @@ def run(bench: Run) -> list[Result]:
         with ExitStack() as stack:
             rivals = Rivals(bench, stack)
             rivals.add(["zmq"], size)
-            contestants: dict[str, Batch] = {"ours": timed(stack.enter_context(looped(bench, size))), **rivals.batches}
+            contestants: dict[str, Batch] = {"ours": stack.enter_context(looped(bench, size)), **rivals.batches}
             try:
                 contestants["c"] = stack.enter_context(Copies(bench.place("c"), size)).batch
             except Unavailable as why:

@@ -9,7 +9,7 @@ from cm.bench.floor import Copies
 from cm.bench.loop import looped
 from cm.bench.peer import Unavailable
 from cm.bench.result import Goal, Result, unavailable
-from cm.bench.rounds import Batch, Samples, interleave, timed
+from cm.bench.rounds import Batch, Samples, interleave
 from cm.bench.run import IMAGE, Rivals, Run
 
 GOALS = {
@@ -38,7 +38,7 @@ def run(bench: Run) -> list[Result]:
             contestants["c"] = stack.enter_context(Copies(bench.place("c"), IMAGE)).batch
         except Unavailable as why:
             rivals.missing["c"] = str(why)
-        contestants["ours"] = timed(stack.enter_context(looped(bench, IMAGE)))
+        contestants["ours"] = stack.enter_context(looped(bench, IMAGE))
         found = interleave(contestants, bench.plan(20))
     return [_result(name, found["ours"], found.get(_rival(name)), rivals.missing) for name in GOALS]
 
