@@ -15,8 +15,8 @@ from cm.client.stream import Stream
 from cm.client.writer import Writer
 from cm.errors import CmError
 
-# One slot each way, as the baselines have it (the stream's second is the hardware's, its third the rule's);
-# no interrupt: the baselines tell nobody but the other end either.
+# One slot each way, as the C program has it: with back-pressure no others are kept for the hardware to go on with.
+# No interrupt: the baselines tell nobody but the other end either.
 SCHEMA = """
 config:
   name: loop
@@ -30,7 +30,7 @@ config:
     loopback: {{modules: [loopback]}}
   streams:
     to_pl: {{direction: mm2s, region: prr0, shape: [{size}], slots: 1}}
-    from_pl: {{direction: s2mm, region: prr0, shape: [{size}], slots: 1}}
+    from_pl: {{direction: s2mm, region: prr0, shape: [{size}], slots: 1, backpressure: true}}
 """
 
 

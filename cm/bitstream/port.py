@@ -13,7 +13,7 @@ from enum import Flag, auto
 from cm.bitstream.container import Source, read_source
 from cm.bitstream.devices import REVISION_MASK, Device, Family
 from cm.bitstream.far import FrameAddress, decode_far
-from cm.bitstream.module import ModuleIdentity, identify_words
+from cm.bitstream.module import ModuleIdentity, identify_bytes
 from cm.bitstream.packets import Register
 from cm.native import bitstream as native
 
@@ -96,28 +96,26 @@ class ConfigPort:
         while done < len(words) // 4:
             used, events = self._port.feed(words, self.swapped, done)
             done += used
-            for row in events:
-                self._note(row, writes)
+            for _, kind, register, value, count, _, _ in events.tolist():
+                self._note(kind, register, value, count, writes)
         return Progress(tuple(writes), self.sections > sections)
 
-    def _note(self, row: native.Event, writes: list[FrameWrite]) -> None:
-        kind = int(row["kind"])
+    def _note(self, kind: int, register: int, value: int, count: int, writes: list[FrameWrite]) -> None:
         if kind == native.FRAMES:
-            self._frames(row, writes)
-        elif kind == native.CRC and row["value"] != row["count"]:
+            self._frames(value, count, writes)
+        elif kind == native.CRC and value != count:
             self.errors |= PortError.CRC
-        elif kind == native.WRITE and row["reg"] == Register.IDCODE:
-            if (int(row["value"]) ^ self.device.idcode) & REVISION_MASK:
+        elif kind == native.WRITE and register == Register.IDCODE:
+            if (value ^ self.device.idcode) & REVISION_MASK:
                 self.errors |= PortError.IDCODE
         elif kind == native.FAULT:
             self.errors |= PortError.PACKET
         elif kind == native.DESYNC:
             self.sections += 1
 
-    def _frames(self, row: native.Event, writes: list[FrameWrite]) -> None:
+    def _frames(self, far: int, count: int, writes: list[FrameWrite]) -> None:
         if self.errors:
             return
-        count = int(row["count"])
         self.frames += count // self.family.frame_words
-        address = decode_far(int(row["value"]), self.family)
-        writes.append(FrameWrite(address, count, identify_words(self._port.head)))
+        address = decode_far(far, self.family)
+        writes.append(FrameWrite(address, count, identify_bytes(self._port.head_bytes)))

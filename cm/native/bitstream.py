@@ -7,6 +7,7 @@ of `EVENT`; what their fields mean for each kind stands in ``csrc/bitstream.h``.
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -97,3 +98,9 @@ class Port:
     def head(self) -> tuple[int, ...]:
         """The first words (at most one frame) of the newest FDRI run."""
         return tuple(self._port.head[0 : self._port.head_count])
+
+    @property
+    def head_bytes(self) -> bytes:
+        """The same as they stand in a `.bit`, most significant byte first."""
+        raw = bytes(ffi.buffer(self._port.head, 4 * self._port.head_count))
+        return raw if sys.byteorder == "big" else swap(raw)

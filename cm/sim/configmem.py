@@ -54,7 +54,7 @@ class ConfigMemory:
             if not region.loading:
                 self._fabric.start_load(region)
 
-    def settle(self, ok: bool, stream: bytes) -> None:
+    def settle(self, ok: bool, stream: memoryview) -> None:
         """The load is over: regions that it covered run their module if it went well, others nothing."""
         for name, touched in self._touched.items():
             region = self._fabric.regions[name]
@@ -68,7 +68,7 @@ class ConfigMemory:
                 return region
         return None
 
-    def _module(self, region: RegionSpec, touched: _Touched, stream: bytes) -> ModuleSpec | None:
+    def _module(self, region: RegionSpec, touched: _Touched, stream: memoryview) -> ModuleSpec | None:
         if touched.module is None:
             known = self._known.get(digest(stream)) if self._known else None
             return known if known is not None and _begun(region, touched.addresses) else None

@@ -58,15 +58,24 @@ class Engine:
         return self._run is not None
 
     def start(
-        self, data: Bytes, finished: Callable[[LoadResult], None], full: bool = False, rate: float | None = None
+        self,
+        data: Bytes,
+        finished: Callable[[LoadResult], None],
+        full: bool = False,
+        rate: float | None = None,
+        asked_ns: int | None = None,
     ) -> None:
-        """Load `data`, words as in memory (little-endian bus); `finished` is called at the end (EBUSY)."""
+        """Load `data`, words as in memory (little-endian bus), read as they go; `finished` is called at the end (EBUSY).
+
+        `asked_ns` is when the request was there (now): what we do before the first word is our own affair,
+        a DMA engine begins at once.
+        """
         if self._run is not None:
             raise NodeError(errno.EBUSY, "a load is running")
         self.state, self.errors, self.done, self.total = protocol.STATE_LOADING, 0, 0, len(data)
         self._port.reset()
-        started_ns = time.monotonic_ns()  # the copy below is ours; a DMA engine begins at once
-        self._run = _Run(data.tobytes(), started_ns, finished, full, self.rate if rate is None else rate)
+        started_ns = asked_ns or time.monotonic_ns()
+        self._run = _Run(data, started_ns, finished, full, self.rate if rate is None else rate)
         self._loop.soon(self._step)
 
     def _step(self) -> None:
@@ -77,15 +86,29 @@ class Engine:
             # The words go nowhere; the driver gives up when the port should long have been done.
             self._loop.after(run.seconds_left + 0.1, lambda: self._finish(-errno.ETIMEDOUT, protocol.ERR_TIMEOUT))
             return
-        target = run.bytes_at(time.monotonic())
-        if target > self.done:
-            progress = self._port.feed(memoryview(run.data)[self.done : target])
-            self._memory.apply(progress.writes, run.full)
-            self.done = target
-        if target < self.total:
-            self._loop.after(min(_STEP, max(run.seconds_left, 0.0)), self._step)
+        self._feed(run)
+        self.done = min(run.fed, run.bytes_at(time.monotonic()))
+        if self.done < self.total:
+            self._wait(run)
         else:
             self._finish(*self._verdict())
+
+    def _feed(self, run: _Run) -> None:
+        """Work on the words that are due before the next look: a port does that while the clock ticks."""
+        target = run.bytes_at(time.monotonic() + _STEP)
+        if target > run.fed:
+            progress = self._port.feed(run.data[run.fed : target])
+            run.fed = target
+            self._memory.apply(progress.writes, run.full)
+
+    def _wait(self, run: _Run) -> None:
+        """Until the next look; the loop's own clock ticks in milliseconds, which is too coarse for the last."""
+        left = run.seconds_left
+        if left < _STEP:
+            time.sleep(max(left, 0.0))
+            self._loop.soon(self._step)
+        else:
+            self._loop.after(min(_STEP, left - _STEP / 2), self._step)
 
     def _verdict(self) -> tuple[int, int]:
         port = self._port
@@ -122,9 +145,10 @@ class _Run:
     """One load: its bytes, and when they are due at the port."""
 
     def __init__(
-        self, data: bytes, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float
+        self, data: Bytes, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float
     ) -> None:
-        self.data = data
+        self.data = memoryview(data)  # type: ignore[arg-type]  # of numpy before 2
+        self.fed = 0  # bytes worked on
         self.finished = finished
         self.full = full
         self.started_ns = started_ns

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import errno
+import time
 from collections.abc import Callable, Sequence
 
 from . import protocol
@@ -74,6 +75,7 @@ class IcapSession:
         return fit(info, payload)
 
     def _load(self, payload: bytes) -> bytes:
+        asked_ns = time.monotonic_ns()
         flags, handle, reserved, offset, length, cookie = protocol.unpack(protocol.ICAP_LOAD, payload)
         protocol.require_zero(flags & ~_FLAGS, reserved)
         buffer = self.buffers.get(handle)
@@ -85,7 +87,7 @@ class IcapSession:
             raise NodeError(errno.EOPNOTSUPP, "the simulated device has no key")
         data = buffer.bytes[offset : offset + length]
         full = bool(flags & protocol.LOAD_FULL)
-        self._node.engine.start(data, lambda result: self._finished(buffer, cookie, result), full)
+        self._node.engine.start(data, lambda result: self._finished(buffer, cookie, result), full, asked_ns=asked_ns)
         buffer.inflight += 1
         return payload
 
