@@ -5,15 +5,16 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import TypeAlias
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, TypeAlias
 
 from cm.bitstream.devices import Family
 from cm.bitstream.errors import BadPacket, BitstreamError, FramesIncomplete
 from cm.bitstream.report import Footprint, Refusal
 from cm.native import bitstream as native
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 Frames: TypeAlias = "npt.NDArray[np.int64]"
 
@@ -24,12 +25,16 @@ def _refusal(error: type[BitstreamError], message: str) -> Refusal:
 
 def _frames_of(events: native.Events, family: Family) -> Frames:
     """Return how many frames each FRAMES (words over frame size) or MULTI event writes."""
+    import numpy as np
+
     whole = events["count"].astype(np.int64) // family.frame_words
     return np.where(events["kind"] == native.MULTI, events["frames"], whole)
 
 
 def _distinct(events: native.Events, counts: Frames) -> tuple[npt.NDArray[np.uint32], Frames]:
     """Return each FAR once, with the longest run from it: partial bitstreams write regions twice."""
+    import numpy as np
+
     words, inverse = np.unique(events["value"], return_inverse=True)
     longest = np.zeros(len(words), dtype=np.int64)
     np.maximum.at(longest, inverse, counts)
@@ -38,6 +43,8 @@ def _distinct(events: native.Events, counts: Frames) -> tuple[npt.NDArray[np.uin
 
 def footprint(events: native.Events, family: Family) -> tuple[Footprint, ...]:
     """Return the columns that FAR was set to before frames came, and how many came, in FAR order."""
+    import numpy as np
+
     layout = family.far
     fars, counts = _distinct(events, _frames_of(events, family))
     shift = layout.column[0]
@@ -61,6 +68,8 @@ def frames_between(events: native.Events, family: Family, first: int, last: int)
 
 def check_frames(events: native.Events, family: Family) -> list[Refusal]:
     """Return what is wrong with the frame packets: parts of frames, addresses with unknown bits, MFWR data."""
+    import numpy as np
+
     problems = []
     runs = events[events["kind"] == native.FRAMES]
     shared = events[events["kind"] == native.MULTI]

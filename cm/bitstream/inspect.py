@@ -6,8 +6,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import replace
 
-import numpy as np
-
 from cm.bitstream import frames
 from cm.bitstream.container import Image, Source, named, open_image, read_source
 from cm.bitstream.devices import Family, base_name, device_by_idcode, device_by_name, family_of
@@ -20,6 +18,8 @@ from cm.native import bitstream as native
 
 def _events(image: Image) -> tuple[native.Events, int]:
     """Run the whole stream through a port; return its events and the phase it ends in."""
+    import numpy as np
+
     port = native.Port()
     batches = []
     done = 0
@@ -27,7 +27,7 @@ def _events(image: Image) -> tuple[native.Events, int]:
         used, events = port.feed(image.stream, image.swapped, done)
         done += used
         batches.append(events)
-    return (np.concatenate(batches) if batches else np.empty(0, native.EVENT)), port.phase
+    return (np.concatenate(batches) if batches else np.empty(0, native.event_dtype())), port.phase
 
 
 def _apply(events: native.Events, phase: int, words: int, encrypted: bool) -> Rules:

@@ -35,7 +35,7 @@ _FAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One row of `cm.native.bitstream.EVENT` in plain integers."""
+    """One row of `cm.native.bitstream.event_dtype` in plain integers."""
 
     word: int
     kind: int

@@ -2,32 +2,23 @@
 """Thin typed functions over ``csrc/bitstream.c``: the configuration port and its CRC.
 
 Data is anything with the buffer protocol and is never copied. Events come as rows of a numpy array
-of `EVENT`; what their fields mean for each kind stands in ``csrc/bitstream.h``.
+of `event_dtype`; what their fields mean for each kind stands in ``csrc/bitstream.h``.
 """
 
 from __future__ import annotations
 
 import sys
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from cm.native._cm import ffi, lib
 
-EVENT = np.dtype(
-    [
-        ("word", "=u8"),
-        ("kind", "=u4"),
-        ("reg", "=u4"),
-        ("value", "=u4"),
-        ("count", "=u4"),
-        ("extra", "=u4"),
-        ("frames", "=u4"),
-    ]
-)
-Event = np.void
-Events = npt.NDArray[np.void]
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+Event: TypeAlias = "np.void"
+Events: TypeAlias = "npt.NDArray[np.void]"
 
 SYNC: int = lib.CM_CONFIG_SYNC
 WRITE: int = lib.CM_CONFIG_WRITE
@@ -41,6 +32,15 @@ OPAQUE: int = lib.CM_CONFIG_OPAQUE
 FAULT: int = lib.CM_CONFIG_FAULT
 
 _BATCH = 512
+
+
+@cache
+def event_dtype() -> np.dtype[np.void]:
+    """A row of events; numpy is imported by who looks at some, as not everybody does who knows bitstreams."""
+    import numpy as np
+
+    fields = [("word", "=u8"), *((name, "=u4") for name in ("kind", "reg", "value", "count", "extra", "frames"))]
+    return np.dtype(fields)
 
 
 def crc(value: int, register: int, words: Any, swapped: bool = False) -> int:
@@ -81,8 +81,11 @@ class Port:
         data = ffi.from_buffer("uint8_t[]", words)
         count = len(data) // 4 - start
         used = lib.cm_config_feed(self._port, data + 4 * start, count, swapped, self._events, _BATCH, self._made)
-        size = self._made[0] * EVENT.itemsize
-        return int(used), np.frombuffer(bytes(ffi.buffer(self._events, size)), dtype=EVENT)
+        import numpy as np
+
+        dtype = event_dtype()
+        size = self._made[0] * dtype.itemsize
+        return int(used), np.frombuffer(bytes(ffi.buffer(self._events, size)), dtype=dtype)
 
     @property
     def phase(self) -> int:

@@ -4,15 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib.resources import files
+from functools import cached_property
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, TypeAlias
 
 from .errors import SimError
 
-Photo = NDArray[np.uint8]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+else:
+    from .later import np
+
+
+Photo: TypeAlias = "NDArray[np.uint8]"
 
 SHAPE = (480, 640)
 MAX_RADIUS = 15
@@ -22,7 +27,7 @@ _SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 def shipped_photos() -> dict[str, Photo]:
     """The photographs of the package by name, (480, 640) each; their rights are in cm/data/photos/README.md."""
-    path = Path(str(files("cm"))) / "data" / "photos" / "photos.npz"
+    path = Path(__file__).resolve().parents[1] / "data" / "photos" / "photos.npz"
     with np.load(path) as archive:
         return {name: archive[name] for name in archive.files}
 
@@ -93,16 +98,21 @@ def frame(photo: Photo, shape: tuple[int, int] = SHAPE, focus: int = 1, zoom: in
 class PhotoReel:
     """Which photo is before the lens: each for `hold` frames, 0 for ever the first."""
 
-    def __init__(self, photos: Sequence[Photo], hold: int) -> None:
-        self._photos = list(photos)
+    def __init__(self, photos: Sequence[Photo] | None, hold: int) -> None:
+        """`photos` None: those of the package, read when the first is taken."""
+        self._given = photos
         self._hold = hold
         self.taken = 0
         self._last: tuple[tuple[int, ...], Photo] | None = None
 
+    @cached_property
+    def _photos(self) -> Sequence[Photo]:
+        return list(shipped_photos().values()) if self._given is None else self._given
+
     @property
     def index(self) -> int:
         """Of the photo that the next frame shows."""
-        return self.taken // self._hold % len(self._photos) if self._hold else 0
+        return self.taken // self._hold % len(self._photos) if self._hold and self.taken else 0
 
     def take(self, shape: tuple[int, int], focus: int, zoom: int) -> Photo:
         """The next frame; the same as the last is not computed again."""

@@ -3,12 +3,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from cm.schema.model import Config, Direction, Stream
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from .later import np
+
 
 DEFAULT_RATE = 30.0
 
@@ -32,7 +38,7 @@ class ChannelSpec:
     @property
     def frame_length(self) -> int:
         """Bytes of one frame, or 0 where the schema gives no shape."""
-        return int(np.prod(self.shape)) * np.dtype(self.dtype).itemsize if self.shape else 0
+        return math.prod(self.shape) * np.dtype(self.dtype).itemsize if self.shape else 0
 
     @property
     def is_camera(self) -> bool:

@@ -4,14 +4,20 @@
 from __future__ import annotations
 
 import logging
-
-import numpy as np
+import math
+from typing import TYPE_CHECKING
 
 from .board import ModuleSpec
 from .cells import Region
 from .dma import Bytes
 from .fabric import Fabric
 from .models import Models, default
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from .later import np
+
 
 _log = logging.getLogger(__name__)
 
@@ -24,7 +30,7 @@ class Datapath:
         self._name = region if region in fabric.regions else None
         self._failed: ModuleSpec | None = None  # said once
         self._region: Region | None = fabric.regions.get(region) if region else None
-        self._width = shape[-1] if shape and len(shape) == 1 else int(np.prod(shape[1:])) if shape else 0
+        self._width = shape[-1] if shape and len(shape) == 1 else math.prod(shape[1:]) if shape else 0
 
     @property
     def flows(self) -> bool:

@@ -7,9 +7,7 @@ import errno
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, TypeAlias
 
 from cm.schema.model import Direction
 
@@ -19,9 +17,16 @@ from .channels import ChannelSpec
 from .errors import NodeError
 from .events import Events
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+else:
+    from .later import np
+
+
 QUEUE_DEPTH = 64
 MAX_LENGTH = (1 << 26) - 1  # the AXI DMA's length register has at most 26 bits (PG021)
-Bytes = NDArray[np.uint8]
+Bytes: TypeAlias = "NDArray[np.uint8]"
 
 
 class Transfer:

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Sequence
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from cm.schema.model import Direction
 
@@ -16,6 +15,12 @@ from .dma import MAX_LENGTH, QUEUE_DEPTH, Channel, Completions, Transfer
 from .errors import NodeError
 from .events import Events
 from .session import Answer
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from .later import np
+
 
 _CAPS = protocol.CAP_CYCLIC | protocol.CAP_VIDEO | protocol.CAP_RESIDUE
 _ALIGNMENT = 1  # as an engine with the data realignment engine (PG021)

@@ -4,14 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-
-import numpy as np
-from numpy.typing import NDArray
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from cm.schema.model import Access, Register
 
 from .board import BoardSpec, ModuleSpec, RegionSpec
 from .cells import Cell, Region, View, Window, same_place
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+else:
+    from .later import np
+
 
 EMPTY_WORD = 0xDEADBEEF  # what a region without a module reads as
 FUNCTIONAL_RESETS: Mapping[str, int] = {"focus": 1, "zoom": 1}
@@ -28,7 +34,7 @@ class Fabric:
         self.changed: Callable[[], None] = lambda: None  # called when data may flow that did not
         self.answering: Callable[[Region], None] = lambda _: None  # called when a region answers, or does not any more
         self._by_name: dict[str, list[Cell]] = {}
-        self._noise = np.random.default_rng(seed).integers(0, 256, _GARBAGE, np.uint8)
+        self._seed = seed
         self._noise_at = 0
         self._views: dict[str | None, View] = {}
         for register in (*spec.registers, *_identities(spec.regions.values())):
@@ -88,6 +94,10 @@ class Fabric:
             self._set_decoupler_bit(region)
         self._reset_cells(None)
         self.changed()
+
+    @cached_property
+    def _noise(self) -> NDArray[np.uint8]:
+        return np.random.default_rng(self._seed).integers(0, 256, _GARBAGE, np.uint8)
 
     def noise(self, length: int) -> NDArray[np.uint8]:
         """Garbage, different each time but the same in every run with the same seed."""

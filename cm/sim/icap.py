@@ -7,9 +7,7 @@ import errno
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, TypeAlias
 
 from cm.bitstream.devices import Device
 from cm.bitstream.port import ConfigPort, PortError
@@ -21,7 +19,12 @@ from .fabric import Fabric
 from .faults import Faults
 from .loop import Loop
 
-Bytes = NDArray[np.uint8]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+Bytes: TypeAlias = "NDArray[np.uint8]"
 _STEP = 0.001  # seconds of simulated time between two looks at the port
 
 
@@ -65,10 +68,10 @@ class Engine:
         rate: float | None = None,
         asked_ns: int | None = None,
     ) -> None:
-        """Load `data`, words as in memory (little-endian bus), read as they go; `finished` is called at the end (EBUSY).
+        """Load `data`, words as in memory (little-endian bus); `finished` is called at the end (EBUSY).
 
-        `asked_ns` is when the request was there (now): what we do before the first word is our own affair,
-        a DMA engine begins at once.
+        `data` is read as it goes. `asked_ns` is when the request was there (now): what we do before the first
+        word is our own affair, a DMA engine begins at once.
         """
         if self._run is not None:
             raise NodeError(errno.EBUSY, "a load is running")

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import errno
 import time
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from .camera import SHAPE, PhotoReel
 from .datapath import Datapath
@@ -15,6 +14,11 @@ from .fastpath import FastPath
 from .faults import Faults
 from .interrupts import Interrupts
 from .loop import Loop, Timer
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from .later import np
 
 
 class Link:
@@ -88,7 +92,7 @@ class LoopLink(Link):
     ) -> None:
         super().__init__(loop, faults, interrupts, path)
         self._source, self._sink = source, sink
-        self._inside = np.empty(0, np.uint8)
+        self._inside: Bytes | None = None
         self._fast = FastPath(loop, source, sink, self._returned)
         self._slow = False  # something waits that only we can serve
 
@@ -118,7 +122,7 @@ class LoopLink(Link):
 
     def _taken(self, data: Bytes) -> Bytes:
         """A packet on its way through the PL: its bytes have left the memory that they came from."""
-        if len(self._inside) < len(data):
+        if self._inside is None or len(self._inside) < len(data):
             self._inside = np.empty(len(data), np.uint8)
         inside = self._inside[: len(data)]
         np.copyto(inside, data)

@@ -44,7 +44,7 @@ ICAP_CLOCK = {"7series": 100_000_000, "ultrascale+": 200_000_000}
 class Options:
     """What can be set about a board besides its hardware."""
 
-    photos: Sequence[Photo]
+    photos: Sequence[Photo] | None  # None: those of the package
     hold: int = 150  # frames for which a photo stays
     rate: float | None = None  # frames per second of every camera; None: as the schema says; 0: as fast as possible
     icap_rate: float | None = None  # bytes per second; None: word width times clock; 0: at once

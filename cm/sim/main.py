@@ -19,7 +19,7 @@ from cm.schema.model import Config
 
 from .arguments import add_arguments
 from .board import BoardSpec
-from .camera import load_photos, shipped_photos
+from .camera import load_photos
 from .errors import SimError
 from .loop import Loop
 from .machine import Machine, Options
@@ -85,9 +85,8 @@ def _say_ready(fd: int | None, root: Root) -> None:
 
 
 def _options(args: argparse.Namespace) -> Options:
-    photos = load_photos(args.images) if args.images else shipped_photos()
     return Options(
-        photos=list(photos.values()),
+        photos=list(load_photos(args.images).values()) if args.images else None,
         hold=max(0, args.hold),
         rate=args.rate,
         icap_rate=args.icap_rate,

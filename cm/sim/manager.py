@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 import errno
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from .arguments import PCAP_RATE
 from .attributes import AttributeNode
@@ -15,6 +14,12 @@ from .icap import Engine, LoadResult
 from .root import Root
 from .server import Server
 from .session import Later
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from .later import np
+
 
 BASE = "sys/class/fpga_manager/fpga0"
 NAME = "Xilinx Zynq FPGA Manager"

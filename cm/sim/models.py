@@ -10,24 +10,30 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import entry_points
+from functools import cached_property
 from pathlib import Path
 from types import ModuleType
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, TypeAlias
 
 from .errors import SimError
 
-Frame = NDArray[np.uint8]
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+else:
+    from .later import np
+
+
+Frame: TypeAlias = "NDArray[np.uint8]"
 Registers = Mapping[str, int]
 Model = Callable[[Frame, Registers], Frame]
 
 ENTRY_POINTS = "cm.sim.models"
+_log = logging.getLogger(__name__)
 _LINES = 64  # of a picture worked on at a time, so that what is in between stays in the cache
-_RAMP = np.arange(256, dtype=np.int32)
 
 
 def default(frame: Frame, registers: Registers) -> Frame:  # noqa: ARG001 - a model's signature
@@ -72,7 +78,7 @@ def palettes() -> Frame:
     With v the grey value: heat is (3v, 3v - 255, 3v - 510), cold the same from blue to white,
     rainbow (255 - |4v - 765|, 255 - |4v - 510|, 255 - |4v - 255|), grey (v, v, v); each clipped to 0…255.
     """
-    v = _RAMP
+    v = np.arange(256, dtype=np.int32)
     heat = [3 * v, 3 * v - 255, 3 * v - 510]
     rainbow = [255 - abs(4 * v - 765), 255 - abs(4 * v - 510), 255 - abs(4 * v - 255)]
     table = np.array([heat, heat[::-1], rainbow, [v, v, v]])
@@ -82,8 +88,9 @@ def palettes() -> Frame:
 class Colorise:
     """Grey to RGB, three bytes for one: the palette is chosen by the register `palette` (0…3)."""
 
-    def __init__(self) -> None:
-        self._palettes = palettes()
+    @cached_property
+    def _palettes(self) -> Frame:
+        return palettes()
 
     def __call__(self, frame: Frame, registers: Registers) -> Frame:
         """The (height, width, 3) picture."""
@@ -95,7 +102,9 @@ class Models:
     """Models by name; a name nobody knows passes data as it is."""
 
     def __init__(self, models: Mapping[str, Model] | None = None) -> None:
-        self._models: dict[str, Model] = dict(models or {})
+        self._standard: dict[str, Model] = dict(models or {})
+        self._added: dict[str, Model] = {}
+        self._offered: dict[str, Model] | None = {}  # by installed packages; None: not looked for yet
 
     @classmethod
     def standard(cls) -> Models:
@@ -103,15 +112,15 @@ class Models:
         return cls({"default": default, "edge": edge, "colorise": Colorise()})
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._models)
+        return iter(self._all)
 
     def get(self, name: str) -> Model:
         """The model of that name, or `default`."""
-        return self._models.get(name, default)
+        return self._all.get(name, default)
 
     def add(self, name: str, model: Model) -> None:
         """Add or replace one."""
-        self._models[name] = model
+        self._added[name] = model
 
     def load(self, source: str) -> None:
         """Add those of a Python file or importable module: what its mapping ``MODELS`` holds.
@@ -122,12 +131,29 @@ class Models:
         found = getattr(_import(source), "MODELS", None)
         if not isinstance(found, Mapping):
             raise SimError(f"{source} has no MODELS: it should be a mapping of names to functions")
-        self._models.update(found)
+        self._added.update(found)
 
     def load_entry_points(self) -> None:
-        """Add what installed packages offer under the entry point group ``cm.sim.models``."""
-        for point in entry_points(group=ENTRY_POINTS):
-            self._models[point.name] = point.load()
+        """Add what installed packages offer under the entry point group ``cm.sim.models``, when it is needed."""
+        self._offered = None
+
+    @property
+    def _all(self) -> Mapping[str, Model]:
+        if self._offered is None:
+            self._offered = _offered()
+        return {**self._standard, **self._offered, **self._added}
+
+
+def _offered() -> dict[str, Model]:
+    from importlib.metadata import entry_points
+
+    found: dict[str, Model] = {}
+    for point in entry_points(group=ENTRY_POINTS):
+        try:
+            found[point.name] = point.load()
+        except Exception:  # noqa: BLE001 - a package's model must not end the board
+            _log.exception("the model %s of an installed package could not be loaded", point.name)
+    return found
 
 
 def _import(source: str) -> ModuleType:
