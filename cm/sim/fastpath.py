@@ -23,6 +23,7 @@ class FastPath:
         """`parked` is called when the thread has given the channels back by itself."""
         self._loop, self._channels, self._parked = loop, (source, sink), parked
         self._fifo: Fifo | None = None
+        self.lent = 0  # times
 
     def lend(self) -> bool:
         """Lend both channels, if they are open and all that is queued is plain."""
@@ -33,6 +34,7 @@ class FastPath:
             self._loop.add(self._fifo.fileno(), self._has_parked)
         source, sink = (_lend(channel, self.take_back) for channel in self._channels)
         self._fifo.run(source, sink)
+        self.lent += 1
         return True
 
     def take_back(self) -> None:

@@ -36,6 +36,11 @@ class Link:
             self._soon = True
             self._loop.soon(self._wake)
 
+    @property
+    def lent(self) -> int:
+        """How often the channels were handed to somebody who is faster."""
+        return 0
+
     def take_back(self) -> None:
         """Have the channels here; they may be with somebody who is faster."""
 
@@ -101,6 +106,11 @@ class LoopLink(Link):
         self._slow = False
         self.take_back()
         super().kick()
+
+    @property
+    def lent(self) -> int:
+        """How often the channels were lent to the thread of the fast path."""
+        return self._fast.lent
 
     def take_back(self) -> None:
         """Have the channels here."""

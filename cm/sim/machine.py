@@ -138,6 +138,7 @@ class Machine:
             "open": channel.completions is not None,
             "queued": len(channel.queue),
             "bytes": channel.moved,
+            "lent": link.lent,
         }
         if isinstance(link, CameraLink):
             state |= {"frames": link.frames, "photo": link.photo}
