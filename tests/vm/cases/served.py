@@ -19,6 +19,7 @@ import cm
 SYSTEM = Path("/opt/cm/guest/system/camera.yaml")
 OVERLAYS = Path("/sys/kernel/config/device-tree/overlays")
 PATIENCE = float(os.environ.get("CM_TEST_PATIENCE", "10"))  # seconds for one step
+START = 5 * PATIENCE  # until a manager answers: all of Python has to come from the disk
 _T = TypeVar("_T")
 
 
@@ -74,7 +75,7 @@ class Manager:
         assert self.process.stderr is not None
         said = b""
         while b"ready at" not in said:
-            ready, _, _ = select.select([self.process.stderr], [], [], PATIENCE)
+            ready, _, _ = select.select([self.process.stderr], [], [], START)
             piece = os.read(self.process.stderr.fileno(), 65536) if ready else b""
             assert piece, f"the manager did not start: {said.decode()}"
             said += piece

@@ -16,7 +16,7 @@ CM_VM_QUIET=$((20 * slow))
 	board_up
 	slow_port
 	COLUMNS=160 PYTHONPATH="$here:$PYTHONPATH" python3 -m pytest -p no:cacheprovider -p boardfile -p tell \
-		-c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests -v --tb=short --timeout=$((60 * slow)) -o faulthandler_timeout=$((40 * slow)) \
+		-c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests -v --tb=short --timeout=$((100 * slow)) -o faulthandler_timeout=$((80 * slow)) \
 		--no-summary --durations=8 \
 		${CM_VM_KEYWORD:+-k "$(echo "$CM_VM_KEYWORD" | tr + ' ')"} \
 		--board=vm --board-file=/tmp/board.json --junit-xml=/tmp/results/cases.xml vm/cases device
