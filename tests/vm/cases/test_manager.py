@@ -170,6 +170,8 @@ def open_files(manager: Manager) -> int:
 def test_many_changes_in_a_row(manager: Manager, board: cm.Board, fast_port: None, hundred: int) -> None:
     """In hundreds, so that the time-out is one of a hundred and somebody sees it go on."""
     count = min(CHANGES, 100)
+    for mode in ("edge_detection", "default"):  # what is opened once is open now
+        board.load(mode=mode)
     before = loads()
     files = open_files(manager)
     for number in range(count):
