@@ -155,12 +155,19 @@ class _Planner:
         found = []
         for register in self._config.visible_registers(self._goal.mode).values():
             value = self._goal.values.get(register.name, register.default)
-            if value is None or register.access in (Access.RO, Access.W1C):
+            if value is None or register.access in (Access.RO, Access.W1C) or self._nobody_answers(register, loaded):
                 continue
             known = None if self._elsewhere_config() else self._state.values.get(register.name)
             if register.region in loaded or known != value or self._goal.force:
                 found.append(s.SetRegister(register, value))
         return found
+
+    def _nobody_answers(self, register: Register, loaded: set[str]) -> bool:
+        """A region that this mode leaves alone may hold nothing; only what the mode itself sets is then an error."""
+        region = register.region
+        if region is None or region in loaded or register.name in self._mode.registers:
+            return False
+        return self._state.region(region).phase is not RegionPhase.READY
 
     def _elsewhere_config(self) -> bool:
         return self._state.config != self._config.name

@@ -206,3 +206,14 @@ def test_nothing_loaded_is_said_in_words(own: tuple[Manager, SimBoard]) -> None:
     with own[0].connected() as fresh, pytest.raises(RequestFailed, match="nothing is loaded") as caught:
         _ = fresh.registers["focus"]
     assert caught.value.code == "nothing_loaded"
+
+
+def test_the_first_mode_may_leave_a_region_alone_that_holds_nothing(own: tuple[Manager, SimBoard]) -> None:
+    """Its registers answer for nobody yet; they get their defaults when a module comes."""
+    with own[0].connected() as board:
+        board.load("camera", "loopback")
+        assert board.mode == "loopback"
+        with pytest.raises(RequestBusy, match="unknown"):
+            _ = board.registers["focus"]
+        board.mode = "edge_detection"
+        assert board.registers["focus"] == 1
