@@ -17,7 +17,7 @@ from cm.manager.errors import LoadFailed, StepTimeout
 from cm.manager.ports import Clock, Devices, Files, Image
 from cm.schema.model import Config, LoaderKind, Module, Region
 
-_POLL = 0.02  # seconds between two looks at how far a load is
+_POLL = 0.05  # seconds between two looks at how far a load is; most loads are shorter, and none is slowed by a look
 
 _PAGE = 4096
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
