@@ -13,6 +13,7 @@
 #include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/un.h>
+#include <time.h>
 #include <unistd.h>
 
 /* The slots of one geometry; stays until its last frame is released. */
@@ -311,12 +312,30 @@ static int take(struct cm_reader *reader, const struct packet *packet, struct cm
 	}
 }
 
+static int64_t now_ms(void)
+{
+	struct timespec now;
+
+	clock_gettime(CLOCK_MONOTONIC, &now);
+	return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+/* What is left of @timeout_ms, which began at @begun; packets that are no frames do not prolong it. */
+static int left_ms(int timeout_ms, int64_t begun)
+{
+	int64_t gone = timeout_ms > 0 ? now_ms() - begun : 0;
+
+	return gone < timeout_ms ? timeout_ms - (int)gone : timeout_ms < 0 ? -1 : 0;
+}
+
 int cm_reader_next(struct cm_reader *reader, int timeout_ms, struct cm_frame *frame)
 {
+	int64_t begun = now_ms();
+
 	for (;;) {
 		struct pollfd ready = { .fd = reader->fd, .events = POLLIN };
 		struct packet packet;
-		int result = poll(&ready, 1, timeout_ms);
+		int result = poll(&ready, 1, left_ms(timeout_ms, begun));
 
 		if (result <= 0)
 			return result;

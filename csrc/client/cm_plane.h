@@ -62,7 +62,7 @@ int cm_reader_fd(const struct cm_reader *reader);
 
 /**
  * cm_reader_next() - the next frame
- * @timeout_ms: to wait for each packet, 0: only look, -1: for ever
+ * @timeout_ms: to wait for a frame, 0: only look, -1: for ever
  *
  * Returns 1, or 0 if none came.  Errors: EACCES if the manager refused, see
  * cm_reader_error(); ECONNRESET if it has gone; EPROTO; EINTR.

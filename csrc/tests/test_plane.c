@@ -152,7 +152,7 @@ static void live(struct place *place, unsigned int *seed)
 	CHECK(reader);
 	for (int i = 0; i < wanted; i++) {
 		struct cm_frame frame;
-		int got = cm_reader_next(reader, 1000, &frame);
+		int got = cm_reader_next(reader, 50, &frame);
 
 		if (got < 0)
 			break; /* the stream ended as we came */
