@@ -12,16 +12,16 @@ from collections.abc import Sequence
 
 import zmq
 
-_MORE, _NOBLOCK = int(zmq.SNDMORE), int(zmq.NOBLOCK)
+_MORE = int(zmq.SNDMORE)
+_push = zmq.backend.Socket.send  # what `Socket.send` calls when it has looked for routing ids and groups
 _SMALL = 4096  # bytes; larger frames stay where libzmq put them
 
 
 def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
     """As `send_multipart`; at least one frame."""
-    push = socket.send
     for frame in frames[:-1]:
-        push(frame, flags | _MORE)
-    push(frames[-1], flags)
+        _push(socket, frame, flags | _MORE)
+    _push(socket, frames[-1], flags)
 
 
 def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryview]:

@@ -39,7 +39,7 @@ from cm.messages.status import ErrorInfo, Irq, RegValues, Reply, Status
 from cm.schema import load
 from cm.schema.model import Config
 from cm.wire.decode import Frame, decode_request, split_text
-from cm.wire.encode import encode_reply
+from cm.wire.encode import RegisterReplies, encode_reply
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two looks at streams, records and a lost board
@@ -84,6 +84,7 @@ class Server:
         self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
         self._holders = Holders(self._loop, self._manager.leases)
         self._handlers = Handlers(self._services())
+        self._register_replies = RegisterReplies()
         self._statuses: deque[Status] = deque()
         self._doorkeeper: Doorkeeper | None = None
         self._boot_id = ""
@@ -226,7 +227,11 @@ class Server:
         self._dispatch(message, partial(self._reply, envelope, topic))
 
     def _reply(self, envelope: list[bytes | memoryview], topic: bytes, reply: Reply) -> None:
-        frames = encode_reply(topic, reply, self._publisher.sequence)
+        body, sequence = reply.body, self._publisher.sequence
+        if type(body) is RegValues:
+            frames = self._register_replies.encode(topic, body, sequence)
+        else:
+            frames = encode_reply(topic, reply, sequence)
         self._loop.send(self._sockets.req, [*envelope, *frames])
 
     def _on_sub(self) -> None:

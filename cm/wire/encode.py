@@ -16,6 +16,7 @@ from cm.wire import bodies, topics
 from cm.wire import cm_pb2 as pb
 
 Frame = bytes | memoryview
+_MESSAGES = 256  # replies with registers that are kept
 
 
 def encode_request(request: rq.Request) -> list[Frame]:
@@ -139,6 +140,35 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
         field, to_pb, _ = _BODIES[type(body)]
         getattr(message, field).CopyFrom(to_pb(body))
     return [topic, message.SerializeToString(), *reply.payload]
+
+
+class RegisterReplies:
+    """Replies that hold registers, from messages that are kept: to fill values in takes a third of the time.
+
+    For one thread.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[str, ...], tuple[pb.Reply, tuple[pb.RegValue, ...]]] = {}
+
+    def encode(self, topic: bytes, values: st.RegValues, sequence: int) -> list[Frame]:
+        """As `encode_reply` of a reply that is ok."""
+        key = (values.config_name, values.mode, *[value.name for value in values.values])
+        message, entries = self._kept.get(key) or self._make(key, values)
+        message.sequence = sequence
+        for entry, value in zip(entries, values.values):  # noqa: B905 (the names are as many)
+            entry.value = value.value
+            if value.fields:
+                entry.fields.update(value.fields)
+        return [topic, message.SerializeToString()]
+
+    def _make(self, key: tuple[str, ...], values: st.RegValues) -> tuple[pb.Reply, tuple[pb.RegValue, ...]]:
+        if len(self._kept) >= _MESSAGES:
+            self._kept.clear()
+        message = pb.Reply(ok=True)
+        bodies.registers_into(message.registers, values)
+        kept = self._kept[key] = message, tuple(message.registers.values)
+        return kept
 
 
 def decode_reply(frames: Sequence[Frame]) -> st.Reply:
