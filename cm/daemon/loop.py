@@ -22,6 +22,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, TypeVar
 
 import zmq
@@ -130,7 +131,7 @@ class Loop:
     def add_socket(self, socket: zmq.Socket[bytes], take: Callback) -> None:
         """Have `take` called when there are messages; it takes one, or more, off the socket."""
         watched = self._sockets[socket] = _Watched([(socket, _POLLIN)], take)
-        self.add(socket.fileno(), lambda: self._look(watched))
+        self.add(socket.fileno(), partial(self._look, watched))
         self._unlooked.add(watched)
 
     def send(self, socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
@@ -158,14 +159,13 @@ class Loop:
         self._thread = threading.get_ident()
         try:
             while not self._stopping:
-                for fd, _ in self._epoll.poll(0 if self._unlooked else self._timeout()):
+                wait = self._run_timers()
+                for fd, _ in self._epoll.poll(0 if self._unlooked else wait):
                     callback = self._callbacks.get(fd)
                     if callback is not None:
                         self._guarded(callback)
                 if self._calls:
                     self._run_calls()
-                if self._timers and self._timers[0][0] <= time.monotonic():
-                    self._run_timers()
                 if self._unlooked:
                     self._look_again()
         finally:
@@ -200,20 +200,14 @@ class Loop:
         while self._calls:
             self._guarded(self._calls.popleft())
 
-    def _timeout(self) -> float | None:
-        """Seconds to the next timer; None without one."""
-        while self._timers and self._timers[0][2].call is None:
-            heapq.heappop(self._timers)
-        if not self._timers:
-            return None
-        return max(0.0, self._timers[0][0] - time.monotonic())
-
-    def _run_timers(self) -> None:
-        now = time.monotonic()
-        while self._timers and self._timers[0][0] <= now:
-            timer = heapq.heappop(self._timers)[2]
+    def _run_timers(self) -> float | None:
+        """Make the calls that are due; seconds to the next, None without one."""
+        timers, now = self._timers, time.monotonic()
+        while timers and timers[0][0] <= now:
+            timer = heapq.heappop(timers)[2]
             if timer.call is not None:
                 self._guarded(timer.call)
+        return max(0.0, timers[0][0] - now) if timers else None
 
     def _guarded(self, call: Callback) -> None:
         """A defect in one callback must not end the daemon."""

@@ -92,8 +92,7 @@ class RegisterDesk:
             view = self._look()
             known = view.places
             places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
-            values = tuple([self._read(place, view) for place in places])
-            return RegValues(values, view.config.name, view.mode or "")
+            return RegValues(tuple([self._read(p, view) for p in places]), view.config.name, view.mode or "")
 
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
         """Check all, then write in order; what the registers then hold."""
@@ -151,7 +150,7 @@ class RegisterDesk:
             raise AccessDenied(f"register {register.name!r} is write-only")
         value = self._access.read_address(address, width)
         if field is None:
-            return value_of(register, value)
+            return value_of(register, value) if register.fields else RegValue(register.name, value)
         return RegValue(f"{register.name}.{field.name}", (value & field.mask) >> field.lsb)
 
     def _write(self, register: Register, value: int, mask: int) -> RegValue:

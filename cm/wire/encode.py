@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 from typing import Any
 
 from google.protobuf.message import DecodeError
@@ -16,6 +17,7 @@ from cm.wire import bodies, topics
 from cm.wire import cm_pb2 as pb
 
 Frame = bytes | memoryview
+_NAME = itemgetter(0)  # of a RegValue
 _MESSAGES = 256  # replies with registers that are kept
 
 
@@ -153,7 +155,7 @@ class RegisterReplies:
 
     def encode(self, topic: bytes, values: st.RegValues, sequence: int) -> list[Frame]:
         """As `encode_reply` of a reply that is ok."""
-        key = (values.config_name, values.mode, *[value.name for value in values.values])
+        key = (values.config_name, values.mode, *map(_NAME, values.values))
         message, entries = self._kept.get(key) or self._make(key, values)
         message.sequence = sequence
         for entry, value in zip(entries, values.values):  # noqa: B905 (the names are as many)
