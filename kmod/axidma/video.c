@@ -20,7 +20,8 @@ struct axidma_slot {
  * struct axidma_video - the frames of a channel
  * @channel: channel
  * @work: submits what has ended
- * @lock: protects @first, @ended and @stopping
+ * @lock: protects @begun, @stopping, @first and @ended
+ * @begun: every slot was submitted once; what ends before waits for the others
  * @stopping: nothing is submitted any more
  * @first: number of the ended slot to be submitted next
  * @ended: slots that have ended and were not submitted again
@@ -30,7 +31,8 @@ struct axidma_slot {
 struct axidma_video {
 	struct cm_channel *channel;
 	struct work_struct work;
-	spinlock_t lock; /* protects first, ended and stopping */
+	spinlock_t lock; /* protects begun, stopping, first and ended */
+	bool begun;
 	bool stopping;
 	int first;
 	int ended;
@@ -48,7 +50,7 @@ static void slot_done(void *context, const struct cm_result *result)
 	if (result->status)
 		video->stopping = true;
 	video->ended++;
-	if (!video->stopping)
+	if (video->begun && !video->stopping)
 		schedule_work(&video->work);
 	spin_unlock_bh(&video->lock);
 }
@@ -162,7 +164,15 @@ static int video_begin(struct axidma_video *video)
 
 	for (i = 0; !ret && i < video->count; i++)
 		ret = cm_channel_submit(video->channel, &video->slots[i].request);
-	return ret;
+	if (ret)
+		return ret;
+	/* a frame that ends meanwhile must not come twice before the others came once */
+	spin_lock_bh(&video->lock);
+	video->begun = true;
+	if (video->ended && !video->stopping)
+		schedule_work(&video->work);
+	spin_unlock_bh(&video->lock);
+	return 0;
 }
 
 /**
