@@ -56,12 +56,12 @@ class Plan:
     @property
     def bytes(self) -> int:
         """Bytes that go through configuration ports."""
-        return sum(step.image.length for step in self.steps if isinstance(step, s.Load | s.LoadStatic))
+        return sum(map(image_bytes, self.steps))
 
     def info(self, throughput: Throughput) -> PlanInfo:
         """As it is shown."""
         rows = tuple(
-            PlanStep(step.kind, step.subject, step.text, _bytes(step), _seconds(step, throughput))
+            PlanStep(step.kind, step.subject, step.text, image_bytes(step), _seconds(step, throughput))
             for step in self.steps
         )
         return PlanInfo(self.goal.config.name, self.goal.mode, rows, self.bytes, sum(r.seconds for r in rows))
@@ -235,13 +235,12 @@ def _unique(overlays: Iterable[Overlay]) -> list[Overlay]:
     return list({overlay.name: overlay for overlay in overlays}.values())
 
 
-def _bytes(step: s.Step) -> int:
+def image_bytes(step: s.Step) -> int:
+    """Bytes that a step sends through a configuration port."""
     return step.image.length if isinstance(step, s.Load | s.LoadStatic) else 0
 
 
 def _seconds(step: s.Step, throughput: Throughput) -> float:
-    if isinstance(step, s.Load):
-        return throughput.seconds(step.region.loader, step.image.length)
-    if isinstance(step, s.LoadStatic):
-        return throughput.seconds(step.loader, step.image.length)
+    if isinstance(step, s.Load | s.LoadStatic):
+        return throughput.seconds(step.port_kind, step.image.length)
     return 0.0

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from cm.errors import CmError
+from cm.manager.decoupler import is_cut
 from cm.manager.loaders import loading_overlay
 from cm.manager.ports import Devices
 from cm.manager.registers import RegisterAccess
@@ -161,11 +162,9 @@ def _cut_off(region: Region, registers: RegisterAccess) -> str | None:
     if decoupler is None:
         return None
     try:
-        value = registers.read_address(decoupler.base_address + decoupler.offset, decoupler.width)
+        return "it stands decoupled" if is_cut(registers, decoupler) else None
     except (CmError, OSError) as error:
         return f"its decoupler cannot be read ({error})"
-    cut = bool(value >> decoupler.bit & 1) == decoupler.active_high
-    return "it stands decoupled" if cut else None
 
 
 def _wrong_identity(config: Config, module: Module, registers: RegisterAccess) -> str | None:

@@ -86,6 +86,10 @@ class Load:
     kind = "load"
 
     @property
+    def port_kind(self) -> LoaderKind:
+        return self.region.loader
+
+    @property
     def subject(self) -> str:
         return self.region.name
 
@@ -103,6 +107,10 @@ class LoadStatic:
     config: str  # whose image it is
     loader: LoaderKind
     kind = "load_full"
+
+    @property
+    def port_kind(self) -> LoaderKind:
+        return self.loader
 
     @property
     def subject(self) -> str:

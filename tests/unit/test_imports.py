@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,19 @@ def test_imports_run_one_way(owner: str) -> None:
         if not allowed(name, owner)
     }
     assert not wrong
+
+
+def test_the_modules_of_the_manager_import_each_other_in_one_direction() -> None:
+    modules = {_module(path): path for path in (PACKAGE / "manager").rglob("*.py")}
+    graph = {name: imports(path) & modules.keys() - {name} for name, path in modules.items()}
+    assert len(graph["manager.manager"]) > 10
+    order = list(TopologicalSorter(graph).static_order())  # raises CycleError
+    assert order[-1] == "manager.manager"
+
+
+def _module(path: Path) -> str:
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 def test_only_the_bindings_import_the_compiled_module() -> None:

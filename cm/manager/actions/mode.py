@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The beginning and the end of a change: ask the ports, stop the streams, publish the mode."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import MappingProxyType
+
+from cm.manager import steps as s
+from cm.manager.actions.execution import Execution
+from cm.manager.actions.regions import job_of
+from cm.manager.plan import Goal
+from cm.manager.state import BoardState
+
+
+def validate(run: Execution, _: s.Validate) -> None:
+    """The planner has read and checked every image; what is left is to ask the ports, and to keep readers off."""
+    for step in run.plan.steps:
+        if isinstance(step, s.Load | s.LoadStatic):
+            run.tools.loaders.kind(step.port_kind).check(job_of(run, step))
+    regions = frozenset(x.region.name for x in run.plan.steps if isinstance(x, s.Decouple))
+    run.board.lock_regions(regions, whole=run.plan.full)
+    run.check_cancelled()
+
+
+def quiesce(run: Execution, step: s.Quiesce) -> None:
+    """When this returns no transfer of these streams is under way."""
+    run.tools.data_plane.quiesce(step.streams)
+
+
+def publish(run: Execution, step: s.Publish) -> None:
+    """The board is in the mode: record it, let readers and streams in."""
+    run.board.update(lambda state: _entered(state, run.plan.goal, run.written))
+    run.board.record(None)
+    run.board.lock_regions(frozenset())
+    run.tools.data_plane.resume(run.plan.goal.config, step.mode)
+
+
+def _entered(state: BoardState, goal: Goal, written: dict[str, int]) -> BoardState:
+    """In another configuration the same names are other registers: only what was written here is known."""
+    if state.config != goal.config.name:
+        state = replace(state, values=MappingProxyType(dict(written)))
+    return replace(state, config=goal.config.name, mode=goal.mode)

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a manager is made of: everything that it is given, and what an operator may set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cm.manager.ports import Clock, DataPlane, Devices, Files, Observer
+from cm.manager.store import Store
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What an operator may set."""
+
+    prefetch_bytes: int = 64 << 20  # DMA memory that images of the loaded configuration may take
+
+
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """Everything the manager is given."""
+
+    devices: Devices
+    files: Files
+    store: Store
+    data_plane: DataPlane
+    clock: Clock
+    observer: Observer
+    settings: Settings = Settings()

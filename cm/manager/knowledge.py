@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known: the configurations, and what the board holds, kept in memory and in the record.
+
+All of it are immutable values that are swapped. `lock` keeps register accesses of requests and the
+moments at which a change takes regions away from overlapping; both threads take it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from cm.manager.cost import Throughput
+from cm.manager.errors import StoreCorrupt
+from cm.manager.state import BoardState
+from cm.manager.steps import ApplyOverlay, RemoveOverlay, Step
+from cm.manager.store import Pending, Record, Store
+from cm.messages.status import ErrorInfo
+from cm.schema.model import Config, LoaderKind
+
+
+class Knowledge:
+    """`cm.manager.desk.Holder`, and the record of it."""
+
+    def __init__(self, configs: Mapping[str, Config], store: Store) -> None:
+        self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
+        self.state = BoardState()  # what the board holds, as far as is known; replaced by `update`
+        self.throughput = Throughput()
+        self.lock = threading.RLock()
+        self.pending: Pending | None = None  # the change under way
+        self._store = store
+        self._boot_id = ""
+        self._number = 0
+        self._dirty = False
+
+    def loaded_config(self) -> Config | None:
+        """The configuration that is loaded."""
+        state = self.state
+        return self.configs.get(state.config) if state.config else None
+
+    def add_config(self, config: Config) -> None:
+        """Make a configuration known, in place of one of its name."""
+        self.configs = MappingProxyType({**self.configs, config.name: config})
+
+    def next_number(self) -> int:
+        """The number of a new change."""
+        self._number += 1
+        return self._number
+
+    def update(self, change: Callable[[BoardState], BoardState]) -> None:
+        """Replace the state in one piece; both threads do."""
+        with self.lock:
+            self.state = change(self.state)
+
+    def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
+        """Keep a measurement for plans and time-outs."""
+        self.throughput = self.throughput.observed(kind, length, seconds)
+
+    # ---- the record ----------------------------------------------------------------
+
+    def read_record(self) -> tuple[Record | None, str]:
+        """The record, and a sentence where it was not readable: then nothing is known, which is no reason to stop."""
+        try:
+            return self._store.read(), ""
+        except StoreCorrupt as error:
+            return None, str(error)
+
+    def adopt(self, record: Record | None, state: BoardState, boot_id: str) -> None:
+        """Begin with what was found at start: what the board holds, and what the record says beside it."""
+        self.state, self._boot_id = state, boot_id
+        if record is not None:
+            self.throughput, self._number = record.throughput, record.number
+
+    def record(self, step: Step | None) -> None:
+        """Write state and pending step to the store. Raises OSError."""
+        with self.lock:
+            pending = None if step is None or self.pending is None else _about_to(self.pending, step)
+            self._store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
+            self._dirty = False
+
+    def try_record(self) -> ErrorInfo | None:
+        """Write the state between changes; what went wrong, if it could not be written."""
+        try:
+            self.record(None)
+        except OSError as problem:
+            return ErrorInfo("store", f"the state record could not be written: {problem}")
+        return None
+
+    @property
+    def dirty(self) -> bool:
+        """Whether register values were written since the last record."""
+        return self._dirty
+
+    def registers_written(self) -> None:
+        """Register values differ from the record."""
+        self._dirty = True
+
+
+def _about_to(pending: Pending, step: Step) -> Pending:
+    return replace(pending, step=step.kind, subject=step.subject, overlay=_overlay_name(step))
+
+
+def _overlay_name(step: Step) -> str | None:
+    if isinstance(step, ApplyOverlay):
+        return step.overlay.name
+    return step.name if isinstance(step, RemoveOverlay) else None

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loads by the kernel's fpga_manager."""
+
+from __future__ import annotations
+
+import errno
+
+from cm.device import DeviceUnsupported, FpgaManager
+from cm.manager.errors import LoadFailed
+from cm.manager.loaders.job import Job, OnBytes
+from cm.manager.ports import Devices, Files, Image
+
+
+class FpgaManagerLoader:
+    """The kernel's fpga_manager, by firmware name (linux-xlnx). Blocks until the kernel is done."""
+
+    def __init__(self, devices: Devices, files: Files) -> None:
+        self._devices = devices
+        self._files = files
+
+    def check(self, job: Job) -> None:
+        """Mainline kernels have no attribute to load by; the image has to lie where the kernel looks."""
+        manager: FpgaManager = self._devices.fpga_manager(job.port)
+        if not manager.can_load:
+            raise DeviceUnsupported(
+                errno.EOPNOTSUPP,
+                f"{job.image.path.name}: this kernel's fpga_manager cannot load through sysfs (linux-xlnx can); "
+                "use loader: overlay with firmware-name, or loader: icap",
+            )
+        self._files.firmware_name(job.image)
+
+    def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:  # noqa: ARG002 (the kernel has its own)
+        manager: FpgaManager = self._devices.fpga_manager(job.port)
+        name = self._files.firmware_name(job.image)
+        manager.load(name, partial=job.region is not None, encrypted=job.image.report.encrypted)
+        _raise_not_operating(manager, job.image)
+        on_bytes(job.image.length)
+
+    def forget(self) -> None:
+        """Nothing is kept."""
+
+
+def _raise_not_operating(manager: FpgaManager, image: Image) -> None:
+    state = manager.state
+    if state != "operating":
+        raise LoadFailed(f"{image.path.name}: fpga_manager {manager.name} says {state!r} after the load")

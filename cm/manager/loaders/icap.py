@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loads through a DMA-fed configuration access port."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Sequence
+
+from cm.bitstream.errors import WrongDevice
+from cm.device import DeviceBusy, Icap, IcapCompletion, IcapState
+from cm.manager.errors import LoadFailed, StepTimeout
+from cm.manager.loaders.buffers import BufferCache, Held
+from cm.manager.loaders.job import Job, OnBytes
+from cm.manager.ports import Clock, Devices, Files, Image
+
+_POLL = 0.05  # seconds between two looks at how far a load is; most loads are shorter, and none is slowed by a look
+_REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
+
+
+class IcapLoader:
+    """A DMA-fed ICAP: started without blocking, watched until its own end."""
+
+    def __init__(self, devices: Devices, files: Files, clock: Clock, budget: int) -> None:
+        self._devices = devices
+        self._files = files
+        self._clock = clock
+        self._cache = BufferCache(budget, self._dispose)
+        self._in_use: list[Held] = []
+        self._cookies = itertools.count(1)
+
+    def prefetch(self, jobs: Sequence[Job], go_on: Callable[[], bool]) -> None:
+        """Have these images' words, and no others, in DMA buffers: the first ones, as many as the budget holds."""
+        self._cache.keep_only(jobs)
+        for job in jobs:
+            if not go_on():
+                return
+            if not self._cache.has(job) and self._cache.has_room(job.image.length):
+                held, kept = self._cache.get(job, self._devices.icap(job.port), self._files.port_bytes)
+                if not kept:
+                    self._dispose(held)
+
+    def check(self, job: Job) -> None:
+        """The port knows its device: a bitstream for another one never reaches it."""
+        there, wanted = self._devices.icap(job.port).info.idcode, job.image.report.idcode
+        if there and wanted is not None and (there ^ wanted) & ~_REVISION:
+            raise WrongDevice(
+                f"{job.image.path}: made for IDCODE {wanted:#010x}, but the port is that of {there:#010x}"
+            )
+
+    def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:
+        image = job.image
+        icap = self._devices.icap(job.port)
+        held, kept = self._cache.get(job, icap, self._files.port_bytes)
+        try:
+            cookie = next(self._cookies)
+            self._await_idle(icap, image, timeout)
+            icap.load(
+                held.buffer,
+                length=held.length,
+                cookie=cookie,
+                full=job.region is None,
+                encrypted=image.report.encrypted,
+            )
+            _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
+        finally:
+            if not kept:
+                self._dispose(held)
+
+    def _dispose(self, held: Held) -> None:
+        """Close a buffer, and those that a load given up as hung still used the last time."""
+        left = [*self._in_use, held]
+        self._in_use = []
+        for each in left:
+            try:
+                each.buffer.close()
+            except DeviceBusy:
+                self._in_use.append(each)
+
+    def _await_idle(self, icap: Icap, image: Image, timeout: float) -> None:
+        """A load that was given up as hung may still hold the port; the driver ends it in its own time."""
+        until = self._clock.monotonic() + timeout
+        while icap.status().state is IcapState.LOADING:
+            if self._clock.monotonic() >= until:
+                raise StepTimeout(
+                    f"the port was busy with an earlier load for {timeout:.1f} s; {image.path.name} waits"
+                )
+            time.sleep(_POLL)
+
+    def _wait(self, icap: Icap, cookie: int, image: Image, timeout: float, on_bytes: OnBytes) -> IcapCompletion:
+        """The end of our load; that of an earlier one, given up as hung, is passed over."""
+        until = self._clock.monotonic() + timeout
+        while self._clock.monotonic() < until:
+            try:
+                completion = icap.wait(_POLL)
+            except TimeoutError:
+                on_bytes(icap.status().bytes_done)
+            else:
+                if completion.cookie == cookie:
+                    return completion
+        raise StepTimeout(f"the port took {image.path.name} for more than {timeout:.1f} s and did not finish")
+
+    def forget(self) -> None:
+        self._cache.clear()
+
+
+def _raise_failed(completion: IcapCompletion, image: Image) -> None:
+    if completion.status != 0:
+        raise LoadFailed(f"{image.path.name}: the configuration port reported {completion.reason}")

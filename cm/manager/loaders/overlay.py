@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loads by a device-tree overlay that names the firmware."""
+
+from __future__ import annotations
+
+from cm.manager.errors import LoadFailed
+from cm.manager.loaders.job import Job, OnBytes
+from cm.manager.ports import Devices
+from cm.schema.model import Region
+
+
+class OverlayLoader:
+    """An overlay with `firmware-name` on the region's fpga-region node: the kernel loads, then probes.
+
+    The region's loading overlay is called ``cm-<region>``; the one before it is removed first, because
+    a region refuses a second firmware overlay (Documentation/devicetree/bindings/fpga/fpga-region).
+    """
+
+    def __init__(self, devices: Devices) -> None:
+        self._devices = devices
+
+    def check(self, job: Job) -> None:
+        """A whole image cannot be loaded so: the node of its region would go with it."""
+        _region_of(job)
+
+    def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:  # noqa: ARG002 (the kernel has its own)
+        overlays = self._devices.overlays()
+        name = loading_overlay(_region_of(job).name)
+        if name in overlays.list():  # left over from an earlier run
+            overlays.remove(name)
+        overlays.apply(name, job.overlay)
+        on_bytes(job.image.length)
+
+    def forget(self) -> None:
+        """Nothing is kept."""
+
+
+def _region_of(job: Job) -> Region:
+    if job.region is None:
+        raise LoadFailed(f"{job.image.path.name}: a whole image is loaded by fpga_manager or icap, not by overlay")
+    return job.region
+
+
+def loading_overlay(region: str) -> str:
+    """Name in configfs of the overlay by which a region's module was loaded."""
+    return f"cm-{region}"

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""After a failed step: back to the mode before, or cut off what is not whole and say so.
+
+Going back is a plan from wherever the board is now, like any other change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from cm.errors import CmError
+from cm.manager.board import Board, Tools
+from cm.manager.decoupler import drive
+from cm.manager.errors import StaticUnknown, StepFailed, UndoFailed
+from cm.manager.plan import Goal, Plan
+from cm.manager.registers import RegisterAccess
+from cm.manager.state import BoardState, RegionEvent, RegionPhase
+from cm.manager.steps import Step
+from cm.manager.transaction import Transaction
+from cm.schema.model import Config, ConfigType, Region
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """What went wrong on the way to a configuration, at which step, and what registers had held before it."""
+
+    goal: Config
+    step: Step | None
+    error: Exception
+    found: Mapping[str, int]
+
+    @property
+    def code(self) -> str:
+        """The stable code of the cause."""
+        if isinstance(self.error, CmError):
+            return self.error.code
+        return "device_error" if isinstance(self.error, OSError) else "internal"
+
+    @property
+    def text(self) -> str:
+        """The step and the cause."""
+        return f"{self.step.text if self.step else 'the change'}: {sentence(self.error)}"
+
+
+def sentence(error: Exception) -> str:
+    """An error for people; one that is a defect of ours with its type."""
+    return str(error) if isinstance(error, (CmError, OSError)) else f"{type(error).__name__}: {error}"
+
+
+class WayBack:
+    """From where a failed change left the board to where it was `before`."""
+
+    def __init__(
+        self,
+        board: Board,
+        tools: Tools,
+        plan: Callable[[Goal], Plan],
+        configs: Mapping[str, Config],
+        before: BoardState,
+        number: int,
+    ) -> None:
+        self._board = board
+        self._tools = tools
+        self._plan = plan
+        self._configs = configs
+        self._before = before
+        self._number = number
+
+    def go(self, failure: Failure) -> CmError:
+        """Go back, or cut off; returns the error that tells how it ended."""
+        before, old = self._before, self._old
+        try:
+            if old is not None and before.mode is not None and before.mode in old.modes:
+                self._restore(old, before.mode, {**failure.found, **before.values})
+                return StepFailed(f"{failure.text}; the board is back in {before.config}/{before.mode}", failure.code)
+            end = self._give_up(failure.goal)
+            return StepFailed(f"{failure.text}; there was no mode to go back to; {end}", failure.code)
+        except Exception as second:  # noqa: BLE001 (a defect of ours must not leave the region coupled either)
+            end = self._give_up(failure.goal)
+            return UndoFailed(f"{failure.text}; going back failed too: {sentence(second)}; {end}")
+        finally:
+            self._board.lock_regions(frozenset())
+
+    @property
+    def _old(self) -> Config | None:
+        return self._configs.get(self._before.config or "")
+
+    def _restore(self, old: Config, mode: str, values: Mapping[str, int]) -> None:
+        back = self._plan(Goal(old, mode, values=values, static=self._static_to_load(old)))
+        Transaction(back, self._board, self._tools, self._number, lambda: False).run()
+        self._tools.data_plane.resume(old, mode)
+
+    def _static_to_load(self, old: Config) -> Config | None:
+        """The full configuration to load first, where the device held one under a partial configuration.
+
+        Raises StaticUnknown where the one before was the boot loader's and is gone.
+        """
+        if old.type is ConfigType.FULL or self._same_static():
+            return None
+        static = self._configs.get(self._before.static_config or "")
+        if static is None:
+            raise StaticUnknown(
+                f"the static part that {old.name} was running in is gone, and it is not the manager's to load: "
+                "load a full configuration, or restart the board"
+            )
+        return static
+
+    def _give_up(self, goal: Config) -> str:
+        """Leave what is not ready cut off; says what is where."""
+        before, same = self._before, self._same_static()
+        touched = [r for name, r in self._regions(goal).items() if name in self._board.state.regions]
+        problems = abandon(self._board, self._tools.registers, touched)
+        mode = before.mode if self._holds_as_before() else None
+        self._board.update(lambda state: replace(state, config=before.config if same else None, mode=mode))
+        try:
+            self._board.record(None)
+        except OSError as error:
+            problems.append(f"the state record could not be written: {error}")
+        self._tools.data_plane.resume(self._old, mode)
+        return "; ".join([self._left(), *problems])
+
+    def _regions(self, goal: Config) -> dict[str, Region]:
+        """Regions by name as the two configurations have them that the device may be in."""
+        old = self._old
+        return {**(old.regions if old is not None and self._same_static() else {}), **goal.regions}
+
+    def _left(self) -> str:
+        state = self._board.state
+        if state.static_lost:
+            return "what the device holds is not known, so nothing in it is accessed"
+        cut = [name for name, region in state.regions.items() if region.phase is RegionPhase.FAILED]
+        if cut:
+            return f"regions left decoupled: {', '.join(cut)}"
+        if not self._same_static():
+            return f"the device holds the image of {state.static_config}, and is in no mode"
+        return "no region was touched" if self._holds_as_before() else "what was loaded stays, in no mode"
+
+    def _same_static(self) -> bool:
+        now, before = self._board.state, self._before
+        return (now.static_sha256, now.static_lost) == (before.static_sha256, before.static_lost)
+
+    def _holds_as_before(self) -> bool:
+        """Whether the regions still hold what they held before."""
+        now, before = self._board.state, self._before
+        return self._same_static() and all(
+            now.region(name) == before.region(name) for name in {*before.regions, *now.regions}
+        )
+
+
+def abandon(board: Board, registers: RegisterAccess, regions: Iterable[Region]) -> list[str]:
+    """After a failed way back: cut off every region that is not ready.
+
+    Returns a sentence for each that could not be cut off. A device that may not be configured is not
+    accessed at all: its bus would not answer, and the processor would hang.
+    """
+    problems = []
+    for region in regions:
+        if board.state.region(region.name).phase is RegionPhase.READY:
+            continue
+        try:
+            if region.decoupler and not board.state.static_lost:
+                drive(registers, region.decoupler, cut=True)
+        except (CmError, OSError) as error:
+            problems.append(f"{region.name} could not be decoupled: {error}")
+        _mark_failed(board, region.name)
+    return problems
+
+
+def _mark_failed(board: Board, name: str) -> None:
+    board.update(lambda state: state.with_region(name, state.region(name).after(RegionEvent.ABANDON)))
