@@ -23,6 +23,7 @@ SECTIONS = {
     "window": "mmio[]",
     "register": "registers.NAME",
     "field": "registers.NAME.fields.NAME",
+    "memory": "memories.NAME",
     "stream": "streams.NAME",
     "interrupt": "interrupts.NAME",
     "clock": "clocks.NAME",

@@ -22,6 +22,7 @@ from cm.schema.model import (
     Identity,
     Interrupt,
     LoaderKind,
+    Memory,
     Mode,
     Module,
     Overlay,
@@ -101,6 +102,29 @@ def banks(draw: st.DrawFn, window: int, choices: list[str | None]) -> MappingPro
 
 
 @st.composite
+def memories(draw: st.DrawFn, window: int, choices: list[str | None]) -> MappingProxyType[str, Memory]:
+    """Memories 2 MiB above each other, above all registers and decouplers, each of one of the regions `choices`."""
+    found = []
+    for index, name in enumerate(draw(st.lists(names, max_size=2, unique=True))):
+        base = (1 << 50) + ((window + index) << 21)
+        words = draw(st.integers(1, 64))
+        dtype, form = draw(st.sampled_from([("uint32", (words,)), ("int16", (words, 2)), ("uint8", (2, words, 2))]))
+        memory = Memory(
+            name=f"{name}_{window}m",  # unique among all owners, and no stream's
+            base_address=base,
+            size=4 * words,
+            offset=4 * draw(st.integers(0, 64)),
+            access=draw(st.sampled_from([Access.RW, Access.RO, Access.WO])),
+            dtype=dtype,
+            shape=draw(maybe(st.just(form))),
+            region=draw(st.sampled_from(choices)),
+            doc=draw(docs),
+        )
+        found.append(memory)
+    return frozen(found)
+
+
+@st.composite
 def regions(draw: st.DrawFn, name: str, index: int) -> Region:
     """A region; `index` keeps its decoupler and identity apart from those of others."""
     base = draw(addresses)
@@ -133,6 +157,7 @@ def modules(draw: st.DrawFn, name: str, index: int, known: list[Region]) -> Modu
         model=draw(maybe(names)),
         registers=draw(banks(2 * index + 100, [None, region.name])),
         doc=draw(docs),
+        memories=draw(memories(2 * index + 100, [None, region.name])),
     )
 
 
@@ -171,6 +196,7 @@ def modes(draw: st.DrawFn, name: str, config: Config, index: int) -> Mode:
         overlays=tuple(overlay for overlay in draw(overlays) if overlay not in config.overlays),
         streams=MappingProxyType(merged),
         doc=draw(docs),
+        memories=draw(memories(2 * index + 1000, [None, *config.regions])),
     )
 
 
@@ -224,6 +250,7 @@ def configs(draw: st.DrawFn) -> Config:
         ),
         clocks=frozen(draw(st.lists(st.builds(Clock, names, st.integers(1, 10**9), docs), max_size=2))),
         doc=draw(docs),
+        memories=draw(memories(10, [None, *known])),
     )
     mode_names = draw(st.lists(names, min_size=1, max_size=4, unique=True))
     found = [draw(modes(name, base, index)) for index, name in enumerate(mode_names)]

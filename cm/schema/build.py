@@ -12,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from cm.schema.build_memories import build_memories
 from cm.schema.build_registers import build_registers
 from cm.schema.context import IMPLIED_REGION, Context, Owner
 from cm.schema.model import (
@@ -64,6 +65,7 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
         interrupts=MappingProxyType({name: _interrupt(name, v) for name, v in data.get("interrupts", {}).items()}),
         clocks=MappingProxyType({name: _clock(name, v) for name, v in data.get("clocks", {}).items()}),
         doc=data.get("doc", ""),
+        memories=build_memories(data, Owner(top, None), context),
     )
 
 
@@ -118,6 +120,7 @@ def _modules(data: dict[str, Any], regions: Mapping[str, Region], context: Conte
             model=values.get("model"),
             registers=build_registers(values, Owner(path, region), context),
             doc=values.get("doc", ""),
+            memories=build_memories(values, Owner(path, region), context),
         )
     return MappingProxyType(found)
 
@@ -128,13 +131,15 @@ def _mode(
     path: KeyPath = ("config", "modes", name)
     named = tuple(values.get("modules", ()))
     own = _streams(values.get("streams", {}), streams, (*path, "streams"), context)
+    owner = Owner(path, default_region(named, modules))
     return Mode(
         name=name,
         modules=named,
-        registers=build_registers(values, Owner(path, default_region(named, modules)), context),
+        registers=build_registers(values, owner, context),
         overlays=_overlays(values),
         streams=MappingProxyType({**streams, **own}) if own else streams,
         doc=values.get("doc", ""),
+        memories=build_memories(values, owner, context),
     )
 
 

@@ -29,7 +29,7 @@ def build_registers(data: dict[str, Any], owner: Owner, context: Context) -> Map
 
 def _listed(data: dict[str, Any], path: KeyPath) -> Iterator[tuple[KeyPath, str, dict[str, Any], dict[str, Any]]]:
     for index, window in enumerate(data.get("mmio", ())):
-        for name, values in window["registers"].items():
+        for name, values in window.get("registers", {}).items():
             yield (*path, "mmio", index, "registers", name), name, window, values
     for name, values in data.get("registers", {}).items():
         yield (*path, "registers", name), name, {}, values
@@ -53,13 +53,15 @@ def _register(
         minimum=_integer(values.get("min")),
         maximum=_integer(values.get("max")),
         fields=_fields(values.get("fields", {}), (*path, "fields"), context),
-        region=_region(values.get("region", window.get("region", owner.region))),
+        region=region_of(values, window, owner),
         volatile=values.get("volatile", False),
         doc=values.get("doc", ""),
     )
 
 
-def _region(name: str | None) -> str | None:
+def region_of(values: dict[str, Any], window: dict[str, Any], owner: Owner) -> str | None:
+    """The region of what stands in a window: its own, else the window's, else its owner's; None: the static part."""
+    name: str | None = values.get("region", window.get("region", owner.region))
     return None if name == STATIC else name
 
 

@@ -23,7 +23,15 @@ class Owner:
 
 @dataclass(slots=True)
 class Context:
-    """`report(path, code, message, hint)`; `where` has a register's path by its owner's path and its name."""
+    """`report(path, code, message, hint)`; `where` has a register's path by its owner's path and its name.
+
+    A memory's path is there too, by `memory_key`: memories and registers have names of their own.
+    """
 
     report: Callable[[KeyPath, str, str, str], None]
     where: dict[tuple[KeyPath, str], KeyPath] = field(default_factory=dict)
+
+
+def memory_key(owner: KeyPath, name: str) -> tuple[KeyPath, str]:
+    """The key of a memory in `Context.where`."""
+    return (*owner, "memories"), name

@@ -94,6 +94,31 @@ class Register:
 
 
 @dataclass(frozen=True, slots=True)
+class Memory:
+    """A named memory behind an AXI or AXI-Lite window: `size` bytes at `base_address + offset`, both multiples of 4."""
+
+    name: str
+    base_address: int
+    size: int
+    offset: int = 0
+    access: Access = Access.RW  # W1C is for registers only
+    dtype: str = "uint32"  # a numpy dtype name; elements are little-endian
+    shape: tuple[int, ...] | None = None  # of the whole; None: one axis of as many elements as fit
+    region: str | None = None  # region whose module answers; None: the static part
+    doc: str = ""
+
+    @property
+    def address(self) -> int:
+        """Physical address of the first byte."""
+        return self.base_address + self.offset
+
+    @property
+    def end(self) -> int:
+        """Physical address behind the last byte."""
+        return self.address + self.size
+
+
+@dataclass(frozen=True, slots=True)
 class Decoupler:
     """The bit that cuts a region off while it is loaded (PG375 DFX decoupler, or an own register)."""
 
@@ -149,6 +174,7 @@ class Module:
     model: str | None = None  # behaviour on the simulated board; None: the module's name
     registers: Mapping[str, Register] = field(default_factory=_empty)
     doc: str = ""
+    memories: Mapping[str, Memory] = field(default_factory=_empty)
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,6 +240,7 @@ class Mode:
     overlays: tuple[Overlay, ...] = ()
     streams: Mapping[str, Stream] = field(default_factory=_empty)  # complete, config's streams merged in
     doc: str = ""
+    memories: Mapping[str, Memory] = field(default_factory=_empty)
 
 
 @dataclass(frozen=True, slots=True)
@@ -245,6 +272,7 @@ class Config:
     doc: str = ""
     source: Path | None = None  # file it was read from
     sha256_source: str = ""  # of that file's bytes
+    memories: Mapping[str, Memory] = field(default_factory=_empty)  # of the static part, as `registers`
 
     def first_mode(self) -> str:
         """The mode to enter when none is named."""
@@ -259,4 +287,13 @@ class Config:
             for module in self.modes[mode].modules:
                 found.update(self.modules[module].registers)
             found.update(self.modes[mode].registers)
+        return found
+
+    def visible_memories(self, mode: str | None) -> dict[str, Memory]:
+        """Memories that can be named in `mode`, as `visible_registers`. No stream of any mode has their names."""
+        found = dict(self.memories)
+        if mode is not None:
+            for module in self.modes[mode].modules:
+                found.update(self.modules[module].memories)
+            found.update(self.modes[mode].memories)
         return found

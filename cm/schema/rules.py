@@ -10,6 +10,7 @@ from cm.schema.context import IMAGE_KEYS, STATIC, Context
 from cm.schema.model import Config, ConfigType, Decoupler, Mode, Overlay, Region, Stream
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.rules_interrupts import check_interrupts
+from cm.schema.rules_memories import check_memories
 from cm.schema.rules_registers import check_registers
 
 _TOP: KeyPath = ("config",)
@@ -25,6 +26,7 @@ def check_rules(config: Config, context: Context) -> None:
     for mode in config.modes.values():
         _check_mode(mode, config, context)
     check_registers(config, context)
+    check_memories(config, context)
     check_interrupts(config, context)
 
 

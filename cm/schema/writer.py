@@ -11,7 +11,7 @@ from typing import Any
 
 from cm.schema.build import default_region
 from cm.schema.context import IMAGE_KEYS, STATIC
-from cm.schema.model import BitField, Config, Mode, Module, Overlay, Region, Register, Stream
+from cm.schema.model import BitField, Config, Memory, Mode, Module, Overlay, Region, Register, Stream
 from cm.schema.text import Hex, to_yaml
 
 _NAMES = {"minimum": "min", "maximum": "max"}
@@ -34,6 +34,7 @@ def to_plain(config: Config) -> dict[str, Any]:
     _put(data, "regions", {name: _region(region) for name, region in config.regions.items()})
     _put(data, "modules", {name: _module(module) for name, module in config.modules.items()})
     _put(data, "mmio", _windows(config.registers.values(), None))
+    _put(data, "memories", _memories(config.memories.values(), None))
     _put(data, "overlays", _overlays(config.overlays))
     _put(data, "streams", {name: _stream(stream) for name, stream in config.streams.items()})
     _put(data, "interrupts", {name: _simple(interrupt) for name, interrupt in config.interrupts.items()})
@@ -78,8 +79,9 @@ def _region(region: Region) -> dict[str, Any]:
 
 
 def _module(module: Module) -> dict[str, Any]:
-    data = _simple(module, "registers")
+    data = _simple(module, "registers", "memories")
     _put(data, "mmio", _windows(module.registers.values(), module.region))
+    _put(data, "memories", _memories(module.memories.values(), module.region))
     return data
 
 
@@ -88,7 +90,9 @@ def _mode(mode: Mode, config: Config) -> dict[str, Any]:
     _put(data, "doc", mode.doc)
     _put(data, "modules", list(mode.modules))
     _put(data, "overlays", _overlays(mode.overlays))
-    _put(data, "mmio", _windows(mode.registers.values(), default_region(mode.modules, config.modules)))
+    region = default_region(mode.modules, config.modules)
+    _put(data, "mmio", _windows(mode.registers.values(), region))
+    _put(data, "memories", _memories(mode.memories.values(), region))
     streams = {name: _stream(stream, config.streams.get(name)) for name, stream in mode.streams.items()}
     _put(data, "streams", {name: keys for name, keys in streams.items() if keys})
     return data
@@ -128,6 +132,20 @@ def _windows(registers: Iterable[Register], region: str | None) -> list[dict[str
             last = place
         windows[-1]["registers"][register.name] = _register(register)
     return windows
+
+
+def _memories(memories: Iterable[Memory], region: str | None) -> dict[str, Any]:
+    """Memories outside of windows, so that they stay in their order; `region` is what need not be said."""
+    return {memory.name: _memory(memory, region) for memory in memories}
+
+
+def _memory(memory: Memory, region: str | None) -> dict[str, Any]:
+    data = _simple(memory, "size", "shape", "region")
+    data["size"] = Hex(memory.size)
+    _put(data, "shape", list(memory.shape or ()))
+    if memory.region != region:
+        data["region"] = memory.region or STATIC
+    return data
 
 
 def _register(register: Register) -> dict[str, Any]:

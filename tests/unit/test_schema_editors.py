@@ -44,6 +44,8 @@ def test_what_is_written_is_valid(validate: Callable[[Any], Any], config: Config
         "config: {name: c, streams: {s: {shape: [1]}}}",
         "config: {name: c, mmio: [{base_address: 0, registers: {r: {offset: 0, width: 24}}}]}",
         "config: {name: c, overlays: [{file: x}]}",
+        "config: {name: c, memories: {m: {base_address: 0}}}",
+        "config: {name: c, mmio: [{base_address: 0, memories: {m: {size: 4, access: w1c}}}]}",
         "other: {}",
     ],
 )

@@ -104,6 +104,38 @@ CASES = [
      "regions: {r: {identity: {base_address: 0, offset: 0}}}\nmodules: {a: {identity: 1}, b: {§identity: 1}}"),
     ("identity too wide", "value_range", "modules.a.identity", "8 bits",
      "regions: {r: {identity: {base_address: 0, offset: 0, width: 8}}}\nmodules: {a: {§identity: 256}}"),
+    ("memory without a window", "missing_key", "memories.m", "mmio", "memories: {§m: {size: 4}}"),
+    ("memory without a size", "missing_key", "memories.m", "size is missing", "memories: {m: §{base_address: 0}}"),
+    ("empty window", "missing_key", "mmio[0]", "registers or memories", "mmio: [§{base_address: 0}]"),
+    ("duplicate memory", "duplicate_name", "memories.m", "config.mmio[0].memories.m",
+     "mmio: [{base_address: 0, memories: {m: {size: 4}}}]\nmemories: {§m: {base_address: 64, size: 4}}"),
+    ("memory of no whole words", "bad_value", "memories.m.size", "8 or 12",
+     "memories: {m: {base_address: 0, §size: 10}}"),
+    ("memory of nothing", "value_range", "memories.m.size", "at least 4", "memories: {m: {base_address: 0, §size: 0}}"),
+    ("memory beside the words", "misaligned_offset", "memories.m.offset", "a multiple of 4",
+     "memories: {m: {base_address: 0, §offset: 2, size: 8}}"),
+    ("memory at a base beside the words", "misaligned_offset", "memories.m.offset", "0x1001",
+     "memories: {§m: {base_address: 0x1001, size: 8}}"),
+    ("memory behind the last address", "value_range", "memories.m.size", "64 bits",
+     "memories: {m: {base_address: 0xfffffffffffffffc, §size: 8}}"),
+    ("access that no memory has", "bad_value", "memories.m.access", "rw, ro, wo",
+     "memories: {m: {base_address: 0, size: 4, §access: w1c}}"),
+    ("shape that is not the memory's", "bad_value", "memories.m.shape", "128 bytes",
+     "memories: {m: {base_address: 0, size: 64, dtype: int16, §shape: [8, 8]}}"),
+    ("elements that do not fill a memory", "bad_value", "memories.m.size", "a multiple of 8",
+     "memories: {m: {base_address: 0, §size: 12, dtype: float64}}"),
+    ("memory called as a stream", "name_clash", "memories.s", "config.streams.s",
+     "streams: {s: {direction: s2mm}}\nmemories: {§s: {base_address: 0, size: 4}}"),
+    ("unknown region of a memory", "unknown_region", "memories.m.region", "there is no region x",
+     "memories: {m: {base_address: 0, size: 4, §region: x}}"),
+    ("memory over a register", "overlapping_memory", "mmio[0].memories.m", "config.mmio[0].registers.r is at 0x8",
+     "mmio: [{base_address: 0, registers: {r: {offset: 8}}, memories: {§m: {size: 16}}}]"),
+    ("memories in one place", "overlapping_memory", "memories.b", "memory b overlaps memory a",
+     "memories: {a: {base_address: 0, size: 16}, §b: {base_address: 12, size: 8}}"),
+    ("memory over a decoupler", "overlapping_memory", "memories.m", "the decoupler of region a",
+     "regions: {a: {decoupler: {base_address: 0, offset: 4}}}\nmemories: {§m: {base_address: 0, size: 64}}"),
+    ("memory over an identity register", "overlapping_memory", "memories.m", "the identity of region a",
+     "regions: {a: {identity: {base_address: 0, offset: 4}}}\nmemories: {§m: {base_address: 0, size: 64}}"),
     ("unknown default mode", "unknown_mode", "default_mode", "known: default", "§default_mode: x"),
     ("bitstream of a partial configuration", "not_applicable", "bitstream", "type: full", "§bitstream: a.bit"),
     ("bad dtype", "bad_dtype", "streams.s.dtype", "did you mean uint8?",
@@ -144,6 +176,13 @@ MODE_CASES = [
      "m: {mmio: [{base_address: 0, registers: {§r: {offset: 0}}}]}"),
     ("overlap with the mode's module", "overlapping_registers", "modes.m.mmio[0].registers.r", "modules.edge",
      "m: {modules: [edge], mmio: [{base_address: 16, registers: {§r: {offset: 0}}}]}"),
+    ("memory over a register of the mode's module", "overlapping_memory", "modes.m.memories.t", "register threshold",
+     "m: {modules: [edge], memories: {§t: {base_address: 16, size: 8}}}"),
+    ("memory of the static part elsewhere", "name_clash", "modes.m.memories.table", "elsewhere",
+     "m: {memories: {§table: {base_address: 0x200, size: 8}}}"),
+    ("memory called as a stream of another mode", "name_clash", "modes.m.memories.other",
+     "config.modes.n.streams.other",
+     "m: {memories: {§other: {base_address: 0x200, size: 8}}}\n  n: {streams: {other: {direction: mm2s}}}"),
     ("name of the static part elsewhere", "name_clash", "modes.m.mmio[0].registers.led", "elsewhere",
      "m: {mmio: [{base_address: 64, registers: {§led: {offset: 0}}}]}"),
     ("mistyped stream", "missing_key", "modes.m.streams.camra", "did you mean camera?",
@@ -157,6 +196,7 @@ modules:
   blur: {}
 overlays: [base]
 mmio: [{base_address: 0, registers: {led: {offset: 0}}}]
+memories: {table: {base_address: 0x100, size: 64}}
 streams: {camera: {direction: s2mm}}"""
 
 
@@ -200,6 +240,17 @@ def test_several_mistakes_of_meaning_are_reported_at_once() -> None:
 def test_a_pair_that_overlaps_in_several_modes_is_reported_once() -> None:
     body = "mmio: [{base_address: 0, registers: {a: {offset: 0}, b: {offset: 0}}}]"
     assert len(problems(partial(body, "modes: {m: {}, n: {}}"))) == 1
+
+
+def test_a_memory_that_overlaps_in_several_modes_is_reported_once() -> None:
+    body = "mmio: [{base_address: 0, registers: {a: {offset: 0}}, memories: {b: {size: 8}}}]"
+    assert len(problems(partial(body, "modes: {m: {}, n: {}}"))) == 1
+
+
+def test_different_modes_may_use_one_place_for_different_memories() -> None:
+    modes = "modes: {m: {memories: {a: {base_address: 0, size: 8}}}, n: {memories: {b: {base_address: 0, size: 8}}}}"
+    config = cm.schema.loads(partial("", modes))
+    assert [list(config.visible_memories(mode)) for mode in ("m", "n")] == [["a"], ["b"]]
 
 
 def test_a_configuration_without_modes_is_refused() -> None:

@@ -30,6 +30,7 @@ def test_a_written_configuration_loads_as_what_it_was_in_its_order(config: Confi
     assert list(again.modes) == list(config.modes)
     for mode in config.modes:
         assert list(again.visible_registers(mode)) == list(config.visible_registers(mode))
+        assert list(again.visible_memories(mode)) == list(config.visible_memories(mode))
 
 
 @pytest.mark.parametrize("path", [CAMERA, LISTING], ids=lambda path: path.stem)
