@@ -49,3 +49,28 @@ bool cm_mirror_read(const struct cm_mirror *mirror, uint64_t offset, unsigned in
 	atomic_thread_fence(memory_order_acquire);
 	return !cm_mmio_read(flags, width); /* else it was taken away meanwhile */
 }
+
+/* Whether none of the bytes has a flag. */
+static bool unflagged(const volatile uint8_t *flags, size_t length)
+{
+	const volatile uint32_t *word = (const volatile uint32_t *)(uintptr_t)flags;
+	uint32_t any = 0;
+	size_t i;
+
+	for (i = 0; i < length / 4; i++)
+		any |= word[i];
+	return !any;
+}
+
+bool cm_mirror_read_block(const struct cm_mirror *mirror, uint64_t offset, void *data,
+			  size_t length)
+{
+	const volatile uint8_t *at = mirror->values + offset;
+
+	if (offset + length > mirror->size || !unflagged(at + mirror->size, length))
+		return false;
+	atomic_thread_fence(memory_order_acquire);
+	cm_mmio_read_block(at, data, length);
+	atomic_thread_fence(memory_order_acquire);
+	return unflagged(at + mirror->size, length);
+}

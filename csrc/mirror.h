@@ -35,4 +35,8 @@ void cm_mirror_unmap(struct cm_mirror *mirror);
 bool cm_mirror_read(const struct cm_mirror *mirror, uint64_t offset, unsigned int width,
 		    uint64_t *value);
 
+/* cm_mirror_read() of several words; @offset and @length are multiples of 4. */
+bool cm_mirror_read_block(const struct cm_mirror *mirror, uint64_t offset, void *data,
+			  size_t length);
+
 #endif /* CM_SHIM_MIRROR_H */

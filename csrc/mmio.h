@@ -11,7 +11,9 @@
 #ifndef CM_SHIM_MMIO_H
 #define CM_SHIM_MMIO_H
 
+#include <stddef.h>
 #include <stdint.h>
+#include <string.h>
 
 static inline void cm_mmio_before_write(void)
 {
@@ -91,6 +93,41 @@ static inline void cm_mmio_write(volatile void *at, unsigned int width, uint64_t
 		*(volatile uint32_t *)at = (uint32_t)value;
 	else
 		cm_mmio_write64(at, value);
+}
+
+/*
+ * Words one after the other, each one access of 32 bits; @length is in bytes, a
+ * multiple of 4, and so is the alignment of the device's side.  Accesses to
+ * device memory keep their order among each other, so that one barrier does
+ * for all.
+ */
+static inline void cm_mmio_read_block(const volatile void *from, void *data, size_t length)
+{
+	const volatile uint32_t *word = from;
+	unsigned char *to = data;
+	size_t i;
+
+	for (i = 0; i < length; i += 4) {
+		uint32_t value = *word++;
+
+		memcpy(to + i, &value, sizeof(value));
+	}
+	cm_mmio_after_read();
+}
+
+static inline void cm_mmio_write_block(volatile void *to, const void *data, size_t length)
+{
+	const unsigned char *from = data;
+	volatile uint32_t *word = to;
+	size_t i;
+
+	cm_mmio_before_write();
+	for (i = 0; i < length; i += 4) {
+		uint32_t value;
+
+		memcpy(&value, from + i, sizeof(value));
+		*word++ = value;
+	}
 }
 
 #endif /* CM_SHIM_MMIO_H */

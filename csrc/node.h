@@ -84,6 +84,15 @@ int cm_node_request(struct cm_node *node, uint32_t op, void *arg, size_t size, i
 		    enum cm_node_fd mode);
 
 /**
+ * cm_node_exchange() - one message to a simulated node, and a reply of another length
+ * @in: room for the reply's @in_size bytes; a reply of another length is EPROTO
+ *
+ * Otherwise as cm_node_request(); ENOTSUP on a real node.
+ */
+int cm_node_exchange(struct cm_node *node, uint32_t op, const void *out, size_t out_size, void *in,
+		     size_t in_size);
+
+/**
  * cm_node_event_fd() - descriptor that polls readable when an event waits
  *
  * Owned by the node: poll it, but neither read nor close it.  EBADF once released.

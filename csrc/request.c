@@ -84,3 +84,46 @@ int cm_node_request(struct cm_node *node, uint32_t op, void *arg, size_t size, i
 	cm_node_leave(node);
 	return result;
 }
+
+static int transfer(struct cm_node *node, uint32_t op, const void *out, size_t out_size, void *in,
+		    size_t in_size)
+{
+	ssize_t length;
+
+	if (node->broken) {
+		errno = node->broken;
+		return -1;
+	}
+	if (cm_message_send(node->fd, op, out, out_size, -1)) {
+		node->broken = errno == ENODEV ? ENODEV : 0;
+		return -1;
+	}
+	length = cm_message_receive(node->fd, op, in, in_size, NULL, &node->broken);
+	if (length < 0)
+		return -1;
+	if ((size_t)length != in_size) {
+		node->broken = errno = EPROTO;
+		return -1;
+	}
+	return 0;
+}
+
+int cm_node_exchange(struct cm_node *node, uint32_t op, const void *out, size_t out_size, void *in,
+		     size_t in_size)
+{
+	int result, error;
+
+	if (!node->simulated) {
+		errno = ENOTSUP;
+		return -1;
+	}
+	if (cm_node_enter(node))
+		return -1;
+	pthread_mutex_lock(&node->lock);
+	result = transfer(node, op, out, out_size, in, in_size);
+	error = errno;
+	pthread_mutex_unlock(&node->lock);
+	cm_node_leave(node);
+	errno = error;
+	return result;
+}

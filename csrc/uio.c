@@ -9,22 +9,11 @@
 #include <unistd.h>
 
 #include "cm_node.h"
-#include "mirror.h"
 #include "mmio.h"
-#include "node.h"
+#include "uio_private.h"
 
 /* Interrupts that are taken in one go; a real device merges them into one. */
 #define TAKE_AT_ONCE 16
-
-struct cm_uio {
-	struct cm_node *node;
-	struct cm_uio_info info;
-	struct {
-		void *base;
-		size_t length;
-	} windows[CM_UIO_MAPS_MAX];
-	struct cm_mirror mirror; /* of a simulated node's window 0 */
-};
 
 /* uio_mmap() chooses the window by the page offset. */
 static int map_windows(struct cm_uio *uio)
@@ -153,11 +142,6 @@ invalid:
 	return -1;
 }
 
-static volatile void *register_at(const struct cm_uio *uio, unsigned int map, uint64_t offset)
-{
-	return (char *)uio->windows[map].base + uio->info.maps[map].offset + offset;
-}
-
 /* By a load instruction; false where the node has to be asked. */
 static bool load(const struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		 uint64_t *value)
@@ -166,7 +150,7 @@ static bool load(const struct cm_uio *uio, unsigned int map, uint64_t offset, un
 		return map == 0 && uio->mirror.values &&
 		       cm_mirror_read(&uio->mirror, offset, width, value) &&
 		       cm_node_connected(uio->node);
-	*value = cm_mmio_read(register_at(uio, map, offset), width);
+	*value = cm_mmio_read(cm_uio_at(uio, map, offset), width);
 	return true;
 }
 
@@ -214,7 +198,7 @@ int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned
 	if (!cm_node_simulated(uio->node)) {
 		if (cm_node_enter(uio->node))
 			return -1;
-		cm_mmio_write(register_at(uio, map, offset), width, value);
+		cm_mmio_write(cm_uio_at(uio, map, offset), width, value);
 		cm_node_leave(uio->node);
 		return 0;
 	}

@@ -8,6 +8,7 @@
 #ifndef CM_SHIM_UIO_H
 #define CM_SHIM_UIO_H
 
+#include <stddef.h>
 #include <stdint.h>
 
 #include "uio_sysfs.h"
@@ -57,6 +58,22 @@ int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned
 
 /* cm_uio_read() of at most 32 bits, which returns the value, or -1. */
 int64_t cm_uio_read32(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width);
+
+/**
+ * cm_uio_read_block() / cm_uio_write_block() - several words of a window
+ * @offset, @length: bytes, multiples of 4
+ * @data: room for, or, @length bytes; little-endian as the window is
+ *
+ * One access of 32 bits for each word, in ascending order, never a burst, a
+ * wider or a narrower one: an AXI-Lite slave need not take those.  Threads may
+ * do other things with @uio meanwhile.  A call that fails may have done part.
+ *
+ * EINVAL for a range that is not there or not whole words, with nothing done.
+ */
+int cm_uio_read_block(struct cm_uio *uio, unsigned int map, uint64_t offset, void *data,
+		      size_t length);
+int cm_uio_write_block(struct cm_uio *uio, unsigned int map, uint64_t offset, const void *data,
+		       size_t length);
 
 /**
  * cm_uio_enable_interrupt() - let the next interrupt through

@@ -153,6 +153,29 @@ class Uio(Device):
         except (OSError, OverflowError) as error:
             raise self._access_error(error, f"write {value:#x} to", offset, width, map) from error
 
+    def read_block(self, offset: int, length: int, map: int = 0) -> bytearray:  # noqa: A002
+        """Read ``length`` bytes from ``offset`` on, both multiples of 4: one bus access of 32 bits for each word.
+
+        The bytes are as they lie in the window, little-endian: ``numpy.frombuffer(data, "<u4")``.  A long block
+        does not keep other threads from running.  Raises DeviceInvalid for what is not there, with nothing read.
+        """
+        try:
+            return native.read_block(self._handle, map, offset, self._whole(length))
+        except (OSError, OverflowError) as error:
+            raise self._block_error(error, "read", offset, length, map) from error
+
+    def write_block(self, offset: int, data: native.Buffer, map: int = 0) -> None:  # noqa: A002
+        """Write ``data`` (contiguous) from ``offset`` on, as `read_block` reads.
+
+        Raises DeviceInvalid for what is not there, with nothing written; another DeviceError may come after
+        part was written.
+        """
+        view = memoryview(data).cast("B")
+        try:
+            native.write_block(self._handle, map, offset, view)
+        except (OSError, OverflowError) as error:
+            raise self._block_error(error, "write", offset, len(view), map) from error
+
     def enable_interrupt(self) -> None:
         """Let the next interrupt through; uio_pdrv_genirq masks it each time it comes."""
         try:
@@ -178,10 +201,25 @@ class Uio(Device):
     def _no_interrupt(error: OSError) -> str:
         return "the device has no interrupt: give its device-tree node one" if error.errno == errno.EIO else ""
 
+    def _whole(self, length: int) -> int:
+        """`length`, unless no window is so long: no memory is taken for it then."""
+        if not 0 <= length <= max((m.size for m in self.maps), default=0):
+            raise OverflowError
+        return length
+
+    def _block_error(self, error: Exception, doing: str, offset: int, length: int, index: int) -> DeviceError:
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:
+            return self._error(error, f"{doing} {length} bytes at offset {offset:#x} of")
+        text = f"cannot {doing} {length} bytes at offset {offset:#x} of map {index}: {self.name} has {self._sizes()}"
+        rule = "offset and length are multiples of 4, since each access has 32 bits"
+        return DeviceInvalid(errno.EINVAL, f"{text}; {rule}", self.path)
+
+    def _sizes(self) -> str:
+        return ", ".join(f"map {i}: 0x{m.size:x} bytes" for i, m in enumerate(self.maps)) or "no map"
+
     def _access_error(self, error: Exception, doing: str, offset: int, width: int, index: int) -> DeviceError:
         if isinstance(error, OSError) and error.errno not in (errno.EINVAL, errno.ERANGE):
             return self._error(error, f"{doing} offset {offset:#x} of")
-        maps = ", ".join(f"map {i}: 0x{m.size:x} bytes" for i, m in enumerate(self.maps)) or "no map"
         rule = f"widths are {', '.join(str(w) for w in WIDTHS)}, offsets multiples of them, values no wider"
-        text = f"cannot {doing} offset {offset:#x} of map {index} with {width} bits: {self.name} has {maps}; {rule}"
-        return DeviceInvalid(errno.EINVAL, text, self.path)
+        text = f"cannot {doing} offset {offset:#x} of map {index} with {width} bits: {self.name} has {self._sizes()}"
+        return DeviceInvalid(errno.EINVAL, f"{text}; {rule}", self.path)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from cm.native._cm import ffi, lib
 from cm.native.call import Handle, check, encode, last_error, owned, wait
 
+Buffer = bytes | bytearray | memoryview
 LIST_ROOM = 64
 _read32 = lib.cm_uio_read32
 _VALUE = ffi.typeof("uint64_t *")
@@ -103,6 +104,19 @@ def write(handle: Handle, index: int, offset: int, width: int, value: int) -> No
     """Write one register of ``width`` bits."""
     if lib.cm_uio_write(handle, index, offset, width, value) < 0:
         raise last_error()
+
+
+def read_block(handle: Handle, index: int, offset: int, length: int) -> bytearray:
+    """Read ``length`` bytes as words of 32 bits; other threads of Python run meanwhile."""
+    data = bytearray(length)
+    check(lib.cm_uio_read_block(handle, index, offset, ffi.from_buffer(data), length))
+    return data
+
+
+def write_block(handle: Handle, index: int, offset: int, data: Buffer) -> None:
+    """Write bytes as words of 32 bits; other threads of Python run meanwhile."""
+    view = ffi.from_buffer(data)
+    check(lib.cm_uio_write_block(handle, index, offset, view, len(view)))
 
 
 def enable_interrupt(handle: Handle) -> None:

@@ -11,7 +11,18 @@ from dataclasses import dataclass, field, replace
 
 from cm.bitstream.devices import DEVICES, Device, device_by_name
 from cm.bitstream.module import default_footprint
-from cm.schema.model import Config, Decoupler, Direction, FrameRange, Identity, Interrupt, Register, Stream
+from cm.schema.model import (
+    Config,
+    Decoupler,
+    Direction,
+    FrameRange,
+    Identity,
+    Interrupt,
+    Memory,
+    Mode,
+    Register,
+    Stream,
+)
 
 from .channels import ChannelSpec, channels_of
 from .errors import SimError
@@ -58,6 +69,7 @@ class BoardSpec:
     interrupts: Mapping[str, Interrupt]
     registers: tuple[Register, ...]  # all, with `region` saying who answers
     configs: tuple[Config, ...] = ()
+    memories: tuple[Memory, ...] = ()  # as `registers`
 
     @classmethod
     def from_configs(cls, configs: Iterable[Config]) -> BoardSpec:
@@ -70,7 +82,7 @@ class BoardSpec:
         if not given:
             raise SimError("no configuration was given: the board would be empty")
         device = _device(given)
-        registers = tuple(_registers(given))
+        registers, memories = tuple(_registers(given)), tuple(_memories(given))
         regions = _regions(given, device)
         channels = channels_of([_with_streams(config) for config in given])
         _check_names(channels)
@@ -78,11 +90,12 @@ class BoardSpec:
             device=device,
             regions=regions,
             modules=tuple(_modules(given)),
-            windows=windows_of(registers, regions.values(), _interrupts(given).values()),
+            windows=windows_of(registers, regions.values(), _interrupts(given).values(), memories),
             channels=channels,
             interrupts=_interrupts(given),
             registers=registers,
             configs=given,
+            memories=memories,
         )
 
 
@@ -171,8 +184,24 @@ def _registers(configs: Iterable[Config]) -> Iterator[Register]:
             for register in module.registers.values():
                 yield replace(register, region=register.region or module.region)
         for mode in config.modes.values():
-            # A mode's register belongs to the one region that the mode is about, if there is one.
-            regions = {config.modules[name].region for name in mode.modules if name in config.modules}
-            owner = next(iter(regions)) if len(regions) == 1 else None
+            owner = _owner(mode, config)
             for register in mode.registers.values():
                 yield replace(register, region=register.region or owner)
+
+
+def _memories(configs: Iterable[Config]) -> Iterator[Memory]:
+    for config in configs:
+        yield from config.memories.values()
+        for module in config.modules.values():
+            for memory in module.memories.values():
+                yield replace(memory, region=memory.region or module.region)
+        for mode in config.modes.values():
+            owner = _owner(mode, config)
+            for memory in mode.memories.values():
+                yield replace(memory, region=memory.region or owner)
+
+
+def _owner(mode: Mode, config: Config) -> str | None:
+    """The region that a mode's registers and memories belong to: the one that the mode is about, if there is one."""
+    regions = {config.modules[name].region for name in mode.modules if name in config.modules}
+    return next(iter(regions)) if len(regions) == 1 else None

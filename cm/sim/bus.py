@@ -7,10 +7,11 @@ import errno
 
 from cm.schema.model import Access
 
-from .cells import Cell, Region, Window, answers, writable
+from .cells import Area, Cell, Region, Window, answers, writable
 from .errors import NodeError
 from .fabric import EMPTY_WORD, Fabric
 from .faults import Faults
+from .protocol import BLOCK_MAX
 from .show import Show
 
 _WIDTHS = (8, 16, 32, 64)
@@ -48,6 +49,26 @@ class Bus:
         for decoupler in self._decouplers:
             decoupler.update(window)
 
+    def read_block(self, window: Window, offset: int, length: int) -> bytes:
+        """The bytes that accesses of 32 bits, one after the other, return."""
+        _check_block(window, offset, length)
+        alike, area = _alike(window, offset, length)
+        if alike and (area is None or (answers(area) and area.access is not Access.WO)):
+            return window.memory[offset : offset + length]
+        return b"".join(self.read(window, at, 32).to_bytes(4, "little") for at in range(offset, offset + length, 4))
+
+    def write_block(self, window: Window, offset: int, data: bytes) -> None:
+        """Accesses of 32 bits, one after the other."""
+        _check_block(window, offset, len(data))
+        alike, area = _alike(window, offset, len(data))
+        if not alike:
+            for at in range(0, len(data), 4):
+                self.write(window, offset + at, 32, int.from_bytes(data[at : at + 4], "little"))
+        elif area is None or (answers(area) and area.access is not Access.RO):
+            window.memory[offset : offset + len(data)] = data
+            for decoupler in self._decouplers:
+                decoupler.update(window)
+
     def _write_piece(self, window: Window, at: int, part: int, bits: int) -> None:
         cell = window.cell_at(at)
         if cell is not None:
@@ -57,6 +78,8 @@ class Bus:
                 return
             if cell.register.access is Access.W1C:
                 bits = int.from_bytes(window.memory[at : at + part], "little") & ~bits
+        elif (area := window.area_at(at)) is not None and (not answers(area) or area.access is Access.RO):
+            return
         window.memory[at : at + part] = bits.to_bytes(part, "little")
 
 
@@ -87,8 +110,24 @@ def _check(window: Window, offset: int, width: int) -> int:
     return width // 8
 
 
+def _check_block(window: Window, offset: int, length: int) -> None:
+    if not 0 < length <= BLOCK_MAX or offset % 4 or length % 4 or offset + length > window.spec.size:
+        raise NodeError(errno.EINVAL, f"{length} bytes at {offset:#x} are misaligned or outside the window")
+
+
+def _alike(window: Window, offset: int, length: int) -> tuple[bool, Area | None]:
+    """Whether one thing has all these bytes, and the memory that it is (None: bytes without a name)."""
+    over = [area for area in window.areas if area.offset < offset + length and offset < area.end]
+    if len(over) > 1 or any(offset <= byte < offset + length for byte in window.cells):
+        return False, None
+    area = over[0] if over else None
+    return area is None or (area.offset <= offset and offset + length <= area.end), area
+
+
 def _pieces(window: Window, offset: int, length: int) -> list[tuple[int, int]]:
-    """Split an access where one register ends and the next begins."""
+    """Split an access where one register ends and the next begins, and into words where memories are."""
+    if window.areas and length > 4:
+        return [piece for at in (offset, offset + 4) for piece in _pieces(window, at, 4)]
     if not any(at in window.cells for at in range(offset, offset + length)):
         return [(offset, length)]
     pieces, at = [], offset
@@ -108,11 +147,16 @@ def _read_piece(window: Window, at: int, part: int) -> int:
             return _garbage(cell, at, part)
         if cell.register.access is Access.WO:
             return 0
+    elif (area := window.area_at(at)) is not None:
+        if not answers(area):
+            return _garbage(area, at, part)
+        if area.access is Access.WO:
+            return 0
     return int.from_bytes(window.memory[at : at + part], "little")
 
 
-def _garbage(cell: Cell, at: int, part: int) -> int:
-    region = cell.region
+def _garbage(place: Cell | Area, at: int, part: int) -> int:
+    region = place.region
     if region is not None and not region.loading and not region.decoupled:
         word = EMPTY_WORD.to_bytes(4, "little") * 2
         return int.from_bytes(word[at % 4 : at % 4 + part], "little")

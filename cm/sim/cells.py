@@ -6,7 +6,7 @@ from __future__ import annotations
 import mmap
 from collections.abc import Iterator, Mapping
 
-from cm.schema.model import Access, Register
+from cm.schema.model import Access, Memory, Register
 
 from .board import ModuleSpec, RegionSpec
 from .mirror import Mirror
@@ -52,19 +52,35 @@ class Cell:
         self.memory[self.offset : self.offset + self.width] = masked.to_bytes(self.width, "little")
 
 
+class Area:
+    """A memory at its place in a window: `end` is the offset behind its last byte."""
+
+    __slots__ = ("access", "end", "offset", "region")
+
+    def __init__(self, offset: int, memory: Memory, region: Region | None) -> None:
+        self.offset, self.end = offset, offset + memory.size
+        self.access, self.region = memory.access, region
+
+
 class Window:
-    """The memory of one register window and the cells in it, by byte offset."""
+    """The memory of one register window, the cells in it by byte offset, and its areas."""
 
     def __init__(self, spec: WindowSpec) -> None:
         self.spec = spec
         self.mirror = Mirror(spec.name, spec.size)
         self.memory = self.mirror.values
         self.cells: dict[int, list[Cell]] = {}
+        self.areas: list[Area] = []
 
     def add(self, cell: Cell) -> None:
         """Put a cell over its bytes; several modules of one region may share them."""
         for byte in range(cell.offset, cell.offset + cell.width):
             self.cells.setdefault(byte, []).append(cell)
+
+    def area_at(self, offset: int) -> Area | None:
+        """The memory at a byte; of several, in different modes, one whose region answers."""
+        found = [area for area in self.areas if area.offset <= offset < area.end]
+        return next((area for area in found if answers(area)), found[0] if found else None)
 
     def clear(self) -> None:
         """All zero again."""
@@ -103,9 +119,9 @@ def writable(register: Register) -> bool:
     return register.access is not Access.RO
 
 
-def answers(cell: Cell) -> bool:
-    """Whether the register is on the bus: its region runs and is not cut off."""
-    region = cell.region
+def answers(place: Cell | Area) -> bool:
+    """Whether a register or memory is on the bus: its region runs and is not cut off."""
+    region = place.region
     return region is None or (region.running and not region.decoupled)
 
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from cm.schema.model import Access, Register
+from cm.schema.model import Access, Memory, Register
 
 from .board import BoardSpec, ModuleSpec, RegionSpec
-from .cells import Cell, Region, View, Window, same_place
+from .cells import Area, Cell, Region, View, Window, same_place
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,6 +39,8 @@ class Fabric:
         self._views: dict[str | None, View] = {}
         for register in (*spec.registers, *_identities(spec.regions.values())):
             self._add(register)
+        for memory in spec.memories:
+            self._add_memory(memory)
         self.reset()
 
     def window_at(self, address: int) -> Window | None:
@@ -77,6 +79,8 @@ class Fabric:
         region.loading = False
         region.module = module
         self._views.clear()
+        if module is not None:
+            self._reset_areas(region)
         self._reset_cells(region)
         self.answering(region)
         self.changed()
@@ -127,6 +131,19 @@ class Fabric:
         cell = Cell(window.memory, register.address - window.spec.address, register, region)
         window.add(cell)
         self._by_name.setdefault(register.name, []).append(cell)
+
+    def _add_memory(self, memory: Memory) -> None:
+        window = self.window_at(memory.address)
+        if window is not None:
+            region = self.regions.get(memory.region) if memory.region else None
+            window.areas.append(Area(memory.address - window.spec.address, memory, region))
+
+    def _reset_areas(self, region: Region) -> None:
+        """The block RAM of a circuit that was just loaded: zero."""
+        for window in self.windows:
+            for area in window.areas:
+                if area.region is region:
+                    window.memory[area.offset : area.end] = bytes(area.end - area.offset)
 
     def _view(self, region: str | None) -> View:
         module = self.regions[region].module if region in self.regions else None

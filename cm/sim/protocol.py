@@ -16,7 +16,9 @@ REQUEST = struct.Struct("<II")  # cm_node_request: op, length
 REPLY = struct.Struct("<IiII")  # cm_node_reply: op, error, length, flags
 REG = struct.Struct("<IIQQ")  # cm_node_reg: map, width, offset, value
 MIRROR = struct.Struct("<IiQ")  # cm_node_mirror: map, fd, size
+BLOCK = struct.Struct("<IIQ")  # cm_node_block: map, length, offset
 PAYLOAD_MAX = 65536
+BLOCK_MAX = PAYLOAD_MAX - BLOCK.size
 
 OP_OPEN = 0
 OP_REG_READ = 1
@@ -26,7 +28,10 @@ OP_ATTR_WRITE = 4
 OP_MKDIR = 5
 OP_RMDIR = 6
 OP_MIRROR = 7
+OP_BLOCK_READ = 8
+OP_BLOCK_WRITE = 9
 OFFERS_MIRROR = 1
+OFFERS_BLOCKS = 2
 
 BUFFER_ALLOC = struct.Struct("<IIQIiII")  # size, flags, length, handle, fd, coherent, reserved
 BUFFER_IMPORT = struct.Struct("<IIiIQ")  # size, flags, fd, handle, length

@@ -9,8 +9,25 @@ from dataclasses import dataclass
 
 from cm.schema.model import Access
 
-from .cells import Cell, Region, Window, answers
+from .cells import Area, Cell, Region, Window, answers
 from .fabric import Fabric
+
+
+class _Block:
+    """A memory, which is shown as a whole."""
+
+    def __init__(self, window: Window, area: Area) -> None:
+        self._window, self._area = window, area
+        # Where other things have the same bytes, in other modes, the bus says which it is.
+        self._shared = any(area.offset <= byte < area.end for byte in window.cells) or any(
+            other.offset < area.end and area.offset < other.end for other in window.areas if other is not area
+        )
+
+    def show(self) -> None:
+        """As a run."""
+        area = self._area
+        direct = answers(area) and area.access is not Access.WO and not self._shared
+        self._window.mirror.ask(area.offset, area.end - area.offset, not direct)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +50,13 @@ class Show:
     """Follows the regions of a fabric."""
 
     def __init__(self, fabric: Fabric) -> None:
-        self._runs: dict[Region, list[_Run]] = defaultdict(list)
+        self._runs: dict[Region, list[_Run | _Block]] = defaultdict(list)
+        for window in fabric.windows:
+            for area in window.areas:
+                block = _Block(window, area)
+                if area.region is not None:
+                    self._runs[area.region].append(block)
+                block.show()
         for run in (run for window in fabric.windows for run in _runs(window)):
             for region in {cell.region for cell in run.cells if cell.region is not None}:
                 self._runs[region].append(run)

@@ -25,7 +25,7 @@ class UioNode:
     def open(self, events: Events) -> Opened:
         """A new open file."""
         session = UioSession(self._window, self._line, self._bus, events)
-        return Opened(session, protocol.OFFERS_MIRROR if self._window.spec.size else 0)
+        return Opened(session, protocol.OFFERS_MIRROR | protocol.OFFERS_BLOCKS if self._window.spec.size else 0)
 
 
 class UioSession:
@@ -39,6 +39,8 @@ class UioSession:
         """Answer a register access, or hand out the window's mirror."""
         if op == protocol.OP_MIRROR:
             return self._mirror(payload)
+        if op in (protocol.OP_BLOCK_READ, protocol.OP_BLOCK_WRITE):
+            return self._block(op, payload)
         if op not in (protocol.OP_REG_READ, protocol.OP_REG_WRITE):
             raise NodeError(errno.ENOTTY, "a UIO device has register accesses only")
         if len(payload) != protocol.REG.size:
@@ -51,6 +53,20 @@ class UioSession:
         else:
             self._bus.write(self._window, offset, width, value)
         return protocol.REG.pack(number, width, offset, value)
+
+    def _block(self, op: int, payload: bytes) -> bytes:
+        head = protocol.BLOCK.size
+        if len(payload) < head or (op == protocol.OP_BLOCK_READ and len(payload) != head):
+            raise NodeError(errno.EINVAL, "a block is a struct cm_node_block, and bytes only if they are written")
+        number, length, offset = protocol.BLOCK.unpack_from(payload)
+        if number != 0 or not self._window.spec.size:
+            raise NodeError(errno.EINVAL, "there is no such map")
+        if op == protocol.OP_BLOCK_READ:
+            return self._bus.read_block(self._window, offset, length)
+        if len(payload) != head + length:
+            raise NodeError(errno.EINVAL, "a block has the bytes that it says")
+        self._bus.write_block(self._window, offset, payload[head:])
+        return b""
 
     def _mirror(self, payload: bytes) -> Answer:
         if len(payload) != protocol.MIRROR.size:

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from cm.schema.model import Interrupt, Register
+from cm.schema.model import Interrupt, Memory, Register
 
 if TYPE_CHECKING:
     from .board import RegionSpec
@@ -31,7 +31,10 @@ class WindowSpec:
 
 
 def windows_of(
-    registers: Iterable[Register], regions: Iterable[RegionSpec], interrupts: Iterable[Interrupt]
+    registers: Iterable[Register],
+    regions: Iterable[RegionSpec],
+    interrupts: Iterable[Interrupt],
+    memories: Iterable[Memory] = (),
 ) -> tuple[WindowSpec, ...]:
     """One window per base address, of a power of two in size; those that overlap become one."""
     reach: dict[int, int] = {}
@@ -44,6 +47,8 @@ def windows_of(
 
     for register in registers:
         need(register.base_address, register.offset + register.width // 8, register.region)
+    for memory in memories:
+        need(memory.base_address, memory.offset + memory.size, memory.region)
     for region in regions:
         for part in (region.decoupler, region.identity):
             if part is not None:

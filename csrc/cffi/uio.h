@@ -34,6 +34,10 @@ int cm_uio_read(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned 
 int64_t cm_uio_read32(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width);
 int cm_uio_write(struct cm_uio *uio, unsigned int map, uint64_t offset, unsigned int width,
 		 uint64_t value);
+int cm_uio_read_block(struct cm_uio *uio, unsigned int map, uint64_t offset, void *data,
+		      size_t length);
+int cm_uio_write_block(struct cm_uio *uio, unsigned int map, uint64_t offset, const void *data,
+		       size_t length);
 int cm_uio_enable_interrupt(struct cm_uio *uio);
 int cm_uio_take(struct cm_uio *uio, uint32_t *count);
 int cm_uio_wait(struct cm_uio *uio, int64_t timeout_ns, uint32_t *count);

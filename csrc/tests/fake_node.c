@@ -19,7 +19,6 @@
 #include "cm_node.h"
 #include "test.h"
 
-#define WORDS 16
 #define INTERRUPTS 40 /* of MANY_INTERRUPTS: more than the shim takes at once */
 
 struct fake_node {
@@ -27,7 +26,7 @@ struct fake_node {
 	int listener, stop_fd[2];
 	enum misdeed misdeed;
 	atomic_uint requests;
-	uint32_t words[WORDS];
+	uint32_t words[FAKE_NODE_WORDS];
 	uint32_t interrupts;
 	uint64_t completions;
 	char attribute[CM_NODE_PAYLOAD_MAX];
@@ -82,6 +81,12 @@ static ssize_t receive_packet(int sock, struct packet *packet, int *fd)
 	return got;
 }
 
+static bool offers_blocks(enum misdeed misdeed)
+{
+	return misdeed == OFFER_BLOCKS || misdeed == OFFER_BLOCKS_AND_REFUSE ||
+	       misdeed == OFFER_BLOCKS_AND_CUT_SHORT;
+}
+
 static bool greet(struct fake_node *fake, int sock, int *events)
 {
 	struct cm_node_reply reply = { .op = CM_NODE_OP_OPEN };
@@ -93,6 +98,8 @@ static bool greet(struct fake_node *fake, int sock, int *events)
 	CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
 	if (fake->misdeed == REFUSE_OPEN)
 		reply.error = EBUSY;
+	if (offers_blocks(fake->misdeed))
+		reply.flags = CM_NODE_OFFERS_BLOCKS;
 	if (fake->misdeed == GREET_WITH_WRONG_OP)
 		reply.op = 99;
 	if (fake->misdeed == GREET_WITHOUT_FD || fake->misdeed == REFUSE_OPEN)
@@ -108,11 +115,37 @@ static bool greet(struct fake_node *fake, int sock, int *events)
 
 static void answer_register(struct fake_node *fake, bool write, struct cm_node_reg *reg)
 {
-	CHECK(reg->offset / 4 < WORDS && reg->width == 32);
+	CHECK(reg->offset / 4 < FAKE_NODE_WORDS && reg->width == 32);
 	if (write)
 		fake->words[reg->offset / 4] = (uint32_t)reg->value;
 	else /* dirt above the width must not reach the caller */
 		reg->value = 0xdead000000000000 | fake->words[reg->offset / 4];
+}
+
+static void answer_block(struct fake_node *fake, const struct packet *request,
+			 struct answer *answer)
+{
+	bool write = request->header.op == CM_NODE_OP_BLOCK_WRITE;
+	struct cm_node_block block;
+	unsigned char *place;
+
+	memcpy(&block, request->payload, sizeof(block));
+	CHECK(offers_blocks(fake->misdeed) && block.map == 0);
+	CHECK(block.length >= 4 && block.length <= CM_NODE_BLOCK_MAX && block.length % 4 == 0);
+	CHECK(block.offset % 4 == 0 && block.offset + block.length <= sizeof(fake->words));
+	CHECK(request->header.length == sizeof(block) + (write ? block.length : 0));
+	place = (unsigned char *)fake->words + block.offset;
+	if (write)
+		memcpy(place, request->payload + sizeof(block), block.length);
+	else
+		memcpy(answer->payload, place, block.length);
+	answer->header.length = write ? 0 : block.length;
+	if (fake->misdeed == OFFER_BLOCKS_AND_CUT_SHORT && !write)
+		answer->header.length -= 4;
+	if (fake->misdeed == OFFER_BLOCKS_AND_REFUSE) {
+		answer->header.error = EIO;
+		answer->header.length = 0;
+	}
 }
 
 static void answer_alloc(struct cm_buffer_alloc *alloc, struct answer *answer)
@@ -177,6 +210,10 @@ static void answer_request(struct fake_node *fake, const struct packet *request,
 	case CM_NODE_OP_REG_READ:
 	case CM_NODE_OP_REG_WRITE:
 		answer_register(fake, request->header.op == CM_NODE_OP_REG_WRITE, body);
+		break;
+	case CM_NODE_OP_BLOCK_READ:
+	case CM_NODE_OP_BLOCK_WRITE:
+		answer_block(fake, request, answer);
 		break;
 	case CM_NODE_OP_ATTR_WRITE:
 		memcpy(fake->attribute, body, request->header.length);

@@ -4,8 +4,8 @@
  *
  * It serves one connection after the other until it is stopped.  As a DMA
  * channel and as a configuration port it completes every transfer at once with
- * half of the bytes asked for; as a UIO device it has 16 words of memory, and
- * a write of 1 to its event socket is answered by an interrupt.
+ * half of the bytes asked for; as a UIO device it has words of memory, and a write
+ * of 1 to its event socket is answered by an interrupt.
  */
 #ifndef CM_FAKE_NODE_H
 #define CM_FAKE_NODE_H
@@ -37,7 +37,13 @@ enum misdeed {
 	LONG_EVENT,
 	HANG_UP_EVENTS,
 	MANY_INTERRUPTS,
+	/* not a misdeed: takes CM_NODE_OP_BLOCK_READ and _WRITE */
+	OFFER_BLOCKS,
+	OFFER_BLOCKS_AND_REFUSE, /* EIO */
+	OFFER_BLOCKS_AND_CUT_SHORT,
 };
+
+#define FAKE_NODE_WORDS (40 * 1024) /* more than fit into two messages */
 
 struct fake_node;
 

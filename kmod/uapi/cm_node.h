@@ -37,9 +37,16 @@
 #define CM_NODE_OP_MKDIR 5u	 /* payload: the name; sent to a folder's ".node" */
 #define CM_NODE_OP_RMDIR 6u
 #define CM_NODE_OP_MIRROR 7u /* struct cm_node_mirror; only where it is offered */
+#define CM_NODE_OP_BLOCK_READ \
+	8u /* struct cm_node_block; its reply: the bytes. Only where offered */
+#define CM_NODE_OP_BLOCK_WRITE 9u /* struct cm_node_block and the bytes behind it; empty reply */
 
 /* Bits of a greeting's flags. */
 #define CM_NODE_OFFERS_MIRROR 1u
+#define CM_NODE_OFFERS_BLOCKS 2u
+
+#define CM_NODE_BLOCK_MAX \
+	65520u /* bytes in one request: with struct cm_node_block a whole payload */
 
 /**
  * struct cm_node_request - header of a request
@@ -77,6 +84,21 @@ struct cm_node_reg {
 	__u32 width;
 	__u64 offset;
 	__u64 value;
+};
+
+/**
+ * struct cm_node_block - several 32-bit words of a mapped window in one message
+ * @map: number of the UIO map
+ * @length: bytes, a multiple of 4 from 4 to CM_NODE_BLOCK_MAX
+ * @offset: bytes from the start of the map, a multiple of 4
+ *
+ * Each word is one access of 32 bits, in ascending order, as if it had been
+ * asked for by CM_NODE_OP_REG_READ or _WRITE; bytes are little-endian.
+ */
+struct cm_node_block {
+	__u32 map;
+	__u32 length;
+	__u64 offset;
 };
 
 /**

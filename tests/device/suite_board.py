@@ -19,6 +19,7 @@ class Board:
     from_pl: str | None = None  # ... to this S2MM channel
     uio: str | None = None  # UIO device with ...
     scratch: int | None = None  # ... a 32-bit register at this offset that holds what is written
+    memory: tuple[int, int] | None = None  # ... and (offset, length) of memory that nothing depends on
     irq: str | None = None  # UIO device with an interrupt
     trigger: tuple[int, int] | None = None  # (offset, value): the write that raises it ...
     acknowledge: tuple[int, int] | None = None  # ... and the one that clears it, where it is a level

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from suite_board import PATIENCE, Board
 
@@ -62,6 +63,40 @@ def test_two_files_see_the_same_register(uio: device.Uio, scratch: int, board: B
 def test_an_offset_behind_the_window_is_refused(uio: device.Uio) -> None:
     with pytest.raises(device.DeviceInvalid):
         uio.read(uio.maps[0].size)
+
+
+@pytest.fixture
+def memory(board: Board) -> tuple[int, int]:
+    if board.memory is None:
+        pytest.skip("the board has no memory for tests")
+    offset, length = board.memory
+    return offset, length
+
+
+def test_memory_holds_a_block(uio: device.Uio, memory: tuple[int, int]) -> None:
+    offset, length = memory
+    data = np.random.default_rng(7).integers(0, 256, length, np.uint8)
+    uio.write_block(offset, data.data)
+    assert uio.read_block(offset, length) == data.tobytes()
+    assert uio.read(offset + 8) == int.from_bytes(data[8:12].tobytes(), "little")
+    uio.write(offset + length - 4, 0x1234_5678)
+    assert uio.read_block(offset + length - 8, 8) == data[-8:-4].tobytes() + bytes.fromhex("78563412")
+
+
+def test_a_block_changes_its_words_only(uio: device.Uio, memory: tuple[int, int]) -> None:
+    offset, length = memory
+    uio.write_block(offset, bytes(length))
+    uio.write_block(offset + 0x10, b"12345678")
+    assert uio.read_block(offset, 0x20) == bytes(0x10) + b"12345678" + bytes(8)
+
+
+def test_a_block_behind_the_window_or_beside_the_words_is_refused(uio: device.Uio, memory: tuple[int, int]) -> None:
+    size = uio.maps[0].size
+    for offset, length in ((size - 4, 8), (size, 4), (memory[0] + 2, 4), (memory[0], 6)):
+        with pytest.raises(device.DeviceInvalid):
+            uio.read_block(offset, length)
+        with pytest.raises(device.DeviceInvalid):
+            uio.write_block(offset, bytes(length))
 
 
 def test_an_interrupt_is_counted(line: Line) -> None:

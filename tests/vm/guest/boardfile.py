@@ -35,6 +35,7 @@ def describe() -> dict[str, object]:
         "from_pl": "from_pl",
         "uio": device.find_uio(STATIC, 4, "/")[0].node,
         "scratch": 0x14,
+        "memory": [0x800, 0x800],
         "irq": device.find_uio(EVENTS, 4, "/")[0].node,
         "trigger": [0x30, 1],
         "icap": next(iter(device.list_icap("/")), None),
