@@ -87,9 +87,10 @@ class Handlers:
         try:
             self._table[type(request)](request, respond)
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
-            self._refuse(error, respond)
+            self.refuse(error, respond)
 
-    def _refuse(self, error: Exception, respond: Respond) -> None:
+    def refuse(self, error: Exception, respond: Respond) -> None:
+        """Tell who asked what went wrong."""
         if isinstance(error, DeviceGone):
             self._s.manager.board_lost(error)
         if not isinstance(error, (CmError, OSError)):
@@ -103,13 +104,13 @@ class Handlers:
             try:
                 call()
             except Exception as error:  # noqa: BLE001 (every request gets an answer)
-                self._refuse(error, respond)
+                self.refuse(error, respond)
 
         def run() -> None:
             try:
                 result = work()
             except Exception as error:  # noqa: BLE001 (handed to the loop)
-                self._s.loop.call_threadsafe(partial(self._refuse, error, respond))
+                self._s.loop.call_threadsafe(partial(self.refuse, error, respond))
             else:
                 self._s.loop.call_threadsafe(partial(finish, lambda: then(result)))
 

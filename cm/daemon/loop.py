@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The daemon's event loop: ZeroMQ sockets, device descriptors, timers, and calls from other threads.
 
-One thread and one epoll: half the cost per message of `zmq.Poller`, which asks every socket for its
-state before and after each wait (docs/performance.md). Callbacks must not block.
+One thread. One socket, that of requests, is waited for by `zmq_poll`, which looks at its state before
+and after; all else by an epoll that `zmq_poll` waits for as well. That is half the cost per message of
+a `zmq.Poller` with all of them (docs/performance.md). Callbacks must not block.
 
 A ZeroMQ socket's descriptor only says that something changed since the socket was last used in any
-way, sending included (zmq_getsockopt(3), ZMQ_FD). So a socket is looked at until it has nothing
-more, and again after everything that was sent on it from elsewhere: by `Loop.send`.
+way, sending included (zmq_getsockopt(3), ZMQ_FD). So a socket behind the epoll is looked at until it has
+nothing more, and again after everything that was sent on it from elsewhere: by `Loop.send`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from math import ceil
 from typing import Any, TypeVar
 
 import zmq
@@ -69,6 +71,8 @@ class Loop:
         self._epoll = select.epoll()
         self._callbacks: dict[int, Callback] = {}
         self._sockets: dict[zmq.Socket[bytes], _Watched] = {}
+        self._waited: list[tuple[Any, int]] = [(self._epoll.fileno(), _POLLIN)]  # as `zmq_poll` takes it
+        self._takes: dict[Any, Callback] = {self._epoll.fileno(): self._serve_epoll}  # of what is waited for
         self._unlooked: set[_Watched] = set()  # may have messages that their descriptors do not tell of
         self._timers: list[tuple[float, int, Timer]] = []
         self._order = itertools.count()
@@ -128,15 +132,24 @@ class Loop:
             with suppress(OSError):  # closed already
                 self._epoll.unregister(fd)
 
-    def add_socket(self, socket: zmq.Socket[bytes], take: Callback) -> None:
-        """Have `take` called when there are messages; it takes one, or more, off the socket."""
+    def add_socket(self, socket: zmq.Socket[bytes], take: Callback, foremost: bool = False) -> None:
+        """Have `take` called when there are messages; it takes one, or more, off the socket.
+
+        A `foremost` one costs less per message of its own, and a little with every other event.
+        """
+        if foremost:
+            self._waited.append((socket, _POLLIN))
+            self._takes[socket] = take
+            return
         watched = self._sockets[socket] = _Watched([(socket, _POLLIN)], take)
         self.add(socket.fileno(), partial(self._look, watched))
         self._unlooked.add(watched)
 
     def send(self, socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
         """Send on a socket that is watched; the loop looks at it again before it waits."""
-        self._unlooked.add(self._sockets[socket])
+        watched = self._sockets.get(socket)
+        if watched is not None:
+            self._unlooked.add(watched)
         multipart.send(socket, frames, flags)
 
     def call_later(self, seconds: float, call: Callback) -> Timer:
@@ -160,10 +173,8 @@ class Loop:
         try:
             while not self._stopping:
                 wait = self._run_timers()
-                for fd, _ in self._epoll.poll(0 if self._unlooked else wait):
-                    callback = self._callbacks.get(fd)
-                    if callback is not None:
-                        self._guarded(callback)
+                for source, _ in zmq_poll(self._waited, 0 if self._unlooked else wait):
+                    self._guarded(self._takes[source])
                 if self._calls:
                     self._run_calls()
                 if self._unlooked:
@@ -176,6 +187,12 @@ class Loop:
         """Release the descriptors."""
         self._epoll.close()
         os.close(self._wake)
+
+    def _serve_epoll(self) -> None:
+        for fd, _ in self._epoll.poll(0):
+            callback = self._callbacks.get(fd)
+            if callback is not None:
+                self._guarded(callback)
 
     def _look(self, watched: _Watched) -> None:
         """Serve a socket until it has nothing more, or for its share."""
@@ -200,14 +217,14 @@ class Loop:
         while self._calls:
             self._guarded(self._calls.popleft())
 
-    def _run_timers(self) -> float | None:
-        """Make the calls that are due; seconds to the next, None without one."""
+    def _run_timers(self) -> int:
+        """Make the calls that are due; milliseconds to the next, -1 without one."""
         timers, now = self._timers, time.monotonic()
         while timers and timers[0][0] <= now:
             timer = heapq.heappop(timers)[2]
             if timer.call is not None:
                 self._guarded(timer.call)
-        return max(0.0, timers[0][0] - now) if timers else None
+        return max(0, ceil((timers[0][0] - now) * 1000)) if timers else -1
 
     def _guarded(self, call: Callback) -> None:
         """A defect in one callback must not end the daemon."""

@@ -27,6 +27,7 @@ from cm.daemon.interrupts import Interrupts
 from cm.daemon.loop import Loop
 from cm.daemon.provision import Provisioner
 from cm.daemon.publisher import Publisher
+from cm.daemon.rereads import Rereads
 from cm.daemon.sockets import FolderLock, Security, Sockets
 from cm.daemon.streams import Streams
 from cm.daemon.zap import Doorkeeper
@@ -39,7 +40,8 @@ from cm.messages.status import ErrorInfo, Irq, RegValues, Reply, Status
 from cm.schema import load
 from cm.schema.model import Config
 from cm.wire.decode import Frame, decode_request, split_text
-from cm.wire.encode import RegisterReplies, encode_reply
+from cm.wire.encode import encode_reply
+from cm.wire.topics import READ_REG
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two looks at streams, records and a lost board
@@ -84,7 +86,7 @@ class Server:
         self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
         self._holders = Holders(self._loop, self._manager.leases)
         self._handlers = Handlers(self._services())
-        self._register_replies = RegisterReplies()
+        self._rereads = Rereads(self._manager.prepare_read)
         self._statuses: deque[Status] = deque()
         self._doorkeeper: Doorkeeper | None = None
         self._boot_id = ""
@@ -147,7 +149,7 @@ class Server:
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
         self._loop.add_socket(self._sockets.pub, self._publisher.subscription)
         self._loop.add_socket(self._sockets.sub, self._on_sub)
-        self._loop.add_socket(self._sockets.req, self._on_req)
+        self._loop.add_socket(self._sockets.req, self._on_req, foremost=True)
 
     def _start_manager(self) -> None:
         for note in self._manager.start():
@@ -221,17 +223,28 @@ class Server:
 
     def _on_req(self) -> None:
         envelope, message = split_envelope(multipart.receive(self._sockets.req))
+        if len(message) == 2 and message[0] == READ_REG and self._read_again(envelope, message[1]):
+            return
         if len(message) == 1:
             message = split_text(message)
         topic = bytes(message[0]) if message else b""
         self._dispatch(message, partial(self._reply, envelope, topic))
+        if topic == READ_REG:
+            self._rereads.learn(message)
 
-    def _reply(self, envelope: list[bytes | memoryview], topic: bytes, reply: Reply) -> None:
-        body, sequence = reply.body, self._publisher.sequence
-        if type(body) is RegValues:
-            frames = self._register_replies.encode(topic, body, sequence)
-        else:
-            frames = encode_reply(topic, reply, sequence)
+    def _read_again(self, envelope: list[Frame], message: Frame) -> bool:
+        """Answer a read of registers that was answered before; False where it was not."""
+        try:
+            reply = self._rereads.answer(bytes(message), self._publisher.sequence)
+        except Exception as error:  # noqa: BLE001 (every request gets an answer)
+            self._handlers.refuse(error, partial(self._reply, envelope, READ_REG))
+            return True
+        if reply is not None:
+            self._loop.send(self._sockets.req, [*envelope, READ_REG, reply])
+        return reply is not None
+
+    def _reply(self, envelope: list[Frame], topic: bytes, reply: Reply) -> None:
+        frames = encode_reply(topic, reply, self._publisher.sequence)
         self._loop.send(self._sockets.req, [*envelope, *frames])
 
     def _on_sub(self) -> None:

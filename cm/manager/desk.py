@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from cm.errors import CmError
 from cm.manager import resolve
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
 from cm.manager.leases import Leases
@@ -67,6 +68,31 @@ class _View:
         self.free: set[str | None] = set()  # regions, and None for the static part
 
 
+class Prepared:
+    """Registers that are read again and again: what their names led to, for as long as the mode stays.
+
+    `names` and `fields` say what belongs to the values: fields (name, lowest bit, mask) are to be taken out of them.
+    """
+
+    __slots__ = ("_desk", "_places", "_regions", "_view", "config_name", "fields", "mode", "names")
+
+    def __init__(self, desk: RegisterDesk, view: _View, places: Sequence[_Place]) -> None:
+        self._desk, self._view = desk, view
+        self._places = [(p.address, p.width, *((p.field.lsb, p.field.mask) if p.field else (0, -1))) for p in places]
+        self._regions = {p.region for p in places}
+        self.config_name, self.mode = view.config.name, view.mode or ""
+        self.names = tuple([p.register.name + (f".{p.field.name}" if p.field else "") for p in places])
+        self.fields = tuple([() if p.field else _fields(p.register) for p in places])
+
+    def values(self) -> list[int] | None:
+        """The values in the order of the names; None where they are no longer what they were, or cannot be read now."""
+        return self._desk.read_again(self._view, self._regions, self._places)
+
+
+def _fields(register: Register) -> tuple[tuple[str, int, int], ...]:
+    return tuple([(f.name, f.lsb, f.mask) for f in register.fields.values()])
+
+
 class RegisterDesk:
     """Reads and writes for requests. `lock` is held over each access, so that a change waits for its end."""
 
@@ -93,6 +119,27 @@ class RegisterDesk:
             known = view.places
             places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
             return RegValues(tuple([self._read(p, view) for p in places]), view.config.name, view.mode or "")
+
+    def prepare(self, names: tuple[str, ...]) -> Prepared | None:
+        """What `read` of these names will do again; None where it refuses, or where it reads all that there is."""
+        with self._lock:
+            try:
+                view = self._look()
+                places = [self._find(view, name) for name in names]
+            except CmError:
+                return None
+        readable = places and all(p.register.access is not _WO for p in places)
+        return Prepared(self, view, places) if readable else None
+
+    def read_again(
+        self, view: _View, regions: set[str | None], places: list[tuple[int, int, int, int]]
+    ) -> list[int] | None:
+        """For `Prepared`."""
+        with self._lock:
+            if self._look() is not view or not regions <= view.free:
+                return None
+            read = self._access.read_address
+            return [(read(address, width) & mask) >> lsb for address, width, lsb, mask in places]
 
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
         """Check all, then write in order; what the registers then hold."""

@@ -46,6 +46,7 @@ class Manager:
         self._loaders = Loaders(env.devices, env.files, env.clock, env.settings.prefetch_bytes)
         self._desk = RegisterDesk(known, self.registers, self.leases, known.lock)
         self.read_registers = self._desk.read
+        self.prepare_read = self._desk.prepare
         self._teller = Teller(known, env.observer)
         self.status: Callable[[], Status] = self._teller.status
         tools = Tools(env.devices, self.registers, self._loaders, env.data_plane, env.clock)

@@ -165,7 +165,17 @@ def test_an_error_is_logged_once(own: tuple[Manager, SimBoard]) -> None:
     st.lists(
         st.one_of(
             st.binary(max_size=40),
-            st.sampled_from([b"cm_status", b"cm_write_reg", b"cm_config", b"cm_write_config", b"cm_data_config", b""]),
+            st.sampled_from(
+                [
+                    b"cm_status",
+                    b"cm_read_reg",
+                    b"cm_write_reg",
+                    b"cm_config",
+                    b"cm_write_config",
+                    b"cm_data_config",
+                    b"",
+                ]
+            ),
         ),
         min_size=1,
         max_size=5,
