@@ -15,6 +15,8 @@
 
 #define EVENTS_AT_ONCE 16
 #define YIELDS_AT_ONCE 50
+#define PACKETS_AT_ONCE \
+	(2 * CM_PLANE_SLOTS_MAX) /* of one client: it may send faster than we take */
 
 void plane_report(struct cm_plane *plane, uint32_t kind, int id, int error)
 {
@@ -366,6 +368,16 @@ int cm_plane_tell(struct cm_plane *plane, int id, const void *packet, size_t siz
 	clients_reap(plane);
 	pthread_mutex_unlock(&plane->lock);
 	return stream ? 0 : -1;
+}
+
+void cm_plane_settle(struct cm_plane *plane)
+{
+	lock(plane);
+	for (struct client *client = plane->clients; client; client = client->next)
+		for (int i = 0; i < PACKETS_AT_ONCE && client_readable(plane, client); i++)
+			;
+	clients_reap(plane);
+	pthread_mutex_unlock(&plane->lock);
 }
 
 int cm_plane_drop(struct cm_plane *plane, int id)

@@ -99,6 +99,13 @@ int cm_plane_attach(struct cm_plane *plane, int client, int stream, uint32_t dep
 /* Send a packet to all clients of a stream. */
 int cm_plane_tell(struct cm_plane *plane, int stream, const void *packet, size_t size);
 
+/**
+ * cm_plane_settle() - take what clients have sent by now
+ *
+ * Who hung up before the call has gone when it returns; events tell, as ever.
+ */
+void cm_plane_settle(struct cm_plane *plane);
+
 /* Hang up. */
 int cm_plane_drop(struct cm_plane *plane, int client);
 

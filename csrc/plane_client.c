@@ -209,7 +209,7 @@ static void take(struct cm_plane *plane, struct client *client, struct cm_plane_
 	}
 }
 
-void client_readable(struct cm_plane *plane, struct client *client)
+bool client_readable(struct cm_plane *plane, struct client *client)
 {
 	struct cm_plane_descriptor packet;
 	ssize_t got = recv(client->fd, &packet, sizeof(packet), MSG_DONTWAIT | MSG_TRUNC);
@@ -222,6 +222,9 @@ void client_readable(struct cm_plane *plane, struct client *client)
 		break_off(client, EPROTO);
 	else if (errno != EAGAIN && errno != EINTR)
 		break_off(client, errno);
+	else
+		return false;
+	return !client->broken;
 }
 
 static void drop(struct cm_plane *plane, struct client *client)

@@ -84,7 +84,8 @@ void stream_queue(struct cm_plane *plane, struct stream *stream, uint32_t number
 void stream_end(struct cm_plane *plane, struct stream *stream, int error);
 struct stream *stream_find(struct cm_plane *plane, int id);
 
-void client_readable(struct cm_plane *plane, struct client *client);
+/* Handle one packet; whether there may be more. */
+bool client_readable(struct cm_plane *plane, struct client *client);
 int client_send(struct client *client, const void *packet, size_t size);
 int client_offer(struct client *client, const struct stream *stream, uint32_t number);
 void client_grant(struct client *client, const struct stream *stream, const struct slot *slot);

@@ -34,12 +34,13 @@ static int submit(struct stream *stream, const struct slot *slot, uint32_t numbe
 	const struct cm_plane_setup *setup = &stream->setup;
 	uint64_t length = setup->write ? slot->frame.length : setup->length;
 	uint64_t offset = setup->write ? slot->frame.offset : 0;
+	uint32_t flags = setup->cyclic ? CM_DMA_SUBMIT_CYCLIC : 0;
 
 	if (setup->lines)
 		return cm_dma_submit_video(stream->dma, slot->handle, offset, setup->lines,
-					   setup->line_bytes, setup->stride, number, 0);
-	return cm_dma_submit(stream->dma, slot->handle, offset, length, number,
-			     setup->cyclic ? CM_DMA_SUBMIT_CYCLIC : 0, setup->cyclic ? length : 0);
+					   setup->line_bytes, setup->stride, number, flags);
+	return cm_dma_submit(stream->dma, slot->handle, offset, length, number, flags,
+			     setup->cyclic ? length : 0);
 }
 
 static void record(struct stream *stream, uint64_t completed_ns)
@@ -269,6 +270,9 @@ static void cancel(struct stream *stream)
 	if (stream->dma && !cm_dma_cancel(stream->dma))
 		while (cm_dma_take(stream->dma, completions, TAKE_AT_ONCE) > 0)
 			;
+	if (stream->cycling >= 0 && stream->announced)
+		stream->slot[stream->cycling].queued =
+			false; /* its writer knows that it was taken */
 	for (uint32_t i = 0; i < stream->slots && stream->setup.write; i++)
 		if (stream->slot[i].queued)
 			written(stream, &stream->slot[i], ECANCELED, (uint64_t)cm_clock_ns());

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
@@ -102,11 +102,16 @@ def short_folder() -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def served() -> Iterator[tuple[Manager, SimBoard]]:
-    """A board, and a manager on it with nothing loaded; the board outlives the manager."""
-    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
-        state = str(folder / "state")
-        manager = Manager(folder / "run", "--config", str(CAMERA), "--root", str(sim.root), "--state-dir", state)
+def served(
+    board: Sequence[str] = (), arguments: Sequence[str] = (), env: dict[str, str] | None = None
+) -> Iterator[tuple[Manager, SimBoard]]:
+    """A board, and a manager on it with nothing loaded; the board outlives the manager.
+
+    `board` and `arguments` are further ones of `cm sim` and `cm serve`, `env` is the manager's environment.
+    """
+    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board", arguments=board) as sim:
+        places = ("--config", str(CAMERA), "--root", str(sim.root), "--state-dir", str(folder / "state"))
+        manager = Manager(folder / "run", *places, *arguments, env=env)
         manager.start()
         try:
             yield manager, sim

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm stream list|capture|play|ping``: data streams."""
+"""``cm stream list|set|capture|play|ping``: data streams."""
 
 from __future__ import annotations
 
@@ -19,10 +19,16 @@ from cm.messages.status import StreamStatus
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = subparsers.add_parser("stream", help="list, capture and play data streams")
+    parser = subparsers.add_parser("stream", help="list, set, capture and play data streams")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the streams of the current mode")
     listing.set_defaults(run=run_list)
+    settings = actions.add_parser(
+        "set", help="change a stream's settings", description="What is left out stays. The schema's come back with the "
+        "next change of mode."
+    )  # fmt: skip
+    _add_settings(settings)
+    settings.set_defaults(run=run_set)
     capture = actions.add_parser("capture", help="write frames to a .npy file, or to PNG files")
     capture.add_argument("stream", metavar="STREAM")
     capture.add_argument("file", metavar="FILE", type=Path, help="NAME.npy, or NAME.png (numbered if several)")
@@ -36,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     ping.add_argument("stream", metavar="STREAM")
     ping.add_argument("--count", type=int, default=20, metavar="N", help="so many frames")
     ping.set_defaults(run=run_ping)
-    for action in (listing, capture, play, ping):
+    for action in (listing, settings, capture, play, ping):
         add_connection_options(action)
         add_json_option(action)
 
@@ -62,6 +68,54 @@ def run_list(args: argparse.Namespace) -> int:
         if s.overruns:
             print(f"  {s.name}: subscribers over ZeroMQ fell behind {s.overruns} times")
     return 0
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    add, switch = parser.add_argument, argparse.BooleanOptionalAction
+    add("stream", metavar="STREAM")
+    add("--shape", type=_shape, default=(), metavar="AxB…", help="of a whole frame, slowest axis first: 480x640")
+    add("--dtype", default="", help="numpy's name of an element's type, such as uint8")
+    add("--slots", type=int, default=0, metavar="N", help="buffers to begin with")
+    add("--rate", type=float, default=0.0, metavar="FPS", help="frames handed on per second at most; inf: all")
+    add("--stride", type=int, default=0, metavar="BYTES", help="from line to line in memory")
+    add("--direction", default="", help="s2mm or mm2s; changes nothing: refused unless it is the stream's")
+    add("--cyclic", action=switch, default=None, help="a written frame is repeated until the next, or sent once")
+    add("--backpressure", action=switch, default=None, help="the hardware waits for readers, or they lose frames")
+    add("--enable", action=switch, default=None, help="run it, or stop it, whoever listens")
+    add("--automatic", action="store_true", help="run it while somebody uses it, as before any --enable")
+    add("--lease", default="", metavar="ID", help="one's own, where the stream's region is held")
+    add("--force", action="store_true", help="although it is in use")
+
+
+def _shape(text: str) -> tuple[int, ...]:
+    return tuple(int(extent) for extent in text.lower().replace(",", "x").split("x"))
+
+
+_SETTINGS = (
+    "shape", "dtype", "slots", "rate", "stride", "direction", "cyclic", "backpressure", "enable", "automatic", "lease",
+    "force",
+)  # fmt: skip
+
+
+def run_set(args: argparse.Namespace) -> int:
+    """Change settings and print what they are now; the exit status."""
+    with connected(args) as board:
+        stream = board.configure_stream(args.stream, **{name: getattr(args, name) for name in _SETTINGS})
+    if args.json:
+        print_json(plain(stream))
+        return 0
+    shape = "x".join(map(str, stream.shape)) or "any length"
+    print(f"{stream.name}: {shape} {stream.dtype}, {stream.slots} slots, {', '.join(_switches(stream))}")
+    return 0
+
+
+def _switches(stream: StreamStatus) -> list[str]:
+    return [
+        "cyclic" if stream.cyclic else "one-shot",
+        "backpressure" if stream.backpressure else "no backpressure",
+        f"stride {stream.stride}" if stream.stride else "lines follow each other",
+        f"at most {stream.limit:g} frames/s" if stream.limit else "no limit",
+    ]
 
 
 def _flow(stream: StreamStatus) -> tuple[str, ...]:

@@ -242,7 +242,11 @@ class Board:
         return self.ask(calls.write_data(stream, data, lease), timeout=self.timeout + 5.0)
 
     def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
-        """Set shape, dtype, slots, rate, cyclic, enable, force of a stream (`cm.messages.requests.DataConfig`)."""
+        """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; what is left out stays.
+
+        `cm.messages.requests.DataConfig` has them all. Raises RequestBusy while it is in use, without `force`,
+        and InvalidRequest for what cannot be: then nothing has changed.
+        """
         return self.ask(calls.data_config(DataConfig(stream, **settings)))
 
     # ---- life -----------------------------------------------------------------------------

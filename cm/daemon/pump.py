@@ -14,17 +14,18 @@ import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaCaps, DmaType
-from cm.device.plane import Plane, StreamCounts, StreamSetup
-from cm.errors import Busy, CmError, InvalidRequest
+from cm.daemon.settings import frame_bytes, setup
+from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo
+from cm.device.plane import Plane, StreamCounts
+from cm.errors import Busy, CmError
+from cm.manager.describe import stream_status
 from cm.messages.status import FrameInfo, StreamClient, StreamStatus
 from cm.schema.model import Direction, Stream
 from cm.wire.plane import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
 
-_FLAT = 1 << 20  # bytes of a slot where neither schema nor channel says how long a frame is
 _RESERVE = 2  # slots that readers can never hold: the hardware fills one while the next waits
 DEPTH = 4  # frames that a local client may hold if it does not say
 
@@ -93,7 +94,7 @@ class Pump:
         self._peers: dict[int, Peer] = {}
         self.lost = False
         try:
-            self.setup = _setup(dma, stream)
+            self.setup = setup(dma.info, stream)
             self.id = plane.start(dma, self.setup)
         except BaseException:
             dma.close()
@@ -158,6 +159,11 @@ class Pump:
         self._peers.pop(client, None)
 
     @property
+    def channel(self) -> DmaInfo:
+        """What the channel can do."""
+        return self._dma.info
+
+    @property
     def clients(self) -> int:
         """How many are attached."""
         return len(self._depths)
@@ -204,14 +210,10 @@ class Pump:
 
     def status(self) -> StreamStatus:
         """The stream and its counters."""
-        s, counts = self.stream, self._plane.counts(self.id)
-        return StreamStatus(
-            name=s.name,
-            channel=s.channel,
-            direction=s.direction.value,
-            shape=s.shape or (),
-            dtype=s.dtype,
-            slots=len(self.slots) or s.slots,
+        counts = self._plane.counts(self.id)
+        return replace(
+            stream_status(self.stream),
+            slots=len(self.slots) or self.stream.slots,
             open=True,
             frames=counts.frames,
             dropped=counts.dropped,
@@ -241,63 +243,6 @@ class Pump:
                 os.close(fd)
             self._shared.clear()
             self._dma.close()
-
-
-def _setup(dma: AxiDma, stream: Stream) -> StreamSetup:
-    """How a stream runs over a channel. Raises InvalidRequest for what the channel cannot do."""
-    info, frame = dma.info, frame_bytes(stream)
-    write = stream.direction is Direction.MM2S
-    length = frame or info.frame_length or min(_FLAT, info.max_length)
-    # What is read goes round the slots anyway; the hardware must not do it by itself, under who holds one.
-    cyclic = stream.cyclic and write
-    if cyclic and not info.caps & DmaCaps.CYCLIC:
-        raise InvalidRequest(f"stream {stream.name!r} cannot be cyclic: channel {info.name} cannot repeat a transfer")
-    lines, line_bytes = _lines(stream)
-    stride = stream.stride or line_bytes
-    video = lines > 0 and (info.type is DmaType.VDMA or stride != line_bytes)
-    if stream.stride and not video and stride != line_bytes:
-        raise InvalidRequest(f"stream {stream.name!r} has a stride, but no shape of lines and columns")
-    if video and not info.caps & DmaCaps.VIDEO:
-        raise InvalidRequest(f"stream {stream.name!r} has a stride, but channel {info.name} knows no lines")
-    if length > info.max_length:
-        raise InvalidRequest(
-            f"stream {stream.name!r}: a frame has {length} bytes, channel {info.name} moves {info.max_length} at most"
-        )
-    if video:
-        length = (lines - 1) * stride + line_bytes
-    period = round(1e9 / stream.limit) if stream.limit else 0
-    return StreamSetup(
-        write,
-        length,
-        stream.backpressure,
-        cyclic,
-        lines if video else 0,
-        line_bytes if video else 0,
-        stride if video else 0,
-        period,
-    )
-
-
-def _lines(stream: Stream) -> tuple[int, int]:
-    """Lines of a frame and bytes of a line; 0, 0 where it has none."""
-    if stream.shape is None or len(stream.shape) < 2:
-        return 0, 0
-    return stream.shape[0], frame_bytes(stream) // stream.shape[0]
-
-
-def frame_bytes(stream: Stream) -> int:
-    """Bytes of one frame; 0 where the schema gives no shape. Raises InvalidRequest for an unknown dtype."""
-    import numpy as np
-
-    if stream.shape is None:
-        return 0
-    try:
-        size = np.dtype(stream.dtype).itemsize
-    except TypeError as error:
-        raise InvalidRequest(f"stream {stream.name!r}: {stream.dtype!r} is no numpy dtype such as 'uint8'") from error
-    for extent in stream.shape:
-        size *= extent
-    return size
 
 
 def _read_only(fd: int) -> int:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 import socket
 from collections.abc import Callable, Collection
@@ -15,7 +14,8 @@ from cm.daemon.compress import check_compression
 from cm.daemon.devices import BoardDevices
 from cm.daemon.echo import Echoes
 from cm.daemon.loop import Loop
-from cm.daemon.pump import Done, Frame, Peer, Pump, StreamStopped, frame_bytes
+from cm.daemon.pump import Done, Frame, Peer, Pump, StreamStopped
+from cm.daemon.settings import changed, setup
 from cm.daemon.taps import ReadTap, WriteTap
 from cm.device.plane import ClientGone, Plane
 from cm.errors import Busy, CmError, InvalidRequest
@@ -28,7 +28,6 @@ from cm.schema.model import Config, Direction, Stream
 from cm.wire.plane import Open
 
 _LOG = logging.getLogger(__name__)
-_MAX_FRAME = 1 << 30
 
 
 class Sink(Protocol):
@@ -58,7 +57,7 @@ class Streams:
         self._config: Config | None = None
         self._mode: str | None = None
         self._streams: dict[str, Stream] = {}
-        self._overrides: dict[str, DataConfig] = {}
+        self._overrides: dict[str, tuple[Stream, Stream]] = {}  # as the schema has it, and as it was set
         self._plane = Plane()
         self.echoes = Echoes(self._plane)
         self._pumps: dict[str, Pump] = {}
@@ -125,26 +124,55 @@ class Streams:
         """Change a stream; refused while it is in use unless forced. Raises UnknownStream, InvalidRequest, Busy."""
         stream = self.named(request.stream, None)
         check_compression(request.compression)
-        changed = _changed(stream, request)
-        if changed != stream and self._pumps.get(stream.name) and self._is_wanted(stream) and not request.force:
+        wanted = changed(stream, request)
+        if wanted != stream and not request.force and self._in_use(stream):
             raise Busy(f"stream {stream.name!r} is in use; close its readers, or force the change")
         before = stream, self._overrides.get(stream.name), self._enabled.get(stream.name)
-        if changed != stream:
+        if wanted != stream:
+            self._check_channel(wanted)
             self._close(stream.name)
-            self._overrides[stream.name] = request
-            self._streams[stream.name] = changed
-        if request.enable is not None:
+            base = before[1][0] if before[1] else stream
+            self._overrides[stream.name] = base, wanted
+            self._streams[stream.name] = wanted
+        if request.automatic:
+            self._enabled.pop(stream.name, None)
+        elif request.enable is not None:
             self._enabled[stream.name] = request.enable
         try:
-            if self._is_wanted(changed) and stream.name not in self._held:
-                self._running(changed)
+            if self._is_wanted(wanted) and stream.name not in self._held:
+                self._running(wanted)
         except BaseException:
             self._restore(*before)
             raise
         self.refresh()
         return self.status_of(stream.name)
 
-    def _restore(self, stream: Stream, override: DataConfig | None, enabled: bool | None) -> None:
+    def _in_use(self, stream: Stream) -> bool:
+        """Whether somebody would notice a change; a stream that stays open a while for nobody is not in use."""
+        self._plane.settle()
+        self._plane_event()  # who has just closed its reader does not use it any more
+        if stream.name not in self._pumps and stream.name not in self._held:
+            return False
+        tap = self._taps.get(stream.name)
+        working = bool(tap and tap.working)
+        return self._has_subscriber(stream) or self._has_local(stream.name) or working or self._always(stream)
+
+    def _always(self, stream: Stream) -> bool:
+        return self._enabled.get(stream.name) is True
+
+    def _check_channel(self, stream: Stream) -> None:
+        """Raise InvalidRequest for what the channel cannot do, also where nobody uses it yet."""
+        pump = self._pumps.get(stream.name)
+        try:
+            if pump is not None:
+                setup(pump.channel, stream)
+            else:
+                with self._devices.dma(stream.channel) as dma:
+                    setup(dma.info, stream)
+        except OSError as error:  # not there now, or somebody else's: told when it is opened
+            _LOG.info("stream %s: its channel cannot be asked: %s", stream.name, error)
+
+    def _restore(self, stream: Stream, override: tuple[Stream, Stream] | None, enabled: bool | None) -> None:
         """A change that the channel refused is none."""
         name = stream.name
         self._streams[name] = stream
@@ -201,7 +229,7 @@ class Streams:
         try:
             if stream.name in self._pumps:
                 self._pumps[stream.name].attach(client, wanted.depth, peer)
-            elif stream.name not in self._held:
+            elif self._may_run(stream.name):
                 self._open(stream, lambda pump: pump.attach(client, wanted.depth, peer))
             self._locals[client] = _Local(stream.name, wanted.depth, peer)
         except BaseException:
@@ -250,7 +278,7 @@ class Streams:
         self._config, self._mode = config, mode
         if not same_mode:
             self._overrides.clear()  # a mode's shapes are the schema's until somebody changes them again
-        new = {n: _changed(s, self._overrides[n]) if n in self._overrides else s for n, s in streams.items()}
+        new = {n: self._as_set(s) for n, s in streams.items()}
         for name in list(self._pumps):
             if new.get(name) != self._streams.get(name):
                 self._close(name)
@@ -258,6 +286,13 @@ class Streams:
         for pump in self._pumps.values():
             pump.label(config.name if config else "", mode or "")
         self.refresh()
+
+    def _as_set(self, stream: Stream) -> Stream:
+        base, wanted = self._overrides.get(stream.name, (None, stream))
+        if base == stream:
+            return wanted
+        self._overrides.pop(stream.name, None)  # of a schema that was replaced
+        return stream
 
     def _is_wanted(self, stream: Stream) -> bool:
         enabled = self._enabled.get(stream.name)
@@ -272,9 +307,14 @@ class Streams:
     def _has_local(self, name: str) -> bool:
         return any(local.stream == name for local in self._locals.values())
 
+    def _may_run(self, name: str) -> bool:
+        return name not in self._held and self._enabled.get(name) is not False
+
     def _running(self, stream: Stream, first: Callable[[Pump], bool] = lambda _: True) -> Pump:
         if stream.name in self._held:
             raise StreamStopped(f"stream {stream.name!r} is stopped while its region changes")
+        if not self._may_run(stream.name):
+            raise StreamStopped(f"stream {stream.name!r} was stopped; cm_data_config with enable lets it run")
         return self._pumps.get(stream.name) or self._open(stream, first)
 
     def _open(self, stream: Stream, first: Callable[[Pump], bool] = lambda _: True) -> Pump:
@@ -360,28 +400,3 @@ class Streams:
     def _fan_out(self, frame: Frame) -> None:
         for sink in self._sinks:
             sink.frame(frame)
-
-
-def _changed(stream: Stream, request: DataConfig) -> Stream:
-    """A stream as a request wants it. Raises InvalidRequest with what would be right."""
-    if request.direction and request.direction.lower() != stream.direction.value:
-        raise InvalidRequest(f"stream {stream.name!r} is {stream.direction.value}, not {request.direction!r}")
-    changed = replace(
-        stream,
-        shape=request.shape or stream.shape,
-        dtype=request.dtype or stream.dtype,
-        slots=request.slots or stream.slots,
-        limit=(None if math.isinf(request.rate) else request.rate) if request.rate else stream.limit,
-        cyclic=request.cyclic or stream.cyclic,
-        backpressure=stream.backpressure if request.backpressure is None else request.backpressure,
-        stride=request.stride or stream.stride,
-    )
-    if request.rate < 0 or math.isnan(request.rate):
-        raise InvalidRequest(f"stream {stream.name!r}: {request.rate} frames per second; a limit is positive")
-    if changed.cyclic and changed.direction is Direction.S2MM:
-        raise InvalidRequest(f"stream {stream.name!r} cannot be cyclic: only a written frame is repeated")
-    if not 1 <= changed.slots <= 256:
-        raise InvalidRequest(f"stream {stream.name!r}: {changed.slots} slots; 1 to 256 can be had")
-    if frame_bytes(changed) > _MAX_FRAME:
-        raise InvalidRequest(f"stream {stream.name!r}: a frame of shape {changed.shape} has more than 1 GiB")
-    return changed

@@ -16,7 +16,8 @@ from collections.abc import Callable
 import numpy as np
 
 from cm.daemon.loop import Loop, Timer
-from cm.daemon.pump import Done, Frame, Pump, StreamStopped, frame_bytes
+from cm.daemon.pump import Done, Frame, Pump, StreamStopped
+from cm.daemon.settings import frame_bytes
 from cm.device.plane import Plane
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
 from cm.wire import plane as packets
@@ -53,9 +54,15 @@ class _Tap:
             raise
         loop.add(ours.fileno(), self._readable)
 
-    def lingers(self) -> bool:
-        """Whether it was used a moment ago."""
-        return time.monotonic() < self._used_at + _LINGER
+    @property
+    def working(self) -> bool:
+        """Whether somebody waits for it now."""
+        raise NotImplementedError
+
+    @property
+    def busy(self) -> bool:
+        """Whether somebody waits for it, or did a moment ago."""
+        return self.working or time.monotonic() < self._used_at + _LINGER
 
     def close(self) -> None:
         """Hang up."""
@@ -85,9 +92,9 @@ class ReadTap(_Tap):
         super().__init__(loop, plane, pump, _READ_DEPTH)
 
     @property
-    def busy(self) -> bool:
-        """Whether somebody waits for a frame, or did a moment ago."""
-        return bool(self._readers) or self.lingers()
+    def working(self) -> bool:
+        """Whether somebody waits for a frame."""
+        return bool(self._readers)
 
     def read_once(self, timeout: float, done: Done) -> None:
         """Hand the next frame to `done`, or a Timeout after `timeout` seconds."""
@@ -150,9 +157,9 @@ class WriteTap(_Tap):
         super().__init__(loop, plane, pump, min(_WRITE_DEPTH, max(2, pump.stream.slots)))
 
     @property
-    def busy(self) -> bool:
-        """Whether a frame is under way, or was a moment ago."""
-        return bool(self._under_way or self._waiting) or self.lingers()
+    def working(self) -> bool:
+        """Whether a frame is under way."""
+        return bool(self._under_way or self._waiting)
 
     def write(self, data: bytes | memoryview, done: Done) -> None:
         """Send a frame. Raises InvalidRequest for a wrong size, Busy when too many wait."""

@@ -128,6 +128,10 @@ class Plane:
         """Send a packet to all clients of a stream."""
         native.tell(self._handle, stream, packet)
 
+    def settle(self) -> None:
+        """Take what clients have sent by now: events tell of all who hung up before the call."""
+        native.settle(self._handle)
+
     def drop(self, client: int) -> None:
         """Hang up on a client; fine if it has gone."""
         try:

@@ -36,7 +36,16 @@ def config_info(config: Config, mode: str, counts: Mapping[str, int], schema: st
 def stream_status(stream: Stream) -> StreamStatus:
     """A stream as the schema has it, not open."""
     return StreamStatus(
-        stream.name, stream.channel, stream.direction.value, stream.shape or (), stream.dtype, stream.slots
+        stream.name,
+        stream.channel,
+        stream.direction.value,
+        stream.shape or (),
+        stream.dtype,
+        stream.slots,
+        cyclic=stream.cyclic,
+        backpressure=stream.backpressure,
+        stride=stream.stride or 0,
+        limit=stream.limit or 0.0,
     )
 
 

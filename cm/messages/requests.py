@@ -92,12 +92,13 @@ class DataConfig:
     slots: int = 0
     direction: str = ""
     rate: float = 0.0
-    cyclic: bool = False
+    cyclic: bool | None = None
     enable: bool | None = None
     force: bool = False
     lease: str = ""
     backpressure: bool | None = None
     stride: int = 0
+    automatic: bool = False  # runs while somebody uses it, as it does before any `enable`
     compression: str = ""  # changes nothing: refused unless frames can be published so
 
 

@@ -85,6 +85,10 @@ class StreamStatus:
     latency_us: float = 0.0
     clients: tuple[StreamClient, ...] = ()
     overruns: int = 0  # times that a subscriber over ZeroMQ began to lose frames
+    cyclic: bool = False
+    backpressure: bool = False
+    stride: int = 0  # bytes from line to line in memory; 0: lines follow each other
+    limit: float = 0.0  # frames handed on per second at most; 0: all
 
 
 @dataclass(frozen=True, slots=True)

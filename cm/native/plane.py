@@ -112,6 +112,11 @@ def tell(plane: Handle, stream: int, packet: bytes) -> None:
     check(lib.cm_plane_tell(plane, stream, packet, len(packet)))
 
 
+def settle(plane: Handle) -> None:
+    """Take what clients have sent by now: who hung up before has gone."""
+    lib.cm_plane_settle(plane)
+
+
 def drop(plane: Handle, client: int) -> None:
     """Hang up on a client."""
     check(lib.cm_plane_drop(plane, client))

@@ -34,6 +34,7 @@ class ChannelSpec:
     dtype: str
     rate: float
     partner: str | None = None
+    vdma: bool = False  # moves lines only
 
     @property
     def frame_length(self) -> int:

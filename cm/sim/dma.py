@@ -26,6 +26,7 @@ else:
 
 QUEUE_DEPTH = 64
 MAX_LENGTH = (1 << 26) - 1  # the AXI DMA's length register has at most 26 bits (PG021)
+MAX_LINE = (1 << 16) - 1  # the VDMA's HSIZE has 16 (PG020)
 Bytes: TypeAlias = "NDArray[np.uint8]"
 
 

@@ -11,7 +11,7 @@ from cm.schema.model import Direction
 
 from . import protocol
 from .buffers import Buffer, Buffers, Memory, fit
-from .dma import MAX_LENGTH, QUEUE_DEPTH, Channel, Completions, Transfer
+from .dma import MAX_LENGTH, MAX_LINE, QUEUE_DEPTH, Channel, Completions, Transfer
 from .errors import NodeError
 from .events import Events
 from .session import Answer
@@ -23,6 +23,7 @@ else:
 
 
 _CAPS = protocol.CAP_CYCLIC | protocol.CAP_VIDEO | protocol.CAP_RESIDUE
+_VDMA_CAPS = protocol.CAP_VIDEO  # as the kernel's driver has it; frames of a VDMA are always whole
 _ALIGNMENT = 1  # as an engine with the data realignment engine (PG021)
 
 
@@ -82,9 +83,12 @@ class DmaSession:
         spec = self._channel.spec
         direction = protocol.MM2S if spec.direction is Direction.MM2S else protocol.S2MM
         frame = spec.frame_length if spec.is_camera else 0
+        kind, caps, longest = (
+            (protocol.TYPE_VDMA, _VDMA_CAPS, MAX_LINE) if spec.vdma else (protocol.TYPE_AXIDMA, _CAPS, MAX_LENGTH)
+        )
         name = spec.name.encode()
         info = protocol.DMA_INFO.pack(
-            len(payload), 0, direction, protocol.TYPE_AXIDMA, _CAPS, QUEUE_DEPTH, MAX_LENGTH, _ALIGNMENT, frame, name
+            len(payload), 0, direction, kind, caps, QUEUE_DEPTH, longest, _ALIGNMENT, frame, name
         )
         return fit(info, payload)
 
@@ -92,6 +96,8 @@ class DmaSession:
         fields = protocol.unpack(protocol.DMA_SUBMIT, payload)
         flags, handle, reserved, offset, length, period, cookie = fields
         protocol.require_zero(flags & ~protocol.SUBMIT_CYCLIC, reserved)
+        if self._channel.spec.vdma:
+            raise NodeError(errno.EOPNOTSUPP, "a VDMA moves frames of lines")
         cyclic = bool(flags & protocol.SUBMIT_CYCLIC)
         buffer = self._buffer(handle)
         _check_range(buffer, offset, length)
@@ -104,17 +110,19 @@ class DmaSession:
     def _submit_video(self, payload: bytes) -> bytes:
         fields = protocol.unpack(protocol.DMA_SUBMIT_VIDEO, payload)
         flags, handle, lines, offset, line_bytes, stride, cookie = fields
-        protocol.require_zero(flags)
+        protocol.require_zero(flags & ~protocol.SUBMIT_CYCLIC)
         buffer = self._buffer(handle)
         if not lines or not line_bytes or stride < line_bytes:
             raise NodeError(errno.EINVAL, "a frame has lines of at least one byte, and strides that hold them")
-        _check_range(buffer, offset, (lines - 1) * stride + line_bytes)
-        if lines * line_bytes > MAX_LENGTH:
-            raise NodeError(errno.EMSGSIZE, "the frame is longer than one transfer may be")
+        if line_bytes > (MAX_LINE if self._channel.spec.vdma else MAX_LENGTH):
+            raise NodeError(errno.EMSGSIZE, "the line is longer than one may be")
+        if offset + (lines - 1) * stride + line_bytes > buffer.length:
+            raise NodeError(errno.EINVAL, "the frame is not inside the buffer")
         view = np.lib.stride_tricks.as_strided(
             buffer.bytes[offset:], (lines, line_bytes), (stride, 1), writeable=buffer.writable
         )
-        self._channel.submit(Transfer(buffer, view, cookie))
+        period = view.size if flags & protocol.SUBMIT_CYCLIC else 0
+        self._channel.submit(Transfer(buffer, view, cookie, period))
         return payload
 
     def _cancel(self, payload: bytes) -> bytes:

@@ -59,7 +59,12 @@ class FastPath:
 
 def _lendable(channel: Channel) -> bool:
     completions = channel.completions
-    if completions is None or completions.events.line is None or not completions.events.line.lendable:
+    if (
+        channel.spec.vdma
+        or completions is None
+        or completions.events.line is None
+        or not completions.events.line.lendable
+    ):
         return False
     return all(transfer.plain for transfer in channel.queue)
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 import os
 import sys
 import uuid
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 
 from cm.schema.model import Direction, LoaderKind
 
@@ -17,11 +17,13 @@ from .board import BoardSpec
 from .buffers import Memory
 from .bus import Bus
 from .camera import Photo, PhotoReel
+from .channels import ChannelSpec
 from .configmem import ConfigMemory
 from .control_node import ControlNode
 from .datapath import Datapath
 from .dma import Channel
 from .dma_node import DmaNode
+from .errors import SimError
 from .fabric import Fabric
 from .faults import Faults
 from .firmware import Firmware
@@ -52,6 +54,7 @@ class Options:
     memory: int = 512 << 20  # bytes of DMA memory
     bitstream_size: int | None = None
     seed: int = 1
+    vdma: Collection[str] = ()  # channels that are a VDMA's
 
 
 class Machine:
@@ -70,7 +73,7 @@ class Machine:
         self.engine = self._engine()
         self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
         self.overlays = Overlays(root, self.manager, self.faults)
-        self.channels = {name: Channel(channel) for name, channel in spec.channels.items()}
+        self.channels = {name: Channel(channel) for name, channel in _with_vdma(spec, options.vdma).items()}
         self.links = self._links()
         self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
         self.icap_node = self._icap_node()
@@ -182,6 +185,13 @@ class Machine:
         link = LoopLink(self.loop, self.faults, self.interrupts, path, source, sink)
         source.kick = sink.kick = link.kick
         return {one: link, other: link}
+
+
+def _with_vdma(spec: BoardSpec, names: Collection[str]) -> dict[str, ChannelSpec]:
+    for name in names:
+        if name not in spec.channels:
+            raise SimError(f"no channel is called {name}; there are {', '.join(sorted(spec.channels))}")
+    return {name: replace(channel, vdma=name in names) for name, channel in spec.channels.items()}
 
 
 def _icap_names(spec: BoardSpec) -> list[str]:

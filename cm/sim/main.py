@@ -94,6 +94,7 @@ def _options(args: argparse.Namespace) -> Options:
         memory=args.memory << 20,
         bitstream_size=args.bitstream_size,
         seed=args.seed,
+        vdma=frozenset(args.vdma),
     )
 
 

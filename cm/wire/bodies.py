@@ -93,6 +93,10 @@ def stream_to_pb(s: st.StreamStatus) -> pb.StreamState:
         latency_us=s.latency_us,
         clients=[_client_to_pb(c) for c in s.clients],
         overruns=s.overruns,
+        cyclic=s.cyclic,
+        backpressure=s.backpressure,
+        stride=s.stride,
+        limit=s.limit,
     )
 
 
@@ -118,6 +122,10 @@ def stream_from_pb(m: pb.StreamState) -> st.StreamStatus:
         m.latency_us,
         tuple(st.StreamClient(c.pid, c.name, c.writes, c.depth, c.held, c.frames, c.dropped) for c in m.clients),
         m.overruns,
+        m.cyclic,
+        m.backpressure,
+        m.stride,
+        m.limit,
     )
 
 

@@ -142,13 +142,14 @@ def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         slots=m.slots,
         direction=m.direction,
         rate=m.rate,
-        cyclic=m.cyclic,
+        cyclic=m.cyclic if m.HasField("cyclic") else None,
         enable=m.enable if m.HasField("enable") else None,
         force=m.force,
         lease=m.lease,
         backpressure=m.backpressure if m.HasField("backpressure") else None,
         stride=m.stride,
         compression=m.compression,
+        automatic=m.automatic,
     )
 
 

@@ -53,21 +53,25 @@ def _write_reg(r: rq.WriteReg) -> list[Frame]:
 
 
 def _data_config(r: rq.DataConfig) -> list[Frame]:
-    message = pb.DataConfig(
-        stream=r.stream,
-        shape=r.shape,
-        dtype=r.dtype,
-        slots=r.slots,
-        direction=r.direction,
-        rate=r.rate,
-        cyclic=r.cyclic,
-        enable=r.enable,
-        force=r.force,
-        lease=r.lease,
-        backpressure=r.backpressure,
-        stride=r.stride,
-        compression=r.compression,
-    )
+    try:
+        message = pb.DataConfig(
+            stream=r.stream,
+            shape=r.shape,
+            dtype=r.dtype,
+            slots=r.slots,
+            direction=r.direction,
+            rate=r.rate,
+            cyclic=r.cyclic,
+            enable=r.enable,
+            force=r.force,
+            lease=r.lease,
+            backpressure=r.backpressure,
+            stride=r.stride,
+            compression=r.compression,
+            automatic=r.automatic,
+        )
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidRequest(f"stream {r.stream!r}: a setting is out of its range: {error}") from None
     return [topics.DATA_CONFIG, message.SerializeToString()]
 
 

@@ -21,7 +21,7 @@ COHERENT, WRITABLE, CYCLIC = 1, 2, 4
 
 DESCRIPTOR = struct.Struct("=HBBIQQQ")
 _GEOMETRY = struct.Struct("=QQIIII8I16s")
-_DIMENSIONS = 8
+DIMENSIONS = 8
 
 
 class Descriptor(NamedTuple):
@@ -92,8 +92,8 @@ def decode_open(packet: bytes) -> Open:
 def encode_geometry(geometry: Geometry) -> bytes:
     """A GEOMETRY packet. Raises InvalidRequest for what no packet can hold."""
     shape = geometry.shape or ()
-    if len(shape) > _DIMENSIONS or len(geometry.dtype.encode()) > 15:
-        raise InvalidRequest(f"a frame of shape {shape} {geometry.dtype}: at most {_DIMENSIONS} dimensions go")
+    if len(shape) > DIMENSIONS or len(geometry.dtype.encode()) > 15:
+        raise InvalidRequest(f"a frame of shape {shape} {geometry.dtype}: at most {DIMENSIONS} dimensions go")
     flags = (
         (COHERENT if geometry.coherent else 0)
         | (WRITABLE if geometry.writable else 0)
@@ -107,7 +107,7 @@ def encode_geometry(geometry: Geometry) -> bytes:
         geometry.stride,
         len(shape),
         *shape,
-        *(0,) * (_DIMENSIONS - len(shape)),
+        *(0,) * (DIMENSIONS - len(shape)),
         geometry.dtype.encode(),
     )
     names = encode_names(geometry.stream, geometry.config_name, geometry.mode)
@@ -129,7 +129,7 @@ def decode_geometry(packet: bytes) -> Geometry:
         bool(flags & CYCLIC),
         depth,
         stride,
-        tuple(rest[: min(dimensions, _DIMENSIONS)]) or None,
+        tuple(rest[: min(dimensions, DIMENSIONS)]) or None,
         rest[-1].rstrip(b"\0").decode("ascii", "replace"),
         stream,
         config_name,

@@ -54,6 +54,7 @@ int cm_plane_adopt(struct cm_plane *plane, int fd);
 int cm_plane_attach(struct cm_plane *plane, int client, int stream, uint32_t depth,
 		    const void *packet, size_t size);
 int cm_plane_tell(struct cm_plane *plane, int stream, const void *packet, size_t size);
+void cm_plane_settle(struct cm_plane *plane);
 int cm_plane_drop(struct cm_plane *plane, int client);
 int cm_plane_get_stats(struct cm_plane *plane, int stream, struct cm_plane_stats *stats);
 int cm_plane_get_client_stats(struct cm_plane *plane, int client,

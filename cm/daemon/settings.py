@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `cm_data_config` may ask of a stream, and what a channel can do: no device is touched here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from cm.device import DmaCaps, DmaInfo, DmaType
+from cm.device.plane import StreamSetup
+from cm.errors import InvalidRequest
+from cm.messages.requests import DataConfig
+from cm.schema.model import Direction, Stream
+from cm.wire.plane import DIMENSIONS, SLOTS_MAX
+
+_MAX_FRAME = 1 << 30
+_NUMBERS = "biufc"  # kinds of numpy's dtypes that a frame may be made of
+_DTYPE_NAME = 15  # bytes that a packet has for it
+_FLAT = 1 << 20  # bytes of a slot where neither schema nor channel says how long a frame is
+
+
+def changed(stream: Stream, request: DataConfig) -> Stream:
+    """A stream as a request wants it. Raises InvalidRequest with what would be right."""
+    if request.direction and request.direction.lower() != stream.direction.value:
+        raise InvalidRequest(f"stream {stream.name!r} is {stream.direction.value}, not {request.direction!r}")
+    if request.rate < 0 or math.isnan(request.rate):
+        raise InvalidRequest(f"stream {stream.name!r}: {request.rate} frames per second; a limit is positive")
+    if not 0 <= request.slots <= SLOTS_MAX:
+        raise InvalidRequest(f"stream {stream.name!r}: {request.slots} slots; 1 to {SLOTS_MAX} can be had")
+    if request.cyclic and stream.direction is Direction.S2MM:
+        raise InvalidRequest(f"stream {stream.name!r} cannot be cyclic: only a written frame is repeated")
+    result = replace(
+        stream,
+        shape=request.shape or stream.shape,
+        dtype=request.dtype or stream.dtype,
+        slots=request.slots or stream.slots,
+        limit=(None if math.isinf(request.rate) else request.rate) if request.rate else stream.limit,
+        cyclic=stream.cyclic if request.cyclic is None else request.cyclic,
+        backpressure=stream.backpressure if request.backpressure is None else request.backpressure,
+        stride=request.stride or stream.stride,
+    )
+    _check(result)
+    return result
+
+
+def _check(stream: Stream) -> None:
+    """Raise InvalidRequest for a geometry that no channel could have."""
+    name, shape = f"stream {stream.name!r}", stream.shape
+    if shape is not None and (len(shape) > DIMENSIONS or min(shape) < 1):
+        raise InvalidRequest(f"{name}: no frame has the shape {shape}; 1 to {DIMENSIONS} extents of at least 1 go")
+    if frame_bytes(stream) > _MAX_FRAME:
+        raise InvalidRequest(f"{name}: a frame of shape {shape} has more than 1 GiB")
+    lines, line_bytes = _lines(stream)
+    if stream.stride and not lines:
+        raise InvalidRequest(f"{name} has a stride, but no shape of lines and columns")
+    if stream.stride and stream.stride < line_bytes:
+        raise InvalidRequest(
+            f"{name}: lines of {line_bytes} bytes do not fit a stride of {stream.stride}; "
+            f"give a stride of {line_bytes} (none apart) or more"
+        )
+    if stream.stride and lines * stream.stride > 2 * _MAX_FRAME:
+        raise InvalidRequest(f"{name}: {lines} lines with a stride of {stream.stride} take more than 2 GiB")
+
+
+def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
+    """How a stream runs over a channel. Raises InvalidRequest for what the channel cannot do."""
+    _check(stream)
+    name, frame = f"stream {stream.name!r}", frame_bytes(stream)
+    write = stream.direction is Direction.MM2S
+    lines, line_bytes = _lines(stream)
+    stride = stream.stride or line_bytes
+    video = lines > 0 and (info.type is DmaType.VDMA or stride != line_bytes)
+    if info.type is DmaType.VDMA and not video:
+        raise InvalidRequest(f"{name}: channel {info.name} is a VDMA's: its frames have a shape of lines and columns")
+    if video and not info.caps & DmaCaps.VIDEO:
+        raise InvalidRequest(f"{name} has a stride, but channel {info.name} knows no lines")
+    # What is read goes round the slots anyway; the hardware must not do it by itself, under who holds one.
+    cyclic = stream.cyclic and write
+    if cyclic and not video and not info.caps & DmaCaps.CYCLIC:
+        raise InvalidRequest(f"{name} cannot be cyclic: channel {info.name} cannot repeat a transfer")
+    length = frame or info.frame_length or min(_FLAT, info.max_length)
+    one, what = (line_bytes, "a line") if video else (length, "a frame")
+    if one > info.max_length:
+        raise InvalidRequest(f"{name}: {what} has {one} bytes, channel {info.name} moves {info.max_length} at most")
+    if video:
+        length = (lines - 1) * stride + line_bytes
+    _check_alignment(info, stream, one, stride if video else 0)
+    period = round(1e9 / stream.limit) if stream.limit else 0
+    shape = (lines, line_bytes, stride) if video else (0, 0, 0)
+    return StreamSetup(write, length, stream.backpressure, cyclic, *shape, period)
+
+
+def _check_alignment(info: DmaInfo, stream: Stream, one: int, stride: int) -> None:
+    """The kernel's driver refuses such transfers one by one; better said before."""
+    step = max(1, info.alignment)
+    for what, value in (("lines" if stride else "frames", one), ("a stride", stride)):
+        if value % step:
+            raise InvalidRequest(
+                f"stream {stream.name!r}: {what} of {value} bytes; channel {info.name} takes multiples of {step}"
+            )
+
+
+def _lines(stream: Stream) -> tuple[int, int]:
+    """Lines of a frame and bytes of a line; 0, 0 where it has none."""
+    if stream.shape is None or len(stream.shape) < 2:
+        return 0, 0
+    return stream.shape[0], frame_bytes(stream) // stream.shape[0]
+
+
+def frame_bytes(stream: Stream) -> int:
+    """Bytes of one frame; 0 where the schema gives no shape. Raises InvalidRequest for what is no dtype of numbers."""
+    import numpy as np
+
+    if stream.shape is None and stream.dtype == "uint8":
+        return 0
+    try:
+        dtype = np.dtype(stream.dtype)
+    except (TypeError, ValueError, SyntaxError):
+        dtype = None
+    if dtype is None or dtype.kind not in _NUMBERS or len(stream.dtype.encode()) > _DTYPE_NAME:
+        raise InvalidRequest(f"stream {stream.name!r}: {stream.dtype!r} is no numpy dtype such as 'uint8'")
+    return math.prod(stream.shape) * dtype.itemsize if stream.shape is not None else 0

@@ -1,0 +1,366 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`cm_data_config`: what can be set of a stream, what is refused, and that what is refused changes nothing."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from itertools import islice
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from manager_process import Manager, served, until
+
+import cm
+from cm.cli.main import main
+from cm.client.stream import LocalStream
+from cm.errors import Busy, InvalidRequest, Timeout
+from cm.messages.status import StreamStatus
+from cm.sim import Board as SimBoard
+from cm.wire import cm_pb2 as pb
+
+LINES, COLUMNS, STRIDE = 48, 100, 128
+PICTURE = np.arange(LINES * COLUMNS, dtype=np.uint32).astype(np.uint8).reshape(LINES, COLUMNS)
+
+
+def state(board: cm.Board, name: str) -> StreamStatus:
+    return next(s for s in board.status.streams if s.name == name)
+
+
+def settings(board: cm.Board, name: str) -> tuple[Any, ...]:
+    """All that can be set, but the slots, of which there are more while somebody reads."""
+    s = state(board, name)
+    return s.shape, s.dtype, s.cyclic, s.backpressure, s.stride, s.limit, s.open
+
+
+@pytest.fixture
+def loop(board: cm.Board) -> Iterator[cm.Board]:
+    """What is written to `to_pl` comes back on `from_pl`; the schema's settings come back in the end."""
+    board.load("camera", "loopback")
+    yield board
+    board.load("camera", "default")
+
+
+@pytest.fixture(scope="module")
+def vdma() -> Iterator[tuple[Manager, SimBoard]]:
+    """A manager whose loop is a VDMA's."""
+    with served(["--vdma", "to_pl", "--vdma", "from_pl"]) as both:
+        yield both
+
+
+@pytest.fixture
+def video(vdma: tuple[Manager, SimBoard]) -> Iterator[cm.Board]:
+    """That loop, with the schema's settings."""
+    with vdma[0].connected() as board:
+        board.load("camera", "default", force=True)
+        board.load("camera", "loopback")
+        yield board
+
+
+def small(board: cm.Board, **more: Any) -> None:
+    for name in ("to_pl", "from_pl"):
+        board.configure_stream(name, shape=(LINES, COLUMNS), **more)
+
+
+# ---- video frames --------------------------------------------------------------------------
+
+
+def test_a_vdma_moves_frames_that_are_longer_than_its_longest_line(video: cm.Board) -> None:
+    picture = np.arange(480 * 640, dtype=np.uint32).astype(np.uint8).reshape(480, 640)
+    with video.stream("from_pl") as reader, video.writer("to_pl") as writer:
+        writer.write(picture)
+        assert (reader.read() == picture).all()
+        video.write("to_pl", picture)
+        assert (reader.read() == picture).all()
+
+
+@pytest.mark.parametrize("board_of", ["video", "loop"])
+def test_rows_land_at_the_stride_and_nothing_lands_between(board_of: str, request: pytest.FixtureRequest) -> None:
+    board: cm.Board = request.getfixturevalue(board_of)
+    small(board, stride=STRIDE)
+    assert state(board, "to_pl").stride == STRIDE
+    with board.stream("from_pl") as reader, board.writer("to_pl") as writer:
+        for _ in range(8):  # every slot twice
+            with writer.slot() as array:
+                np.frombuffer(array.base, np.uint8)[: (LINES - 1) * STRIDE + COLUMNS] = 0xAA
+                array[...] = PICTURE
+            frame = reader.read()
+            memory = np.frombuffer(frame.base, np.uint8)[: LINES * STRIDE].reshape(LINES, STRIDE)
+            assert (memory[:, :COLUMNS] == PICTURE).all()
+            assert not memory[:, COLUMNS:].any(), "the space between the lines was written"
+            assert frame.strides == (STRIDE, 1)
+            del frame, memory
+
+
+def test_lines_that_lie_apart_come_without_the_space_over_zeromq(video: cm.Board, vdma: tuple[Manager, Any]) -> None:
+    small(video, stride=STRIDE)
+    with vdma[0].connected() as far:
+        far._data = None
+        with far.stream("from_pl", timeout=20) as stream:
+            until(lambda: state(video, "from_pl").open)
+            video.write("to_pl", PICTURE)
+            frame = stream.read()
+            assert frame.strides == (COLUMNS, 1)
+            assert (frame == PICTURE).all()
+
+
+def test_the_frame_stores_of_a_vdma_are_the_slots(video: cm.Board, vdma: tuple[Manager, SimBoard]) -> None:
+    small(video)
+    before = vdma[1].control.state()["buffers"]
+    video.configure_stream("from_pl", slots=11, enable=True)
+    assert state(video, "from_pl").slots == 11
+    assert vdma[1].control.state()["buffers"] == before + 11
+    with video.stream("from_pl", depth=6) as reader, video.writer("to_pl") as writer:
+        held = []
+        for number in range(6):
+            writer.write(np.full((LINES, COLUMNS), number, np.uint8))
+            held.append(reader.read())
+        assert len({frame.__array_interface__["data"][0] for frame in held}) == 6
+        assert [int(frame[0, 0]) for frame in held] == list(range(6))
+        del held
+    video.configure_stream("from_pl", automatic=True)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        ({"shape": (4096,)}, "lines and columns"),
+        ({"shape": (2, 65536)}, "a line has 65536 bytes"),
+        ({"shape": (2, 20000), "dtype": "float32"}, "a line has 80000 bytes"),
+    ],
+)
+def test_what_a_vdma_cannot_do_is_refused_before_anybody_uses_it(
+    video: cm.Board, wrong: dict[str, Any], why: str
+) -> None:
+    before = settings(video, "from_pl")
+    with pytest.raises(InvalidRequest, match=why):
+        video.configure_stream("from_pl", **wrong)
+    assert settings(video, "from_pl") == before
+    video.configure_stream("from_pl", shape=(2, 65535))
+
+
+# ---- one-shot and cyclic -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("board_of", ["video", "loop"])
+def test_cyclic_is_switched_on_and_off_again(board_of: str, request: pytest.FixtureRequest) -> None:
+    board: cm.Board = request.getfixturevalue(board_of)
+    assert board.configure_stream("to_pl", cyclic=True).cyclic is True
+    assert board.configure_stream("to_pl", slots=3).cyclic is True, "another setting switched it off"
+    with board.stream("from_pl", timeout=20) as reader, board.writer("to_pl", depth=2) as writer:
+        for value in (1, 2):
+            with writer.slot() as array:
+                array[...] = value
+            values = (int(frame[7, 7]) for frame in reader)
+            assert next(v for v in values if v == value) == value
+            assert list(islice(values, 3)) == [value] * 3, "it does not repeat"
+    assert board.configure_stream("to_pl", cyclic=False).cyclic is False
+    with board.stream("from_pl", timeout=0.3) as reader, board.writer("to_pl") as writer:
+        writer.write(np.full((480, 640), 9, np.uint8))
+        assert reader.read(timeout=20)[7, 7] == 9
+        with pytest.raises(Timeout):
+            reader.read()
+
+
+def test_a_running_cycle_ends_when_it_is_switched_off_by_force(loop: cm.Board) -> None:
+    loop.configure_stream("to_pl", cyclic=True)
+    with loop.stream("from_pl", timeout=0.3) as reader, loop.writer("to_pl", depth=2) as writer:
+        writer.write(np.full((480, 640), 4, np.uint8))
+        assert [int(f[0, 0]) for f in islice(reader, 3)] == [4] * 3
+        with pytest.raises(Busy, match="in use"):
+            loop.configure_stream("to_pl", cyclic=False)
+        loop.configure_stream("to_pl", cyclic=False, force=True)
+        with contextlib.suppress(Timeout):
+            for _ in range(20):  # those that were on their way
+                reader.read()
+            raise AssertionError("it still repeats")
+        until(lambda: not writer.poll() and writer.geometry is not None and not writer.geometry.cyclic)
+        writer.write(np.full((480, 640), 5, np.uint8))
+        assert reader.read(timeout=20)[0, 0] == 5
+
+
+# ---- refusals ------------------------------------------------------------------------------
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"direction": "mm2s"}, "s2mm, not 'mm2s'"),
+    ({"direction": "sideways"}, "s2mm"),
+    ({"dtype": "float77"}, "float77"),
+    ({"dtype": "object"}, "object"),
+    ({"dtype": "S3"}, "S3"),
+    ({"dtype": "i4,i4"}, "i4,i4"),
+    ({"dtype": "{'a'"}, "dtype"),
+    ({"shape": (0,)}, "extents"),
+    ({"shape": (480, 0)}, "extents"),
+    ({"shape": (1,) * 9}, "1 to 8"),
+    ({"shape": (1 << 15, 1 << 15, 2)}, "1 GiB"),
+    ({"shape": (1 << 26,)}, "67108864 bytes"),  # one more than the DMA's length register holds
+    ({"shape": (-1,)}, "out of its range"),
+    ({"slots": 257}, "1 to 256"),
+    ({"slots": -1}, "out of its range"),
+    ({"rate": -1.0}, "positive"),
+    ({"rate": float("nan")}, "positive"),
+    ({"stride": 639}, "640"),
+    ({"stride": 1 << 31}, "2 GiB"),
+    ({"shape": (4096,), "stride": 4096}, "lines and columns"),
+    ({"cyclic": True}, "written"),
+    ({"compression": "zip"}, "zip"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "why"), WRONG)
+def test_what_cannot_be_is_refused_and_changes_nothing(board: cm.Board, wrong: dict[str, Any], why: str) -> None:
+    before = settings(board, "camera")
+    with pytest.raises(InvalidRequest, match=why):
+        board.configure_stream("camera", enable=True, **{"slots": 9, "backpressure": True, **wrong})
+    assert settings(board, "camera") == before
+    assert state(board, "camera").slots == 8
+
+
+def test_a_reader_does_not_notice_what_was_refused(board: cm.Board) -> None:
+    with board.stream("camera") as stream:
+        assert isinstance(stream, LocalStream)
+        first = stream.read().sequence
+        for wrong, why in WRONG:
+            with pytest.raises(InvalidRequest, match=why):
+                board.configure_stream("camera", force=True, **wrong)
+        assert stream._connection is not None
+        assert stream._connection.stopped == 0
+        assert stream.read().sequence > first
+
+
+def test_what_is_in_use_is_changed_by_force_only_and_to_the_same_by_anybody(loop: cm.Board) -> None:
+    with loop.writer("to_pl") as writer, loop.stream("from_pl", timeout=20) as reader:
+        for name in ("to_pl", "from_pl"):
+            before = settings(loop, name)
+            with pytest.raises(Busy, match="in use") as caught:
+                loop.configure_stream(name, shape=(LINES, COLUMNS))
+            assert caught.value.code == "busy"
+            assert settings(loop, name) == before
+            loop.configure_stream(name, shape=(480, 640), direction=state(loop, name).direction)
+            loop.configure_stream(name, shape=(LINES, COLUMNS), force=True)
+        until(lambda: not writer.poll() and writer.geometry is not None and writer.geometry.shape == PICTURE.shape)
+        writer.write(PICTURE)
+        assert (reader.read() == PICTURE).all()
+
+
+# ---- what is kept --------------------------------------------------------------------------
+
+
+def test_settings_add_up_and_outlive_a_reload_of_the_mode_but_not_a_change(loop: cm.Board) -> None:
+    loop.configure_stream("from_pl", shape=(LINES, COLUMNS), stride=STRIDE)
+    loop.configure_stream("from_pl", rate=12.5)
+    loop.configure_stream("from_pl", backpressure=True)
+    loop.configure_stream("from_pl", slots=5)
+    wanted = ((LINES, COLUMNS), "uint8", False, True, STRIDE, 12.5, False)
+    assert settings(loop, "from_pl") == wanted
+    loop.load("camera", "loopback", force=True)
+    assert settings(loop, "from_pl") == wanted
+    assert state(loop, "from_pl").slots == 5
+    loop.load("camera", "default")
+    loop.load("camera", "loopback")
+    assert settings(loop, "from_pl") == ((480, 640), "uint8", False, False, 0, 0.0, False)
+
+
+def test_backpressure_is_switched_on_and_off(loop: cm.Board) -> None:
+    for name in ("from_pl", "to_pl"):
+        loop.configure_stream(name, shape=(4096,))
+    for switched in (True, False):
+        assert loop.configure_stream("from_pl", backpressure=switched).backpressure is switched
+        with loop.stream("from_pl", depth=2) as slow, loop.writer("to_pl", timeout=1.0) as writer:
+            sent = 0
+            with contextlib.suppress(Timeout):
+                while sent < 60:
+                    writer.write(np.full(4096, sent, np.uint8))
+                    sent += 1
+            assert (sent == 60) is not switched, "only with backpressure does the hardware wait"
+            assert [int(slow.read()[0]) for _ in range(2)] == [0, 1]
+            assert slow.lost == 0
+
+
+def test_a_limit_is_set_and_lifted(board: cm.Board) -> None:
+    assert board.configure_stream("camera", rate=10).limit == 10
+    assert board.configure_stream("camera", dtype="int8").limit == 10
+    assert board.configure_stream("camera", rate=float("inf")).limit == 0
+    with board.stream("camera") as stream:
+        times = [frame.timestamp_ns for frame in islice(stream, 9)]
+        assert 8e9 / (times[-1] - times[0]) > 15, "the limit is still there"
+
+
+def test_a_stream_is_run_stopped_and_left_to_its_users_again(board: cm.Board, manager: Manager) -> None:
+    assert board.configure_stream("camera", enable=True).open is True
+    with board.stream("camera", timeout=0.5) as stream:
+        stream.read()
+        assert board.configure_stream("camera", enable=False).open is False
+        with contextlib.suppress(Timeout):
+            for _ in range(20):  # those that were on their way
+                stream.read()
+            raise AssertionError("it still runs")
+        with manager.connected() as other, other.stream("camera", timeout=0.5) as late:
+            with pytest.raises(Timeout, match="it is stopped"):
+                late.read()
+            with pytest.raises(Busy, match="enable"):
+                other.read("camera")
+            assert board.configure_stream("camera", automatic=True).open is True
+            assert late.read(timeout=20).sequence >= 0
+        assert stream.read(timeout=20).shape == (480, 640)
+    until(lambda: not state(board, "camera").open)
+
+
+# ---- other ways to say it --------------------------------------------------------------------
+
+
+def test_raw_messages_switch_on_and_off(loop: cm.Board, manager: Manager) -> None:
+    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
+        socket.connect(f"ipc://{manager.runtime}/req")
+
+        def ask(message: pb.DataConfig) -> pb.Reply:
+            socket.send_multipart([b"cm_data_config", message.SerializeToString()])
+            assert socket.poll(20_000)
+            return pb.Reply.FromString(socket.recv_multipart()[1])
+
+        assert ask(pb.DataConfig(stream="to_pl", cyclic=True)).stream.state.cyclic
+        assert ask(pb.DataConfig(stream="to_pl", slots=7)).stream.state.cyclic, "what is left out was changed"
+        off = ask(pb.DataConfig(stream="to_pl", cyclic=False, stride=700)).stream.state
+        assert (off.cyclic, off.stride, off.slots) == (False, 700, 7)
+        # field 7 as clients write it that know no presence: true is there, false is left out
+        assert ask(pb.DataConfig.FromString(b"\x0a\x05to_pl\x38\x01")).stream.state.cyclic
+        refused = ask(pb.DataConfig(stream="to_pl", dtype="void"))
+        assert (refused.ok, refused.error.code) == (False, "invalid_request")
+        assert ask(pb.DataConfig(stream="to_pl")).stream.state.dtype == "uint8"
+        assert ask(pb.DataConfig(stream="nix")).error.code == "unknown_stream"
+
+
+def test_settings_go_without_an_answer_too(loop: cm.Board, manager: Manager) -> None:
+    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
+        socket.connect(f"ipc://{manager.runtime}/sub")
+        message = pb.DataConfig(stream="to_pl", backpressure=True, slots=9).SerializeToString()
+
+        def told() -> bool:
+            socket.send_multipart([b"cm_data_config", message])
+            return state(loop, "to_pl").slots == 9
+
+        until(told)
+
+
+def test_the_command_sets_what_it_is_told_and_nothing_else(
+    loop: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = ["--runtime-dir", str(manager.runtime)]
+    geometry = ["--shape", "48x100", "--stride", "128", "--slots", "5"]
+    assert main(["stream", "set", "to_pl", *geometry, "--cyclic", *place]) == 0
+    assert capsys.readouterr().out.startswith("to_pl: 48x100 uint8, 5 slots, cyclic, no backpressure, stride 128")
+    assert main(["stream", "set", "to_pl", "--no-cyclic", "--rate", "5", "--json", *place]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["cyclic"], told["limit"], told["stride"], told["shape"]) == (False, 5.0, 128, [48, 100])
+    assert main(["stream", "set", "to_pl", "--stride", "99", *place]) == 1
+    assert "stride" in capsys.readouterr().err
+    with loop.writer("to_pl"):
+        assert main(["stream", "set", "to_pl", "--slots", "6", *place]) == 1
+        assert "in use" in capsys.readouterr().err
+        assert main(["stream", "set", "to_pl", "--slots", "6", "--force", *place]) == 0
+    with pytest.raises(SystemExit) as caught:
+        main(["stream", "set", "to_pl", "--shape", "wide", *place])
+    assert caught.value.code == 2
