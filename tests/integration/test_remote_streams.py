@@ -120,8 +120,9 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
         sequences = []
         while stuck.poll(1000):
             sequences.append(pb.Frame.FromString(stuck.recv_multipart()[1]).sequence)
-        assert sequences == list(range(len(sequences))), "the oldest wait, in order"
-        assert 8 <= len(sequences) < 30
+        assert sequences[:8] == list(range(8)), "the oldest wait"
+        assert sequences == sorted(sequences), "in order"  # with gaps, where the kernel took more of them meanwhile
+        assert len(sequences) < 30
 
 
 def test_who_is_behind_with_frames_costs_nobody_an_interrupt_or_status(context: zmq.Context) -> None:

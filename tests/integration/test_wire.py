@@ -25,7 +25,8 @@ class Peer:
     def __init__(self, manager: Manager) -> None:
         self.context = zmq.Context()
         self.req = self.connect(zmq.REQ, manager, "req")
-        self.pub = self.connect(zmq.PUB, manager, "sub")
+        self.pub = self.connect(zmq.XPUB, manager, "sub")  # a PUB, but that it can tell when it is connected
+        assert self.pub.recv() == b"\x01cm_"
         self.sub = self.connect(zmq.SUB, manager, "pub")
 
     def connect(self, kind: int, manager: Manager, name: str) -> zmq.Socket[bytes]:

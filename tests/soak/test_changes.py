@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
 import pytest
 from manager_support import Rig, rig
@@ -26,7 +27,7 @@ def made(tmp_path: Path) -> Iterator[tuple[Rig, SimBoard]]:
         yield started, sim
 
 
-def held(sim: SimBoard) -> dict[str, object]:
+def held(sim: SimBoard) -> dict[str, Any]:
     """What this process and the board hold on to."""
     state = sim.control.state()
     return {
@@ -45,7 +46,7 @@ def resident() -> int:
 @pytest.mark.timeout(3600)
 def test_many_changes_of_mode_leave_nothing_behind(made: tuple[Rig, SimBoard], changes: int) -> None:
     board, sim = made
-    before: dict[str, object] = {}
+    before: dict[str, Any] = {}
     pages, started = 0, 0.0
     for number, mode in enumerate(islice(cycle(MODES), WARM_UP + changes)):
         assert board.go(mode) is None
@@ -55,7 +56,9 @@ def test_many_changes_of_mode_leave_nothing_behind(made: tuple[Rig, SimBoard], c
             before, pages, started = held(sim), resident(), time.monotonic()
     took = time.monotonic() - started
     print(f"{changes} changes in {took:.1f} s; {held(sim)}; RSS {pages * PAGE >> 10} → {resident() * PAGE >> 10} KiB")
-    assert held(sim) == before
+    after = held(sim)
+    assert after.pop("descriptors") <= before.pop("descriptors")  # fewer, where another thread had one for a moment
+    assert after == before
     assert resident() <= pages * RSS_GROWTH
     journal = board.store._path.stat().st_size
     assert journal < 1 << 20
