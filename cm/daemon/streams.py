@@ -248,7 +248,8 @@ class Streams:
         """One stream."""
         pump = self._pumps.get(name)
         status = pump.status() if pump else stream_status(self._streams[name])
-        return replace(status, overruns=self._overruns(name))
+        overruns = self._overruns(name)
+        return replace(status, overruns=overruns) if overruns else status  # not for nothing: it is half the work
 
     @property
     def any_open(self) -> bool:
