@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 
 import numpy as np
 
 from cm.bench.rounds import Batch, timed
 from cm.bench.run import Run
-from cm.bench.serving import serve, settle
+from cm.bench.serving import PATIENCE, Served, free_ports, serve, settle
+from cm.client.board import Board
 from cm.client.stream import Stream
 from cm.client.writer import Writer
 from cm.errors import CmError
@@ -41,17 +43,49 @@ class WrongFrame(CmError):
 
 
 @contextmanager
+def echoed(bench: Run, size: int) -> Iterator[Batch]:
+    """Round trips of a descriptor to the manager and back, with slots of `size` bytes; nothing is copied."""
+    with ExitStack() as stack:
+        board = stack.enter_context(stack.enter_context(serve(bench)).connect())
+        yield timed(stack.enter_context(board.echo(size)).round_trip)
+
+
+@contextmanager
 def looped(bench: Run, size: int) -> Iterator[Batch]:
     """Round trips PS–PL–PS of `size` bytes on a simulated board; after each batch the last frame is looked at."""
-    schema = bench.place("l") / "loop.yaml"
-    schema.write_text(SCHEMA.format(size=size), encoding="utf-8")
     with ExitStack() as stack:
-        served = stack.enter_context(serve(bench, "--config", str(schema), "--load", "loop/loopback"))
-        board = stack.enter_context(served.connect())
+        board = stack.enter_context(stack.enter_context(_serving(bench, size)).connect())
         settle(board)
         writer = stack.enter_context(board.writer("to_pl", depth=1))
         reader = stack.enter_context(board.stream("from_pl", depth=1))
         yield _checked(writer, reader, size)
+
+
+@contextmanager
+def looped_over_tcp(bench: Run, size: int) -> Iterator[Batch]:
+    """The same for a client elsewhere: frames to the manager and back over ZeroMQ and TCP, as copies."""
+    with ExitStack() as stack:
+        address = f"tcp://127.0.0.1:{free_ports(3)}"
+        stack.enter_context(_serving(bench, size, "--listen", address))
+        board = stack.enter_context(Board(address, timeout=PATIENCE))
+        settle(board)
+        reader = stack.enter_context(board.stream("from_pl", timeout=PATIENCE))
+        while not next(s for s in board.status.streams if s.name == "from_pl").open:
+            time.sleep(0.01)  # its subscription is on the way
+        sent = np.random.default_rng(1).integers(0, 256, size, np.uint8)
+
+        def trip() -> None:
+            board.write("to_pl", sent)
+            if not np.array_equal(reader.read(), sent):
+                raise WrongFrame("the frame that came back from the simulated PL is not the one that was sent")
+
+        yield timed(trip)
+
+
+def _serving(bench: Run, size: int, *arguments: str) -> AbstractContextManager[Served]:
+    schema = bench.place("l") / "loop.yaml"
+    schema.write_text(SCHEMA.format(size=size), encoding="utf-8")
+    return serve(bench, "--config", str(schema), "--load", "loop/loopback", *arguments)
 
 
 def _checked(writer: Writer, reader: Stream, size: int) -> Batch:

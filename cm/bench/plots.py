@@ -36,10 +36,10 @@ def draw(folder: Path, results: Sequence[Result]) -> list[Path]:
     return drawn
 
 
-def _axes(title: str, x: str, y: str) -> tuple[Any, Any]:
+def _axes(title: str, x: str, y: str, width: float = 7.0) -> tuple[Any, Any]:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(7.0, 4.2), dpi=120, layout="constrained")
+    figure = Figure(figsize=(width, 4.2), dpi=120, layout="constrained")
     axes = figure.subplots()
     axes.set(title=title, xlabel=x, ylabel=y)
     axes.grid(True, alpha=0.3)
@@ -48,12 +48,12 @@ def _axes(title: str, x: str, y: str) -> tuple[Any, Any]:
 
 def _latency(details: Mapping[str, Any], path: Path) -> None:
     """Fig. 5: latency against payload, one line for each way."""
-    figure, axes = _axes("Round trip against payload", "payload [bytes]", "median round trip [µs]")
+    figure, axes = _axes("Round trip against payload", "payload [bytes]", "median round trip [µs]", width=9.5)
     for name, points in details["series"].items():
         axes.plot([p["bytes"] for p in points], [p["median"] for p in points], marker="o", label=name)
     axes.set_xscale("log", base=2)
     axes.set_yscale("log")
-    axes.legend()
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small")
     figure.savefig(path)
 
 

@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from cm.bench.run import Run
 from cm.client.board import Board
 from cm.errors import CmError, NotFound, Timeout
 
-_PATIENCE = 60.0  # seconds, on a loaded machine
+PATIENCE = 60.0  # seconds, on a loaded machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ class Served:
 
     def connect(self) -> Board:
         """A client; the caller closes it."""
-        return Board(runtime_dir=self.runtime_dir, timeout=_PATIENCE)
+        return Board(runtime_dir=self.runtime_dir, timeout=PATIENCE)
 
 
 @contextmanager
@@ -49,7 +50,7 @@ def serve(run: Run, *arguments: str, sim: bool = True) -> Iterator[Served]:
         words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment(run)
     )
     try:
-        _await_reply(process, folder, started + _PATIENCE)
+        _await_reply(process, folder, started + PATIENCE)
         seconds = time.monotonic() - started
         yield Served(process, folder, seconds, cpu_seconds(process.pid))
     finally:
@@ -77,16 +78,29 @@ def _await_reply(process: subprocess.Popen[bytes], folder: Path, until: float) -
                 continue
             return
         time.sleep(0.001)
-    raise Timeout(f"cm serve did not answer within {_PATIENCE:.0f} s")
+    raise Timeout(f"cm serve did not answer within {PATIENCE:.0f} s")
 
 
 def settle(board: Board) -> None:
     """Wait until the manager has entered its mode."""
-    for status in board.watch(timeout=_PATIENCE):
+    for status in board.watch(timeout=PATIENCE):
         if status.mode and not status.fpga_busy:
             return
         if status.last_error is not None and not status.fpga_busy:
             raise CmError(f"the manager did not enter its mode: {status.last_error.message}")
+
+
+def free_ports(count: int) -> int:
+    """The first of so many TCP ports in a row that nobody listens on now."""
+    while True:
+        with ExitStack() as stack:
+            first = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
+            try:
+                for port in range(first + 1, first + count):
+                    stack.enter_context(socket.create_server(("127.0.0.1", port)))
+            except (OSError, OverflowError):
+                continue
+            return int(first)
 
 
 def cpu_seconds(pid: int) -> float:
