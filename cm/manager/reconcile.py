@@ -66,9 +66,9 @@ def _distrust_pending(state: BoardState, pending: Pending | None) -> BoardState:
     """The step that was about to be taken may have been taken: what it touches is not known."""
     if pending is None:
         return state
-    if pending.step in ("decouple", "load", "recouple"):
+    if pending.step == "decouple":  # its circuit is what it was, whether or not it is cut off by now
         region = state.region(pending.subject)
-        return state.with_region(pending.subject, region.after(RegionEvent.LOSE))
+        return state.with_region(pending.subject, region.after(RegionEvent.DECOUPLE))
     if pending.step == "registers":
         return state.without_values({pending.subject})
     return state
@@ -145,8 +145,7 @@ def _region(
     name: str, region: RegionState, config: Config | None, registers: RegisterAccess, notes: list[str]
 ) -> RegionState:
     if region.phase is not RegionPhase.READY:
-        notes.append(f"region {name} was {region.phase.value}; its content is not trusted")
-        return region.after(RegionEvent.LOSE)
+        return _cut_short(name, region, notes)
     module = config.modules.get(region.module or "") if config else None
     if module is None or config is None or name not in config.regions:
         return region
@@ -154,6 +153,15 @@ def _region(
     if wrong is None:
         return region
     notes.append(f"region {name}: {wrong}; its content is not trusted")
+    return region.after(RegionEvent.LOSE)
+
+
+def _cut_short(name: str, region: RegionState, notes: list[str]) -> RegionState:
+    """Regions are cut off before a load begins and after it has ended; the record says so in between."""
+    if region.phase in (RegionPhase.DECOUPLED, RegionPhase.LOADED) and region.sha256 is not None:
+        notes.append(f"region {name} was {region.phase.value}, with {region.module} in it")
+        return region
+    notes.append(f"region {name} was {region.phase.value}; its content is not trusted")
     return region.after(RegionEvent.LOSE)
 
 

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 
 from cm.manager.board import Board, Tools
 from cm.manager.cost import Throughput
-from cm.manager.plan import Goal, Plan, make_plan
+from cm.manager.plan import Goal, Plan
+from cm.manager.planner import make_plan
 from cm.manager.ports import Files
 from cm.manager.transaction import Transaction
 from cm.manager.undo import Failure, WayBack

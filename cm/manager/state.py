@@ -79,11 +79,16 @@ class RegionState:
     sha256: str | None = None
 
     def after(self, event: RegionEvent) -> RegionState:
-        """The state after an event; LOAD, LOAD_FAILED and LOSE forget the content."""
+        """The state after an event.
+
+        LOAD, LOAD_FAILED and LOSE forget the content, and so does what follows a failure: a region that
+        was left cut off is loaded again. DECOUPLE and RECOUPLE do not touch it.
+        """
         phase = TRANSITIONS.get((self.phase, event))
         if phase is None:
             raise IllegalTransition(f"region in phase {self.phase.value} cannot {event.value}")
-        if event in (RegionEvent.LOAD, RegionEvent.LOAD_FAILED, RegionEvent.LOSE):
+        abandoned = self.phase is RegionPhase.FAILED and phase is not RegionPhase.FAILED
+        if abandoned or event in (RegionEvent.LOAD, RegionEvent.LOAD_FAILED, RegionEvent.LOSE):
             return RegionState(phase)
         return replace(self, phase=phase)
 

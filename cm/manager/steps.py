@@ -81,7 +81,6 @@ class Load:
     module: Module
     image: Image
     timeout: float  # seconds
-    resets: frozenset[str]  # names of registers that the load puts back to their reset values
     overlay: bytes = b""  # the .dtbo with `firmware-name`, for a region that is loaded by overlay
     kind = "load"
 
@@ -144,6 +143,7 @@ class Recouple:
     """Connect a region again."""
 
     region: Region
+    resets: frozenset[str]  # names of its registers: a load, or a reset while it was cut off, has put them back
     kind = "recouple"
 
     @property

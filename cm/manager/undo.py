@@ -87,9 +87,20 @@ class WayBack:
         return self._configs.get(self._before.config or "")
 
     def _restore(self, old: Config, mode: str, values: Mapping[str, int]) -> None:
-        back = self._plan(Goal(old, mode, values=values, static=self._static_to_load(old)))
+        static = self._static_to_load(old)
+        back = self._plan(Goal(old, mode, values=values, also=self._beside(old, mode), static=static))
         Transaction(back, self._board, self._tools, self._number, lambda: False).run()
         self._tools.data_plane.resume(old, mode)
+
+    def _beside(self, old: Config, mode: str) -> tuple[str, ...]:
+        """Modules of regions that the mode leaves alone, but that the failed change did not."""
+        now, named = self._board.state, {old.modules[m].region for m in old.modes[mode].modules}
+        lost = {
+            held.module: name
+            for name, held in self._before.regions.items()
+            if held.phase is RegionPhase.READY and name not in named and now.region(name) != held
+        }
+        return tuple(m.name for m in old.modules.values() if lost.get(m.name) == m.region)
 
     def _static_to_load(self, old: Config) -> Config | None:
         """The full configuration to load first, where the device held one under a partial configuration.

@@ -6,6 +6,7 @@ Wherever that leaves the board, it is in a mode of which the manager says so, or
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 from collections.abc import Iterator
@@ -16,6 +17,8 @@ import pytest
 from manager_schemas import written
 from manager_support import Rig, make_rig, rig
 
+from cm.device import DeviceError
+from cm.messages.requests import RegWrite
 from cm.schema.model import Config
 from cm.sim import Board as SimBoard
 
@@ -36,9 +39,11 @@ TWO_REGIONS = Way("duo/default", "duo/both")
 TO_FULL = Way("duo/default", "whole/full", after=("ported/only",))
 TO_PORTED = Way("duo/default", "ported/only", after=("whole/full",))
 TO_PARTIAL = Way("whole/full", "duo/default")
+ONE_OF_TWO = Way("duo/other", "duo/both", after=("duo/default",))  # the mode before leaves prr1 alone
 BY_OVERLAY = Way("kernel/default", "kernel/both")
 BY_MANAGER = Way("managed/default", "managed/both")
-WAYS = (TWO_REGIONS, TO_FULL, TO_PARTIAL, BY_OVERLAY, BY_MANAGER)
+REGISTERS = {"gain": 0x2000 + 0x1010, "depth": 0x6000 + 0x1010}  # of prr0 and prr1
+WAYS = (TWO_REGIONS, ONE_OF_TWO, TO_FULL, TO_PARTIAL, BY_OVERLAY, BY_MANAGER)
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +104,17 @@ def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
     return f"{status.config_name}/{status.mode}"
 
 
+def loads(names: list[str]) -> int:
+    """Of images, by the ports themselves."""
+    return names.count("icap.load") + names.count("fpga_manager.load")
+
+
+def assert_whole_regions(made: Rig) -> None:
+    """What a mode leaves alone is whole as well, if it ever was."""
+    regions = made.manager.status().regions
+    assert made.manager.state.static_config or {r.state for r in regions} == {"ready"}, regions
+
+
 def operations(made: Rig, way: Way) -> int:
     """How many operations the change takes."""
     begin(made, way)
@@ -122,6 +138,10 @@ def test_one_failure_of_any_operation_ends_in_the_old_mode_or_the_new(
         end = where(made, sim, configs)
         ends.add(end)
         assert end in (way.start, way.goal), f"operation {number}, {name}: {error}"
+        assert_whole_regions(made)
+        if way in (TWO_REGIONS, ONE_OF_TWO, BY_MANAGER) and error is not None:
+            there, back = loads(made.fault.names[: number + 1]), loads(made.fault.names[number + 1 :])
+            assert back == there, f"operation {number}, {name}: {there} loads were begun, the way back did {back}"
         assert (error is None) == (end == way.goal), f"operation {number}, {name}: {error}"
     assert way.start in ends
 
@@ -159,6 +179,31 @@ def test_a_first_change_that_fails_leaves_what_it_touched_cut_off(
             assert where(fresh, sim, configs) == ("" if error else "duo/default")
 
 
+def test_a_region_that_was_only_cut_off_is_written_its_registers_again(made: Rig, sim: SimBoard) -> None:
+    """A static part may hold a region in reset while it is cut off."""
+    begin(made, TWO_REGIONS)
+    made.manager.write_registers((RegWrite("gain", 9), RegWrite("depth", 8)))
+    refused: list[str] = []
+    reset: list[str] = []
+
+    def watch(name: str) -> None:
+        if name == "icap.allocate" and not refused:  # both regions are cut off, nothing was loaded
+            refused.append(name)
+            raise DeviceError(errno.ENOMEM, "no memory for DMA")
+        if refused and not reset and not any(r["decoupled"] for r in sim.control.state()["regions"].values()):
+            reset.append(name)
+            for register in ("gain", "depth"):
+                window = made.devices.window(REGISTERS[register], 32)
+                window.uio.write(window.offset, 0, 32, window.map)
+
+    made.arm(-1)
+    made.fault.watch = watch
+    assert go(made, TWO_REGIONS.goal) is not None
+    assert reset == ["uio.read"]  # behind the last decoupler, before the registers
+    assert loads(made.fault.names) == 0
+    assert [v.value for v in made.manager.read_registers(("gain", "depth")).values] == [9, 8]
+
+
 def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, way: Way, number: int) -> bool:
     """In a child that finds the board in the way's start: die at an operation of the change; False if it lived."""
     pid = os.fork()
@@ -182,16 +227,23 @@ def test_a_manager_killed_at_any_operation_comes_back_knowing(
     with rig(sim.root, tmp_path, *configs.values()) as first:
         begin(first, way)
     number = 0
+    loaded = sim.control.state()["loads"]
     while killed_at(sim, configs, tmp_path, way, number):
+        forth = sim.control.state()["loads"] - loaded
         with rig(sim.root, tmp_path, *configs.values()) as again:
             again.manager.wait_idle()
             end = where(again, sim, configs)
+            back = sim.control.state()["loads"] - loaded - forth
+            assert way is not TWO_REGIONS or back <= forth + 1, (
+                f"killed at operation {number} after {forth} loads, {back} to repair it"
+            )
             ends[end] = ends.get(end, 0) + 1
             lost = again.manager.state.static_lost
             assert end in (way.start, way.goal) or lost, f"killed at operation {number}: {again.notes}"
             assert not lost or any("full image" in note for note in again.notes)
             if end != way.start:
                 begin(again, way)
+        loaded = sim.control.state()["loads"]
         number += stride
     assert number > 15
     assert way.start in ends

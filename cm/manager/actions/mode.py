@@ -18,8 +18,7 @@ def validate(run: Execution, _: s.Validate) -> None:
     for step in run.plan.steps:
         if isinstance(step, s.Load | s.LoadStatic):
             run.tools.loaders.kind(step.port_kind).check(job_of(run, step))
-    regions = frozenset(x.region.name for x in run.plan.steps if isinstance(x, s.Decouple))
-    run.board.lock_regions(regions, whole=run.plan.full)
+    run.board.lock_regions(run.plan.regions, whole=run.plan.full)
     run.check_cancelled()
 
 

@@ -10,7 +10,7 @@ from cm.manager.actions.execution import Execution
 from cm.manager.actions.overlays import note_applied
 from cm.manager.decoupler import drive
 from cm.manager.errors import IdentityMismatch
-from cm.manager.loaders import Job, loading_overlay
+from cm.manager.loaders import Job, Start, loading_overlay
 from cm.manager.state import OverlayState, RegionEvent, all_lost
 from cm.schema.model import LoaderKind
 
@@ -30,7 +30,8 @@ def decouple(run: Execution, step: s.Decouple) -> None:
 
 
 def recouple(run: Execution, step: s.Recouple) -> None:
-    """Connect; only then does the state say so."""
+    """Connect; only then does the state say so. Its registers were reset: nothing is known of them."""
+    run.board.update(lambda state: state.without_values(set(step.resets)))
     if step.region.decoupler:
         drive(run.tools.registers, step.region.decoupler, cut=False)
     run.region_event(step.region.name, RegionEvent.RECOUPLE)
@@ -40,35 +41,55 @@ def load(run: Execution, step: s.Load) -> None:
     """Load one region; what it held is forgotten, and that recorded, before the port is touched."""
     run.check_cancelled()
     name = step.region.name
-    run.region_event(name, RegionEvent.LOAD)
-    run.board.update(lambda state: state.without_values(set(step.resets)))
-    try:
-        run.board.record(step)
-        _timed_load(run, step)
-    except BaseException:
-        run.region_event(name, RegionEvent.LOAD_FAILED)
-        raise
+    with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
+        _forget_content(run, step)
+        try:
+            _timed(run, step, start)
+        except BaseException:
+            run.region_event(name, RegionEvent.LOAD_FAILED)
+            raise
     held = run.board.state.region(name).after(RegionEvent.LOAD_DONE)
     run.set_region(name, held.holding(step.module.name, step.image.sha256))
     if step.region.loader is LoaderKind.OVERLAY:
         note_applied(run, OverlayState(loading_overlay(name), step.image.sha256))
 
 
+def _forget_content(run: Execution, step: s.Load) -> None:
+    name = step.region.name
+    before = run.board.state.region(name)
+    run.region_event(name, RegionEvent.LOAD)
+    try:
+        run.board.record(step)
+    except BaseException:
+        run.set_region(name, before)  # nothing was loaded
+        raise
+
+
 def load_static(run: Execution, step: s.LoadStatic) -> None:
     """Load the whole device; everything that it held is forgotten first."""
     run.check_cancelled()
-    run.board.update(all_lost)
-    run.board.record(step)
-    run.tools.registers.forget()
-    _timed_load(run, step)
+    with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
+        _forget_device(run, step)
+        run.tools.registers.forget()
+        _timed(run, step, start)
     run.board.update(
         lambda x: replace(x, static_sha256=step.image.sha256, static_config=step.config, static_lost=False)
     )
 
 
-def _timed_load(run: Execution, step: s.Load | s.LoadStatic) -> None:
+def _forget_device(run: Execution, step: s.LoadStatic) -> None:
+    before = run.board.state
+    run.board.update(all_lost)
+    try:
+        run.board.record(step)
+    except BaseException:
+        run.board.update(lambda _: before)  # nothing was loaded
+        raise
+
+
+def _timed(run: Execution, step: s.Load | s.LoadStatic, start: Start) -> None:
     started = run.tools.clock.monotonic()
-    run.tools.loaders.kind(step.port_kind).load(job_of(run, step), step.timeout, run.tell)
+    start(run.tell)
     run.board.observed(step.port_kind, step.image.length, run.tools.clock.monotonic() - started)
 
 

@@ -25,8 +25,8 @@ def write(run: Execution, step: s.SetRegister) -> None:
 
 def _remember(run: Execution, register: Register) -> None:
     """What a register of the static part or of a region that stays held, where nobody wrote it yet."""
-    loaded = {x.region.name for x in run.plan.steps if isinstance(x, s.Load)}
-    known = register.name in run.board.state.values or register.region in loaded or run.plan.full
+    reset = register.region in run.plan.regions or run.plan.full
+    known = register.name in run.board.state.values or reset
     if not known and _keeps_its_value(register):
         run.found[register.name] = run.tools.registers.read(register)
 

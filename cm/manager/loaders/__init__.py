@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterable
 
 from cm.manager.loaders.fpga_manager import FpgaManagerLoader
 from cm.manager.loaders.icap import IcapLoader
-from cm.manager.loaders.job import Job, Loader, OnBytes
+from cm.manager.loaders.job import Job, Loader, Start
 from cm.manager.loaders.overlay import OverlayLoader, loading_overlay
 from cm.manager.ports import Clock, Devices, Files
 from cm.schema.model import LoaderKind
 
-__all__ = ["Job", "Loader", "Loaders", "OnBytes", "loading_overlay"]
+__all__ = ["Job", "Loader", "Loaders", "Start", "loading_overlay"]
 
 
 class Loaders:

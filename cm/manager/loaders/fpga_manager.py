@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from cm.device import DeviceUnsupported, FpgaManager
 from cm.manager.errors import LoadFailed
-from cm.manager.loaders.job import Job, OnBytes
+from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.ports import Devices, Files, Image
 
 
@@ -29,9 +31,14 @@ class FpgaManagerLoader:
             )
         self._files.firmware_name(job.image)
 
-    def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:  # noqa: ARG002 (the kernel has its own)
+    @contextmanager
+    def prepared(self, job: Job, timeout: float) -> Iterator[Start]:  # noqa: ARG002 (the kernel has its own)
+        """The image where the kernel looks for it."""
         manager: FpgaManager = self._devices.fpga_manager(job.port)
         name = self._files.firmware_name(job.image)
+        yield lambda on_bytes: self._load(manager, name, job, on_bytes)
+
+    def _load(self, manager: FpgaManager, name: str, job: Job, on_bytes: OnBytes) -> None:
         manager.load(name, partial=job.region is not None, encrypted=job.image.report.encrypted)
         _raise_not_operating(manager, job.image)
         on_bytes(job.image.length)

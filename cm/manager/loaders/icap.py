@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from cm.bitstream.errors import WrongDevice
 from cm.device import DeviceBusy, Icap, IcapCompletion, IcapState
 from cm.manager.errors import LoadFailed, StepTimeout
 from cm.manager.loaders.buffers import BufferCache, Held
-from cm.manager.loaders.job import Job, OnBytes
+from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.ports import Clock, Devices, Files, Image
 
 _POLL = 0.05  # seconds between two looks at how far a load is; most loads are shorter, and none is slowed by a look
@@ -48,24 +49,23 @@ class IcapLoader:
                 f"{job.image.path}: made for IDCODE {wanted:#010x}, but the port is that of {there:#010x}"
             )
 
-    def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:
-        image = job.image
+    @contextmanager
+    def prepared(self, job: Job, timeout: float) -> Iterator[Start]:
+        """The image in a DMA buffer, and the port idle."""
         icap = self._devices.icap(job.port)
         held, kept = self._cache.get(job, icap, self._files.port_bytes)
         try:
-            cookie = next(self._cookies)
-            self._await_idle(icap, image, timeout)
-            icap.load(
-                held.buffer,
-                length=held.length,
-                cookie=cookie,
-                full=job.region is None,
-                encrypted=image.report.encrypted,
-            )
-            _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
+            self._await_idle(icap, job.image, timeout)
+            yield lambda on_bytes: self._load(icap, held, job, timeout, on_bytes)
         finally:
             if not kept:
                 self._dispose(held)
+
+    def _load(self, icap: Icap, held: Held, job: Job, timeout: float, on_bytes: OnBytes) -> None:
+        image, cookie = job.image, next(self._cookies)
+        whole = job.region is None
+        icap.load(held.buffer, held.length, cookie=cookie, full=whole, encrypted=image.report.encrypted)
+        _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
 
     def _dispose(self, held: Held) -> None:
         """Close a buffer, and those that a load given up as hung still used the last time."""

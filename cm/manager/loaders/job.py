@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +12,7 @@ from cm.manager.ports import Image
 from cm.schema.model import Config, Module, Region
 
 OnBytes = Callable[[int], None]
+Start = Callable[[OnBytes], None]  # loads, telling how far it is; returns when the port is done
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +32,17 @@ class Job:
 
 
 class Loader(Protocol):
-    """Loads one image. Returns when the port is done; raises LoadFailed, StepTimeout or DeviceError."""
+    """Loads one image."""
 
     def check(self, job: Job) -> None:
         """Raise what is known beforehand to stand against the job; touches nothing."""
 
-    def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:
-        """Do the job, telling `on_bytes` how far it is."""
+    def prepared(self, job: Job, timeout: float) -> AbstractContextManager[Start]:
+        """All that can be done before the port is touched, and what touches it; `timeout` (seconds) is for both.
+
+        Entering raises what is wrong with files or memory, or StepTimeout where the port stays busy:
+        nothing was loaded then. `Start` raises LoadFailed, StepTimeout or DeviceError.
+        """
 
     def forget(self) -> None:
         """The board was lost: drop what belongs to it."""

@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from cm.device import Overlays
 from cm.manager.errors import LoadFailed
-from cm.manager.loaders.job import Job, OnBytes
+from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.ports import Devices
 from cm.schema.model import Region
 
@@ -23,11 +27,16 @@ class OverlayLoader:
         """A whole image cannot be loaded so: the node of its region would go with it."""
         _region_of(job)
 
-    def load(self, job: Job, timeout: float, on_bytes: OnBytes) -> None:  # noqa: ARG002 (the kernel has its own)
+    @contextmanager
+    def prepared(self, job: Job, timeout: float) -> Iterator[Start]:  # noqa: ARG002 (the kernel has its own)
+        """The region's node without an overlay that an earlier run left."""
         overlays = self._devices.overlays()
         name = loading_overlay(_region_of(job).name)
-        if name in overlays.list():  # left over from an earlier run
+        if name in overlays.list():
             overlays.remove(name)
+        yield lambda on_bytes: self._load(overlays, name, job, on_bytes)
+
+    def _load(self, overlays: Overlays, name: str, job: Job, on_bytes: OnBytes) -> None:
         overlays.apply(name, job.overlay)
         on_bytes(job.image.length)
 
