@@ -4,7 +4,10 @@
  * The structures are written as C programs have them, with bool, enum, int and
  * pointers, so that a difference in layout shows.
  *
- *	smoke_axidma DEBUGFS-FOLDER-OF-THE-ENGINE
+ *	smoke_axidma DEBUGFS-FOLDER-OF-THE-ENGINE [FIRST-ID]
+ *
+ * With FIRST-ID the channels come from a device tree, where that is the
+ * lowest of their numbers; without it they are those of cm_dma, from 0.
  */
 #include <errno.h>
 #include <fcntl.h>
@@ -167,27 +170,29 @@ int main(int argc, char **argv)
 	struct two_way both = { .wait = true };
 	struct video video = { .count = 2, .frame = { 16, 64, 4 } };
 	struct channel stop = { 0 };
-	int tx = -1, rx = -1, device, other, source = -1;
+	int tx = -1, rx = -1, device, other, source = -1, first_id;
+	bool tree = argc == 3;
 	uint8_t *out, *in, *frames;
 	uint64_t made, newest;
 	void *addresses[2];
 
-	if (argc != 2)
+	if (argc != 2 && argc != 3)
 		return 2;
 	engine = argv[1];
+	first_id = tree ? atoi(argv[2]) : 0;
 	setvbuf(stdout, NULL, _IOLBF, 0);
 	video.id = -1;
 	device = open("/dev/axidma", O_RDWR | O_EXCL);
 	CHECK(device >= 0);
 	CHECK(open("/dev/axidma", O_RDWR | O_EXCL) == -1 && errno == EBUSY);
-	CHECK(open("/dev/cm_dma/to_pl", O_RDWR) == -1 && errno == EBUSY);
+	if (!tree)
+		CHECK(open("/dev/cm_dma/to_pl", O_RDWR) == -1 && errno == EBUSY);
 	CHECK(ioctl(device, GET_COUNTS, &counts) == 0);
 	CHECK(counts.all == 5 && counts.dma_tx == 2 && counts.dma_rx == 2 && counts.vdma_rx == 1);
 	memset(all, 0xff, sizeof(all));
 	CHECK(ioctl(device, GET_CHANNELS, &channels) == 0);
 	for (int i = 0; i < counts.all; i++) {
-		if (all[i].name || all[i].chan || all[i].id != i)
-			failures++;
+		CHECK(!all[i].name && !all[i].chan && all[i].id == first_id + i);
 		if (all[i].type == VIDEO)
 			video.id = all[i].id;
 		else if (all[i].direction == TO_PL && tx < 0)
@@ -318,11 +323,11 @@ int main(int argc, char **argv)
 	CHECK(ioctl(device, REGISTER, &registered) == -1 && errno == EINVAL);
 
 	close(device);
-	CHECK(open("/dev/cm_dma/to_pl", O_RDWR) == -1 && errno == EBUSY); /* the mappings hold the file */
+	CHECK(open("/dev/axidma", O_RDWR) == -1 && errno == EBUSY); /* the mappings hold the file */
 	munmap(in, LENGTH);
 	munmap(out, LENGTH);
 	munmap(frames, LENGTH);
-	CHECK(open("/dev/cm_dma/to_pl", O_RDWR) >= 0);
+	CHECK(open("/dev/axidma", O_RDWR) >= 0);
 	printf("%s: %d failures\n", failures ? "FAIL" : "PASS", failures);
 	return failures != 0;
 }

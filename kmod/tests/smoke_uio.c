@@ -6,10 +6,11 @@
  *	smoke_uio DEBUGFS-FOLDER-OF-THE-ENGINE
  *
  * needs a window "camera" of 8192 bytes at 0x43c00000 with a doorbell at
- * 0x1000, on the board "board"; the argument is not used.
+ * 0x1000, on the same board in configfs as the engine.
  */
 #include <errno.h>
 #include <fcntl.h>
+#include <glob.h>
 #include <poll.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -21,10 +22,10 @@
 
 #define SIZE 8192
 #define DOORBELL 0x1000
-#define LIVE "/sys/kernel/config/cm_plsim/board/live"
+#define BOARDS "/sys/kernel/config/cm_plsim/*/dev_name"
 
 static int failures, number = -1;
-static char fire_path[256];
+static char fire_path[256], live_path[256];
 
 #define CHECK(condition)                                                                           \
 	do {                                                                                       \
@@ -48,19 +49,44 @@ static int put(const char *path, const char *text)
 	return ret < 0 ? -1 : 0;
 }
 
-static void get(char *text, size_t size, const char *name)
+/* a file's only line */
+static void get_line(char *text, size_t size, const char *path)
 {
-	char path[128];
 	ssize_t length = -1;
-	int fd;
+	int fd = open(path, O_RDONLY);
 
-	snprintf(path, sizeof(path), "/sys/class/uio/uio%d/%s", number, name);
-	fd = open(path, O_RDONLY);
 	if (fd >= 0) {
 		length = read(fd, text, size - 1);
 		close(fd);
 	}
 	text[length > 0 ? length - 1 : 0] = 0;
+}
+
+static void get(char *text, size_t size, const char *name)
+{
+	char path[128];
+
+	snprintf(path, sizeof(path), "/sys/class/uio/uio%d/%s", number, name);
+	get_line(text, size, path);
+}
+
+/* the switch of the board that the engine belongs to */
+static void find_board(const char *engine)
+{
+	const char *name = strrchr(engine, '/');
+	char text[128];
+	glob_t found;
+
+	if (glob(BOARDS, 0, NULL, &found))
+		return;
+	for (size_t i = 0; i < found.gl_pathc; i++) {
+		get_line(text, sizeof(text), found.gl_pathv[i]);
+		if (name && !strcmp(text, name + 1))
+			snprintf(live_path, sizeof(live_path), "%.*s/live",
+				 (int)(strrchr(found.gl_pathv[i], '/') - found.gl_pathv[i]),
+				 found.gl_pathv[i]);
+	}
+	globfree(&found);
 }
 
 /* the device of that name, and where its interrupts are raised */
@@ -196,14 +222,14 @@ static void test_unplug(int fd, volatile uint32_t *registers)
 	CHECK(read(to_parent[0], &text, 1) == 1);
 	usleep(100000);
 	CHECK(waitpid(child, &status, WNOHANG) == 0);
-	CHECK(put(LIVE, "0") == 0);
+	CHECK(put(live_path, "0") == 0);
 	CHECK(waitpid(child, &status, 0) == child && WIFEXITED(status) && !WEXITSTATUS(status));
 	CHECK(take(fd) == -1 && errno == EIO);
 	CHECK(set_mask(fd, 1) == -1);
 	/* what was mapped stays */
 	CHECK(registers[1] == 0xC0FFEE00);
 	registers[1] = 1;
-	CHECK(put(LIVE, "1") == 0);
+	CHECK(put(live_path, "1") == 0);
 	/* it is another device now */
 	find();
 	blocking = open_uio(O_NONBLOCK);
@@ -215,12 +241,16 @@ static void test_unplug(int fd, volatile uint32_t *registers)
 	close(blocking);
 }
 
-int main(void)
+int main(int argc, char **argv)
 {
 	volatile uint32_t *registers;
 	int fd;
 
+	if (argc != 2)
+		return 2;
 	setvbuf(stdout, NULL, _IOLBF, 0);
+	find_board(argv[1]);
+	CHECK(*live_path);
 	find();
 	fd = open_uio(O_NONBLOCK);
 	CHECK(fd >= 0);

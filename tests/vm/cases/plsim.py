@@ -15,9 +15,14 @@ from cm import device
 
 ROOT = Path("/sys/kernel/config/cm_plsim")
 LIVE = ROOT / "board" / "live"  # of the board in configfs, where it comes from there
-STATIC = Path("/opt/cm/firmware/qemu-virt/static.dtbo")
+FIRMWARE = Path("/opt/cm/firmware/qemu-virt")
 
 Attributes = Mapping[str, object]
+
+
+def overlay(name: str) -> bytes:
+    """A compiled overlay of this board."""
+    return (FIRMWARE / f"{name}.dtbo").read_bytes()
 
 
 def remove_overlays() -> None:
@@ -49,7 +54,7 @@ def _take_away() -> None:
 
 def _bring_back() -> None:
     if LOOK["overlay"]():
-        device.Overlays("/").apply("static", STATIC.read_bytes())
+        device.Overlays("/").apply("static", overlay("static"))
     else:
         LIVE.write_text("1")
     pl("icap", "delay_us").write_text(os.environ["CM_VM_LOAD_US"])

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import plsim
 import pytest
-from served import PATIENCE
+from served import PATIENCE, driver
+
+from cm import device
 
 pytestmark = pytest.mark.needs("dma", "plsim")
 PROGRAMS = Path("/opt/cm/bin")
@@ -31,8 +34,29 @@ def engine() -> Iterator[Path]:
         yield folder
 
 
-def run(program: str, engine: Path) -> None:
-    done = subprocess.run([PROGRAMS / program, engine], capture_output=True, text=True, timeout=PATIENCE, check=False)
+@contextlib.contextmanager
+def axidma() -> Iterator[None]:
+    """With the module that makes /dev/axidma."""
+    subprocess.run(["modprobe", "cm_axidma_compat"], check=True)
+    try:
+        yield
+    finally:
+        subprocess.run(["rmmod", "cm_axidma_compat"], check=True)
+
+
+@pytest.fixture
+def described_engine() -> Iterator[Path]:
+    """An engine whose channels a device tree gives to /dev/axidma, numbered from 16."""
+    with axidma():
+        device.Overlays("/").apply("axidma", plsim.overlay("axidma"))
+        try:
+            yield Path("/sys/kernel/debug/cm_plsim/axidma-engine")
+        finally:
+            device.Overlays("/").remove("axidma")
+
+
+def run(program: str, engine: Path, *arguments: str) -> None:
+    done = subprocess.run([PROGRAMS / program, engine, *arguments], capture_output=True, text=True, timeout=PATIENCE, check=False)
     wrong = [line for line in done.stdout.splitlines() if line.startswith("FAIL")]
     assert (done.returncode, wrong) == (0, []), done.stdout + done.stderr
     assert done.stdout.count("\nok ") > 10
@@ -47,9 +71,18 @@ def test_the_c_program_of_the_port_passes(engine: Path) -> None:
 
 
 def test_a_program_written_for_libaxidma_passes(engine: Path) -> None:
-    subprocess.run(["modprobe", "cm_axidma_compat"], check=True)
-    run("smoke_axidma", engine)
-    subprocess.run(["rmmod", "cm_axidma_compat"], check=True)
+    with axidma():
+        run("smoke_axidma", engine)
+
+
+def test_the_c_program_of_the_register_windows_passes(engine: Path) -> None:
+    run("smoke_uio", engine)
+
+
+@pytest.mark.needs("overlay")
+def test_a_program_written_for_libaxidma_passes_on_channels_of_a_device_tree(described_engine: Path) -> None:
+    assert driver("axidma-chrdev") == "cm_axidma_compat"
+    run("smoke_axidma", described_engine, "16")
 
 
 def test_what_is_live_cannot_be_changed(engine: Path) -> None:
