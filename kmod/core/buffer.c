@@ -22,6 +22,7 @@ static struct cm_buffer *buffer_new(struct device *dev, enum cm_buffer_kind kind
 	INIT_LIST_HEAD(&buffer->attachments);
 	INIT_WORK(&buffer->release, buffer_release_work);
 	buffer->dev = get_device(dev);
+	buffer->pool = cm_pool_get(dev);
 	buffer->kind = kind;
 	buffer->length = length;
 	return buffer;
@@ -30,6 +31,7 @@ static struct cm_buffer *buffer_new(struct device *dev, enum cm_buffer_kind kind
 static void buffer_delete(struct cm_buffer *buffer)
 {
 	mutex_destroy(&buffer->lock);
+	cm_pool_put(buffer->pool);
 	put_device(buffer->dev);
 	kfree(buffer);
 }

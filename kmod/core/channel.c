@@ -97,6 +97,19 @@ static bool config_valid(const struct cm_channel_config *config)
 	       config->alignment <= PAGE_SIZE;
 }
 
+/* an engine that is unbound unbinds its clients first, and brings them back */
+static struct dma_chan *request_engine(struct device *dev, const char *name)
+{
+	struct dma_chan *chan = dma_request_chan(dev, name);
+
+	if (IS_ERR(chan))
+		return chan;
+	if (device_link_add(dev, chan->device->dev, DL_FLAG_AUTOPROBE_CONSUMER))
+		return chan;
+	dma_release_channel(chan);
+	return ERR_PTR(-ENODEV);
+}
+
 /**
  * cm_channel_create() - request a DMA channel
  * @dev: client device; the channel's name is looked up in its dma-names
@@ -104,42 +117,44 @@ static bool config_valid(const struct cm_channel_config *config)
  *
  * Return: a channel with one reference, to be given back by
  * cm_channel_remove(), or an ERR_PTR: -EPROBE_DEFER while the engine is not
- * there, -ENODEV where it goes away, -EINVAL for a configuration that cannot be.
+ * there, -ENODEV where it goes away, -EINVAL for a configuration that cannot
+ * be, or what is wrong with the device's memory-region.
  */
 struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel_config *config)
 {
 	struct cm_channel *channel;
-	struct dma_chan *chan;
+	int ret;
 
 	if (!config_valid(config))
 		return ERR_PTR(-EINVAL);
 	channel = kzalloc(sizeof(*channel), GFP_KERNEL);
 	if (!channel)
 		return ERR_PTR(-ENOMEM);
-	chan = dma_request_chan(dev, config->name);
-	if (IS_ERR(chan)) {
-		kfree(channel);
-		return ERR_CAST(chan);
-	}
-	/* an engine that is unbound unbinds its clients first, and brings them back */
-	if (!device_link_add(dev, chan->device->dev, DL_FLAG_AUTOPROBE_CONSUMER)) {
-		dma_release_channel(chan);
-		kfree(channel);
-		return ERR_PTR(-ENODEV);
-	}
+	channel->pool = cm_pool_assign(dev);
+	ret = PTR_ERR_OR_ZERO(channel->pool);
+	if (ret)
+		goto no_pool;
+	channel->chan = request_engine(dev, config->name);
+	ret = PTR_ERR_OR_ZERO(channel->chan);
+	if (ret)
+		goto no_engine;
 	kref_init(&channel->ref);
 	mutex_init(&channel->lock);
 	spin_lock_init(&channel->active_lock);
 	INIT_LIST_HEAD(&channel->active);
 	init_waitqueue_head(&channel->waiting);
 	channel->dev = dev;
-	channel->chan = chan;
-	channel->dma_dev = get_device(cm_dma_device(chan));
+	channel->dma_dev = get_device(cm_dma_device(channel->chan));
 	/* with a memory-region of its own the client's device has the memory */
-	channel->alloc_dev = get_device(of_find_property(dev->of_node, "memory-region", NULL) ?
-					dev : channel->dma_dev);
+	channel->alloc_dev = get_device(channel->pool ? dev : channel->dma_dev);
 	channel_describe(channel, config);
 	return channel;
+
+no_engine:
+	cm_pool_put(channel->pool);
+no_pool:
+	kfree(channel);
+	return ERR_PTR(ret);
 }
 EXPORT_SYMBOL_CM(cm_channel_create);
 
@@ -147,6 +162,7 @@ static void channel_free(struct kref *ref)
 {
 	struct cm_channel *channel = container_of(ref, struct cm_channel, ref);
 
+	cm_pool_put(channel->pool);
 	put_device(channel->alloc_dev);
 	put_device(channel->dma_dev);
 	mutex_destroy(&channel->lock);

@@ -6,7 +6,6 @@
  * their meaning are in docs/kernel.md and the bindings.
  */
 #include <linux/mod_devicetable.h>
-#include <linux/of_reserved_mem.h>
 #include <linux/platform_device.h>
 #include <linux/property.h>
 
@@ -24,11 +23,6 @@ static void remove_channel(void *channel)
 static void remove_node(void *node)
 {
 	cm_node_remove(node);
-}
-
-static void release_memory(void *dev)
-{
-	of_reserved_mem_device_release(dev);
 }
 
 /* optional array property: one value a channel */
@@ -93,28 +87,15 @@ static int add_channel(struct device *dev, int index, const char *name)
 	return devm_add_action_or_reset(dev, remove_node, node);
 }
 
-static int attach_memory(struct device *dev)
-{
-	int ret;
-
-	if (!of_find_property(dev->of_node, "memory-region", NULL))
-		return 0;
-	ret = of_reserved_mem_device_init(dev);
-	if (ret)
-		return dev_err_probe(dev, ret, "memory-region cannot be used\n");
-	return devm_add_action_or_reset(dev, release_memory, dev);
-}
-
 static int cm_dma_probe(struct platform_device *pdev)
 {
 	struct device *dev = &pdev->dev;
 	const char *names[CM_CHANNELS_MAX];
-	int count, i, ret;
+	int count, i, ret = 0;
 
 	count = device_property_read_string_array(dev, "dma-names", names, CM_CHANNELS_MAX);
 	if (count <= 0)
 		return dev_err_probe(dev, count ?: -EINVAL, "dma-names cannot be read\n");
-	ret = attach_memory(dev);
 	for (i = 0; !ret && i < count; i++)
 		ret = add_channel(dev, i, names[i]);
 	return ret;

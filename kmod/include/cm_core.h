@@ -21,6 +21,7 @@
 
 struct dma_buf;
 struct dma_buf_attachment;
+struct cm_pool;
 struct dentry;
 struct sg_table;
 
@@ -40,6 +41,7 @@ enum cm_buffer_kind {
  * struct cm_buffer - memory that a device can reach
  * @ref: one for the handle, one for each exported dma-buf, one for each request
  * @dev: device the memory is mapped for; a reference is held
+ * @pool: what keeps memory of @dev's own assigned to it, or NULL
  * @kind: where the memory comes from
  * @length: bytes
  * @cpu: kernel address; NULL for imported buffers
@@ -56,6 +58,7 @@ enum cm_buffer_kind {
 struct cm_buffer {
 	struct kref ref;
 	struct device *dev;
+	struct cm_pool *pool;
 	enum cm_buffer_kind kind;
 	size_t length;
 	void *cpu;
@@ -69,6 +72,10 @@ struct cm_buffer {
 	enum dma_data_direction direction;
 	struct work_struct release;
 };
+
+struct cm_pool *cm_pool_assign(struct device *dev);
+struct cm_pool *cm_pool_get(struct device *dev);
+void cm_pool_put(struct cm_pool *pool);
 
 int cm_buffers_init(void);
 void cm_buffers_exit(void);
@@ -194,6 +201,7 @@ struct cm_channel_stats {
  * @ref: references; the last put frees it, never before the device is unbound
  * @dev: client device, for messages
  * @alloc_dev: device that buffers are allocated against; a reference is held
+ * @pool: memory of @alloc_dev's own, or NULL; a reference is held
  * @dma_dev: the engine's device; a reference is held
  * @chan: the engine's channel; NULL once the device is gone
  * @info: what user space is told
@@ -209,6 +217,7 @@ struct cm_channel {
 	struct kref ref;
 	struct device *dev;
 	struct device *alloc_dev;
+	struct cm_pool *pool;
 	struct device *dma_dev;
 	struct dma_chan *chan;
 	struct cm_dma_info info;
