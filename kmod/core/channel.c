@@ -16,12 +16,14 @@
  * @channel: channel
  * @request: as given; its buffer is referenced
  * @address: of the first byte, for the device
+ * @readable: for its results
  */
 struct cm_active {
 	struct list_head node;
 	struct cm_channel *channel;
 	struct cm_request request;
 	dma_addr_t address;
+	u32 readable;
 };
 
 static void active_done(void *param, const struct dmaengine_result *result);
@@ -221,26 +223,33 @@ static void active_free(struct cm_active *active)
 	kfree(active);
 }
 
-static void report(const struct cm_request *request, u64 length, int status, bool last)
+static struct cm_result result_of(const struct cm_active *active, u64 length, int status, bool last)
 {
-	struct cm_result result = {
-		.cookie = request->cookie,
+	return (struct cm_result){
+		.cookie = active->request.cookie,
 		.length = length,
 		.timestamp_ns = ktime_get_ns(),
 		.status = status,
+		.readable = active->readable,
 		.last = last,
 	};
-
-	request->done(request->context, &result);
 }
 
 /* in this order: who hears of the end may free the buffer at once */
 static void active_finish(struct cm_active *active, u64 length, int status)
 {
+	struct cm_result result = result_of(active, length, status, true);
 	struct cm_request request = active->request;
 
 	active_free(active);
-	report(&request, length, status, true);
+	request.done(request.context, &result);
+}
+
+static void active_period(struct cm_active *active, u64 length, int status)
+{
+	struct cm_result result = result_of(active, length, status, false);
+
+	active->request.done(active->request.context, &result);
 }
 
 /* the engine has stopped, so no callback runs beside this */
@@ -440,7 +449,7 @@ static void active_done(void *param, const struct dmaengine_result *result)
 		active_end(active, length, status);
 		return;
 	}
-	report(&active->request, length, status, false);
+	active_period(active, length, status);
 	/* engines have no cyclic video transfer: the same frame again */
 	if (active->request.lines && again) {
 		ret = start(channel, active);
@@ -506,6 +515,7 @@ int cm_channel_submit(struct cm_channel *channel, const struct cm_request *reque
 		return -ENOMEM;
 	active->channel = channel;
 	active->request = *request;
+	active->readable = cm_request_readable(request);
 	ret = cm_buffer_address(request->buffer, request->offset, cm_request_footprint(request),
 				&active->address);
 	if (ret) {

@@ -2,7 +2,6 @@
 /* What a process can do with /dev/cm_dma/<name>. */
 #include <linux/compat.h>
 #include <linux/fs.h>
-#include <linux/math64.h>
 #include <linux/poll.h>
 #include <linux/slab.h>
 #include <linux/uaccess.h>
@@ -18,10 +17,8 @@
  * @channel: claimed
  * @table: buffers
  * @read_lock: one reader at a time
- * @submit_lock: orders a cyclic transfer's limit against its start
- * @lock: protects @queue and @cyclic_limit
+ * @lock: protects @queue
  * @queue: completions
- * @cyclic_limit: periods whose data is still there when they are read
  * @ring: memory of @queue
  */
 struct cm_file {
@@ -29,10 +26,8 @@ struct cm_file {
 	struct cm_channel *channel;
 	struct cm_buffer_table table;
 	struct mutex read_lock; /* one reader at a time */
-	struct mutex submit_lock; /* orders a cyclic transfer's limit against its start */
-	spinlock_t lock; /* protects queue and cyclic_limit */
+	spinlock_t lock; /* protects queue */
 	struct cm_queue queue;
-	u32 cyclic_limit;
 	struct cm_dma_completion ring[];
 };
 
@@ -57,7 +52,6 @@ static int cm_dma_open(struct inode *inode, struct file *file)
 	self->channel = channel;
 	cm_buffer_table_init(&self->table);
 	mutex_init(&self->read_lock);
-	mutex_init(&self->submit_lock);
 	spin_lock_init(&self->lock);
 	cm_queue_init(&self->queue, self->ring, entries);
 	file->private_data = self;
@@ -90,7 +84,7 @@ static void file_done(void *context, const struct cm_result *result)
 	if (result->last)
 		cm_queue_push(&self->queue, &completion);
 	else
-		cm_queue_push_cyclic(&self->queue, &completion, self->cyclic_limit);
+		cm_queue_push_cyclic(&self->queue, &completion, result->readable);
 	spin_unlock_bh(&self->lock);
 	wake_up_interruptible(&self->channel->waiting);
 }
@@ -196,16 +190,6 @@ static long ioctl_info(struct cm_file *self, void __user *arg)
 	return cm_args_put(arg, &info, sizeof(info));
 }
 
-static void set_cyclic_limit(struct cm_file *self, const struct cm_request *request)
-{
-	u64 periods = request->lines ? U32_MAX : div64_u64(request->length, request->period);
-
-	spin_lock_bh(&self->lock);
-	/* the hardware writes one period while the others can be read */
-	self->cyclic_limit = clamp_t(u64, periods - 1, 1, U32_MAX);
-	spin_unlock_bh(&self->lock);
-}
-
 static int reserve(struct cm_file *self)
 {
 	int ret;
@@ -223,18 +207,6 @@ static void unreserve(struct cm_file *self)
 	spin_unlock_bh(&self->lock);
 }
 
-static int submit_reserved(struct cm_file *self, struct cm_request *request)
-{
-	int ret;
-
-	mutex_lock(&self->submit_lock);
-	if (request->cyclic && (request->lines || request->period))
-		set_cyclic_limit(self, request);
-	ret = cm_channel_submit(self->channel, request);
-	mutex_unlock(&self->submit_lock);
-	return ret;
-}
-
 static long submit(struct cm_file *self, u32 handle, struct cm_request *request)
 {
 	int ret;
@@ -246,7 +218,7 @@ static long submit(struct cm_file *self, u32 handle, struct cm_request *request)
 	request->context = self;
 	ret = reserve(self);
 	if (!ret) {
-		ret = submit_reserved(self, request);
+		ret = cm_channel_submit(self->channel, request);
 		if (ret)
 			unreserve(self);
 	}

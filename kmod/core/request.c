@@ -2,6 +2,7 @@
 /* Whether a channel can do what is asked of it; nothing here needs a device. */
 #include <linux/ctype.h>
 #include <linux/errno.h>
+#include <linux/kernel.h>
 #include <linux/math64.h>
 #include <linux/string.h>
 
@@ -65,6 +66,23 @@ u64 cm_request_footprint(const struct cm_request *request)
 	if (!request->lines)
 		return request->length;
 	return (u64)(request->lines - 1) * request->stride + request->line_bytes;
+}
+
+/**
+ * cm_request_readable() - periods that can be read while one is written
+ * @request: request that passed cm_request_check()
+ *
+ * Return: all periods of a cyclic transfer but the one that the hardware is
+ * at, and at least one; 1 for a request that is not cyclic.  U32_MAX for video,
+ * whose one frame is overwritten each time: its completions only count.
+ */
+u32 cm_request_readable(const struct cm_request *request)
+{
+	if (!request->cyclic)
+		return 1;
+	if (request->lines)
+		return U32_MAX;
+	return clamp_t(u64, div64_u64(request->length, request->period) - 1, 1, U32_MAX);
 }
 
 /**

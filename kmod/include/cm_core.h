@@ -119,6 +119,7 @@ int cm_args_put(void __user *to, const void *args, size_t size);
  * @length: bytes moved
  * @timestamp_ns: CLOCK_MONOTONIC
  * @status: 0 or a negative errno
+ * @readable: cyclic: completions whose data is not overwritten yet, at most
  * @last: nothing more comes for this request
  */
 struct cm_result {
@@ -126,6 +127,7 @@ struct cm_result {
 	u64 length;
 	u64 timestamp_ns;
 	int status;
+	u32 readable;
 	bool last;
 };
 
@@ -232,6 +234,7 @@ struct cm_channel {
 
 int cm_request_check(const struct cm_dma_info *info, const struct cm_request *request);
 u64 cm_request_footprint(const struct cm_request *request);
+u32 cm_request_readable(const struct cm_request *request);
 bool cm_channel_name_valid(const char *name);
 
 struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel_config *config);

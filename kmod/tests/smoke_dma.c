@@ -228,7 +228,7 @@ static void test_cyclic(int channel)
 	struct cm_dma_submit args = { .size = sizeof(args), .flags = CM_DMA_SUBMIT_CYCLIC,
 				      .handle = buffer.handle, .length = 4 * 4096, .period = 4096,
 				      .cookie = 7 };
-	struct cm_dma_completion completion;
+	struct cm_dma_completion completion, waiting[8];
 	__u64 sequence;
 
 	CHECK(submit(channel, buffer.handle, 0, 4096, 6) == 0);
@@ -244,6 +244,14 @@ static void test_cyclic(int channel)
 	usleep(100000);
 	CHECK(next(channel, &completion) == 0);
 	CHECK(completion.flags & CM_DMA_COMPLETION_OVERRUN && completion.sequence > sequence + 4);
+	/* one that is refused changes nothing: three of four periods can be read */
+	args.length = 4096;
+	CHECK(ioctl(channel, CM_DMA_IOC_SUBMIT, &args) == -1 && errno == EBUSY);
+	usleep(100000);
+	fault("camera", "hang", 1);
+	usleep(50000);
+	CHECK(read(channel, waiting, sizeof(waiting)) == 3 * sizeof(*waiting));
+	fault("camera", "hang", 0);
 	CHECK(cancel(channel) == 0);
 	while (next(channel, &completion) == 0)
 		;
