@@ -13,6 +13,8 @@ static enum fpga_mgr_states manager_state(struct fpga_manager *manager)
 {
 	struct cm_icap *icap = manager->priv;
 
+	if (!icap)
+		return FPGA_MGR_STATE_UNKNOWN;
 	return READ_ONCE(icap->status.state) == CM_ICAP_STATE_ERROR ? FPGA_MGR_STATE_WRITE_ERR :
 								      FPGA_MGR_STATE_OPERATING;
 }
@@ -22,6 +24,10 @@ static int manager_write_init(struct fpga_manager *manager, struct fpga_image_in
 {
 	struct cm_icap *icap = manager->priv;
 
+	if (!icap) {
+		dev_err(&manager->dev, "the port is gone; apply the region's overlay again\n");
+		return -ENODEV;
+	}
 	if (!(info->flags & FPGA_MGR_PARTIAL_RECONFIG) && !icap->full) {
 		dev_err(&manager->dev, "a full bitstream replaces the port it comes through\n");
 		return -EINVAL;
@@ -101,6 +107,19 @@ static const struct fpga_manager_ops manager_ops = {
 	.write_complete = manager_write_complete,
 };
 
+/*
+ * A region keeps the manager that it found first, and calls it when the port
+ * is long unbound.  Who calls has this mutex (fpga_mgr_lock()).
+ */
+static void leave_manager(void *data)
+{
+	struct fpga_manager *manager = data;
+
+	mutex_lock(&manager->ref_mutex);
+	manager->priv = NULL;
+	mutex_unlock(&manager->ref_mutex);
+}
+
 /**
  * cm_icap_manager_init() - register the manager
  * @icap: port
@@ -110,7 +129,9 @@ static const struct fpga_manager_ops manager_ops = {
 int cm_icap_manager_init(struct cm_icap *icap)
 {
 	icap->manager = cm_fpga_manager_register(icap->dev, "cm_icap", &manager_ops, icap);
-	return PTR_ERR_OR_ZERO(icap->manager);
+	if (IS_ERR(icap->manager))
+		return PTR_ERR(icap->manager);
+	return devm_add_action_or_reset(icap->dev, leave_manager, icap->manager);
 }
 #else
 int cm_icap_manager_init(struct cm_icap *icap)

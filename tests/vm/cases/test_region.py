@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from boardfile import FIRMWARE, write_bitstreams
-from plsim import remove_overlays
+from plsim import nothing, remove_overlays
 from served import PATIENCE, driver, loads, pl, until
 
 from cm import device
@@ -113,6 +113,22 @@ def test_a_region_holds_one_bitstream_at_a_time(overlays: device.Overlays) -> No
         overlays.apply(f"{NAME}-second", dtbo("default"))
     overlays.remove(NAME)
     overlays.apply(f"{NAME}-second", dtbo("default"))
+
+
+def test_a_region_whose_port_is_gone_loads_nothing(overlays: device.Overlays) -> None:
+    folder = Path("/sys/bus/platform/drivers/cm_icap")
+    name = next(link.name for link in folder.iterdir() if link.is_symlink() and link.name != "module")
+    (folder / "unbind").write_text(name)
+    try:
+        for _ in range(3):  # the region still has the manager that it found first
+            with pytest.raises(device.DeviceError):
+                overlays.apply(NAME, dtbo("edge"))
+    finally:
+        (folder / "bind").write_text(name)
+        with nothing():  # another manager for the regions
+            pass
+    overlays.apply(NAME, dtbo("edge"))
+    assert driver("58002000.camera") == "uio_pdrv_genirq"
 
 
 def test_the_bridge_of_the_port_is_closed_during_a_load_and_after_a_failed_one(slow_load: None) -> None:
