@@ -98,5 +98,7 @@ struct platform_driver cm_decoupler_driver = {
 	.driver = {
 		.name = "cm_decoupler",
 		.of_match_table = cm_decoupler_of_match,
+		/* a region calls the bridge that it found until its overlay is removed */
+		.suppress_bind_attrs = true,
 	},
 };
