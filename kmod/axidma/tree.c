@@ -8,8 +8,11 @@
  *		dma-names = "tx_channel", "rx_channel";
  *	};
  *
- * The cell of dmas counts the engine's child nodes.  A child's compatible
- * string says what the channel is, its xlnx,device-id the channel's number.
+ * A child of the engine's node says by its compatible string what a channel is,
+ * and by its xlnx,device-id the channel's number.  The cell of dmas is 0 for
+ * the MM2S and 1 for the S2MM channel, as xilinx_dma numbers them, whether the
+ * engine has both or not; or it is the child's reg, where there is one.  The
+ * order of the children says nothing: in an overlay it is turned round.
  */
 #include <linux/mod_devicetable.h>
 #include <linux/mutex.h>
@@ -62,13 +65,27 @@ static int read_kind(struct device_node *node, struct cm_channel_config *config)
 	return -EINVAL;
 }
 
-/* the caller gives the node back */
-static struct device_node *child_number(struct device_node *parent, u32 number)
+static bool is_meant(struct device_node *node, u32 cell, bool alone)
 {
+	struct cm_channel_config config;
+	u32 reg;
+
+	if (!of_property_read_u32(node, "reg", &reg))
+		return reg == cell;
+	if (read_kind(node, &config))
+		return false;
+	return alone || (config.direction == CM_DMA_MM2S && cell == 0) ||
+	       (config.direction == CM_DMA_S2MM && cell == 1);
+}
+
+/* the caller gives the node back */
+static struct device_node *find_child(struct device_node *parent, u32 cell)
+{
+	bool alone = of_get_child_count(parent) == 1;
 	struct device_node *child;
 
 	for_each_child_of_node(parent, child) {
-		if (!number--)
+		if (is_meant(child, cell, alone))
 			return child;
 	}
 	return NULL;
@@ -82,7 +99,7 @@ static struct device_node *channel_node(struct device *dev, int index)
 	if (of_parse_phandle_with_args(dev->of_node, "dmas", "#dma-cells", index, &args))
 		return NULL;
 	if (args.args_count)
-		node = child_number(args.np, args.args[0]);
+		node = find_child(args.np, args.args[0]);
 	of_node_put(args.np);
 	return node;
 }
