@@ -147,7 +147,6 @@ static int add_client(struct plsim_board *board)
 
 static int add_icap(struct plsim_board *board)
 {
-	struct plsim_dma *dma = platform_get_drvdata(board->engine);
 	struct cm_icap_platform_data data;
 	struct plsim_channel_item *channel;
 	struct platform_device *device;
@@ -157,7 +156,9 @@ static int add_icap(struct plsim_board *board)
 			continue;
 		if (board->icap)
 			return -EINVAL;
-		plsim_icap_platform_data(&dma->channels[channel->number], &data);
+		board->port.engine = board->engine;
+		board->port.number = channel->number;
+		plsim_icap_platform_data(&board->port, &data);
 		device = add_device("cm_icap", board->id, NULL,
 				    (struct property_entry[]){
 					PROPERTY_ENTRY_STRING("dma-names", "icap"),

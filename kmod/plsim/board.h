@@ -29,6 +29,7 @@
  * @channel_nodes: properties of its channels
  * @engine: DMA engine
  * @client: its channels for user space
+ * @port: the engine's port, for the loader
  * @icap: loader
  * @uio: register windows
  */
@@ -45,6 +46,7 @@ struct plsim_board {
 	struct fwnode_handle *channel_nodes[PLSIM_CHANNELS_MAX];
 	struct platform_device *engine;
 	struct platform_device *client;
+	struct plsim_port port;
 	struct platform_device *icap;
 	struct platform_device *uio[PLSIM_UIO_MAX];
 };

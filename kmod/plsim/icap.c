@@ -2,6 +2,7 @@
 /* A configuration port at the end of an MM2S channel. */
 #include <linux/io.h>
 #include <linux/module.h>
+#include <linux/platform_device.h>
 #include <asm/byteorder.h>
 
 #include "cm_icap.h"
@@ -40,19 +41,23 @@ void plsim_icap_take(struct plsim_chan *chan, const u8 *data, size_t length)
 		writel(status_word(chan), chan->dma->status);
 }
 
+/* the engine may have been unbound and bound again; without it there is no loader */
 static u32 read_status(void *context)
 {
-	return status_word(context);
+	struct plsim_port *port = context;
+	struct plsim_dma *dma = platform_get_drvdata(port->engine);
+
+	return status_word(&dma->channels[port->number]);
 }
 
 /**
  * plsim_icap_platform_data() - the port's status for the loader's driver
- * @chan: channel of kind PLSIM_ICAP
+ * @port: engine, and channel of kind PLSIM_ICAP; outlives the loader
  * @data: filled in
  */
-void plsim_icap_platform_data(struct plsim_chan *chan, struct cm_icap_platform_data *data)
+void plsim_icap_platform_data(struct plsim_port *port, struct cm_icap_platform_data *data)
 {
 	data->status = read_status;
-	data->context = chan;
+	data->context = port;
 	data->full = true;
 }

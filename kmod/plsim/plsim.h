@@ -18,6 +18,7 @@
 
 #define PLSIM_CHANNELS_MAX 32
 
+struct platform_device;
 struct plsim_dma;
 
 /**
@@ -170,6 +171,16 @@ struct plsim_dma {
 	struct plsim_chan channels[];
 };
 
+/**
+ * struct plsim_port - a configuration port as its loader's driver knows it
+ * @engine: platform device of the engine
+ * @number: of its channel
+ */
+struct plsim_port {
+	struct platform_device *engine;
+	u32 number;
+};
+
 static inline struct plsim_chan *to_plsim_chan(struct dma_chan *chan)
 {
 	return container_of(chan, struct plsim_chan, chan);
@@ -193,7 +204,7 @@ void plsim_pattern(u8 *data, size_t length, u64 frame);
 /* icap.c */
 void plsim_icap_take(struct plsim_chan *chan, const u8 *data, size_t length);
 struct cm_icap_platform_data;
-void plsim_icap_platform_data(struct plsim_chan *chan, struct cm_icap_platform_data *data);
+void plsim_icap_platform_data(struct plsim_port *port, struct cm_icap_platform_data *data);
 
 /* debugfs.c */
 void plsim_debugfs(struct plsim_dma *dma);
