@@ -225,6 +225,8 @@ static int read_channel(struct plsim_dma *dma, struct fwnode_handle *node)
 	if (number >= PLSIM_CHANNELS_MAX)
 		return -EINVAL;
 	chan = &dma->channels[number];
+	if (chan->label)
+		return -EEXIST;
 	ret = read_kind(node, chan);
 	if (ret)
 		return ret;
@@ -268,7 +270,7 @@ static int read_channels(struct plsim_dma *dma)
 		ret = read_channel(dma, node);
 		if (ret) {
 			fwnode_handle_put(node);
-			return dev_err_probe(dma->dev, ret, "a channel lacks kind or label\n");
+			return dev_err_probe(dma->dev, ret, "a channel lacks kind or label, or has another's number\n");
 		}
 		dma->count++;
 	}
@@ -349,9 +351,15 @@ static int init_maps(struct plsim_dma *dma)
 	return 0;
 }
 
-static void destroy_queue(void *queue)
+/* a loop's sender may have gone on after its receiver was given back */
+static void destroy_queue(void *data)
 {
-	destroy_workqueue(queue);
+	struct plsim_dma *dma = data;
+	int i;
+
+	destroy_workqueue(dma->queue);
+	for (i = 0; i < dma->count; i++)
+		plsim_drop_packets(&dma->channels[i]);
 }
 
 static void unregister_engine(void *device)
@@ -420,10 +428,10 @@ static int plsim_dma_probe(struct platform_device *pdev)
 	dma->queue = alloc_workqueue("%s", WQ_UNBOUND, 0, dev_name(dev));
 	if (!dma->queue)
 		return -ENOMEM;
-	ret = devm_add_action_or_reset(dev, destroy_queue, dma->queue);
+	init_device(dma);
+	ret = devm_add_action_or_reset(dev, destroy_queue, dma);
 	if (ret)
 		return ret;
-	init_device(dma);
 	ret = dma_async_device_register(&dma->device);
 	if (ret)
 		return ret;
