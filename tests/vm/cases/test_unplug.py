@@ -4,15 +4,20 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import plsim
 import pytest
+from boardfile import write_bitstreams
 from capabilities import LOOK
 from served import PATIENCE, until
 
 from cm import device
+from cm.bitstream import to_dma_words
 
 pytestmark = pytest.mark.needs("cm", "dma", "plsim")
 MODULES = ("cm_axidma_compat", "cm_plsim", "cm_icap", "cm_dma")  # in the order in which they can go
@@ -100,3 +105,69 @@ def test_a_driver_is_unbound_under_open_files(driver: str) -> None:
     loop()
     with plsim.nothing():  # regions keep the manager that they found first
         pass
+
+
+@contextlib.contextmanager
+def unbound(driver: str, name: str) -> Iterator[None]:
+    """Without a device's driver, as an administrator takes it away."""
+    folder = Path("/sys/bus/platform/drivers", driver)
+    (folder / "unbind").write_text(name)
+    try:
+        yield
+    finally:
+        (folder / "bind").write_text(name)
+
+
+def load_ends(tmp_path: Path) -> int:
+    """Load a bitstream through the only port; gives the verdict."""
+    write_bitstreams(tmp_path)
+    words = to_dma_words((tmp_path / "edge.bit").read_bytes())
+    with device.Icap.open() as port, port.allocate(len(words)) as buffer:
+        buffer.array(0, len(words))[:] = bytearray(words)
+        port.load(buffer, len(words))
+        return port.wait(PATIENCE).status
+
+
+def test_a_port_asks_the_engine_that_is_there_now(tmp_path: Path) -> None:
+    channels = {"icap": {"kind": "icap", "idcode": "0x03727093"}}
+    with plsim.nothing(), plsim.board(channels, {}) as engine:
+        assert load_ends(tmp_path) == 0
+        for _ in range(3):
+            with unbound("cm_plsim_dma", engine.name):
+                assert device.list_icap() == []
+            until(device.list_icap)
+            assert load_ends(tmp_path) == 0
+            (engine / "icap/inject_errors").write_text("1")  # CM_ICAP_ERR_CRC
+            assert load_ends(tmp_path) == -errno.EILSEQ
+
+
+@pytest.fixture
+def pool() -> Iterator[str]:
+    """A channel with 16 MB of its own for buffers; gives the name of its device."""
+    overlays = device.Overlays("/")
+    overlays.apply("pool", plsim.overlay("pool"))
+    try:
+        yield "pool-channels"
+    finally:
+        overlays.remove("pool")
+
+
+@pytest.mark.needs("overlay")
+def test_reserved_memory_outlives_its_driver_and_comes_back(pool: str) -> None:
+    most = 10 << 20
+    for _ in range(3):
+        with device.AxiDma.open("pool") as channel, channel.allocate(most) as buffer:
+            with pytest.raises(device.DeviceError):
+                channel.allocate(most)  # the kernel's own would have room
+            words = buffer.array(0, most).view(np.uint32)
+            words[:] = np.arange(len(words), dtype=np.uint32)
+            with unbound("cm_dma", pool):
+                assert "pool" not in device.list_dma()
+            until(lambda: "pool" in device.list_dma())
+            # bound anew, and the old buffer still has its part of the pool
+            with device.AxiDma.open("pool") as again, pytest.raises(device.DeviceError):
+                again.allocate(most)
+            assert np.array_equal(words, np.arange(len(words), dtype=np.uint32))
+    with device.AxiDma.open("pool") as channel, channel.allocate(4096) as buffer:
+        channel.submit(buffer, length=4096)
+        assert channel.wait(PATIENCE).length == 4096
