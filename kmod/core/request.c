@@ -8,6 +8,13 @@
 
 #include "cm_core.h"
 
+/*
+ * AXI VDMA's registers (PG020): HSIZE and the stride have 16 bits, VSIZE 13.
+ * Its driver writes what it is given, and more of a stride is the frame delay.
+ */
+#define VDMA_LINE_MAX 0xFFFF
+#define VDMA_LINES_MAX 0x1FFF
+
 static int check_video(const struct cm_dma_info *info, const struct cm_request *request)
 {
 	if (!(info->caps & CM_DMA_CAP_VIDEO))
@@ -16,6 +23,9 @@ static int check_video(const struct cm_dma_info *info, const struct cm_request *
 		return -EINVAL;
 	if ((request->offset | request->line_bytes | request->stride) & (info->alignment - 1))
 		return -EINVAL;
+	if (info->type == CM_DMA_TYPE_VDMA &&
+	    (request->lines > VDMA_LINES_MAX || request->stride > VDMA_LINE_MAX))
+		return -EMSGSIZE;
 	return request->line_bytes > info->max_length ? -EMSGSIZE : 0;
 }
 

@@ -92,6 +92,9 @@ struct cm_dma_submit {
  * @line_bytes: in: bytes moved per line
  * @stride: in: bytes from the start of a line to the start of the next
  * @cookie: in: returned in the completion
+ *
+ * -EMSGSIZE above max_length a line, or above what the engine's registers hold:
+ * with CM_DMA_TYPE_VDMA lines of 13 and a stride of 16 bits.
  */
 struct cm_dma_submit_video {
 	__u32 size;
