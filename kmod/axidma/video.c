@@ -121,14 +121,17 @@ static int fill_slot(struct axidma_file *file, struct axidma_video *video,
 {
 	struct cm_request *request = &slot->request;
 	int ret = axidma_frame_request(frame, request);
+	u64 bytes;
 
 	if (ret)
 		return ret;
+	bytes = (u64)request->lines * request->line_bytes;
+	if (bytes > ULONG_MAX)
+		return -EINVAL;
 	slot->video = video;
 	request->done = slot_done;
 	request->context = slot;
-	/* whether the frame fits is checked with the request */
-	request->buffer = axidma_region_find(file, address, 1, &request->offset);
+	request->buffer = axidma_region_find(file, address, bytes, &request->offset);
 	return request->buffer ? 0 : -EFAULT;
 }
 
@@ -226,14 +229,17 @@ long axidma_stop(struct axidma_file *file, void __user *arg)
 {
 	struct axidma_abi_channel args;
 	struct axidma_channel *channel;
+	int ret;
 
 	if (copy_from_user(&args, arg, sizeof(args)))
 		return -EFAULT;
 	channel = axidma_channel_find(file, args.id, 0);
 	if (!channel)
 		return -ENODEV;
+	/* not the frames of somebody who starts anew at this moment */
 	mutex_lock(&file->lock);
 	axidma_video_end(channel);
+	ret = cm_channel_cancel(channel->channel);
 	mutex_unlock(&file->lock);
-	return cm_channel_cancel(channel->channel);
+	return ret;
 }

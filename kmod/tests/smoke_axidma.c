@@ -301,8 +301,15 @@ int main(int argc, char **argv)
 	CHECK(((uint32_t *)frames)[0] != ((uint32_t *)frames)[1024]);
 	fault("vcam", "interval_us", "2000");
 	video.frame.height = 1 << 30;
-	CHECK(ioctl(device, VIDEO_READ, &video) == -1 && errno == EINVAL);
+	CHECK(ioctl(device, VIDEO_READ, &video) == -1 && errno == EFAULT);
 	video.frame.height = 16;
+	addresses[1] = frames + LENGTH - 4095;
+	CHECK(ioctl(device, VIDEO_READ, &video) == -1 && errno == EFAULT);
+	/* more lines than a VDMA counts */
+	addresses[1] = frames;
+	video.frame = (struct frame){ 8192, 1, 4 };
+	CHECK(ioctl(device, VIDEO_READ, &video) == -1 && errno == EMSGSIZE);
+	video.frame = (struct frame){ 16, 64, 4 };
 	video.count = 1000;
 	CHECK(ioctl(device, VIDEO_READ, &video) == -1 && errno == EINVAL);
 
