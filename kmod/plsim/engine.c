@@ -270,7 +270,8 @@ static int read_channels(struct plsim_dma *dma)
 		ret = read_channel(dma, node);
 		if (ret) {
 			fwnode_handle_put(node);
-			return dev_err_probe(dma->dev, ret, "a channel lacks kind or label, or has another's number\n");
+			return dev_err_probe(dma->dev, ret,
+					     "no kind, no label, or another's number\n");
 		}
 		dma->count++;
 	}

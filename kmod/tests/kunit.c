@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: GPL-2.0
-/* KUnit suites of what needs no device: completions, verdicts, packets. */
-#include <kunit/test.h>
+/* KUnit suites of what needs no device: completions, verdicts, packets, pictures. */
 #include <linux/module.h>
+
+#include "suites.h"
 
 #include "../core/queue.c"
 #include "../icap/verdict.c"
 #include "../plsim/configport.c"
+#include "../plsim/source.c"
 
 #define DEPTH 4
 
@@ -273,7 +275,64 @@ static struct kunit_suite port_suite = {
 	.test_cases = port_cases,
 };
 
-kunit_test_suites(&queue_suite, &verdict_suite, &port_suite);
+static void pattern_counts_up_from_the_frame(struct kunit *test)
+{
+	static const u8 wanted[] = { 0xff, 0xff, 0, 0, 0, 0, 1, 0, 0x01, 0, 0x5a, 0x5a };
+	u8 data[12] __aligned(4);
+
+	memset(data, 0x5a, sizeof(data));
+	plsim_pattern(data, 10, 0xffff);
+	KUNIT_EXPECT_EQ(test, memcmp(data, wanted, sizeof(wanted)), 0);
+}
+
+static void frame_on_demand_has_the_next_number(struct kunit *test)
+{
+	struct plsim_chan chan = { .frame_length = 8 };
+	struct plsim_packet *packet;
+	u32 i;
+
+	for (i = 0; i < 3; i++) {
+		packet = plsim_source_frame(&chan);
+		KUNIT_ASSERT_NOT_ERR_OR_NULL(test, packet);
+		KUNIT_EXPECT_EQ(test, packet->length, (size_t)8);
+		KUNIT_EXPECT_EQ(test, le32_to_cpup((__le32 *)packet->data), i);
+		kvfree(packet);
+	}
+	KUNIT_EXPECT_EQ(test, chan.frames, 3ULL);
+	KUNIT_EXPECT_EQ(test, chan.lost, 0ULL);
+}
+
+static void frames_nobody_took_in_time_are_lost(struct kunit *test)
+{
+	struct plsim_chan chan = { .frame_length = 8, .interval_us = 1000000 };
+	struct plsim_packet *packet;
+
+	/* five and a half intervals late */
+	chan.next_frame = ktime_get_ns() - 5500000000ULL;
+	packet = plsim_source_frame(&chan);
+	KUNIT_ASSERT_NOT_ERR_OR_NULL(test, packet);
+	KUNIT_EXPECT_EQ(test, le32_to_cpup((__le32 *)packet->data), 5U);
+	KUNIT_EXPECT_EQ(test, chan.lost, 5ULL);
+	kvfree(packet);
+	/* the next one is not due yet */
+	KUNIT_EXPECT_PTR_EQ(test, plsim_source_frame(&chan), NULL);
+	KUNIT_EXPECT_EQ(test, chan.frames, 6ULL);
+}
+
+static struct kunit_case source_cases[] = {
+	KUNIT_CASE(pattern_counts_up_from_the_frame),
+	KUNIT_CASE(frame_on_demand_has_the_next_number),
+	KUNIT_CASE(frames_nobody_took_in_time_are_lost),
+	{}
+};
+
+static struct kunit_suite source_suite = {
+	.name = "cm_source",
+	.test_cases = source_cases,
+};
+
+kunit_test_suites(&queue_suite, &verdict_suite, &port_suite, &source_suite, &cm_request_suite,
+		  &cm_address_suite, &cm_axidma_frame_suite, &cm_axidma_video_suite);
 
 MODULE_DESCRIPTION("KUnit suites of the configuration manager's modules");
 MODULE_LICENSE("GPL");

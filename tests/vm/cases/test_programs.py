@@ -56,7 +56,9 @@ def described_engine() -> Iterator[Path]:
 
 
 def run(program: str, engine: Path, *arguments: str) -> None:
-    done = subprocess.run([PROGRAMS / program, engine, *arguments], capture_output=True, text=True, timeout=PATIENCE, check=False)
+    done = subprocess.run(
+        [PROGRAMS / program, engine, *arguments], capture_output=True, text=True, timeout=PATIENCE, check=False
+    )
     wrong = [line for line in done.stdout.splitlines() if line.startswith("FAIL")]
     assert (done.returncode, wrong) == (0, []), done.stdout + done.stderr
     assert done.stdout.count("\nok ") > 10

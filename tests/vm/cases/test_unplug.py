@@ -152,6 +152,19 @@ def pool() -> Iterator[str]:
         overlays.remove("pool")
 
 
+def unbind_over(buffer: device.DmaBuffer, name: str) -> None:
+    """Take the driver of a buffer's device away and bring it back; the buffer must stay as it was."""
+    words = buffer.array().view(np.uint32)
+    words[:] = np.arange(len(words), dtype=np.uint32)
+    with unbound("cm_dma", name):
+        assert "pool" not in device.list_dma()
+    until(lambda: "pool" in device.list_dma())
+    # bound anew, and the old buffer still has its part of the pool
+    with device.AxiDma.open("pool") as again, pytest.raises(device.DeviceError):
+        again.allocate(buffer.length)
+    assert np.array_equal(words, np.arange(len(words), dtype=np.uint32))
+
+
 @pytest.mark.needs("overlay")
 def test_reserved_memory_outlives_its_driver_and_comes_back(pool: str) -> None:
     most = 10 << 20
@@ -159,15 +172,7 @@ def test_reserved_memory_outlives_its_driver_and_comes_back(pool: str) -> None:
         with device.AxiDma.open("pool") as channel, channel.allocate(most) as buffer:
             with pytest.raises(device.DeviceError):
                 channel.allocate(most)  # the kernel's own would have room
-            words = buffer.array(0, most).view(np.uint32)
-            words[:] = np.arange(len(words), dtype=np.uint32)
-            with unbound("cm_dma", pool):
-                assert "pool" not in device.list_dma()
-            until(lambda: "pool" in device.list_dma())
-            # bound anew, and the old buffer still has its part of the pool
-            with device.AxiDma.open("pool") as again, pytest.raises(device.DeviceError):
-                again.allocate(most)
-            assert np.array_equal(words, np.arange(len(words), dtype=np.uint32))
+            unbind_over(buffer, pool)
     with device.AxiDma.open("pool") as channel, channel.allocate(4096) as buffer:
         channel.submit(buffer, length=4096)
         assert channel.wait(PATIENCE).length == 4096
