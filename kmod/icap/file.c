@@ -9,20 +9,25 @@
 #include "cm_compat.h"
 #include "icap.h"
 
+/* most completions that a file keeps for a program that does not read them */
+#define CM_ICAP_UNREAD_MAX 64
+
 /**
  * struct cm_icap_file - one open file
  * @icap: port; a reference is held
  * @table: buffers
- * @lock: protects @ended, @loading, @next
+ * @lock: protects @ended, @unread, @loading, @next
  * @ended: struct cm_icap_ended, to be read
+ * @unread: how many there are
  * @loading: a load of this file runs
  * @next: entry for the load that runs
  */
 struct cm_icap_file {
 	struct cm_icap *icap;
 	struct cm_buffer_table table;
-	spinlock_t lock; /* protects ended, loading, next */
+	spinlock_t lock; /* protects ended, unread, loading, next */
 	struct list_head ended;
+	u32 unread;
 	bool loading;
 	struct cm_icap_ended *next;
 };
@@ -86,6 +91,7 @@ static void file_done(void *context, const struct cm_icap_completion *completion
 	spin_lock(&self->lock);
 	self->next->completion = *completion;
 	list_add_tail(&self->next->node, &self->ended);
+	self->unread++;
 	self->next = NULL;
 	self->loading = false;
 	spin_unlock(&self->lock);
@@ -97,8 +103,10 @@ static struct cm_icap_ended *take_ended(struct cm_icap_file *self)
 
 	spin_lock(&self->lock);
 	ended = list_first_entry_or_null(&self->ended, struct cm_icap_ended, node);
-	if (ended)
+	if (ended) {
 		list_del(&ended->node);
+		self->unread--;
+	}
 	spin_unlock(&self->lock);
 	return ended;
 }
@@ -107,6 +115,7 @@ static void give_back(struct cm_icap_file *self, struct cm_icap_ended *ended)
 {
 	spin_lock(&self->lock);
 	list_add(&ended->node, &self->ended);
+	self->unread++;
 	spin_unlock(&self->lock);
 }
 
@@ -201,7 +210,7 @@ static int file_begin(struct cm_icap_file *self)
 	if (!entry)
 		return -ENOMEM;
 	spin_lock(&self->lock);
-	if (self->loading) {
+	if (self->loading || self->unread >= CM_ICAP_UNREAD_MAX) {
 		ret = -EBUSY;
 	} else {
 		self->loading = true;

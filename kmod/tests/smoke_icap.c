@@ -129,6 +129,52 @@ static int finished(int port, struct cm_icap_completion *completion)
 	return completion->status;
 }
 
+static uint64_t loads_ended(int port)
+{
+	struct cm_icap_status status = { .size = sizeof(status) };
+
+	return ioctl(port, CM_ICAP_IOC_STATUS, &status) ? 0 : status.loads;
+}
+
+/* the file hears of a load's end a little later than the port's status says it */
+static int load_soon(int port, uint32_t handle, size_t length, uint64_t cookie)
+{
+	int i;
+
+	for (i = 0; i < 5000; i++) {
+		if (!load(port, handle, length, cookie))
+			return 0;
+		if (errno != EBUSY)
+			break;
+		usleep(1000);
+	}
+	return -1;
+}
+
+/* what nobody reads is kept, and at most so much of it */
+static void test_unread(int port, uint32_t handle, size_t length)
+{
+	struct cm_icap_completion completion;
+	uint64_t before;
+	int i, k;
+
+	for (i = 0; i < 64; i++) {
+		before = loads_ended(port);
+		if (load_soon(port, handle, length, i))
+			break;
+		for (k = 0; loads_ended(port) == before && k < 5000; k++)
+			usleep(1000);
+	}
+	CHECK(i == 64);
+	CHECK(load(port, handle, length, 64) == -1 && errno == EBUSY);
+	CHECK(finished(port, &completion) == 0 && completion.cookie == 0);
+	CHECK(load_soon(port, handle, length, 64) == 0);
+	for (i = 1; i < 65; i++)
+		if (finished(port, &completion) || completion.cookie != (uint64_t)i)
+			break;
+	CHECK(i == 65);
+}
+
 int main(int argc, char **argv)
 {
 	struct cm_buffer_alloc args = { .size = sizeof(args), .length = 1 << 16 };
@@ -196,6 +242,8 @@ int main(int argc, char **argv)
 	bad.length = 8;
 	bad.flags = 4;
 	CHECK(ioctl(port, CM_ICAP_IOC_LOAD, &bad) == -1 && errno == EINVAL);
+
+	test_unread(port, args.handle, length);
 
 	/* closing waits for the end of the load */
 	loads = report("loads");

@@ -52,6 +52,8 @@ struct cm_icap_info {
  *
  * The words lie in memory as the port takes them from a little-endian bus:
  * the sync word reads 66 55 99 AA in memory order (a word-swapped .bin).
+ *
+ * -EBUSY while a load runs, or when 64 completions of this file wait to be read.
  */
 struct cm_icap_load {
 	__u32 size;
