@@ -145,7 +145,6 @@ struct cm_channel *cm_channel_create(struct device *dev, const struct cm_channel
 	spin_lock_init(&channel->active_lock);
 	INIT_LIST_HEAD(&channel->active);
 	init_waitqueue_head(&channel->waiting);
-	channel->dev = dev;
 	channel->dma_dev = get_device(cm_dma_device(channel->chan));
 	/* with a memory-region of its own the client's device has the memory */
 	channel->alloc_dev = get_device(channel->pool ? dev : channel->dma_dev);

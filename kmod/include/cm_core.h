@@ -201,7 +201,6 @@ struct cm_channel_stats {
 /**
  * struct cm_channel - one DMA channel of a device
  * @ref: references; the last put frees it, never before the device is unbound
- * @dev: client device, for messages
  * @alloc_dev: device that buffers are allocated against; a reference is held
  * @pool: memory of @alloc_dev's own, or NULL; a reference is held
  * @dma_dev: the engine's device; a reference is held
@@ -217,7 +216,6 @@ struct cm_channel_stats {
  */
 struct cm_channel {
 	struct kref ref;
-	struct device *dev;
 	struct device *alloc_dev;
 	struct cm_pool *pool;
 	struct device *dma_dev;
