@@ -79,8 +79,18 @@ def parse_answers(data: Mapping[str, Any], source: Path) -> Answers:
         elif len(parts) == 3 and parts[0] == "registers" and _whole(value):
             registers[parts[1], parts[2]] = value
         else:
-            raise BuildError(f"{source}: {key}: {value!r} is no answer to anything that is asked")
+            raise BuildError(f"{at_key(source, key)}: {value!r} is no answer to anything that is asked")
     return Answers(default_mode, static_overlay, {k: StreamAnswer(**v) for k, v in streams.items()}, registers)
+
+
+def at_key(source: Path, key: str) -> str:
+    """``file:line: key``; without the line where the file does not have the key at the beginning of one."""
+    try:
+        lines = source.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        lines = []
+    number = next((number for number, line in enumerate(lines, 1) if line.startswith(f"{key}:")), None)
+    return f"{source}:{number}: {key}" if number else f"{source}: {key}"
 
 
 def _whole(value: object) -> bool:

@@ -38,10 +38,15 @@ def gather(paths: Iterable[Path], work: Path) -> Inputs:
         else:
             raise BuildError(f"{path} does not exist")
     loose = {path.name for path in files}
+    sources: dict[Path, str] = {}  # of what was unpacked, for messages
     for path in [path for path in files if path.suffix.lower() in handoff.ARCHIVES]:
         # a file that lies beside the archive under the same name is newer than the one inside
-        files += [entry for entry in handoff.unpack(path, work) if entry.name not in loose]
-    descriptions = [handoff.read_handoff(path) for path in files if path.suffix.lower() == ".hwh"]
+        inside = [entry for entry in handoff.unpack(path, work) if entry.name not in loose]
+        sources |= {entry: f"{path}: {entry.name}" for entry in inside}
+        files += inside
+    descriptions = [
+        handoff.read_handoff(path, sources.get(path, "")) for path in files if path.suffix.lower() == ".hwh"
+    ]
     images = read_images(path for path in files if path.suffix.lower() in (".bit", ".bin"))
     if not descriptions and not images:
         raise BuildError("neither a .hwh (or an XSA or HDF with one) nor a bitstream was given")

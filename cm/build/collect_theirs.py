@@ -14,6 +14,7 @@ from cm.build import handoff
 from cm.build.collected import Collected, Inputs
 from cm.build.errors import BuildError
 from cm.build.foreign_dma import Engines, engines
+from cm.build.foreign_interrupts import Interrupts, interrupts
 from cm.build.handoff import Handoff
 from cm.build.images import Image, by_region, check_regions, footprint, to_bin
 from cm.build.overlays import compile_overlays
@@ -94,8 +95,9 @@ def _common(inputs: Inputs, name: str, device: str | None, regions: frozenset[st
     if whole is not None:
         design = whole.design
         fields |= {"registers": handoff.static_registers(design, regions), "streams": handoff.streams(design)}
-        fields |= {"interrupts": handoff.interrupts(design), "clocks": handoff.clocks(design)}
+        fields["clocks"] = handoff.clocks(design)
         if hwh.windows(design):
+            fields["interrupts"] = interrupts(design, platform_of(device or whole.device)).lines
             fields["overlays"] = (Overlay(f"{name}_static"),)
     return fields
 
@@ -174,30 +176,25 @@ def _finish(inputs: Inputs, config: Config, files: dict[str, bytes], notes: list
     sources: dict[str, str] = {}
     if inputs.whole is not None and config.overlays:
         platform = platform_of(config.device or inputs.whole.device)
-        dma = engines(inputs.whole.design, platform)
-        sources[f"{config.name}_static"] = _overlay(inputs.whole.design, config.name, platform, dma)
-        notes = [*notes, *dma.notes]
+        dma, lines = engines(inputs.whole.design, platform), interrupts(inputs.whole.design, platform)
+        sources[f"{config.name}_static"] = _overlay(inputs.whole.design, config.name, platform, dma, lines)
+        notes = [*notes, *dma.notes, *lines.notes]
     overlays, more = compile_overlays(sources)
     text = (_HEAD + dump(config)).encode()
     return Collected(config, {**files, **overlays, f"{config.name}.yaml": text}, (*notes, *more))
 
 
-def _overlay(design: hwh.Hwh, name: str, platform: Platform, dma: Engines) -> str:
+def _overlay(design: hwh.Hwh, name: str, platform: Platform, dma: Engines, lines: Interrupts) -> str:
     """The source of the static overlay: UIO devices for windows, engines and channels for DMA."""
     zynq = platform.name == "zynq7000"
     taken = {channel.instance for channel in hwh.dma_channels(design)}
-    spis = {
-        line.instance: platform.spi_at(line.pin, line.index)
-        for line in reversed(hwh.interrupts(design))
-        if line.controller is None
-    }
     found: dict[int, Any] = {window.base: window for window in hwh.windows(design) if window.instance not in taken}
     windows = [
         {
             "name": identifier(design.modules[window.instance].name).replace("_", "-"),
             "base": window.base,
             "size": window.size,
-            "spi": spis.get(window.instance),
+            "spi": lines.spis.get(window.instance),
         }
         for window in found.values()
         if window.instance in design.modules

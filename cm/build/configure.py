@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from cm.build.answers import Answers, parse_answers
+from cm.build.answers import Answers, at_key, parse_answers
 from cm.build.errors import BuildError
 from cm.build.runtime import runtime_config
 from cm.build.system import System
@@ -51,35 +51,46 @@ def questions(system: System) -> Iterator[Question]:
                 yield Question(key, text, register.default, (), register.minimum or 0, high)
 
 
-def answer_all(asked: list[Question], given: Mapping[str, Any], ask: Ask | None, source: Path) -> dict[str, Any]:
-    """An answer to every question: as `given`, else from `ask` (None: the default).
+def answer_all(
+    asked: list[Question],
+    given: Mapping[str, Any],
+    ask: Ask | None,
+    source: Path,
+    earlier: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """An answer to every question: as `given`, else from `ask` (None: as `earlier`, else the default).
 
-    Raises BuildError for a given key that is not asked, or a value that does not do.
+    `earlier` are the answers of the last time, offered in place of the default. Raises BuildError for a given key
+    that is not asked, or a value that does not do.
     """
     known = {question.key for question in asked}
     for key in given:
         if key not in known:
-            raise BuildError(f"{source}: {key}: nothing of that name is asked ({did_you_mean(key, sorted(known))})")
+            hint = did_you_mean(key, sorted(known))
+            raise BuildError(f"{at_key(source, key)}: nothing of that name is asked ({hint})")
     answers: dict[str, Any] = {}
     for question in asked:
         if question.key in given:
             wrong = problem(question, given[question.key])
             if wrong:
-                raise BuildError(f"{source}: {question.key}: {wrong}")
+                raise BuildError(f"{at_key(source, question.key)}: {wrong}")
             answers[question.key] = given[question.key]
         else:
-            answers[question.key] = question.default if ask is None else _ask(question, ask)
+            offered = (earlier or {}).get(question.key, question.default)
+            if problem(question, offered):
+                offered = question.default
+            answers[question.key] = offered if ask is None else _ask(question, offered, ask)
     return answers
 
 
-def _ask(question: Question, ask: Ask) -> Any:
+def _ask(question: Question, offered: Any, ask: Ask) -> Any:
     """Ask until the answer does."""
     note = ""
     while True:
         choices = f" ({', '.join(question.choices)})" if question.choices else ""
-        text = ask(f"{note}{question.text}{choices} [{_shown(question.default)}]: ").strip()
+        text = ask(f"{note}{question.text}{choices} [{_shown(offered)}]: ").strip()
         if not text:
-            return question.default
+            return offered
         value = _value(question, text)
         wrong = problem(question, value)
         if not wrong:

@@ -14,7 +14,7 @@ from cm import hwh
 from cm.build.errors import BuildError
 from cm.build.foreign_dma import stream_names
 from cm.build.register_maps import identifier, register_of
-from cm.schema.model import Clock, Direction, Interrupt, Register, Stream
+from cm.schema.model import Clock, Direction, Register, Stream
 
 ARCHIVES = (".xsa", ".hdf", ".zip")
 MAX_MEMBER = 64 << 20  # bytes of a file in an archive
@@ -74,17 +74,21 @@ def _members(archive: zipfile.ZipFile, path: Path, folder: Path) -> Iterator[Pat
         yield target
 
 
-def read_handoff(path: Path) -> Handoff:
-    """A .hwh file; raises `cm.hwh.HwhError`."""
-    return Handoff(path.stem, hwh.read(path))
+def read_handoff(path: Path, source: str = "") -> Handoff:
+    """A .hwh file; raises `cm.hwh.HwhError`, which calls it `source` where it came out of an archive."""
+    return Handoff(path.stem, hwh.read(path, source))
 
 
 def static_registers(design: hwh.Hwh, regions: frozenset[str]) -> dict[str, Register]:
-    """Registers of every window outside of regions, called ``<instance>_<register>``."""
+    """Registers of every window outside of regions, called ``<instance>_<register>``.
+
+    Those of DMA engines belong to the kernel's drivers: no UIO device shows them.
+    """
     found: dict[str, Register] = {}
+    driven = {channel.instance for channel in hwh.dma_channels(design)}
     for window in hwh.windows(design):
         instance = design.modules.get(window.instance)
-        if instance is None or window.instance in regions or instance.region:
+        if instance is None or window.instance in regions | driven or instance.region:
             continue
         for register in _registers(instance, window):
             found.setdefault(register.name, register)
@@ -92,7 +96,7 @@ def static_registers(design: hwh.Hwh, regions: frozenset[str]) -> dict[str, Regi
 
 
 def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: str | None = None) -> Iterator[Register]:
-    blocks = instance.registers.get(window.interface) or (
+    blocks = hwh.registers(instance, window.interface) or (
         next(iter(instance.registers.values())) if len(instance.registers) == 1 else ()
     )
     prefix = identifier(instance.name)
@@ -141,18 +145,6 @@ def streams(design: hwh.Hwh) -> dict[str, Stream]:
         name = names[channel.instance, channel.direction]
         doc = f"{channel.kind} {channel.instance}" + (f", {channel.width} bits a beat" if channel.width else "")
         found[name] = Stream(name, name, Direction(channel.direction), doc=doc)
-    return found
-
-
-def interrupts(design: hwh.Hwh) -> dict[str, Interrupt]:
-    """Interrupts of instances with a register window; those of DMA engines belong to their driver."""
-    bases = {window.instance: window.base for window in reversed(hwh.windows(design))}
-    engines = {channel.instance for channel in hwh.dma_channels(design)}
-    found: dict[str, Interrupt] = {}
-    for line in hwh.interrupts(design):
-        if line.instance in bases and line.instance not in engines:
-            name = f"{identifier(design.modules[line.instance].name)}_{identifier(line.port)}"
-            found.setdefault(name, Interrupt(name, bases[line.instance]))
     return found
 
 

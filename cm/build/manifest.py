@@ -5,7 +5,9 @@
 that still has it is replaced. One that the user changed stays, and the new text goes beside it as
 ``<file>.new`` if it differs from what was generated before, as packagers do with configuration files;
 the generated text that the user began from is kept below ``.cm-orig/`` for a three-way merge
-(``git merge-file FILE .cm-orig/FILE FILE.new``).
+(``git merge-file FILE .cm-orig/FILE FILE.new``). Below ``.cm-orig/`` there is a copy of ``<file>.new`` too. Once
+the user has deleted ``<file>.new``, which says that it is merged, that copy is what the next merge begins from; a
+``<file>.new`` that is not like its copy is the user's, and moves to ``<file>.new.1`` before another takes its place.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from cm.build.errors import BuildError
 
@@ -45,64 +48,99 @@ class Tree:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._before = self._read()
+        self._before, self._ours = self._read()
+
+    def behind(self, files: Mapping[str, str]) -> list[str]:
+        """The names whose text in `files` is not what was last generated."""
+        return sorted(
+            name
+            for name in files.keys() | self._before.keys()
+            if name not in files or digest(files[name].encode()) != self._before.get(name)
+        )
 
     def write(self, files: Mapping[str, str]) -> Written:
         """Bring the folder to `files`; every other file in it stays as it is."""
         done = Written()
         self._folder.mkdir(parents=True, exist_ok=True)
+        now = {name: digest(text.encode()) for name, text in files.items()}
+        if now != self._before:  # killed from here on, the next generation knows what this one wrote
+            for name, value in now.items():
+                self._ours.setdefault(name, set()).add(value)
+            self._record(self._before, self._ours)
         for name, text in files.items():
             self._write(name, text.encode(), done)
-        for name in self._before:
-            if name not in files:
-                self._remove(name, done)
-        now = {name: digest(text.encode()) for name, text in files.items()}
-        self._put(self._folder / MANIFEST, (json.dumps({"version": 1, "files": now}, indent=1) + "\n").encode())
+        for name in sorted(self._ours.keys() - files.keys()):
+            self._remove(name, done)
+        self._record(now, {})
         return done
 
-    def _read(self) -> dict[str, str]:
+    def _read(self) -> tuple[dict[str, str], dict[str, set[str]]]:
+        """Checksums of the last whole generation; and of everything that generation may have left here."""
         path = self._folder / MANIFEST
         if not path.exists():
-            return {}
+            return {}, {}
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
-            files = data["files"]
-            return {str(name): str(value) for name, value in files.items()}
+            before = {str(name): str(value) for name, value in data["files"].items()}
+            ours = {str(name): set(map(str, values)) for name, values in data.get("pending", {}).items()}
         except (ValueError, KeyError, TypeError, AttributeError):
             raise BuildError(f"{path} is damaged: delete it, and changed files will be kept beside new ones") from None
+        for name, value in before.items():
+            ours.setdefault(name, set()).add(value)
+        return before, ours
+
+    def _record(self, files: Mapping[str, str], pending: Mapping[str, set[str]]) -> None:
+        data: dict[str, Any] = {"version": 1, "files": dict(files)}
+        if pending:
+            data["pending"] = {name: sorted(values) for name, values in sorted(pending.items())}
+        self._put(self._folder / MANIFEST, (json.dumps(data, indent=1) + "\n").encode())
 
     def _write(self, name: str, data: bytes, done: Written) -> None:
-        path, new = self._folder / name, self._folder / f"{name}.new"
-        original = self._folder / ORIGINALS / name
+        path, original = self._folder / name, self._folder / ORIGINALS / name
         have = path.read_bytes() if path.exists() else None
         if have is None or have == data:
-            new.unlink(missing_ok=True)
             (done.unchanged if have == data else done.created).append(name)
-        elif digest(have) == self._before.get(name) or self._ours(original, have):
+        elif digest(have) in self._ours.get(name, ()):
             done.updated.append(name)
-        elif digest(data) == self._before.get(name):
-            done.kept.append(name)
-            return
         else:
-            done.conflicts.append(name)
-            self._put(new, data)
+            self._beside(name, data, done)
             return
-        # the original first: killed between the two, the file is still known by the manifest
+        self._withdraw(name, data)
         if not original.exists() or original.read_bytes() != data:
             self._put(original, data)
         if have != data:
             self._put(path, data)
 
-    @staticmethod
-    def _ours(original: Path, have: bytes) -> bool:
-        """Written by a generation that was killed before its manifest was."""
-        return original.exists() and original.read_bytes() == have
+    def _beside(self, name: str, data: bytes, done: Written) -> None:
+        """The user changed the file: what is new for it goes beside it."""
+        new, copy = (folder / f"{name}.new" for folder in (self._folder, self._folder / ORIGINALS))
+        if copy.exists() and not new.exists():
+            copy.replace(self._folder / ORIGINALS / name)
+        if digest(data) == self._before.get(name):
+            done.kept.append(name)
+            return
+        done.conflicts.append(name)
+        self._withdraw(name, data)
+        # the copy last: killed between the two, the user is not taken to have deleted the new one
+        self._put(new, data)
+        self._put(copy, data)
+
+    def _withdraw(self, name: str, data: bytes) -> None:
+        """Remove ``<file>.new`` if generation wrote it (before, or just now as `data`), else move it away."""
+        new, copy = (folder / f"{name}.new" for folder in (self._folder, self._folder / ORIGINALS))
+        if new.exists() and new.read_bytes() not in (data, copy.read_bytes() if copy.exists() else data):
+            number = 1
+            while (kept := new.with_name(f"{new.name}.{number}")).exists():
+                number += 1
+            new.rename(kept)
+        new.unlink(missing_ok=True)
+        copy.unlink(missing_ok=True)
 
     def _remove(self, name: str, done: Written) -> None:
         path = self._folder / name
         if not path.is_relative_to(self._folder) or ".." in Path(name).parts or not path.exists():
             return
-        if digest(path.read_bytes()) == self._before[name]:
+        if digest(path.read_bytes()) in self._ours[name]:
             path.unlink()
             (self._folder / ORIGINALS / name).unlink(missing_ok=True)
             done.removed.append(name)

@@ -42,11 +42,14 @@ def run_collect(args: argparse.Namespace) -> int:
             {"config": found.config.name, "folder": folder, "archive": packed, "files": files, "notes": found.notes}
         )
         return 0
-    modules, modes = len(found.config.modules), len(found.config.modes)
-    print(f"{folder}: configuration {found.config.name}, {modules} modules, {modes} modes, {len(found.files)} files")
+    config = found.config
+    counts = ((len(config.modules), "module"), (len(config.modes), "mode"), (len(found.files), "file"))
+    contents = ", ".join(f"{count} {what}{'' if count == 1 else 's'}" for count, what in counts if count)
+    print(f"{folder}: configuration {config.name}, {contents}")
     print(f"{packed}: the same as an archive")
     for note in found.notes:
         print(f"note: {note}")
+    print(f"without a board: cm serve --sim --config {folder}")
     return 0
 
 

@@ -20,14 +20,23 @@ def add_configure_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
         "configure",
         help="ask what only you can decide about the runtime schema",
         description="Ask on the terminal, with defaults; answers are kept in answers.yaml of the output folder and"
-        " used by every later generate. With --answers or --defaults nothing is asked.",
+        " used by every later generate, and offered as defaults the next time. With --answers or --defaults nothing"
+        " is asked.",
     )
     add_schema_argument(parser)
     add_out_option(parser)
     choice = parser.add_mutually_exclusive_group()
     choice.add_argument("--answers", type=Path, metavar="FILE", help="answers; defaults for the rest")
-    choice.add_argument("--defaults", action="store_true", help="take the defaults")
+    choice.add_argument("--defaults", action="store_true", help="what was answered before, else the defaults")
     parser.set_defaults(run=run_configure)
+
+
+def _ask(prompt: str) -> str:
+    try:
+        return input(prompt)
+    except EOFError:
+        print()
+        raise BuildError("the input ended before the last question: nothing was written") from None
 
 
 def run_configure(args: argparse.Namespace) -> int:
@@ -38,11 +47,14 @@ def run_configure(args: argparse.Namespace) -> int:
     if args.answers is not None and not args.answers.exists():
         raise BuildError(f"{args.answers} does not exist")
     source: Path = args.answers or out / ANSWERS
-    given = {} if args.defaults else read_answers(source) if args.answers else {}
+    given = read_answers(source) if args.answers else {}
+    earlier = {} if args.answers else read_answers(source)
     interactive = not args.defaults and args.answers is None
     if interactive and not sys.stdin.isatty():
         raise BuildError("there is no terminal to ask on: give --answers FILE or --defaults")
-    answers = answer_all(asked, given, input if interactive else None, source)
+    answers = answer_all(asked, given, _ask if interactive else None, source, earlier)
+    for key in earlier.keys() - answers.keys():
+        print(f"no longer asked: {key}: {earlier[key]}")
     out.mkdir(parents=True, exist_ok=True)
     (out / ANSWERS).write_text(as_text(answers, asked), encoding="utf-8")
     done = generate(design, out, to_answers(answers, asked, source))

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from types import MappingProxyType
@@ -20,9 +21,9 @@ class HwhError(CmError, ValueError):
     code = "hwh"
 
 
-def read(path: Path) -> Hwh:
-    """Read a file. Raises `HwhError` with the file's name, or OSError."""
-    return parse(path.read_bytes(), str(path))
+def read(path: Path, name: str = "") -> Hwh:
+    """Read a file. Raises `HwhError` with the file's name (or `name` in its place), or OSError."""
+    return parse(path.read_bytes(), name or str(path))
 
 
 def parse(data: bytes, name: str = ".hwh") -> Hwh:
@@ -68,6 +69,12 @@ def _number(text: str | None, what: str) -> int:
         raise ValueError(f"{what} {text!r} is no number") from None
 
 
+def _rate(text: str | None, what: str) -> int:
+    """Read a rate in Hz: a whole number, or since 2022 a decimal one (``93750000.0``)."""
+    found = re.fullmatch(r"(\d+)\.(\d+)", text or "")
+    return round(float(found[0])) if found else _number(text, what)
+
+
 def _module(element: ElementTree.Element) -> ModuleInstance:
     instance = element.get("INSTANCE", "")
     parameters = {item.get("NAME", ""): item.get("VALUE", "") for item in element.iterfind("PARAMETERS/PARAMETER")}
@@ -101,7 +108,7 @@ def _port(element: ElementTree.Element) -> Port:
         signal=element.get("SIGNAME", ""),
         width=abs(left - right) + 1,
         connections=tuple(Connection(end.get("INSTANCE", ""), end.get("PORT", "")) for end in ends),
-        rate=_number(element.get("CLKFREQUENCY"), f"port {element.get('NAME')}: CLKFREQUENCY"),
+        rate=_rate(element.get("CLKFREQUENCY"), f"port {element.get('NAME')}: CLKFREQUENCY"),
     )
 
 

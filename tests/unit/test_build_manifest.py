@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from cm.build.errors import BuildError
 from cm.build.manifest import MANIFEST, Tree
@@ -85,7 +88,7 @@ def test_a_damaged_manifest_is_an_error_that_says_so(tmp_path: Path) -> None:
         Tree(tmp_path)
 
 
-@pytest.mark.parametrize("writes", range(1, 6))
+@pytest.mark.parametrize("writes", range(1, 8))
 def test_a_generation_that_is_killed_anywhere_is_made_good_by_the_next(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
 ) -> None:
@@ -108,3 +111,94 @@ def test_a_generation_that_is_killed_anywhere_is_made_good_by_the_next(
     assert (done.updated, done.conflicts, done.kept) == (["a", "b", "c"], [], [])
     assert [(tmp_path / name).read_text() for name in "abc"] == ["3", "3", "3"]
     assert not list(tmp_path.rglob("*.new"))
+
+
+def test_a_merge_begins_from_what_was_merged_last(tmp_path: Path) -> None:
+    """Deleting FILE.new says that it is merged: the next conflict's base is what it held."""
+    Tree(tmp_path).write({"a": "one\n"})
+    (tmp_path / "a").write_text("one\nmine\n")
+    Tree(tmp_path).write({"a": "two\n"})
+    (tmp_path / "a").write_text("two\nmine\n")
+    (tmp_path / "a.new").unlink()
+    assert Tree(tmp_path).write({"a": "two\n"}).kept == ["a"]
+    assert Tree(tmp_path).write({"a": "three\n"}).conflicts == ["a"]
+    assert (tmp_path / ".cm-orig/a").read_text() == "two\n"
+    assert (tmp_path / "a.new").read_text() == "three\n"
+
+
+def test_a_conflict_that_is_not_merged_keeps_its_base(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n"})
+    (tmp_path / "a").write_text("one\nmine\n")
+    Tree(tmp_path).write({"a": "two\n"})
+    Tree(tmp_path).write({"a": "three\n"})
+    assert (tmp_path / ".cm-orig/a").read_text() == "one\n"
+
+
+def test_a_new_file_that_the_user_changed_is_moved_and_not_lost(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n"})
+    (tmp_path / "a").write_text("mine\n")
+    Tree(tmp_path).write({"a": "two\n"})
+    (tmp_path / "a.new").write_text("half merged\n")
+    Tree(tmp_path).write({"a": "three\n"})
+    assert (tmp_path / "a.new").read_text() == "three\n"
+    assert (tmp_path / "a.new.1").read_text() == "half merged\n"
+
+
+def test_what_is_behind_is_what_would_be_generated_otherwise(tmp_path: Path) -> None:
+    Tree(tmp_path).write({"a": "one\n", "b": "one\n", "c": "one\n"})
+    (tmp_path / "a").write_text("mine\n")
+    assert Tree(tmp_path).behind({"a": "one\n", "b": "two\n", "d": "one\n"}) == ["b", "c", "d"]
+
+
+EDITS = st.lists(
+    st.one_of(
+        st.tuples(st.just("generate"), st.sampled_from("ABC"), st.integers(0, 12)),
+        st.tuples(st.just("edit"), st.sampled_from(["x", "y/z", "x.new", "y/z.new", "x.new.1"])),
+        st.tuples(st.just("delete"), st.sampled_from(["x", "x.new"])),
+    ),
+    max_size=12,
+)
+
+
+@given(EDITS)
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_nothing_that_the_user_wrote_is_ever_lost(tmp_path_factory: pytest.TempPathFactory, edits: list) -> None:
+    """Generations, also killed ones, between edits: a text of the user's goes only when the user replaces it."""
+    folder = tmp_path_factory.mktemp("tree")
+    mine: set[str] = set()
+    for number, edit in enumerate(edits):
+        if edit[0] == "generate":
+            _generate(folder, {"x": f"{edit[1]}x", "y/z": f"{edit[1]}z", f"only {edit[1]}": "w"}, edit[2])
+        else:
+            path = folder / edit[1]
+            mine -= {path.read_text()} if path.exists() else set()
+            if edit[0] == "delete":
+                path.unlink(missing_ok=True)
+                continue
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(f"user {number}")
+            mine.add(f"user {number}")
+        held = {path.read_text() for path in folder.rglob("*") if path.is_file()}
+        assert mine <= held
+    _generate(folder, {"x": "last", "y/z": "last"}, 99)
+    assert not list(folder.glob("only ?"))
+    for name in ("x", "y/z"):
+        text = (folder / name).read_text()
+        assert text == "last" or (text in mine and (folder / f"{name}.new").read_text() == "last")
+
+
+def _generate(folder: Path, files: dict[str, str], writes: int) -> None:
+    """A generation that is killed after so many files."""
+
+    class Killed(Tree):
+        left = writes
+
+        @staticmethod
+        def _put(path: Path, data: bytes) -> None:
+            Killed.left -= 1
+            if Killed.left < 0:
+                raise KeyboardInterrupt
+            Tree._put(path, data)
+
+    with contextlib.suppress(KeyboardInterrupt):
+        Killed(folder).write(files)
