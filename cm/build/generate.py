@@ -46,9 +46,7 @@ def output_folder(project: Project, out: Path | str | None) -> Path:
 
 def generate(design: Design, out: Path, answers: Answers | None = None) -> Written:
     """Write everything below `out`; what `cm build configure` was told is taken from there."""
-    if answers is None:
-        answers = load_answers(out / ANSWERS)
-    files = render_all(design.system, out, answers)
+    files = _files(design, out, answers)
     name = f"config/{design.project.name}.yaml"
     try:
         loads(files[name], name)
@@ -57,3 +55,12 @@ def generate(design: Design, out: Path, answers: Answers | None = None) -> Writt
             f"what {out / ANSWERS} and {design.project.source} say does not go together:\n{error}"
         ) from None
     return Tree(out).write(files)
+
+
+def behind(design: Design, out: Path) -> list[str]:
+    """Names of the files below `out` that would be generated otherwise now."""
+    return Tree(out).behind(_files(design, out, None))
+
+
+def _files(design: Design, out: Path, answers: Answers | None) -> dict[str, str]:
+    return render_all(design.system, out, load_answers(out / ANSWERS) if answers is None else answers)

@@ -52,6 +52,12 @@ class Flow:
             states[step.name] = self._state(step, states)
         return [Planned(step, states[step.name]) for step in self.steps]
 
+    def unfinished(self) -> list[Planned]:
+        """The steps that have to run before the bitstreams are those of one flow; none where it ran elsewhere."""
+        if not (self.folder / "stamps").is_dir():
+            return []
+        return [entry for entry in self.plan() if entry.state is not State.DONE]
+
     def forget(self, planned: list[Planned]) -> None:
         """Remove the stamps of steps whose outputs are gone, so that make runs them again."""
         for entry in planned:

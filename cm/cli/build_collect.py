@@ -9,7 +9,9 @@ from pathlib import Path
 from cm.build.answers import load_answers
 from cm.build.collect import collect, collect_ours, write
 from cm.build.collected import Collected
+from cm.build.errors import BuildError
 from cm.build.generate import ANSWERS, load_design, output_folder
+from cm.build.steps import Flow
 from cm.cli.common import add_json_option, print_json
 
 
@@ -56,5 +58,15 @@ def run_collect(args: argparse.Namespace) -> int:
 def _ours(args: argparse.Namespace) -> Collected:
     design = load_design(args.schema)
     out = output_folder(design.project, args.out)
-    paths = args.paths or [out / "bitstreams"]
+    paths = args.paths or [_finished(out)]
     return collect_ours(paths, design.system, load_answers(out / ANSWERS), out)
+
+
+def _finished(out: Path) -> Path:
+    """The folder of bitstreams; BuildError where some may be of an earlier flow, with another static part."""
+    left = [entry.step.name for entry in Flow(out).unfinished()]
+    if left:
+        raise BuildError(
+            f"the flow in {out} is not finished, {', '.join(left)} must run: cm build run, or name the files to collect"
+        )
+    return out / "bitstreams"

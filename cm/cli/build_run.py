@@ -6,8 +6,11 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Sequence
+from pathlib import Path
 
-from cm.build.generate import output_folder
+from cm.build.errors import BuildError, MissingTool
+from cm.build.generate import behind, load_design, output_folder
+from cm.build.hdl.errors import ParserMissing
 from cm.build.load import load_project
 from cm.build.run import run_flow
 from cm.build.steps import Flow, Planned, State
@@ -37,9 +40,13 @@ def run_run(args: argparse.Namespace) -> int:
     """Run or list the steps."""
     project = load_project(args.schema)
     out = output_folder(project, args.out)
+    planned = Flow(out).plan()
+    stale = _stale(args.schema, out)
     if args.dry_run:
-        _print_plan(Flow(out).plan(), args.json)
+        _print_plan(planned, stale, args.json)
         return 0
+    if stale:
+        raise BuildError(stale)
     vivado = find_vivado(args.vivado, os.environ, project.vivado)
     planned = run_flow(out, vivado, max(1, args.jobs), (lambda _: None) if args.json else _tell)
     if args.json:
@@ -47,15 +54,30 @@ def run_run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _stale(schema: Path, out: Path) -> str:
+    """A sentence where the generated files are not those of the build schema and the HDL as they are now."""
+    try:
+        names = behind(load_design(schema), out)
+    except (
+        ParserMissing,
+        MissingTool,
+    ):  # a machine that has Vivado and not the extra `build`: nothing can be generated here
+        return ""
+    few = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return f"{few} in {out} would be generated otherwise now: run cm build generate first" if names else ""
+
+
 def _tell(sentence: str) -> None:
     print(sentence, flush=True)
 
 
-def _print_plan(planned: Sequence[Planned], as_json: bool) -> None:
+def _print_plan(planned: Sequence[Planned], stale: str, as_json: bool) -> None:
     if as_json:
         rows = [{"step": p.step.name, "title": p.step.title, "state": p.state.value} for p in planned]
-        print_json({"steps": rows})
+        print_json({"steps": rows, "notes": [stale] if stale else []})
         return
+    if stale:
+        print(f"note: {stale}")
     words = {
         State.DONE: "done",
         State.NEW: "to run",
