@@ -12,6 +12,7 @@ import yaml
 
 from cm.build.answers import Answers, at_key, parse_answers
 from cm.build.errors import BuildError
+from cm.build.project import DTYPES
 from cm.build.runtime import runtime_config
 from cm.build.system import System
 from cm.schema.problems import did_you_mean
@@ -134,13 +135,7 @@ def problem(question: Question, value: Any) -> str:
 
 
 def _dtype_problem(value: Any) -> str:
-    import numpy
-
-    try:
-        numpy.dtype(value)
-    except TypeError:
-        return f"{value!r} is no numpy dtype (like uint8)"
-    return ""
+    return "" if value in DTYPES else f"{value!r} is no numpy dtype of frames ({', '.join(DTYPES)})"
 
 
 def _shown(default: Any) -> str:

@@ -91,7 +91,8 @@ def _structure(text: str, report: Reporter) -> dict[str, Any]:
     try:
         report.root = read(text, report.at)
     except Refused as refused:
-        report.at(refused.mark, refused.code, str(refused), refused.hint)
+        hint = refused.hint.replace("config:", "project: (or with cm build init)")  # of a runtime schema
+        report.at(refused.mark, refused.code, str(refused), hint)
         return {}
     tree = structure.fit(report.root, report.fitted)
     for finding in structure.values(tree):

@@ -25,8 +25,9 @@ from cm.build.system import (
     StreamBus,
     System,
 )
+from cm.build.where import fault
 from cm.schema.model import Direction, LoaderKind
-from cm.schema.problems import did_you_mean
+from cm.schema.problems import KeyPath, did_you_mean
 
 _CONNECTIONS = {
     ("axis", Mode.SLAVE): ("dma", "external", "none"),
@@ -37,6 +38,7 @@ _CONNECTIONS = {
     ("axi4", Mode.MASTER): ("memory", "none"),
 }
 _OTHER = ("external", "none")
+MAX_STREAM = 1024  # bits of TDATA that an AXI DMA takes
 
 
 def plan_system(project: Project, boundaries: Mapping[str, Boundary]) -> System:
@@ -95,7 +97,9 @@ class _Planner:
             return None
         rate, limit = self._project.clocks[clock].rate, self._platform.icap_rate_max
         if rate > limit:
-            raise BuildError(f"the ICAP runs on {clock} at {rate} Hz; {self._platform.name} allows {limit} Hz")
+            message = f"the ICAP runs on {clock} at {rate} Hz; {self._platform.name} allows {limit} Hz"
+            hint = "list a slower clock first, or give regions another loader"
+            raise fault(self._project.source, ("clocks", clock, "rate"), message, hint)
         return Dma("icap", Direction.MM2S, self._addresses.dma("icap"), self._line(), clock, 32)
 
     def _line(self) -> int:
@@ -116,7 +120,8 @@ class _Planner:
         names += [port.name for port in boundary.ports if port.role in (Role.INTERRUPT, Role.SIGNAL)]
         for name in spec.interfaces:
             if name not in names:
-                raise BuildError(f"region {spec.name} has no interface {name!r}: {did_you_mean(name, names)}")
+                message = f"region {spec.name} has no interface {name!r}"
+                raise fault(self._project.source, _key(spec, name), message, did_you_mean(name, names))
         parts = _Region()
         for interface in boundary.interfaces:
             self._interface(spec, interface, boundary, parts)
@@ -143,14 +148,16 @@ class _Planner:
     def _interface(self, region: RegionSpec, interface: Interface, boundary: Boundary, parts: _Region) -> None:
         spec = region.interfaces.get(interface.name, ConnectionSpec())
         if interface.protocol == "axi3":
-            raise BuildError(f"{region.name}.{interface.name} is AXI3: put an AXI3 to AXI4 converter into the module")
+            message = f"{region.name}.{interface.name} is AXI3"
+            hint = "put an AXI3 to AXI4 converter into the module"
+            raise fault(self._project.source, _key(region, interface.name), message, hint)
         allowed = _CONNECTIONS.get((interface.protocol, interface.mode), _OTHER)
         connect = spec.connect or allowed[0]
         if connect not in allowed:
-            raise BuildError(
-                f"{region.name}.{interface.name} ({interface.protocol} {interface.mode.value}) cannot be connected "
-                f"to {connect}: {' or '.join(allowed)}"
-            )
+            kind = f"{interface.protocol} {interface.mode.value}"
+            message = f"{region.name}.{interface.name} ({kind}) cannot be connected to {connect}"
+            key = (*_key(region, interface.name), "connect")
+            raise fault(self._project.source, key, message, f"write {' or '.join(allowed)}")
         if connect == "dma":
             parts.streams.append(self._stream(region, interface, spec))
         elif connect == "interconnect":
@@ -168,12 +175,16 @@ class _Planner:
         direction = Direction.MM2S if interface.mode is Mode.SLAVE else Direction.S2MM
         width = interface.data_width
         if width is None:
-            raise BuildError(f"{region.name}.{interface.name} has no TDATA of known width: a DMA needs one")
+            message = f"{region.name}.{interface.name} has no TDATA of known width: a DMA needs one"
+            raise fault(self._project.source, _key(region, interface.name), message, "write connect: external")
         if direction is Direction.S2MM and "TLAST" not in interface.ports:
             self._notes.append(
                 f"{region.name}.{interface.name} has no TLAST: its DMA ends a transfer only when the buffer is full"
             )
         bits = max(8, (spec.max_length or (1 << 26) - 1).bit_length())
+        if width > MAX_STREAM:
+            message = f"{region.name}.{interface.name} has {width} bits, more than the {MAX_STREAM} that a DMA takes"
+            raise fault(self._project.source, _key(region, interface.name), message, "write connect: external")
         dma = Dma(name, direction, self._addresses.dma(name), self._line(), region.clock, dma_width(width), bits)
         return StreamBus(interface, name, dma, spec)
 
@@ -256,13 +267,15 @@ def _name_in_modules(port: BoundaryPort, boundary: Boundary) -> str:
     return names.pop() if len(names) == 1 else port.name
 
 
+def _key(region: RegionSpec, interface: str) -> KeyPath:
+    return ("regions", region.name, "interfaces", interface)
+
+
 def dma_width(bits: int) -> int:
-    """TDATA of the DMA for a stream of `bits`: the next of 8, 16, 32 … 1024."""
+    """TDATA of the DMA for a stream of `bits` (at most `MAX_STREAM`): the next of 8, 16, 32 … 1024."""
     width = 8
     while width < bits:
         width *= 2
-    if width > 1024:
-        raise BuildError(f"a stream of {bits} bits is wider than the 1024 that a DMA takes")
     return width
 
 

@@ -71,6 +71,13 @@ class RegisterSpec:
     doc: str = ""
 
 
+# of a frame's elements, as in a runtime schema
+DTYPES = (
+    *("bool", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "uint64"),
+    *("float16", "float32", "float64", "complex64", "complex128"),
+)
+
+
 @dataclass(frozen=True, slots=True)
 class ConnectionSpec:
     """What an interface of a region's boundary is connected to; None: what its protocol suggests."""

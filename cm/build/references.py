@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
+from itertools import pairwise
 
 from cm.build.errors import BuildError
 from cm.build.platforms import platform_of
 from cm.build.project import ModeSpec, ModuleSpec, Project, RegionSpec, RegisterSpec
 from cm.schema.problems import KeyPath, did_you_mean
 
+_SITE = re.compile(r"([A-Z0-9_]+)_X(\d+)Y(\d+)")
 Report = Callable[[KeyPath, str, str, str], None]
 
 
@@ -26,6 +29,7 @@ def check(project: Project, report: Report) -> None:
         _region(project, region, report)
     for module in project.modules.values():
         _module(project, module, report)
+    _streams(project, report)
     for mode in project.modes.values():
         _mode(project, mode, report)
     if project.default_mode not in project.modes:
@@ -44,8 +48,38 @@ def _region(project: Project, region: RegionSpec, report: Report) -> None:
     if region.window & (region.window - 1):
         nearest = 1 << region.window.bit_length()
         report((*key, "window"), "bad_value", f"{region.window:#x} is no power of two", f"write {nearest:#x}")
+    for index, text in enumerate(region.pblock):
+        _range(text, region.pblock, (*key, "pblock", index), report)
     if not project.modules_of(region.name):
         report(key, "unused", "no module goes to this region", "name it in a module's regions")
+
+
+def _range(text: str, ranges: tuple[str, ...], key: KeyPath, report: Report) -> None:
+    """A range has two sites of one kind, the lower left one first."""
+    if text == "auto":
+        report(key, "bad_value", f"auto stands beside {len(ranges) - 1} ranges", "write auto alone, or ranges")
+        return
+    first, last = (_SITE.fullmatch(site) for site in (text.split(":")[0], text.split(":")[-1]))
+    if first is None or last is None:  # the JSON Schema has told
+        return
+    if first[1] != last[1]:
+        report(key, "bad_value", f"{text} is from {first[1]} to {last[1]}", "both ends are sites of one kind")
+    elif int(first[2]) > int(last[2]) or int(first[3]) > int(last[3]):
+        left, right = (sorted((int(first[n]), int(last[n]))) for n in (2, 3))
+        hint = f"write {first[1]}_X{left[0]}Y{right[0]}:{first[1]}_X{left[1]}Y{right[1]}"
+        report(key, "bad_value", f"{text} does not begin at its lower left end", hint)
+
+
+def _streams(project: Project, report: Report) -> None:
+    """Each stream is one DMA engine."""
+    first: dict[str, str] = {}
+    for region in project.regions.values():
+        for name, spec in region.interfaces.items():
+            here = f"{region.name}.{name}"
+            if spec.stream is not None and first.setdefault(spec.stream, here) != here:
+                key = ("regions", region.name, "interfaces", name, "stream")
+                message = f"{spec.stream} is the stream of {first[spec.stream]} already"
+                report(key, "name_clash", message, "each stream is one DMA engine: give it a name of its own")
 
 
 def _module(project: Project, module: ModuleSpec, report: Report) -> None:
@@ -63,6 +97,16 @@ def _module(project: Project, module: ModuleSpec, report: Report) -> None:
         report((*key, "ip"), "missing_key", "vendor IP cannot be parsed for its interfaces", hint)
     for register in module.registers.values():
         _register(register, (*key, "registers", register.name), report)
+    _overlaps(module, key, report)
+
+
+def _overlaps(module: ModuleSpec, key: KeyPath, report: Report) -> None:
+    ordered = sorted(module.registers.values(), key=lambda register: register.offset)
+    for one, other in pairwise(ordered):
+        if other.offset < one.offset + one.width // 8:
+            message = f"{other.name} overlaps {one.name}"
+            hint = f"{one.name} is at {one.offset:#x}, {one.width} bits"
+            report((*key, "registers", other.name), "overlapping_registers", message, hint)
 
 
 def _register(register: RegisterSpec, key: KeyPath, report: Report) -> None:

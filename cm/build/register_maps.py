@@ -180,16 +180,24 @@ def _hls_access(text: str, offset: int) -> Access:
 def _systemrdl(path: Path, module: str) -> Registers:
     try:
         from systemrdl.compiler import RDLCompiler
-        from systemrdl.messages import RDLCompileError
+        from systemrdl.messages import MessagePrinter, RDLCompileError
         from systemrdl.node import RegNode
     except ImportError:
         raise MissingTool("reading SystemRDL needs systemrdl-compiler: pip install 'fpga-cm[build]'") from None
-    compiler = RDLCompiler()
+    said: list[str] = []
+
+    class Printer(MessagePrinter):
+        """Keeps what the compiler would write to the terminal."""
+
+        def emit_message(self, lines: list[str]) -> None:
+            said.extend(re.sub(r"\x1b\[[0-9;]*m", "", line) for line in lines)
+
+    compiler = RDLCompiler(message_printer=Printer())
     try:
         compiler.compile_file(str(path))
         root = compiler.elaborate(top_def_name=module) if module in _maps(compiler) else compiler.elaborate()
     except RDLCompileError as error:
-        raise BuildError(f"{path}: {error}") from None
+        raise BuildError(next((line for line in said if ": error: " in line), f"{path}: {error}")) from None
     return {
         spec.name: spec
         for node in root.top.descendants(unroll=True)

@@ -10,7 +10,7 @@ from cm.build.analyse import Analysis
 from cm.build.boundary.model import Adaptation, Boundary, Fit
 from cm.build.hdl.model import Mode, ModuleInfo
 from cm.build.project import Project
-from cm.build.system import System
+from cm.build.system import RegionPlan, System
 
 _PLAIN = (Fit.CONNECT,)
 
@@ -22,6 +22,7 @@ def as_dict(project: Project, analysis: Analysis, system: System | None) -> dict
         "modules": {name: _module(info, analysis.differences[name]) for name, info in analysis.modules.items()},
         "regions": {name: _region(found) for name, found in analysis.boundaries.items()},
         "refused": list(analysis.refused),
+        "broken": analysis.broken,
     }
     if system is not None:
         found["runs"] = [dict(run) for run in system.runs]
@@ -98,25 +99,50 @@ def lines(project: Project, analysis: Analysis, system: System | None) -> Iterat
         for difference in analysis.differences[name]:
             yield f"  differs from {project.modules[name].component}: {difference}"
     for region, boundary in analysis.boundaries.items():
-        yield from _region_lines(region, boundary)
+        yield from _region_lines(region, boundary, analysis, system)
     if system is not None:
         yield f"{system.cover}"
         for number, run in enumerate(system.runs, 1):
             yield f"  run_{number}: " + ", ".join(f"{region}: {module}" for region, module in run.items())
         for note in system.notes:
             yield f"note: {note}"
+    if analysis.broken:
+        problems = "problem" if analysis.broken == 1 else "problems"
+        yield f"{analysis.broken} {problems} that synthesis will stop at, see above"
 
 
-def _region_lines(region: str, boundary: Boundary) -> Iterator[str]:
+def _region_lines(region: str, boundary: Boundary, analysis: Analysis, system: System | None) -> Iterator[str]:
     bits = sum(port.width for port in boundary.ports)
     yield f"region {region}: {len(boundary.ports)} ports, {bits} bits"
+    goes = dict(_connected(system.region(region))) if system is not None else {}
     for interface in boundary.interfaces:
-        yield f"  {interface.name}: {interface.protocol} {interface.mode.value}"
+        yield f"  {interface.name}: {interface.protocol} {interface.mode.value}{goes.pop(interface.name, '')}"
+    for name, where in goes.items():
+        yield f"  {name}{where}"
     for adaptation in boundary.adaptations:
         phrases = list(adapted(adaptation, boundary))
         how = "refused" if not adaptation.ok else "adapted: " + "; ".join(phrases) if phrases else "fits as it is"
         yield f"  {adaptation.module}: {how}"
         for sentence in adaptation.refused:
-            yield f"    {sentence}"
+            yield f"    {analysis.placed(adaptation.module, sentence)}"
         for note in adaptation.notes:
             yield f"    {note}"
+
+
+def _connected(region: RegionPlan) -> Iterator[tuple[str, str]]:
+    """Interface, or port of none, and what it is connected to, in words."""
+    for registers in region.registers:
+        yield registers.interface.name, f" → {registers.window.size:#x} bytes at {registers.window.base:#x}"
+    for stream in region.streams:
+        dma = stream.dma
+        yield stream.interface.name, f" → DMA, stream {stream.name} ({dma.direction.value})" if dma else _TOP
+    for memory in region.memory:
+        yield memory.interface.name, " → memory"
+    for line in region.lines:
+        yield line.port, " → interrupt concentrator"
+    for ports, where in ((region.external, _TOP), (region.unused, " → nothing")):
+        for port in ports:
+            yield port.interface or port.name, where
+
+
+_TOP = " → ports of the top"

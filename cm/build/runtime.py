@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from cm.build.answers import Answers
-from cm.build.errors import BuildError
 from cm.build.project import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
 from cm.build.system import RegionPlan, System
+from cm.build.where import fault
 from cm.schema.model import (
     Access,
     BitField,
@@ -47,7 +47,7 @@ def runtime_config(system: System, answers: Answers) -> Config:
         device=system.device,
         default_mode=answers.default_mode or project.default_mode,
         regions={region.name: _region(system, region) for region in system.regions},
-        modules=dict(_module(module, answers) for module in _targets(system)),
+        modules=dict(_module(project.source, module, answers) for module in _targets(system)),
         modes={mode.name: _mode(system, mode, streams) for mode in project.modes.values()},
         registers=_static_registers(system),
         overlays=overlays,
@@ -58,21 +58,21 @@ def runtime_config(system: System, answers: Answers) -> Config:
     )
 
 
-def register_base(region: RegionPlan, module: ModuleSpec) -> int:
-    """Address that the offsets of the module's registers count from."""
+def register_base(source: Path, region: RegionPlan, module: ModuleSpec) -> int:
+    """Address that the offsets of the module's registers count from; `source` is the build schema."""
     buses = {bus.interface.name: bus for bus in region.registers}
     if module.interface is not None:
         if module.interface not in buses:
-            raise BuildError(
-                f"{module.name}: region {region.name} has no register interface {module.interface!r}; "
-                f"there is {', '.join(buses) or 'none'}"
-            )
+            message = f"region {region.name} has no register interface {module.interface!r}"
+            hint = did_you_mean(module.interface, buses)
+            raise fault(source, ("modules", module.name, "interface"), message, hint)
         return buses[module.interface].window.base
     if len(buses) != 1:
-        raise BuildError(
-            f"{module.name} has registers, and region {region.name} has {len(buses)} register interfaces "
-            f"({', '.join(buses) or 'none'}): write interface: in the module"
-        )
+        have = f"{len(buses)} register interfaces ({', '.join(buses)})" if buses else "no register interface"
+        message = f"{module.name} has registers, and region {region.name} has {have}"
+        hint = "write interface: in the module" if buses else "none of its modules has an AXI4-Lite slave"
+        key = "registers" if module.register_map is None else "register_map"
+        raise fault(source, ("modules", module.name, key), message, hint)
     return next(iter(buses.values())).window.base
 
 
@@ -87,11 +87,11 @@ def _region(system: System, region: RegionPlan) -> Region:
     return Region(name=region.name, loader=region.spec.loader, decoupler=decoupler, identity=identity)
 
 
-def _module(target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
+def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
     name, module, region, identity = target
     registers = {}
     if module.registers:
-        base = register_base(region, module)
+        base = register_base(source, region, module)
         registers = {
             key: _register(spec, base, region.name, answers.registers.get((name, key)))
             for key, spec in module.registers.items()
@@ -125,26 +125,30 @@ def _field(spec: FieldSpec) -> BitField:
 
 def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode:
     chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
-    registers = {}
+    source, static = system.project.source, system.project.static.registers
+    registers = {key: _register(static[key], 0, None, value) for key, value in mode.registers.items() if key in static}
     for one in chosen:
         for key, value in mode.registers.items():
             if key in one.module.registers:
-                spec = one.module.registers[key]
-                registers[key] = _register(spec, register_base(one.region, one.module), one.region.name, value)
+                base = register_base(source, one.region, one.module)
+                registers[key] = _register(one.module.registers[key], base, one.region.name, value)
     overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
     return Mode(
         name=mode.name,
         modules=tuple(one.name for one in chosen),
         registers=registers,
         overlays=overlays,
-        streams=dict(_mode_stream(mode, name, spec, streams) for name, spec in mode.streams.items()),
+        streams=dict(_mode_stream(source, mode, name, spec, streams) for name, spec in mode.streams.items()),
         doc=mode.doc,
     )
 
 
-def _mode_stream(mode: ModeSpec, name: str, spec: ModeStreamSpec, streams: Mapping[str, Stream]) -> tuple[str, Stream]:
+def _mode_stream(
+    source: Path, mode: ModeSpec, name: str, spec: ModeStreamSpec, streams: Mapping[str, Stream]
+) -> tuple[str, Stream]:
     if name not in streams:
-        raise BuildError(f"mode {mode.name} names the stream {name!r}: {did_you_mean(name, streams)}")
+        message = f"mode {mode.name} names the stream {name!r}"
+        raise fault(source, ("modes", mode.name, "streams", name), message, did_you_mean(name, streams))
     stream = streams[name]
     return name, replace(stream, shape=spec.shape or stream.shape, dtype=spec.dtype or stream.dtype)
 

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from cm.build.analyse import analyse
+from cm.build.answers import Answers
 from cm.build.generate import generate, load_design, output_folder
 from cm.build.load import load_project
 from cm.build.manifest import Written
 from cm.build.plan import plan_system
 from cm.build.report import as_dict, lines
+from cm.build.runtime import runtime_config
 from cm.cli.build_common import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, print_json
 
@@ -38,16 +41,18 @@ def add_generate_parser(actions: argparse._SubParsersAction[argparse.ArgumentPar
 
 
 def run_check(args: argparse.Namespace) -> int:
-    """Print the report; 1 if a module does not fit."""
+    """Print the report; 1 if a module does not fit, or cannot be synthesised."""
     project = load_project(args.schema)
     analysis = analyse(project)
     system = None if analysis.refused else plan_system(analysis.completed(project), analysis.boundaries)
+    if system is not None:
+        runtime_config(system, Answers())  # raises where registers have no interface, or a mode names no stream
     if args.json:
         print_json(as_dict(project, analysis, system))
     else:
         for line in lines(project, analysis, system):
             print(line)
-    return 1 if analysis.refused else 0
+    return 1 if analysis.refused or analysis.broken else 0
 
 
 def run_generate(args: argparse.Namespace) -> int:
@@ -59,19 +64,22 @@ def run_generate(args: argparse.Namespace) -> int:
         print_json({name: getattr(done, name) for name in Written.__slots__} | {"runs": len(design.system.runs)})
         return 1 if done.conflicts else 0
     print(f"{out}: {len(done.created)} new, {len(done.updated)} updated, {len(done.unchanged)} unchanged")
-    _print_changes(done)
+    _print_changes(done, out)
     print(design.system.cover)
+    for name, info in design.analysis.modules.items():
+        for problem in info.problems:
+            print(f"problem of {name}: {problem}")
     for note in design.system.notes:
         print(f"note: {note}")
     return 1 if done.conflicts else 0
 
 
-def _print_changes(done: Written) -> None:
+def _print_changes(done: Written, out: Path) -> None:
     for name in done.kept:
         print(f"kept your changes: {name}")
     for name in done.conflicts:
         print(f"changed by you and by generation: {name}")
-        print(f"  the new text is in {name}.new; merge: git merge-file {name} .cm-orig/{name} {name}.new")
+        print(f"  the new text is in {name}.new; merge: git -C {out} merge-file {name} .cm-orig/{name} {name}.new")
     for name in done.removed:
         print(f"removed, no longer generated: {name}")
     for name in done.left:

@@ -52,7 +52,7 @@ def test_a_mode_cannot_change_a_stream_that_there_is_not(tmp_path: Path, capsys:
     schema = copy_examples(tmp_path) / "camera/build.yaml"
     schema.write_text(schema.read_text().replace("streams: {camera:", "streams: {camra:"))
     assert main(["build", "generate", str(schema)]) == 1
-    assert "mode colorise names the stream 'camra': did you mean camera?" in capsys.readouterr().err
+    assert "mode colorise names the stream 'camra' (did you mean camera?)" in capsys.readouterr().err
     assert not (tmp_path / "camera/build/config").exists()
 
 

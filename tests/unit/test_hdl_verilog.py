@@ -287,7 +287,7 @@ def test_syntax_error_is_a_problem_of_the_module_with_its_line(tmp_path: Path) -
 
 def test_missing_include_is_told_and_its_ranges_cannot_be_evaluated(tmp_path: Path) -> None:
     found = module(tmp_path, '`include "no.vh"\nmodule m (input [`W-1:0] a);\nendmodule\n')
-    assert found.problems[0].message == "'no.vh': No such file or directory: name its folder (include path, -I)"
+    assert found.problems[0].message == "'no.vh': No such file or directory: name its folder (include_dirs:, or -I)"
     assert found.port("a").width != 0
 
 

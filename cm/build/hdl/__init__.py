@@ -12,7 +12,7 @@ The types are in `cm.build.hdl.model` and need no parser; the parsers come with 
 from __future__ import annotations
 
 from cm.build.hdl.compare import Difference, compare
-from cm.build.hdl.errors import HdlError, ModuleNotFound, ParserMissing
+from cm.build.hdl.errors import HdlError, ModuleNotFound, ParserMissing, UnknownParameter
 from cm.build.hdl.extract import Reading, extract, read, roots
 from cm.build.hdl.ipxact import load_component_xml
 from cm.build.hdl.model import (
@@ -54,6 +54,7 @@ __all__ = [
     "Problem",
     "Reading",
     "Reset",
+    "UnknownParameter",
     "UserProtocol",
     "compare",
     "extract",

@@ -21,6 +21,16 @@ class ModuleNotFound(HdlError, NotFound):
     code: ClassVar[str] = "not_found"
 
 
+class UnknownParameter(HdlError, NotFound):
+    """No module asked for has a parameter or generic of that `name`; the sentence lists those there are."""
+
+    code: ClassVar[str] = "not_found"
+
+    def __init__(self, name: str, sentence: str) -> None:
+        super().__init__(sentence)
+        self.name = name
+
+
 class ParserMissing(CmError, ImportError):
     """The parser for this language is not installed; the sentence says how to get it."""
 

@@ -10,12 +10,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 from cm.build.hdl.detect import Detector
-from cm.build.hdl.errors import HdlError, ModuleNotFound
+from cm.build.hdl.errors import HdlError, ModuleNotFound, UnknownParameter
 from cm.build.hdl.model import Language, ModuleInfo, Problem
 from cm.build.hdl.protocols import UserProtocol
 from cm.build.hdl.verilog import VerilogReader
 from cm.build.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
 
+_FEW = 8  # names in a sentence
 _NONE: Mapping[str, str] = MappingProxyType({})
 _ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECASE)
 
@@ -87,9 +88,12 @@ class _Sources:
         self._vhdl: VhdlReader | None = None
         self._found: dict[str, tuple[Language, Path]] = {}
         self._below: dict[str, tuple[str, ...]] = {}
+        self._paths: list[Path] = []
+        self._errors: dict[Path, tuple[Problem, ...]] = {}  # of files with modules
         self.problems: list[Problem] = []
 
     def add(self, path: Path) -> None:
+        self._paths.append(path)
         text = _read_text(path)
         if _ENCRYPTED.search(text):
             what = "parts of this file are encrypted (`protect) and not seen: a component.xml tells more"
@@ -105,14 +109,16 @@ class _Sources:
         self._verilog = self._verilog or VerilogReader(self._include_dirs, self._defines)
         tree = self._verilog.parse(path, text)
         self._register(tree.modules, tree.language, path)
-        if not tree.modules:
+        if tree.modules:
+            self._errors[path] = tree.errors
+        else:
             self.problems.extend(tree.errors)
 
     def _register(self, units: Iterable[tuple[str, tuple[str, ...]]], language: Language, path: Path) -> None:
         for name, below in units:
             if name in self._found:
                 first = self._found[name][1]
-                text = f"module {name} is declared in {first} too: the first one is taken"
+                text = f"module {name} is declared in {first} too: the first one is taken here, synthesis may take this"
                 self.problems.append(Problem(text, str(path)))
             else:
                 self._found[name] = (language, path)
@@ -137,9 +143,9 @@ class _Sources:
     def check(self, top: str | None) -> None:
         if not self._found:
             detail = "; ".join(str(problem) for problem in self.problems[:3])
-            raise HdlError(f"no module and no entity in the files given{': ' + detail if detail else ''}")
+            raise HdlError(f"no module and no entity in {_few(self._paths)}{': ' + detail if detail else ''}")
         if top is not None and self._name(top) is None:
-            raise ModuleNotFound(f"no module {top} in the files given; there are: {', '.join(self._found)}")
+            raise ModuleNotFound(f"no module {top} in {_few(self._paths)}; there are: {_few(self._found)}")
 
     def _name(self, top: str) -> str | None:
         """Verilog names exactly, VHDL names without regard to case."""
@@ -154,8 +160,16 @@ class _Sources:
         verilog = [name for name in wanted if self._found[name][0] is not Language.VHDL]
         modules = self._verilog.read(verilog, parameters) if self._verilog else []
         modules += self._vhdl.read(vhdl, parameters) if self._vhdl else []
+        asked = {self._found[name][1] for name in wanted}
+        self.problems += [error for path, errors in self._errors.items() if path not in asked for error in errors]
         order = {name: number for number, name in enumerate(self._found)}
         return sorted(modules, key=lambda module: order[module.name])
+
+
+def _few(names: Iterable[object]) -> str:
+    """The names in words; of many the first."""
+    listed = [str(name) for name in names]
+    return ", ".join(listed[:_FEW]) + (f" and {len(listed) - _FEW} more" if len(listed) > _FEW else "")
 
 
 def _read_text(path: Path) -> str:
@@ -170,4 +184,5 @@ def _check_parameters(modules: Sequence[ModuleInfo], parameters: Mapping[str, st
     for name in parameters:
         if name.lower() not in known:
             names = ", ".join(p.name for module in modules for p in module.parameters if not p.local) or "none"
-            raise HdlError(f"no parameter {name} in {', '.join(m.name for m in modules)}; there are: {names}")
+            text = f"no parameter {name} in {', '.join(m.name for m in modules)}; there are: {names}"
+            raise UnknownParameter(name, text)

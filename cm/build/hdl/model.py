@@ -186,12 +186,17 @@ class Leftover:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Something that could not be told or read; `fatal` where the module cannot be used in a region as it is."""
+    """Something that could not be told or read.
+
+    `fatal` where the module cannot be used in a region as it is; `breaks` where synthesis cannot succeed: a syntax
+    error, a file or module that is missing.
+    """
 
     message: str
     file: str = ""
     line: int = 0
     fatal: bool = False
+    breaks: bool = False
 
     def __str__(self) -> str:
         where = f"{self.file}:{self.line}: " if self.file and self.line else f"{self.file}: " if self.file else ""

@@ -24,8 +24,8 @@ VERILOG_SUFFIXES = (".v", ".vh", ".vo", ".verilog")
 _VERILOG_KEYWORDS = '`begin_keywords "1364-2005" '
 _NUMBER = re.compile(r"[-+~(\d'].*", re.DOTALL)
 _HINTS = {
-    "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include path, -I)",
-    "DiagCode(UnknownDirective)": ": define it (-D), or give the file that does before this one",
+    "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include_dirs:, or -I)",
+    "DiagCode(UnknownDirective)": ": define it (defines:, or -D), or give the file that does before this one",
 }
 _FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePorts", "AllowInvalidTop")
 
@@ -110,7 +110,8 @@ class VerilogReader:
     def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
         for diagnostic in syntax.diagnostics:
             if diagnostic.isError():
-                yield Problem(self._message(diagnostic), str(path), self._sources.getLineNumber(diagnostic.location))
+                line = self._sources.getLineNumber(diagnostic.location)
+                yield Problem(self._message(diagnostic), str(path), line, breaks=True)
 
     def _message(self, diagnostic: Any) -> str:
         try:

@@ -66,8 +66,8 @@ def _parameters(body: Any, file: str, problems: list[Problem], given: Mapping[st
 
 def _no_value(name: str, text: str) -> str:
     if not text:
-        return f"parameter {name} has no default: give it a value (-P {name}=…)"
-    return f"parameter {name} = {text} could not be evaluated: give it a value (-P {name}=…)"
+        return f"parameter {name} has no default: give it a value (parameters:, or -P {name}=…)"
+    return f"parameter {name} = {text} could not be evaluated: give it a value (parameters:, or -P {name}=…)"
 
 
 def _default_text(symbol: Any) -> str:

@@ -166,7 +166,7 @@ class _Evaluation:
             text = (
                 f"generic {generic.name} {f':= {generic.default} ' if generic.default else ''}has no value that could"
             )
-            hint = f"be evaluated: give it one (-P {generic.name}=…)"
+            hint = f"be evaluated: give it one (parameters:, or -P {generic.name}=…)"
             self._problems.append(Problem(f"{text} {hint}", str(self._entity.path), generic.line))
         self._names[generic.name.lower()] = value
         return Parameter(generic.name, value, generic.default, given is not None)
