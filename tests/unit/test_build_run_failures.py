@@ -106,7 +106,7 @@ def test_an_interrupted_flow_ends_its_programs_and_goes_on_there(
 
     def interrupt(sentence: str) -> None:
         if sentence.startswith(f"{step}: "):
-            _until(pid.exists)
+            _until(lambda: pid.exists() and pid.read_text().endswith("\n"))
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -139,7 +139,11 @@ def test_several_failures_at_once_are_all_told(out: Path, monkeypatch: pytest.Mo
     """Vivado without a licence fails in every step that make has begun."""
     program = tmp_path / "broken.sh"
     program.write_text(
-        "#!/bin/sh\necho \"ERROR: [Common 17-345] A valid license was not found for feature 'Synthesis'\"\nexit 1\n"
+        "#!/bin/sh\n"
+        ": > $CM_CALLS.$$\n"  # each waits for the other to have begun
+        "for i in $(seq 1000); do set -- $CM_CALLS.*; [ $# -ge 2 ] && break; sleep 0.01; done\n"
+        "echo \"ERROR: [Common 17-345] A valid license was not found for feature 'Synthesis'\"\n"
+        "exit 1\n"
     )
     program.chmod(0o755)
     with pytest.raises(StepFailed) as failure:
