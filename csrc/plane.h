@@ -25,8 +25,9 @@ struct cm_plane *cm_plane_new(void);
 /* End the thread, hang up on all clients, stop all streams, free; NULL is fine. */
 void cm_plane_close(struct cm_plane *plane);
 
-#define CM_PLANE_CLIENT_GONE 1 /* it hung up, or broke the rules (error) */
-#define CM_PLANE_STREAM_LOST 2 /* its device failed (error); stop it */
+#define CM_PLANE_CLIENT_GONE 1	 /* it hung up, or broke the rules (error) */
+#define CM_PLANE_STREAM_LOST 2	 /* its device failed (error); stop it */
+#define CM_PLANE_CLIENT_LEAVES 3 /* it wants no more frames, but holds some yet */
 
 struct cm_plane_event {
 	uint32_t kind;

@@ -200,6 +200,10 @@ static void take(struct cm_plane *plane, struct client *client, struct cm_plane_
 	case CM_PLANE_SUBMIT:
 		submit(plane, client, packet);
 		break;
+	case CM_PLANE_LEAVE:
+		client->leaving = true;
+		plane_report(plane, CM_PLANE_CLIENT_LEAVES, client->id, 0);
+		break;
 	case CM_PLANE_PING:
 		packet->kind = CM_PLANE_PONG;
 		client_send(client, packet, sizeof(*packet));

@@ -50,6 +50,7 @@ struct client {
 	uint32_t held_count;
 	uint64_t frames;  /* handed to it, or taken from it, well; since it was attached */
 	uint64_t dropped; /* that it did not get */
+	bool leaving;	  /* wants no more frames */
 	bool broken;	  /* to be dropped */
 	int error;
 	bool held[CM_PLANE_SLOTS_MAX];

@@ -173,7 +173,7 @@ static void hand_on(struct cm_plane *plane, struct stream *stream, uint32_t numb
 	struct slot *slot = &stream->slot[number];
 
 	for (struct client *client = plane->clients; client; client = client->next) {
-		if (client->stream != stream || client->broken)
+		if (client->stream != stream || client->leaving || client->broken)
 			continue;
 		if (!client_offer(client, stream, number)) {
 			slot->holders++;

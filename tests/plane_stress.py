@@ -89,7 +89,7 @@ def stress(manager: Manager, sim: SimBoard, seconds: float, seed: int) -> Outcom
             board.configure_stream(name, shape=(WORDS,), dtype="uint64", force=True)
         board.configure_stream("from_pl", enable=True)
         outcome = _produce(board, manager, seconds, seed)
-        board.configure_stream("from_pl", enable=False)
+        board.configure_stream("from_pl", automatic=True)
         _nothing_is_left(manager, sim, before)
         board.load("camera", "default")
     return outcome

@@ -36,6 +36,7 @@ class Connection:
         """Connect and ask. Raises NotFound where nobody serves the folder's data socket."""
         self.wanted = wanted
         self.memory: Memory | None = None
+        self._left: Memory | None = None  # of frames that are held beyond `close`
         self.names = ("", "", "")
         self.lost = 0
         self.held = 0
@@ -104,14 +105,17 @@ class Connection:
         return lend(memory, head, self.names, self.give_back)
 
     def give_back(self, memory: Memory, frame: Descriptor) -> None:
-        """Release a frame; nothing if the stream was stopped meanwhile: its memory is not used again."""
-        if memory is not self.memory:
+        """Release a frame; nobody is told if the stream was stopped meanwhile: its memory is not used again."""
+        memory.end(frame.slot)
+        if memory is not self.memory and memory is not self._left:
             return
         self.held -= 1
-        memory.end(frame.slot)
         with suppress(OSError):
             release = (frame.slot, packets.RELEASE, *frame[2:])
             self.socket.send(DESCRIPTOR.pack(*release), _NOSIGNAL)
+        if memory is self._left and not self.held:
+            self._left = None
+            self.socket.close()
 
     def submit(self, slot: Descriptor, offset: int, length: int, sequence: int) -> None:
         """Send a granted slot to the hardware. Raises ConnectionLost."""
@@ -125,9 +129,28 @@ class Connection:
             raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
 
     def close(self) -> None:
-        """Disconnect; frames that are held keep their memory, which nobody reuses. Twice is fine."""
-        self.socket.close()
+        """Disconnect; frames that are held stay ours until they are given back. Twice is fine."""
+        if self._left is not None:
+            return
+        memory, held = self.memory, self.held
         self._end_memory()
+        if memory is None or not held or not self._leave():
+            self.socket.close()
+            return
+        self._left, self.held = memory, held
+
+    def _leave(self) -> bool:
+        """Take no more frames; those that wait go back unseen. False if the manager has gone."""
+        try:
+            self.socket.shutdown(socket.SHUT_RD)
+            while self.socket.recv_into(self._buffer, 0, socket.MSG_DONTWAIT):  # closes descriptors that come along
+                head = Descriptor._make(DESCRIPTOR.unpack_from(self._buffer))
+                if head.kind == packets.FRAME:
+                    self.socket.send(head._replace(kind=packets.RELEASE).pack(), _NOSIGNAL)
+            self.socket.send(Descriptor(kind=packets.LEAVE).pack(), _NOSIGNAL)
+        except OSError:
+            return False
+        return True
 
     # ---- packets -----------------------------------------------------------------------
 

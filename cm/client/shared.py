@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import mmap
 import os
@@ -35,6 +36,8 @@ class Memory:
         self.strides = self._strides()
         self._maps: list[mmap.mmap] = []
         self._fds: list[int] = []  # kept where the memory needs synchronising
+        self._begun: set[int] = set()  # slots that the processor uses now, there
+        self._closed = False
 
     def _strides(self) -> tuple[int, ...] | None:
         shape = self.geometry.shape
@@ -66,19 +69,30 @@ class Memory:
         """The processor is about to read, or write."""
         if not self.geometry.coherent:
             self._sync(slot, 0)
+            self._begun.add(slot)
 
     def end(self, slot: int) -> None:
         """The processor is done."""
         if not self.geometry.coherent:
-            self._sync(slot, _END)
+            self._end(slot)
+
+    def _end(self, slot: int) -> None:
+        self._sync(slot, _END)
+        self._begun.discard(slot)
+        if self._closed and not self._begun:
+            self._close_fds()
 
     def _sync(self, slot: int, end: int) -> None:
-        flags = end | _READ | (_WRITE if self.geometry.writable else 0)
-        try:
-            fcntl.ioctl(self._fds[slot], _SYNC, struct.pack("=Q", flags))
-        except OSError as error:
-            if error.errno != 25:  # ENOTTY: ordinary memory
-                raise
+        argument = struct.pack("=Q", end | _READ | (_WRITE if self.geometry.writable else 0))
+        while True:
+            try:
+                fcntl.ioctl(self._fds[slot], _SYNC, argument)
+                return
+            except OSError as error:
+                if error.errno == errno.ENOTTY:  # ordinary memory
+                    return
+                if error.errno not in (errno.EINTR, errno.EAGAIN):  # then the caller has to ask again
+                    raise
 
     def array(self, frame: Descriptor, kind: type[Any] = np.ndarray) -> Any:
         """A frame's bytes as an array: whole ones in the stream's shape, others flat."""
@@ -95,17 +109,19 @@ class Memory:
         return array
 
     def close(self) -> None:
-        """Close descriptors; mappings stay with their frames."""
-        for fd in self._fds:
-            os.close(fd)
-        self._fds.clear()
-        self.geometry = _with_coherent(self.geometry)
+        """Nothing comes any more; what is in use stays until it is given back."""
+        self._closed = True
         self._maps.clear()
+        if not self._begun:
+            self._close_fds()
+
+    def _close_fds(self) -> None:
+        fds, self._fds = self._fds, []
+        for fd in fds:
+            os.close(fd)
 
     def __del__(self) -> None:
-        for fd in self._fds:
-            os.close(fd)
-        self._fds = []
+        self._close_fds()
 
 
 def _packed(shape: tuple[int, ...], size: int) -> tuple[int, ...]:
@@ -113,13 +129,6 @@ def _packed(shape: tuple[int, ...], size: int) -> tuple[int, ...]:
     for extent in reversed(shape[1:]):
         strides.insert(0, strides[0] * extent)
     return tuple(strides)
-
-
-def _with_coherent(geometry: Geometry) -> Geometry:
-    """The same, for which nothing is synchronised any more: its descriptors are closed."""
-    from dataclasses import replace
-
-    return replace(geometry, coherent=True)
 
 
 class LocalFrame(Frame):

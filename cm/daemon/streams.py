@@ -17,7 +17,7 @@ from cm.daemon.loop import Loop
 from cm.daemon.pump import Done, Frame, Peer, Pump, StreamStopped
 from cm.daemon.settings import changed, setup
 from cm.daemon.taps import ReadTap, WriteTap
-from cm.device.plane import ClientGone, Plane
+from cm.device.plane import ClientGone, ClientLeaves, Plane
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.manager.describe import stream_status
 from cm.manager.errors import NothingLoaded, UnknownStream
@@ -44,6 +44,7 @@ class _Local:
     stream: str
     depth: int
     peer: Peer
+    leaving: bool = False  # it only holds frames yet
 
 
 class Streams:
@@ -279,6 +280,7 @@ class Streams:
         self._config, self._mode = config, mode
         if not same_mode:
             self._overrides.clear()  # a mode's shapes are the schema's until somebody changes them again
+            self._enabled = {name: True for name, runs in self._enabled.items() if runs}  # what runs runs on
         new = {n: self._as_set(s) for n, s in streams.items()}
         for name in list(self._pumps):
             if new.get(name) != self._streams.get(name):
@@ -306,7 +308,7 @@ class Streams:
         return stream.direction is Direction.S2MM and self._wanted(stream.name)
 
     def _has_local(self, name: str) -> bool:
-        return any(local.stream == name for local in self._locals.values())
+        return any(local.stream == name and not local.leaving for local in self._locals.values())
 
     def _may_run(self, name: str) -> bool:
         return name not in self._held and self._enabled.get(name) is not False
@@ -326,7 +328,7 @@ class Streams:
             self._pumps[stream.name] = pump
             first(pump)
             for client, local in list(self._locals.items()):
-                if local.stream == stream.name:
+                if local.stream == stream.name and not local.leaving:
                     self._attach_again(pump, client, local)
             self._refresh_tap(stream)
             pump.start()
@@ -380,8 +382,16 @@ class Streams:
         while (event := self._plane.event()) is not None:
             if isinstance(event, ClientGone):
                 self._client_gone(event.client)
+            elif isinstance(event, ClientLeaves):
+                self._client_leaves(event.client)
             else:
                 self._lost(event.stream, event.error)
+
+    def _client_leaves(self, client: int) -> None:
+        """What it holds stays its own, but nothing runs for it any more."""
+        if client in self._locals:
+            self._locals[client] = replace(self._locals[client], leaving=True)
+            self.refresh()
 
     def _client_gone(self, client: int) -> None:
         self.echoes.gone(client)

@@ -120,13 +120,15 @@ class ReadTap(_Tap):
     def _hand_on(self, packet: Descriptor) -> None:
         slot = self._pump.slots[packet.slot]
         slot.sync_begin(write=False)
-        frame = Frame(self._pump.info(packet), self._bytes(packet))
-        readers, self._readers = self._readers, deque()
-        for done, timer in readers:
-            timer.cancel()
-            done(frame)
-        self._deliver(frame)
-        slot.sync_end(write=False)
+        try:
+            frame = Frame(self._pump.info(packet), self._bytes(packet))
+            readers, self._readers = self._readers, deque()
+            for done, timer in readers:
+                timer.cancel()
+                done(frame)
+            self._deliver(frame)
+        finally:
+            slot.sync_end(write=False)
 
     def _bytes(self, packet: Descriptor) -> memoryview:
         """The frame's bytes, one after the other; copied only where lines are apart."""
@@ -193,17 +195,17 @@ class WriteTap(_Tap):
         """Put a frame into a slot; the bytes that the transfer has."""
         setup, slot = self._pump.setup, self._pump.slots[number]
         slot.sync_begin(write=True)
-        if setup.lines and setup.stride != setup.line_bytes:
-            lines = np.lib.stride_tricks.as_strided(
-                slot.array(), (setup.lines, setup.line_bytes), (setup.stride, 1), writeable=True
-            )
-            lines[:] = np.frombuffer(view, np.uint8).reshape(setup.lines, setup.line_bytes)
-            length = setup.length
-        else:
+        try:
+            if setup.lines and setup.stride != setup.line_bytes:
+                lines = np.lib.stride_tricks.as_strided(
+                    slot.array(), (setup.lines, setup.line_bytes), (setup.stride, 1), writeable=True
+                )
+                lines[:] = np.frombuffer(view, np.uint8).reshape(setup.lines, setup.line_bytes)
+                return setup.length
             slot.memoryview()[: view.nbytes] = view
-            length = view.nbytes
-        slot.sync_end(write=True)
-        return length
+            return view.nbytes
+        finally:
+            slot.sync_end(write=True)
 
     def _stuck(self, number: int) -> None:
         """The slot stays with the hardware; only the caller is told."""

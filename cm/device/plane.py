@@ -61,6 +61,13 @@ class ClientGone:
 
 
 @dataclass(frozen=True, slots=True)
+class ClientLeaves:
+    """A reader wants no more frames; it goes when it has given back those that it holds."""
+
+    client: int
+
+
+@dataclass(frozen=True, slots=True)
 class StreamLost:
     """A stream's device failed; stop it."""
 
@@ -80,11 +87,13 @@ class Plane:
         """Return the descriptor that polls readable when an event waits."""
         return native.event_fd(self._handle)
 
-    def event(self) -> ClientGone | StreamLost | None:
+    def event(self) -> ClientGone | ClientLeaves | StreamLost | None:
         """Take the next event, if there is one."""
         raw = native.take(self._handle)
         if raw is None:
             return None
+        if raw.kind == native.CLIENT_LEAVES:
+            return ClientLeaves(raw.id)
         return (ClientGone if raw.kind == native.CLIENT_GONE else StreamLost)(raw.id, raw.error)
 
     def start(self, dma: AxiDma | None, setup: StreamSetup) -> int:

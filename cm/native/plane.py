@@ -10,6 +10,7 @@ from cm.native.call import Handle, check, last_error
 
 CLIENT_GONE: int = lib.CM_PLANE_CLIENT_GONE
 STREAM_LOST: int = lib.CM_PLANE_STREAM_LOST
+CLIENT_LEAVES: int = lib.CM_PLANE_CLIENT_LEAVES
 
 
 class Event(NamedTuple):

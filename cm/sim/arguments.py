@@ -26,6 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--vdma", action="append", default=[], metavar="CHANNEL",
         help="that channel is a VDMA's: it moves frames of lines only; may be repeated")  # fmt: skip
+    add("--non-coherent", action="store_true",
+        help="DMA memory that has to be synchronised (docs/simulator.md)")  # fmt: skip
     add("--seed", type=int, default=1, help="of the garbage")
     add("--models", action="append", default=[], metavar="MODULE", help="module or .py file with a mapping MODELS")
     add("--linger", type=float, metavar="SECONDS",

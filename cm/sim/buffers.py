@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from . import protocol
 from .errors import NodeError
 from .session import Answer
+from .syncs import NAME, Counters, Syncs
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,23 +29,29 @@ _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
 class Buffer:
     """Memory that a client shares with the board; unmapped when nothing refers to it any more."""
 
-    __slots__ = ("allocated", "bytes", "inflight", "length", "writable")
+    __slots__ = ("allocated", "bytes", "counters", "inflight", "length", "writable")
 
-    def __init__(self, fd: int, length: int, allocated: bool, writable: bool = True) -> None:
+    def __init__(
+        self, fd: int, length: int, allocated: bool, writable: bool = True, counters: Counters | None = None
+    ) -> None:
+        """With `counters` (``syncs.py``) the device's view lies behind the processor's."""
         protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
-        mapping = mmap.mmap(fd, length, mmap.MAP_SHARED | mmap.MAP_POPULATE, protection)
+        flags, offset = mmap.MAP_SHARED | mmap.MAP_POPULATE, length if counters else 0
+        mapping = mmap.mmap(fd, length, flags, protection, offset=offset)
         self.bytes: NDArray[np.uint8] = np.frombuffer(mapping, np.uint8)
         self.length = length
         self.allocated = allocated
         self.writable = writable
         self.inflight = 0
+        self.counters = counters
 
 
 class Memory:
     """The memory that all devices of the board may allocate, like a CMA area."""
 
-    def __init__(self, total: int) -> None:
+    def __init__(self, total: int, coherent: bool = True) -> None:
         self.total = total
+        self.coherent = coherent
         self.used = 0
 
     def take(self, length: int) -> None:
@@ -61,8 +68,9 @@ class Memory:
 class Buffers:
     """The handles of one open file."""
 
-    def __init__(self, memory: Memory) -> None:
+    def __init__(self, memory: Memory, syncs: Syncs) -> None:
         self._memory = memory
+        self.syncs = syncs
         self._table: dict[int, Buffer] = {}
         self._next = 1
 
@@ -88,14 +96,22 @@ class Buffers:
         length = -(-length // PAGE) * PAGE
         self._memory.take(length)
         try:
-            fd = _memfd(length)
-            buffer = Buffer(fd, length, allocated=True)
+            fd, buffer = self._make(length)
         except (OSError, ValueError, OverflowError) as error:
             self._memory.give(length)
             raise NodeError(errno.ENOMEM, str(error)) from error
-        handle, coherent = self._add(buffer), 1
+        handle, coherent = self._add(buffer), int(buffer.counters is None)
         reply = protocol.BUFFER_ALLOC.pack(len(payload), 0, length, handle, fd, coherent, 0)
         return Answer(fit(reply, payload), [fd])
+
+    def _make(self, length: int) -> tuple[int, Buffer]:
+        if self._memory.coherent:
+            fd = _memfd("cm-sim-buffer", length)
+            return fd, Buffer(fd, length, allocated=True)
+        fd = _memfd(NAME, 2 * length + PAGE)
+        counters = Counters(fd, length)
+        self.syncs.add(counters)
+        return fd, Buffer(fd, length, allocated=True, counters=counters)
 
     def import_fd(self, payload: bytes, fds: Sequence[int]) -> bytes:
         """Answer a cm_buffer_import of the descriptor that came with the request."""
@@ -131,6 +147,8 @@ class Buffers:
     def _release(self, buffer: Buffer) -> None:
         if buffer.allocated:
             self._memory.give(buffer.length)
+        if buffer.counters is not None:
+            self.syncs.forget(buffer.counters)
 
 
 def fit(reply: bytes, request: bytes) -> bytes:
@@ -138,8 +156,8 @@ def fit(reply: bytes, request: bytes) -> bytes:
     return reply[: len(request)].ljust(len(request), b"\0")
 
 
-def _memfd(length: int) -> int:
-    fd = os.memfd_create("cm-sim-buffer", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+def _memfd(name: str, length: int) -> int:
+    fd = os.memfd_create(name, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
     try:
         os.ftruncate(fd, length)
         fcntl.fcntl(fd, fcntl.F_ADD_SEALS, _SEALS)

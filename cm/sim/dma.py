@@ -136,6 +136,11 @@ class Channel:
         reads = self.spec.direction is Direction.MM2S
         return ((handle, buffer) for handle, buffer in self._buffers if reads or buffer.writable)
 
+    @property
+    def coherent(self) -> bool:
+        """Whether the processor sees its buffers without further ado."""
+        return self._buffers is None or all(buffer.counters is None for _, buffer in self._buffers)
+
     def release(self) -> None:
         """The file is closed: nothing runs any more."""
         for transfer in self.queue:
@@ -150,6 +155,8 @@ class Channel:
         if waiting >= QUEUE_DEPTH or not self.completions.room(QUEUE_DEPTH - waiting):
             raise NodeError(errno.EBUSY, "the queue is full: read completions first")
         transfer.buffer.inflight += 1
+        if transfer.buffer.counters is not None and self._buffers is not None:
+            self._buffers.syncs.submitted(transfer.buffer.counters)
         self.queue.append(transfer)
         self.kick()
 

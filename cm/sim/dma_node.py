@@ -15,6 +15,7 @@ from .dma import MAX_LENGTH, MAX_LINE, QUEUE_DEPTH, Channel, Completions, Transf
 from .errors import NodeError
 from .events import Events
 from .session import Answer
+from .syncs import Syncs
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,11 +33,12 @@ class DmaNode:
 
     def __init__(self, channel: Channel, memory: Memory) -> None:
         self._channel, self._memory = channel, memory
+        self.syncs = Syncs()
         self.sessions: set[DmaSession] = set()
 
     def open(self, events: Events) -> DmaSession:
         """Claim the channel."""
-        buffers = Buffers(self._memory)
+        buffers = Buffers(self._memory, self.syncs)
         self._channel.claim(Completions(events), buffers)
         session = DmaSession(self._channel, buffers, self.sessions.discard)
         self.sessions.add(session)

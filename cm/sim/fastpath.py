@@ -58,13 +58,10 @@ class FastPath:
 
 
 def _lendable(channel: Channel) -> bool:
+    if channel.spec.vdma or not channel.coherent:  # each of their transfers is looked at
+        return False
     completions = channel.completions
-    if (
-        channel.spec.vdma
-        or completions is None
-        or completions.events.line is None
-        or not completions.events.line.lendable
-    ):
+    if completions is None or completions.events.line is None or not completions.events.line.lendable:
         return False
     return all(transfer.plain for transfer in channel.queue)
 

@@ -13,6 +13,7 @@ from .errors import NodeError
 from .events import Events
 from .icap import Engine, LoadResult
 from .session import Answer
+from .syncs import Syncs
 
 MAX_LENGTH = 1 << 26
 _FLAGS = protocol.LOAD_FULL | protocol.LOAD_ENCRYPTED
@@ -25,10 +26,11 @@ class IcapNode:
         self.engine, self._memory = engine, memory
         self.idcode, self.clock_hz = idcode, clock_hz
         self.sessions: set[IcapSession] = set()
+        self.syncs = Syncs()
 
     def open(self, events: Events) -> IcapSession:
         """A new open file."""
-        session = IcapSession(self, Buffers(self._memory), events)
+        session = IcapSession(self, Buffers(self._memory, self.syncs), events)
         self.sessions.add(session)
         return session
 

@@ -55,6 +55,7 @@ class Options:
     bitstream_size: int | None = None
     seed: int = 1
     vdma: Collection[str] = ()  # channels that are a VDMA's
+    coherent: bool = True  # memory: if not, every access of the processor has to be synchronised
 
 
 class Machine:
@@ -69,7 +70,7 @@ class Machine:
         self.fabric = Fabric(spec, options.seed)
         self.bus = Bus(self.fabric, self.faults)
         self.interrupts = Interrupts(self.fabric, self.faults)
-        self.memory = Memory(options.memory)
+        self.memory = Memory(options.memory, options.coherent)
         self.engine = self._engine()
         self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
         self.overlays = Overlays(root, self.manager, self.faults)
@@ -124,6 +125,7 @@ class Machine:
             "connections": self.server.connections,
             "buffers": self._buffers(),
             "memory": self.memory.used,
+            "syncs": self._syncs(),
             "loads": self.engine.loads,
             "loading": self.engine.busy,
             "outside_writes": self._config.outside,
@@ -134,6 +136,13 @@ class Machine:
     def _buffers(self) -> int:
         channels = sum(len(session.buffers) for node in self.dma_nodes.values() for session in node.sessions)
         return channels + sum(len(session.buffers) for session in self.icap_node.sessions)
+
+    def _syncs(self) -> dict[str, dict[str, int]]:
+        """What was synchronised, where it has to be."""
+        if self.memory.coherent:
+            return {}
+        channels = {name: node.syncs.totals() for name, node in self.dma_nodes.items()}
+        return {**channels, "icap": self.icap_node.syncs.totals()}
 
     def _channel_state(self, name: str) -> dict[str, object]:
         channel, link = self.channels[name], self.links[name]

@@ -95,6 +95,7 @@ def _options(args: argparse.Namespace) -> Options:
         bitstream_size=args.bitstream_size,
         seed=args.seed,
         vdma=frozenset(args.vdma),
+        coherent=not args.non_coherent,
     )
 
 

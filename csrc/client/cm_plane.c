@@ -24,7 +24,8 @@ struct cm_memory {
 	uint32_t slots;
 	uint32_t held;
 	void *map[CM_PLANE_SLOTS_MAX];
-	int fd[CM_PLANE_SLOTS_MAX]; /* kept where the memory needs synchronising, else -1 */
+	int fd[CM_PLANE_SLOTS_MAX];	/* kept where the memory needs synchronising, else -1 */
+	bool taken[CM_PLANE_SLOTS_MAX]; /* by the caller */
 };
 
 struct cm_reader {
@@ -98,9 +99,24 @@ struct cm_reader *cm_reader_open(const char *runtime_dir, const char *stream, un
 	return reader;
 }
 
+static int sync_slot(const struct cm_memory *memory, uint32_t slot, uint64_t when)
+{
+	struct dma_buf_sync sync = { .flags = DMA_BUF_SYNC_READ | when };
+	int result;
+
+	if (memory->fd[slot] < 0)
+		return 0;
+	do {
+		result = ioctl(memory->fd[slot], DMA_BUF_IOCTL_SYNC, &sync);
+	} while (result && (errno == EINTR || errno == EAGAIN));
+	return result && errno == ENOTTY ? 0 : result; /* ordinary memory */
+}
+
 static void free_memory(struct cm_memory *memory)
 {
 	for (uint32_t i = 0; i < memory->slots; i++) {
+		if (memory->taken[i])
+			sync_slot(memory, i, DMA_BUF_SYNC_END);
 		munmap(memory->map[i], memory->geometry.slot_length);
 		if (memory->fd[i] >= 0)
 			close(memory->fd[i]);
@@ -240,13 +256,11 @@ static int add_slots(struct cm_reader *reader, const struct packet *packet)
 	return result;
 }
 
-static int sync_slot(const struct cm_memory *memory, uint32_t slot, uint64_t when)
+/* Tell the manager that a frame is not used any more. */
+static int give_back(const struct cm_reader *reader, struct cm_plane_descriptor packet)
 {
-	struct dma_buf_sync sync = { .flags = DMA_BUF_SYNC_READ | when };
-
-	if (memory->fd[slot] < 0 || !ioctl(memory->fd[slot], DMA_BUF_IOCTL_SYNC, &sync))
-		return 0;
-	return errno == ENOTTY ? 0 : -1;
+	packet.kind = CM_PLANE_RELEASE;
+	return send(reader->fd, &packet, sizeof(packet), MSG_NOSIGNAL) < 0 ? -1 : 0;
 }
 
 static int lend(struct cm_reader *reader, const struct packet *packet, struct cm_frame *frame)
@@ -264,7 +278,15 @@ static int lend(struct cm_reader *reader, const struct packet *packet, struct cm
 		reader->lost += head->sequence - reader->expected;
 	reader->numbered = true;
 	reader->expected = head->sequence + 1;
+	if (sync_slot(memory, head->slot, DMA_BUF_SYNC_START)) {
+		int error = errno;
+
+		give_back(reader, *head);
+		errno = error;
+		return -1;
+	}
 	memory->held++;
+	memory->taken[head->slot] = true;
 	*frame = (struct cm_frame){
 		.data = (const char *)memory->map[head->slot] + head->offset,
 		.length = head->length,
@@ -273,7 +295,7 @@ static int lend(struct cm_reader *reader, const struct packet *packet, struct cm
 		.memory = memory,
 		.descriptor = *head,
 	};
-	return sync_slot(memory, head->slot, DMA_BUF_SYNC_START) ? -1 : 1;
+	return 1;
 }
 
 static int refused(struct cm_reader *reader, const struct packet *packet)
@@ -364,8 +386,8 @@ int cm_reader_release(struct cm_reader *reader, struct cm_frame *frame)
 	frame->data = NULL;
 	result = sync_slot(memory, packet.slot, DMA_BUF_SYNC_END);
 	memory->held--;
-	packet.kind = CM_PLANE_RELEASE;
-	if (current && send(reader->fd, &packet, sizeof(packet), MSG_NOSIGNAL) < 0)
+	memory->taken[packet.slot] = false;
+	if (current && give_back(reader, packet))
 		result = -1;
 	sweep(reader);
 	return result;

@@ -21,6 +21,7 @@
 #define CM_PLANE_RELEASE 2 /* a FRAME's descriptor, with this kind: the slot is given back */
 #define CM_PLANE_SUBMIT 3  /* writer: send @length bytes at @offset of one of my slots */
 #define CM_PLANE_PING 4	   /* comes back as PONG */
+#define CM_PLANE_LEAVE 5   /* reader: no more frames; RELEASEs of those that are held follow */
 
 /* from the manager */
 #define CM_PLANE_GEOMETRY 16 /* struct cm_plane_geometry and names follow: what comes now */

@@ -222,6 +222,36 @@ def test_frames_outlive_their_stream_and_the_board(manager: Manager) -> None:
     assert (frame == content).all()
 
 
+def test_frames_that_are_held_beyond_their_stream_are_not_written_over(board: cm.Board) -> None:
+    with board.stream("camera") as other:
+        with board.stream("camera", depth=3) as stream:
+            held = [stream.read(), stream.read()]
+            for _ in range(4):
+                other.read()  # one more waits for us, unread
+        contents = [frame.copy() for frame in held]
+        for number, _ in enumerate(islice(other, 40)):
+            if number == 20:
+                clients = {c.depth: c for c in state(board, "camera").clients}
+                assert clients[3].held == 2
+                assert clients[3].dropped <= 4, "who has closed loses nothing"
+        assert all((a == b).all() for a, b in zip(held, contents, strict=True)), "written over"
+        held.pop()
+        until(lambda: {c.depth: c.held for c in state(board, "camera").clients}[3] == 1)
+        held.clear()
+        until(lambda: len(state(board, "camera").clients) == 1)
+
+
+def test_a_frame_that_is_held_keeps_no_stream_open(board: cm.Board) -> None:
+    with board.stream("camera") as stream:
+        held = stream.read()
+    content = held.copy()
+    until(lambda: not state(board, "camera").open)
+    with board.stream("camera") as stream:
+        assert stream.read().sequence >= 0
+        assert (held == content).all()
+    held.release()
+
+
 def test_asyncio_reads_the_same_frames(board: cm.Board, manager: Manager) -> None:
     async def main() -> list[tuple[int, ...]]:
         async with cm.aio.connect(runtime_dir=manager.runtime) as twin, twin.stream("camera") as stream:

@@ -106,23 +106,26 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
             writer.flush()
             while lively.poll(200):
                 lively.recv_multipart()
-            before = 0
+            before, lively_got = 0, []
             for number in range(60):
                 data[:8] = number
                 writer.write(data)
                 writer.flush()
                 assert lively.poll(20_000), "a stopped subscriber takes frames from another"
-                assert lively.recv_multipart()[2][0] == number
+                message = lively.recv_multipart()
+                assert message[2][0] == number
                 before = before or rss(manager)
+                lively_got.append(pb.Frame.FromString(message[1]).sequence)
         assert overruns(board, "from_pl") > 0, "nobody was told"
         # 60 frames have 240 MiB; 32 MiB may wait, and what libzmq, the kernel and malloc have in hand
         assert rss(manager) - before < 80 << 20
         sequences = []
         while stuck.poll(1000):
             sequences.append(pb.Frame.FromString(stuck.recv_multipart()[1]).sequence)
-        assert sequences[:8] == list(range(8)), "the oldest wait"
+        both = [number for number in sequences if number >= lively_got[0]]
+        assert both[:7] == lively_got[:7], "the oldest wait"
         assert sequences == sorted(sequences), "in order"  # with gaps, where the kernel took more of them meanwhile
-        assert len(sequences) < 30
+        assert 8 <= len(sequences) < 30
 
 
 def test_who_is_behind_with_frames_costs_nobody_an_interrupt_or_status(context: zmq.Context) -> None:
