@@ -103,14 +103,17 @@ def short_folder() -> Iterator[Path]:
 
 @contextlib.contextmanager
 def served(
-    board: Sequence[str] = (), arguments: Sequence[str] = (), env: dict[str, str] | None = None
+    board: Sequence[str] = (),
+    arguments: Sequence[str] = (),
+    env: dict[str, str] | None = None,
+    schemas: Path = CAMERA,
 ) -> Iterator[tuple[Manager, SimBoard]]:
     """A board, and a manager on it with nothing loaded; the board outlives the manager.
 
     `board` and `arguments` are further ones of `cm sim` and `cm serve`, `env` is the manager's environment.
     """
-    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board", arguments=board) as sim:
-        places = ("--config", str(CAMERA), "--root", str(sim.root), "--state-dir", str(folder / "state"))
+    with short_folder() as folder, SimBoard([schemas], root=folder / "board", arguments=board) as sim:
+        places = ("--config", str(schemas), "--root", str(sim.root), "--state-dir", str(folder / "state"))
         manager = Manager(folder / "run", *places, *arguments, env=env)
         manager.start()
         try:

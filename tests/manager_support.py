@@ -102,7 +102,8 @@ class FaultyDevices:
 
     def window(self, address: int, width: int) -> Window:
         found = self._inner.window(address, width)
-        return Window(Watched(found.uio, self._fault, "uio", ("read", "write")), found.map, found.offset)  # type: ignore[arg-type]
+        watched = Watched(found.uio, self._fault, "uio", ("read", "write", "read_block", "write_block"))
+        return Window(watched, found.map, found.offset)  # type: ignore[arg-type]
 
     def icap(self, name: str | None) -> Any:
         return Watched(self._inner.icap(name), self._fault, "icap", ("allocate", "load", "wait", "status"))

@@ -40,6 +40,7 @@ COMMANDS = (
     Command("mode", "cm.cli.mode", "change the mode"),
     Command("plan", "cm.cli.plan", "show what a change of mode would do"),
     Command("reg", "cm.cli.reg", "list, read and write registers"),
+    Command("mem", "cm.cli.mem", "list, read and write memories"),
     Command("irq", "cm.cli.irq", "list interrupts and wait for them"),
     Command("stream", "cm.cli.stream", "list, capture and play data streams"),
     Command("data", "cm.cli.data", "configure the data channels"),

@@ -23,6 +23,7 @@ import zmq.asyncio
 
 from cm.client import calls
 from cm.client.address import Keys, load_keys, resolve
+from cm.client.aio_memory import Memories, Memory
 from cm.client.aio_stream import (
     AsyncLocalStream,
     AsyncNewestStream,
@@ -82,6 +83,7 @@ class Board:
         self._reader: asyncio.Task[None] | None = None
         self.registers = Registers(self)
         self.interrupts = Interrupts(self)
+        self.memories = Memories(self.ask, self.config)
 
     async def __aenter__(self) -> Board:
         self._socket = self._context.socket(zmq.DEALER)
@@ -225,6 +227,30 @@ class Board:
     async def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
         """Set properties of a stream (`cm.messages.requests.DataConfig`)."""
         return await self.ask(calls.data_config(DataConfig(stream, **settings)))
+
+    async def configure_memory(
+        self,
+        name: str,
+        address: int,
+        length: int,
+        *,
+        shape: tuple[int, ...] = (),
+        dtype: str = "",
+        access: str = "",
+        region: str = "",
+        lease: str = "",
+    ) -> Memory:
+        """Name `length` bytes at a physical address, until another configuration is loaded.
+
+        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; who may write must
+        not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
+        all else that has a name in that window is in one. Raises RequestFailed.
+        """
+        request = DataConfig(
+            name, shape, dtype, address=address, length=length, access=access, region=region, lease=lease
+        )
+        await self.ask(calls.memory_config(request))
+        return Memory(self.ask, name, lease)
 
     def stream(
         self,

@@ -19,6 +19,7 @@ from cm.client.calls import Call
 from cm.client.frame import Frame
 from cm.client.lease import BoardLease
 from cm.client.link import Link, Socket, prepare
+from cm.client.memories import Memories, Memory
 from cm.client.remote import Wanted
 from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream, receive
 from cm.client.writer import Writer
@@ -89,6 +90,7 @@ class Board:
         self._link = self._new_link()
         self.registers = Registers(self)
         self.interrupts = Interrupts(self)
+        self.memories = Memories(self.ask, self.config)
 
     # ---- asking ---------------------------------------------------------------------
 
@@ -248,6 +250,30 @@ class Board:
         and InvalidRequest for what cannot be: then nothing has changed.
         """
         return self.ask(calls.data_config(DataConfig(stream, **settings)))
+
+    def configure_memory(
+        self,
+        name: str,
+        address: int,
+        length: int,
+        *,
+        shape: tuple[int, ...] = (),
+        dtype: str = "",
+        access: str = "",
+        region: str = "",
+        lease: str = "",
+    ) -> Memory:
+        """Name `length` bytes at a physical address, until another configuration is loaded.
+
+        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; who may write must
+        not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
+        all else that has a name in that window is in one. Raises RequestFailed.
+        """
+        request = DataConfig(
+            name, shape, dtype, address=address, length=length, access=access, region=region, lease=lease
+        )
+        self.ask(calls.memory_config(request))
+        return Memory(self.ask, name, lease)
 
     # ---- life -----------------------------------------------------------------------------
 

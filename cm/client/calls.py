@@ -20,6 +20,7 @@ from cm.messages.status import (
     FrameInfo,
     Irq,
     LeaseInfo,
+    MemoryInfo,
     PlanInfo,
     RegValues,
     Reply,
@@ -125,6 +126,28 @@ def write_data(stream: str, data: Any, lease: str) -> Call[FrameInfo]:
     """Send a frame; the reply comes when the hardware has taken it."""
     view = memoryview(np.ascontiguousarray(data).data if isinstance(data, np.ndarray) else data).cast("B")
     return Call(rq.WriteData(stream, view, lease), lambda r: _body(r, FrameInfo))
+
+
+def memory_config(request: rq.DataConfig) -> Call[MemoryInfo]:
+    """Define a memory, or ask for one by name."""
+
+    def result(reply: Reply) -> MemoryInfo:
+        if isinstance(reply.body, StreamStatus):
+            raise InvalidRequest(f"{request.stream!r} is a stream, not a memory: board.stream({request.stream!r})")
+        return _body(reply, MemoryInfo)
+
+    return Call(request, result)
+
+
+def read_memory(name: str, offset: int, length: int) -> Call[tuple[FrameInfo, Any]]:
+    """Bytes of a memory, and what they are."""
+    request = rq.ReadData(name, offset=offset, length=length)
+    return Call(request, lambda r: (_body(r, FrameInfo), r.payload[0] if r.payload else b""))
+
+
+def write_memory(name: str, offset: int, data: memoryview, lease: str) -> Call[FrameInfo]:
+    """Bytes for a memory; the reply comes when they are there."""
+    return Call(rq.WriteData(name, data, lease, offset), lambda r: _body(r, FrameInfo))
 
 
 def interrupt(name: str) -> Call[Irq]:

@@ -72,6 +72,7 @@ _KINDS: dict[str, type[RequestFailed]] = {
             "unknown_mode",
             "unknown_register",
             "unknown_stream",
+            "unknown_memory",
             "unknown_interrupt",
             "unknown_lease",
             "file_missing",

@@ -12,14 +12,16 @@ from typing import TypeVar
 
 from cm.daemon.interrupts import Interrupts
 from cm.daemon.loop import Loop
+from cm.daemon.memories import Memories, frame_info
 from cm.daemon.provision import Provisioner
 from cm.daemon.pump import Frame
 from cm.daemon.streams import Streams
 from cm.device import DeviceGone
 from cm.errors import CmError
 from cm.manager.changes import Change
-from cm.manager.errors import UnknownInterrupt
+from cm.manager.errors import UnknownInterrupt, UnknownStream
 from cm.manager.manager import Manager
+from cm.manager.memories import Transfer
 from cm.manager.resolve import hint
 from cm.messages import requests as rq
 from cm.messages.status import (
@@ -53,6 +55,7 @@ class Services:
     watch_holder: Callable[[LeaseInfo, rq.TakeLease], None]
     complete: Callable[[Config], Config]  # adds what only the board knows
     aside: Executor  # for what reads or writes files, so that the loop goes on
+    memories: Memories
 
 
 def error_info(error: Exception) -> ErrorInfo:
@@ -93,6 +96,8 @@ class Handlers:
         """Tell who asked what went wrong."""
         if isinstance(error, DeviceGone):
             self._s.manager.board_lost(error)
+        if isinstance(error, UnknownStream):
+            error = UnknownStream(f"{error}{self._s.manager.memories.listed()}")  # one may have been meant
         if not isinstance(error, (CmError, OSError)):
             _LOG.error("a request failed", exc_info=error)
         respond(Reply(error=error_info(error)))
@@ -128,7 +133,8 @@ class Handlers:
             self._aside(lambda: self._s.manager.plan(wanted), lambda plan: respond(Reply(plan)), respond)
             return
         else:
-            body = self._s.manager.describe(request.config_name, self._s.interrupts.counts)
+            info = self._s.manager.describe(request.config_name, self._s.interrupts.counts)
+            body = self._s.memories.described(info)
         respond(Reply(body))
 
     def _write_config(self, request: rq.WriteConfig, respond: Respond) -> None:
@@ -166,12 +172,21 @@ class Handlers:
         respond(Reply(values))
 
     def _data_config(self, request: rq.DataConfig, respond: Respond) -> None:
+        memory = self._s.memories.configure(request)
+        if memory is not None:
+            respond(Reply(memory))
+            return
         stream = self._s.streams.named(request.stream, None)
         self._s.streams.check_lease(stream, request.lease)
         result: StreamStatus = self._s.streams.configure(request)
         respond(Reply(result))
 
     def _read_data(self, request: rq.ReadData, respond: Respond) -> None:
+        desk = self._s.manager.memories
+        if request.offset or request.length or desk.find(request.stream):
+            self._transfer(desk.begin_read(request.stream, request.offset, request.length), respond)
+            return
+
         def done(result: Frame | CmError) -> None:
             if isinstance(result, CmError):
                 respond(Reply(error=error_info(result)))
@@ -181,10 +196,25 @@ class Handlers:
         self._s.streams.read_once(request.stream, request.timeout, done)
 
     def _write_data(self, request: rq.WriteData, respond: Respond) -> None:
+        desk = self._s.manager.memories
+        if request.offset or desk.find(request.stream):
+            self._transfer(desk.begin_write(request.stream, request.offset, request.data, request.lease), respond)
+            return
+
         def done(result: Frame | CmError) -> None:
             respond(Reply(error=error_info(result)) if isinstance(result, CmError) else Reply(result.info))
 
         self._s.streams.write(request.stream, request.data, done, request.lease)
+
+    def _transfer(self, transfer: Transfer, respond: Respond) -> None:
+        def done(problem: Exception | None) -> None:
+            if problem is not None:
+                self.refuse(problem, respond)
+                return
+            state, payload = self._s.manager.state, () if transfer.write else (transfer.data,)
+            respond(Reply(frame_info(transfer, state.config or "", state.mode or ""), payload=payload))
+
+        self._s.memories.start(transfer, done)
 
     def _read_irq(self, request: rq.ReadIrq, respond: Respond) -> None:
         config = self._s.manager.loaded_config()

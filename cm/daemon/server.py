@@ -25,6 +25,7 @@ from cm.daemon.handlers import Handlers, Respond, Services, error_info
 from cm.daemon.holders import Holders
 from cm.daemon.interrupts import Interrupts
 from cm.daemon.loop import Loop
+from cm.daemon.memories import Memories
 from cm.daemon.provision import Provisioner
 from cm.daemon.publisher import Publisher
 from cm.daemon.rereads import Rereads
@@ -85,6 +86,7 @@ class Server:
         self._publisher = Publisher(self._loop, self._sockets.pub, self._status, self._streams.refresh)
         self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
         self._holders = Holders(self._loop, self._manager.leases)
+        self._memories = Memories(self._loop, self._manager.memories)
         self._handlers = Handlers(self._services())
         self._rereads = Rereads(self._manager.prepare_read)
         self._statuses: deque[Status] = deque()
@@ -112,6 +114,7 @@ class Server:
             watch_holder=self._holders.watch,
             complete=lambda config: with_channels(config, self._options.root),
             aside=self._aside,
+            memories=self._memories,
         )
 
     # ---- life ---------------------------------------------------------------------
@@ -167,6 +170,7 @@ class Server:
         self._manager.stop()
         self._door.close()
         self._streams.end()
+        self._memories.close()
         self._interrupts.close()
         self._holders.close()
         self._aside.shutdown()

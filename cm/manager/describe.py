@@ -10,12 +10,13 @@ from cm.messages.status import (
     ConfigInfo,
     FieldInfo,
     InterruptInfo,
+    MemoryInfo,
     ModeInfo,
     RegionStatus,
     RegisterInfo,
     StreamStatus,
 )
-from cm.schema.model import Config, Register, Stream
+from cm.schema.model import Config, Memory, Register, Stream
 
 
 def config_info(config: Config, mode: str, counts: Mapping[str, int], schema: str) -> ConfigInfo:
@@ -30,6 +31,7 @@ def config_info(config: Config, mode: str, counts: Mapping[str, int], schema: st
         interrupts=tuple(InterruptInfo(i.name, i.doc, counts.get(i.name, 0)) for i in config.interrupts.values()),
         streams=tuple(stream_status(x) for x in streams.values()),
         schema=schema,
+        memories=_memories(config),
     )
 
 
@@ -83,3 +85,17 @@ def _register(r: Register, modes: list[str], of_modes: int) -> RegisterInfo:
         modes=() if len(modes) == of_modes else tuple(modes),
         region=r.region or "",
     )
+
+
+def _memories(config: Config) -> tuple[MemoryInfo, ...]:
+    found: dict[str, tuple[Memory, list[str]]] = {}
+    for mode in config.modes:
+        for name, memory in config.visible_memories(mode).items():
+            found.setdefault(name, (memory, []))[1].append(mode)
+    return tuple(memory_info(m, () if len(modes) == len(config.modes) else tuple(modes)) for m, modes in found.values())
+
+
+def memory_info(m: Memory, modes: tuple[str, ...] = (), defined: bool = False) -> MemoryInfo:
+    """A memory; `modes` is empty where all have it."""
+    region, shape = m.region or "", m.shape or ()
+    return MemoryInfo(m.name, m.address, m.size, m.access.value, m.dtype, shape, region, m.doc, modes, defined)

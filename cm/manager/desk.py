@@ -169,7 +169,7 @@ class RegisterDesk:
         if view is None or view.config is not config or view.mode != holder.state.mode:
             view = _View(config, holder.configs, holder.state)
         view.state, view.configs = holder.state, holder.configs
-        view.free = {r.region for r in view.registers.values() if self._is_free(r)}
+        view.free = {r.region for r in view.registers.values() if self._is_free(r.region)}
         return view
 
     def _find(self, view: _View, name: str) -> _Place:
@@ -206,21 +206,24 @@ class RegisterDesk:
         shown = written if register.access is not _RW else self._access.read(register)
         return value_of(register, shown)
 
-    def _is_free(self, register: Register) -> bool:
-        if register.region is None:
+    def check_region(self, region: str | None, what: str) -> None:
+        """Raise RegionBusy while `region` (None: the static part) is being changed, or stands cut off."""
+        if not self._is_free(region):
+            self._refuse(region, what)
+
+    def _is_free(self, region: str | None) -> bool:
+        if region is None:
             return not self._locked.whole
-        ready = self._holder.state.region(register.region).phase is _READY
-        return ready and register.region not in self._locked
+        return self._holder.state.region(region).phase is _READY and region not in self._locked
 
     def _check_free(self, register: Register) -> None:
-        if not self._is_free(register):
-            self._refuse(register)
+        self.check_region(register.region, f"register {register.name!r}")
 
-    def _refuse(self, register: Register) -> None:
-        where = f"region {register.region}" if register.region else "the static part"
-        locked = self._locked.whole or register.region in self._locked
-        how = "being reconfigured" if locked else self._holder.state.region(register.region or "").phase.value
-        raise RegionBusy(f"register {register.name!r} lies in {where}, which is {how}")
+    def _refuse(self, region: str | None, what: str) -> None:
+        where = f"region {region}" if region else "the static part"
+        locked = self._locked.whole or region in self._locked
+        how = "being reconfigured" if locked else self._holder.state.region(region or "").phase.value
+        raise RegionBusy(f"{what} lies in {where}, which is {how}")
 
     def _check_leases(self, registers: list[Register], lease: str) -> None:
         scopes = {f"registers:{r.name}" for r in registers} | {f"region:{r.region}" for r in registers if r.region}

@@ -30,6 +30,12 @@ class UnknownStream(NotFound):
     code = "unknown_stream"
 
 
+class UnknownMemory(NotFound):
+    """No such memory, or not in this mode."""
+
+    code = "unknown_memory"
+
+
 class UnknownInterrupt(NotFound):
     """No such interrupt."""
 

@@ -18,7 +18,7 @@ from cm.manager.state import BoardState
 from cm.manager.steps import ApplyOverlay, RemoveOverlay, Step
 from cm.manager.store import Pending, Record, Store
 from cm.messages.status import ErrorInfo
-from cm.schema.model import Config, LoaderKind
+from cm.schema.model import Config, LoaderKind, Memory
 
 
 class Knowledge:
@@ -30,6 +30,7 @@ class Knowledge:
         self.throughput = Throughput()
         self.lock = threading.RLock()
         self.pending: Pending | None = None  # the change under way
+        self.blocks: Mapping[str, Memory] = MappingProxyType({})  # defined at run time, for this configuration
         self._store = store
         self._boot_id = ""
         self._number = 0
@@ -43,6 +44,8 @@ class Knowledge:
     def add_config(self, config: Config) -> None:
         """Make a configuration known, in place of one of its name."""
         self.configs = MappingProxyType({**self.configs, config.name: config})
+        if config.name == self.state.config:
+            self.blocks = MappingProxyType({})
 
     def next_number(self) -> int:
         """The number of a new change."""
@@ -52,7 +55,14 @@ class Knowledge:
     def update(self, change: Callable[[BoardState], BoardState]) -> None:
         """Replace the state in one piece; both threads do."""
         with self.lock:
-            self.state = change(self.state)
+            before, self.state = self.state, change(self.state)
+            if self.state.config != before.config:
+                self.blocks = MappingProxyType({})
+
+    def define(self, memory: Memory) -> None:
+        """Make a memory known until the configuration changes, in place of one of its name."""
+        with self.lock:
+            self.blocks = MappingProxyType({**self.blocks, memory.name: memory})
 
     def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
         """Keep a measurement for plans and time-outs."""
@@ -70,6 +80,7 @@ class Knowledge:
     def adopt(self, record: Record | None, state: BoardState, boot_id: str) -> None:
         """Begin with what was found at start: what the board holds, and what the record says beside it."""
         self.state, self._boot_id = state, boot_id
+        self.blocks = MappingProxyType({})
         if record is not None:
             self.throughput, self._number = record.throughput, record.number
 

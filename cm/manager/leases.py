@@ -19,7 +19,8 @@ from cm.messages.status import LeaseInfo
 from cm.schema.model import Config
 
 MAX_SECONDS = 3600.0
-_KINDS = ("board", "config", "region", "registers")
+_NAMED = ("region", "registers", "memories")
+_KINDS = ("board", "config", *_NAMED)
 
 
 class UnknownLease(NotFound):
@@ -113,21 +114,27 @@ class Leases:
 def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str, ...]:
     """What a change to a mode touches, as scopes.
 
-    Within a configuration: its regions and the registers that it writes or resets. To another one, or
-    with a whole image: everything. A lease on the configuration or the board covers every change.
+    Within a configuration: its regions, the registers that it writes or resets, and memories in its regions. To
+    another one, or with a whole image: everything. A lease on the configuration or the board covers every change.
     """
     if config.name != loaded:
         return ("config",)
     regions = {config.modules[m].region for m in config.modes[mode].modules}
     registers = config.visible_registers(mode).values()
     names = (r.name for r in registers if r.region in regions or r.default is not None)
-    return ("mode", *(f"region:{name}" for name in sorted(regions)), *(f"registers:{name}" for name in names))
+    memories = (m.name for m in config.visible_memories(mode).values() if m.region in regions)
+    return (
+        "mode",
+        *(f"region:{name}" for name in sorted(regions)),
+        *(f"registers:{name}" for name in names),
+        *(f"memories:{name}" for name in memories),
+    )
 
 
 def _checked_scope(scope: str) -> None:
     kind, colon, name = scope.partition(":")
-    if kind not in _KINDS or (kind in ("region", "registers")) != bool(colon and name):
-        raise InvalidRequest(f"scope {scope!r}: it is one of board, config, region:NAME, registers:NAME")
+    if kind not in _KINDS or (kind in _NAMED) != bool(colon and name):
+        raise InvalidRequest(f"scope {scope!r}: it is one of board, config, region:NAME, registers:NAME, memories:NAME")
 
 
 def _overlap(a: str, b: str) -> bool:

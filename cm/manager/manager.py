@@ -21,6 +21,7 @@ from cm.manager.executor import Executor, LiveBoard
 from cm.manager.knowledge import Knowledge
 from cm.manager.leases import Leases, leases_concerned
 from cm.manager.loaders import Loaders
+from cm.manager.memories import MemoryDesk
 from cm.manager.plan import Goal
 from cm.manager.registers import RegisterAccess
 from cm.manager.startup import destination, is_whole, take_stock
@@ -47,6 +48,7 @@ class Manager:
         self._desk = RegisterDesk(known, self.registers, self.leases, known.lock)
         self.read_registers = self._desk.read
         self.prepare_read = self._desk.prepare
+        self.memories = MemoryDesk(known, self._desk, self.registers, self.leases)
         self._teller = Teller(known, env.observer)
         self.status: Callable[[], Status] = self._teller.status
         tools = Tools(env.devices, self.registers, self._loaders, env.data_plane, env.clock)

@@ -8,10 +8,10 @@ import threading
 from collections.abc import Callable, Mapping
 
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
-from cm.manager.ports import Devices
+from cm.manager.ports import Devices, Window
 from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue
-from cm.schema.model import Access, BitField, Register
+from cm.schema.model import Access, BitField, Memory, Register
 
 _WO = Access.WO
 
@@ -126,6 +126,23 @@ class RegisterAccess:
         with self._lock:
             window = self._devices.window(address, width)
             window.uio.write(window.offset, value, width, window.map)
+
+    def place(self, address: int, length: int) -> Window:
+        """The window that has `length` bytes at a physical address. Raises DeviceNotFound."""
+        with self._lock:
+            return self._devices.window(address, 8 * length)
+
+    def read_block(self, memory: Memory, offset: int, length: int) -> bytearray:
+        """Bytes of a memory, by accesses of 32 bits. Raises DeviceError."""
+        with self._lock:
+            window = self._devices.window(memory.address, 8 * memory.size)
+            return window.uio.read_block(window.offset + offset, length, window.map)
+
+    def write_block(self, memory: Memory, offset: int, data: memoryview) -> None:
+        """Write bytes to a memory, by accesses of 32 bits. Raises DeviceError, part may be written then."""
+        with self._lock:
+            window = self._devices.window(memory.address, 8 * memory.size)
+            window.uio.write_block(window.offset + offset, data, window.map)
 
     def write(self, register: Register, value: int, mask: int, last: int | None) -> int:
         """Write the bits in `mask`; returns the whole value written.

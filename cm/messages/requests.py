@@ -84,6 +84,9 @@ class DataConfig:
     """Configure a stream; empty, zero or None leaves a property as it is.
 
     `rate`: frames handed on per second at most; infinity: all that come. `stride`: bytes from line to line.
+
+    With `address` and `length` (bytes) it defines a memory called `stream`, until the next change of configuration;
+    `shape`, `dtype`, `access` (rw if empty) and `region` say more of it. With the name of a memory alone it asks.
     """
 
     stream: str
@@ -100,23 +103,30 @@ class DataConfig:
     stride: int = 0
     automatic: bool = False  # runs while somebody uses it, as it does before any `enable`
     compression: str = ""  # changes nothing: refused unless frames can be published so
+    address: int | None = None
+    length: int = 0
+    access: str = ""
+    region: str = ""  # "static" or a region's name; empty: that of what else is named in the same window
 
 
 @dataclass(frozen=True, slots=True)
 class ReadData:
-    """The next frame of a readable stream."""
+    """The next frame of a readable stream, or `length` bytes (0: the rest) of a memory of that name."""
 
     stream: str = ""
     timeout: float = 0.0
+    offset: int = 0
+    length: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class WriteData:
-    """A frame for a writable stream; `data` are its bytes."""
+    """A frame for a writable stream, or bytes for a memory of that name, from `offset` on; `data` are its bytes."""
 
     stream: str
     data: bytes | memoryview = field(repr=False, default=b"")
     lease: str = ""
+    offset: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -155,6 +155,22 @@ class RegisterInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class MemoryInfo:
+    """A memory: `size` bytes at `address`; `modes` is empty where all have it, `defined` if it was at run time."""
+
+    name: str
+    address: int
+    size: int
+    access: str = "rw"
+    dtype: str = "uint32"
+    shape: tuple[int, ...] = ()  # empty: one axis of as many elements as fit
+    region: str = ""
+    doc: str = ""
+    modes: tuple[str, ...] = ()
+    defined: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class ModeInfo:
     """A mode: what it consists of, by name."""
 
@@ -186,6 +202,7 @@ class ConfigInfo:
     streams: tuple[StreamStatus, ...] = ()
     names: tuple[str, ...] = ()
     schema: str = ""
+    memories: tuple[MemoryInfo, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,7 +249,10 @@ class LeaseInfo:
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """What stands beside a payload of stream data. Times are CLOCK_MONOTONIC of the manager's machine."""
+    """What stands beside a payload of stream data. Times are CLOCK_MONOTONIC of the manager's machine.
+
+    Beside that of a memory `stream` is its name, and `offset` where in it the payload begins.
+    """
 
     stream: str
     sequence: int
@@ -243,6 +263,7 @@ class FrameInfo:
     config_name: str = ""
     mode: str = ""
     compression: str = ""
+    offset: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,7 +275,19 @@ class Irq:
     timestamp_ns: int
 
 
-Body = Status | ConfigInfo | RegValues | StreamStatus | FrameInfo | PlanInfo | LeaseInfo | ChangeInfo | Irq | None
+Body = (
+    Status
+    | ConfigInfo
+    | RegValues
+    | StreamStatus
+    | FrameInfo
+    | PlanInfo
+    | LeaseInfo
+    | ChangeInfo
+    | Irq
+    | MemoryInfo
+    | None
+)
 
 
 class Reply(NamedTuple):

@@ -17,6 +17,16 @@ from typing import Any, TypeVar
 _K = TypeVar("_K")
 _V = TypeVar("_V")
 
+ITEM_BYTES: Mapping[str, int] = MappingProxyType(
+    {
+        **dict.fromkeys(("bool", "int8", "uint8"), 1),
+        **dict.fromkeys(("int16", "uint16", "float16"), 2),
+        **dict.fromkeys(("int32", "uint32", "float32"), 4),
+        **dict.fromkeys(("int64", "uint64", "float64", "complex64"), 8),
+        "complex128": 16,
+    }
+)  # of each dtype
+
 
 def _empty() -> Mapping[Any, Any]:
     return MappingProxyType({})
@@ -116,6 +126,11 @@ class Memory:
     def end(self) -> int:
         """Physical address behind the last byte."""
         return self.address + self.size
+
+    @property
+    def item(self) -> int:
+        """Bytes of one element."""
+        return ITEM_BYTES[self.dtype]
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,13 +13,6 @@ from cm.schema.model import Config, Memory, Mode, Register
 from cm.schema.problems import KeyPath, did_you_mean, key_path
 
 WORD = 4  # bytes of one access, and what places and sizes are multiples of
-ITEM_BYTES = {
-    **dict.fromkeys(("bool", "int8", "uint8"), 1),
-    **dict.fromkeys(("int16", "uint16", "float16"), 2),
-    **dict.fromkeys(("int32", "uint32", "float32"), 4),
-    **dict.fromkeys(("int64", "uint64", "float64", "complex64"), 8),
-    "complex128": 16,
-}
 _LONGEST = 8  # bytes of a register
 
 
@@ -77,7 +70,7 @@ def _check_place(memory: Memory, path: KeyPath, config: Config, context: Context
 
 
 def _check_form(memory: Memory, path: KeyPath, context: Context) -> None:
-    item = ITEM_BYTES[memory.dtype]
+    item = memory.item
     if memory.shape is None:
         if memory.size % item and memory.size % WORD == 0:  # else its size was reported
             hint = f"a multiple of {item}"

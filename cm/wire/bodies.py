@@ -169,6 +169,7 @@ def config_to_pb(c: st.ConfigInfo) -> pb.Config:
         streams=[stream_to_pb(s) for s in c.streams],
         names=c.names,
         schema=c.schema,
+        memories=[memory_to_pb(x) for x in c.memories],
     )
 
 
@@ -183,6 +184,7 @@ def config_from_pb(m: pb.Config) -> st.ConfigInfo:
         streams=tuple(stream_from_pb(s) for s in m.streams),
         names=tuple(m.names),
         schema=m.schema,
+        memories=tuple(memory_from_pb(x) for x in m.memories),
     )
 
 
@@ -219,6 +221,27 @@ def _register_from_pb(m: pb.RegisterInfo) -> st.RegisterInfo:
         tuple(st.FieldInfo(f.name, f.lsb, f.width, f.doc) for f in m.fields),
         tuple(m.modes),
         m.region,
+    )
+
+
+def memory_to_pb(x: st.MemoryInfo) -> pb.MemoryInfo:
+    return pb.MemoryInfo(
+        name=x.name,
+        address=x.address,
+        size=x.size,
+        access=x.access,
+        dtype=x.dtype,
+        shape=x.shape,
+        region=x.region,
+        doc=x.doc,
+        modes=x.modes,
+        defined=x.defined,
+    )
+
+
+def memory_from_pb(m: pb.MemoryInfo) -> st.MemoryInfo:
+    return st.MemoryInfo(
+        m.name, m.address, m.size, m.access, m.dtype, tuple(m.shape), m.region, m.doc, tuple(m.modes), m.defined
     )
 
 
@@ -261,6 +284,7 @@ def frame_to_pb(f: st.FrameInfo) -> pb.Frame:
         config_name=f.config_name,
         mode=f.mode,
         compression=f.compression,
+        offset=f.offset,
     )
 
 
@@ -275,6 +299,7 @@ def frame_from_pb(m: pb.Frame) -> st.FrameInfo:
         m.config_name,
         m.mode,
         m.compression,
+        m.offset,
     )
 
 

@@ -150,20 +150,24 @@ def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         stride=m.stride,
         compression=m.compression,
         automatic=m.automatic,
+        address=m.address if m.HasField("address") else None,
+        length=m.length,
+        access=m.access,
+        region=m.region,
     )
 
 
 def _read_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_read_data", payload)
     m = _parse(pb.ReadData, "cm_read_data", message)
-    return rq.ReadData(m.stream, m.timeout)
+    return rq.ReadData(m.stream, m.timeout, m.offset, m.length)
 
 
 def _write_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     m = _parse(pb.WriteData, "cm_write_data", message)
     if len(payload) != 1:
         raise InvalidRequest(f"cm_write_data: {len(payload)} payload frames; one frame of data is expected")
-    return rq.WriteData(m.stream, payload[0], m.lease)
+    return rq.WriteData(m.stream, payload[0], m.lease, m.offset)
 
 
 def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:

@@ -52,7 +52,29 @@ def _write_reg(r: rq.WriteReg) -> list[Frame]:
     return [topics.WRITE_REG, pb.WriteReg(writes=writes, lease=r.lease).SerializeToString()]
 
 
+def _read_data(r: rq.ReadData) -> list[Frame]:
+    _place(r.stream, r.offset, r.length)
+    message = pb.ReadData(stream=r.stream, timeout=r.timeout, offset=r.offset, length=r.length)
+    return [topics.READ_DATA, message.SerializeToString()]
+
+
+def _write_data(r: rq.WriteData) -> list[Frame]:
+    _place(r.stream, r.offset)
+    return [
+        topics.WRITE_DATA,
+        pb.WriteData(stream=r.stream, lease=r.lease, offset=r.offset).SerializeToString(),
+        r.data,
+    ]
+
+
+def _place(name: str, *numbers: int) -> None:
+    for number in numbers:
+        if not 0 <= number < 1 << 64:
+            raise InvalidRequest(f"memory {name!r}: {number} does not fit 64 bits, unsigned")
+
+
 def _data_config(r: rq.DataConfig) -> list[Frame]:
+    _place(r.stream, r.address or 0, r.length)
     try:
         message = pb.DataConfig(
             stream=r.stream,
@@ -69,6 +91,10 @@ def _data_config(r: rq.DataConfig) -> list[Frame]:
             stride=r.stride,
             compression=r.compression,
             automatic=r.automatic,
+            address=r.address,
+            length=r.length,
+            access=r.access,
+            region=r.region,
         )
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidRequest(f"stream {r.stream!r}: a setting is out of its range: {error}") from None
@@ -100,12 +126,8 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
     rq.ReadReg: lambda r: [topics.READ_REG, pb.ReadReg(names=r.names).SerializeToString()],
     rq.WriteReg: _write_reg,
     rq.DataConfig: _data_config,
-    rq.ReadData: lambda r: [topics.READ_DATA, pb.ReadData(stream=r.stream, timeout=r.timeout).SerializeToString()],
-    rq.WriteData: lambda r: [
-        topics.WRITE_DATA,
-        pb.WriteData(stream=r.stream, lease=r.lease).SerializeToString(),
-        r.data,
-    ],
+    rq.ReadData: _read_data,
+    rq.WriteData: _write_data,
     rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
     rq.TakeLease: _lease,
 }
@@ -120,6 +142,7 @@ _BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
     st.LeaseInfo: ("lease", bodies.lease_to_pb, bodies.lease_from_pb),
     st.ChangeInfo: ("change", bodies.change_to_pb, bodies.change_from_pb),
     st.Irq: ("irq", bodies.irq_to_pb, bodies.irq_from_pb),
+    st.MemoryInfo: ("memory", bodies.memory_to_pb, bodies.memory_from_pb),
     st.StreamStatus: (
         "stream",
         lambda s: pb.Stream(state=bodies.stream_to_pb(s)),

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm mem list|read|write|define``: memories by name."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cm.cli.client import connected, number, plain
+from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.errors import InvalidRequest
+from cm.messages.status import MemoryInfo
+
+_LINE = 16  # bytes of a line of the dump
+_STDOUT = Path("-")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser("mem", help="list, read and write memories")
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    listing = actions.add_parser("list", help="the memories of the current mode")
+    listing.set_defaults(run=run_list)
+    read = actions.add_parser("read", help="print bytes of a memory, or write them to a file")
+    read.add_argument("name", metavar="NAME")
+    read.add_argument("--offset", type=number, default=0, metavar="BYTES", help="begin there, at a multiple of 4")
+    read.add_argument("--length", type=number, metavar="BYTES", help="so many, a multiple of 4 (default: the rest)")
+    read.add_argument(
+        "-o", "--output", type=Path, metavar="FILE", help="NAME.npy, else the bytes as they are; - is stdout"
+    )
+    read.set_defaults(run=run_read)
+    write = actions.add_parser("write", help="write a file or values to a memory")
+    write.add_argument("name", metavar="NAME")
+    source = write.add_mutually_exclusive_group(required=True)
+    source.add_argument(
+        "file", metavar="FILE", nargs="?", type=Path, help="NAME.npy, else the bytes as they are; - is stdin"
+    )
+    source.add_argument("--values", metavar="VALUE", nargs="+", help="elements of the memory's type")
+    write.add_argument("--offset", type=number, default=0, metavar="BYTES", help="begin there, at a multiple of 4")
+    write.add_argument("--lease", default="", metavar="ID", help="of one's own lease on it")
+    write.set_defaults(run=run_write)
+    define = actions.add_parser("define", help="name a block of a UIO window, until another configuration is loaded")
+    define.add_argument("name", metavar="NAME")
+    define.add_argument("address", metavar="ADDRESS", type=number, help="physical")
+    define.add_argument("length", metavar="BYTES", type=number)
+    define.add_argument("--dtype", default="", metavar="TYPE", help="a numpy dtype (default: uint32)")
+    define.add_argument("--shape", type=_shape, default=(), metavar="16x32", help="of the whole")
+    define.add_argument("--access", choices=("rw", "ro", "wo"), default="rw")
+    define.add_argument("--region", default="", metavar="NAME", help="whose module answers, or static")
+    define.set_defaults(run=run_define)
+    for action in (listing, read, write, define):
+        add_connection_options(action)
+        add_json_option(action)
+
+
+def _shape(text: str) -> tuple[int, ...]:
+    try:
+        return tuple(int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no shape such as 256 or 16x32") from None
+
+
+def run_list(args: argparse.Namespace) -> int:
+    """Print what there is to know of each memory; the exit status."""
+    with connected(args) as board:
+        found = list(board.memories.info.values())
+    if args.json:
+        print_json([plain(m) for m in found])
+        return 0
+    rows = [
+        (m.name, f"{m.address:#x}", m.size, m.access, m.dtype, _form(m), m.region or "static", m.doc) for m in found
+    ]
+    print_table(rows, ("NAME", "ADDRESS", "BYTES", "ACCESS", "DTYPE", "SHAPE", "REGION", "MEANING"))
+    return 0
+
+
+def _form(memory: MemoryInfo) -> str:
+    return "x".join(map(str, memory.shape)) or "-"
+
+
+def run_read(args: argparse.Namespace) -> int:
+    """Print a memory, or write it to a file; the exit status."""
+    with connected(args) as board:
+        array = board.memories[args.name].read(args.offset, args.length)
+    if args.output == _STDOUT and not args.json:
+        sys.stdout.buffer.write(array.tobytes())
+        return 0
+    told = {"name": args.name, "offset": args.offset, "length": array.nbytes, "dtype": array.dtype.name}
+    if args.output is not None and args.output != _STDOUT:
+        _save(args.output, array)
+        told["file"] = str(args.output)
+    if args.json:
+        print_json(told | ({} if "file" in told else {"shape": array.shape, "hex": array.tobytes().hex()}))
+    elif args.output is not None:
+        print(f"{array.nbytes} bytes of {args.name} in {args.output}")
+    else:
+        print("\n".join(_dump(array.tobytes(), args.offset)))
+    return 0
+
+
+def _save(path: Path, array: np.ndarray[Any, Any]) -> None:
+    try:
+        if path.suffix == ".npy":
+            np.save(path, array)
+        else:
+            path.write_bytes(array.tobytes())
+    except OSError as error:
+        raise InvalidRequest(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def _dump(data: bytes, offset: int) -> list[str]:
+    """Lines of offset, words as the processor reads them, and letters where bytes are some."""
+    lines = []
+    for at in range(0, len(data), _LINE):
+        part = data[at : at + _LINE]
+        words = " ".join(f"{int.from_bytes(part[i : i + 4], 'little'):08x}" for i in range(0, len(part), 4))
+        letters = "".join(chr(byte) if 0x20 <= byte < 0x7F else "." for byte in part)
+        lines.append(f"{offset + at:08x}  {words:<35}  |{letters}|")
+    return lines
+
+
+def run_write(args: argparse.Namespace) -> int:
+    """Write to a memory; the exit status."""
+    with connected(args) as board:
+        memory = board.memories[args.name].held_by(args.lease)
+        data = _values(args.values, memory.info.dtype) if args.file is None else _loaded(args.file)
+        length = memory.write(data, args.offset)
+    if args.json:
+        print_json({"name": args.name, "offset": args.offset, "length": length})
+    else:
+        print(f"{length} bytes written to {args.name}")
+    return 0
+
+
+def _values(texts: list[str], dtype: str) -> np.ndarray[Any, Any]:
+    """Texts as elements: integers as people write them, other numbers as Python does."""
+    kinds: dict[str, Callable[[str], Any]] = {"f": float, "c": complex}
+    try:
+        return np.array([kinds.get(np.dtype(dtype).kind, number)(text) for text in texts])
+    except ValueError as error:
+        raise InvalidRequest(f"{' '.join(texts)!r}: {error}; the memory has {dtype}") from None
+
+
+def _loaded(path: Path) -> Any:
+    try:
+        if path == _STDOUT:
+            return sys.stdin.buffer.read()
+        return np.load(path, allow_pickle=False) if path.suffix == ".npy" else path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise InvalidRequest(f"{path} cannot be read: {error}") from error
+
+
+def run_define(args: argparse.Namespace) -> int:
+    """Name a block, and print what it is; the exit status."""
+    with connected(args) as board:
+        memory = board.configure_memory(
+            args.name,
+            args.address,
+            args.length,
+            shape=args.shape,
+            dtype=args.dtype,
+            access=args.access,
+            region=args.region,
+        )
+        info = memory.info
+    if args.json:
+        print_json(plain(info))
+    else:
+        where = f"{info.size} bytes at {info.address:#x}, {info.region or 'static'}"
+        print(f"{info.name}: {where}, {info.access}, {info.dtype} {_form(info)}")
+    return 0

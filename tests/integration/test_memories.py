@@ -1,0 +1,393 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memories from clients: the daemon, the blocking and the asyncio client, the command, the wire."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from manager_process import Manager, served, until
+
+import cm
+from cm.cli.main import main
+from cm.client import aio
+from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
+from cm.errors import InvalidRequest
+from cm.sim import Board as SimBoard
+from cm.wire import cm_pb2 as pb
+
+SCHEMA = """
+config:
+  name: filter
+  regions: {left: {decoupler: {base_address: 0x1000, offset: 0, bit: 0}}}
+  modules:
+    fir:
+      region: left
+      mmio:
+        - base_address: 0x20000
+          registers: {gain: {offset: 0}}
+          memories: {taps: {offset: 0x1000, size: 0x1000, dtype: int16, shape: [32, 64], doc: Coefficients.}}
+    iir: {region: left}
+  mmio:
+    - base_address: 0x1000
+      registers: {led: {offset: 0x10}}
+      memories: {scratch: {offset: 0x800, size: 0x400, dtype: uint8}}
+  memories:
+    big: {base_address: 0x10000000, size: 0xA00000}
+    floats: {base_address: 0x60000, size: 64, dtype: float32}
+    log: {base_address: 0x60000, offset: 0x40, size: 64, access: ro}
+  streams: {samples: {direction: s2mm, region: left, shape: [4]}}
+  modes:
+    default: {modules: [fir]}
+    other: {modules: [iir]}
+"""
+OTHER = "config: {name: plain, regions: [left], modules: {iir: {region: left}}, modes: {default: {modules: [iir]}}}"
+SLOW = 400_000  # bytes a second through the port: a load takes a good half second
+MIB = 1 << 20
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Manager, SimBoard]]:
+    folder = tmp_path_factory.mktemp("schemas")
+    (folder / "filter.yaml").write_text(SCHEMA)
+    (folder / "plain.yaml").write_text(OTHER)
+    with served(("--icap-rate", str(SLOW)), schemas=folder) as running:
+        yield running
+
+
+@pytest.fixture
+def manager(both: tuple[Manager, SimBoard]) -> Manager:
+    return both[0]
+
+
+@pytest.fixture
+def board(manager: Manager) -> Iterator[cm.Board]:
+    with manager.connected() as connected:
+        connected.load("filter", "default")
+        yield connected
+
+
+def noise(length: int, dtype: str = "uint8") -> np.ndarray[Any, Any]:
+    return np.random.default_rng(length).integers(0, 256, length, np.uint8).view(dtype)
+
+
+def test_an_array_that_was_written_is_read_in_its_form(board: cm.Board) -> None:
+    taps = board.memories["taps"]
+    values = noise(0x1000, "int16").reshape(32, 64)
+    assert taps.write(values) == 0x1000
+    found = taps.read()
+    assert (found.shape, found.dtype) == ((32, 64), np.int16)
+    assert np.array_equal(found, values)
+    found[0] = 0  # it is one's own
+    assert np.array_equal(np.asarray(taps), values)
+
+
+def test_a_part_is_read_and_written_by_bytes(board: cm.Board) -> None:
+    taps = board.memories["taps"]
+    taps.write(np.zeros((32, 64)).astype("int16"))
+    taps.write(np.array([1, -2], "int16"), offset=0x80)
+    assert taps.read(0x7C, 12).tolist() == [0, 0, 1, -2, 0, 0]
+    taps.write(b"\5\0\6\0", offset=0xFFC)
+    assert taps.read(0xFF8).tolist() == [0, 0, 5, 6]
+
+
+def test_rows_are_items(board: cm.Board) -> None:
+    taps = board.memories["taps"]
+    values = noise(0x1000, "int16").reshape(32, 64)
+    taps.write(values)
+    assert len(taps) == 32
+    assert np.array_equal(taps[3], values[3])
+    assert np.array_equal(taps[-2], values[-2])
+    assert np.array_equal(taps[5:9], values[5:9])
+    assert taps[9:5].shape == (0, 64)
+    taps[4] = 7
+    taps[6:8] = values[:2]
+    values[4], values[6:8] = 7, values[:2].copy()
+    assert np.array_equal(taps.read(), values)
+    with pytest.raises(IndexError, match="32"):
+        taps[32]
+
+
+def test_elements_smaller_than_a_word_are_read_alone_and_written_in_words(board: cm.Board) -> None:
+    scratch = board.memories["scratch"]
+    values = noise(0x400)
+    scratch.write(values)
+    assert (scratch[5], scratch[-1]) == (values[5], values[-1])
+    assert scratch[3:10].tolist() == values[3:10].tolist()
+    scratch[4:8] = [1, 2, 3, 4]
+    assert scratch[3:9].tolist() == [values[3], 1, 2, 3, 4, values[8]]
+    with pytest.raises(InvalidRequest, match="multiples of 4"):
+        scratch[5] = 1
+
+
+def test_a_memory_longer_than_one_message_is_moved_in_several(board: cm.Board) -> None:
+    big = board.memories["big"]
+    values = noise(10 * MIB, "uint32")
+    big.write(values)
+    assert np.array_equal(big.read(), values)
+    assert np.array_equal(big.read(4, 9 * MIB), values[1 : 1 + 9 * MIB // 4])
+    with pytest.raises(InvalidRequest, match="it has 10485760"):
+        big.read(4, 10 * MIB)
+
+
+def test_registers_are_read_while_a_long_transfer_goes_on(manager: Manager, board: cm.Board) -> None:
+    async def run() -> int:
+        async with aio.connect(runtime_dir=manager.runtime, timeout=20) as peer:
+            reading = asyncio.ensure_future(peer.memories["big"].read(0, 4 * MIB))
+            reads = 0
+            while not reading.done():
+                await peer.registers.read("gain")
+                reads += 1
+            assert len(await reading) == MIB
+            return reads
+
+    assert asyncio.run(run()) > 4
+
+
+def test_values_that_a_memory_cannot_hold_are_refused(board: cm.Board) -> None:
+    for name, values in (("taps", [40000]), ("taps", [0.5]), ("scratch", [-1]), ("floats", [1j])):
+        with pytest.raises(InvalidRequest, match=f"memory '{name}' has"):
+            board.memories[name].write(np.array(values * 4))
+    board.memories["floats"].write([1, 2])
+    assert board.memories["floats"].read(0, 8).tolist() == [1.0, 2.0]
+
+
+def test_what_there_is_can_be_listed(board: cm.Board) -> None:
+    assert sorted(board.memories) == ["big", "floats", "log", "scratch", "taps"]
+    info = board.memories.info["taps"]
+    assert (info.address, info.size, info.dtype, info.shape, info.access) == (0x21000, 0x1000, "int16", (32, 64), "rw")
+    assert (info.region, info.doc, info.modes, info.defined) == ("left", "Coefficients.", ("default",), False)
+    assert board.memories["taps"].info.region == "left"
+    board.mode = "other"
+    assert "taps" not in board.memories
+    assert "taps" in {memory.name for memory in board.config("filter").memories}
+
+
+@pytest.mark.parametrize(
+    ("use", "kind", "code", "words"),
+    [
+        (lambda b: b.memories["tabs"].read(), RequestNotFound, "unknown_stream", "memories are big, floats"),
+        (lambda b: b.memories["tabs"].read(0, 4), RequestNotFound, "unknown_memory", "did you mean 'taps'"),
+        (lambda b: b.memories["samples"].read(), InvalidRequest, "invalid_request", "is a stream"),
+        (lambda b: b.memories["log"].write(b"1234"), RequestInvalid, "access", "read-only"),
+        (lambda b: b.memories["taps"].read(0xFFC, 8), RequestInvalid, "out_of_range", "it has 4096"),
+        (lambda b: b.memories["taps"].read(0x1000), InvalidRequest, "invalid_request", "0 bytes"),
+        (lambda b: b.memories["taps"].read(2, 4), RequestInvalid, "invalid_request", "multiples of 4"),
+        (lambda b: b.memories["taps"].read(-4, 4), InvalidRequest, "invalid_request", "64 bits"),
+        (lambda b: b.memories["taps"].write(b""), InvalidRequest, "invalid_request", "no bytes"),
+        (lambda b: b.configure_stream("taps", slots=4), RequestInvalid, "invalid_request", "is no stream"),
+        (lambda b: b.configure_memory("taps", 0x60100, 64), RequestInvalid, "invalid_request", "another name"),
+        (lambda b: b.configure_memory("x", 0x7000, 64), RequestFailed, "device_not_found", "windows in"),
+    ],
+)
+def test_what_is_wrong_gets_a_clear_error(board: cm.Board, use: Any, kind: type, code: str, words: str) -> None:
+    with pytest.raises(kind, match=words) as refused:
+        use(board)
+    assert refused.value.code == code
+
+
+def test_a_block_is_defined_at_run_time_and_forgotten_with_its_configuration(board: cm.Board) -> None:
+    block = board.configure_memory("block", 0x60100, 64, dtype="float32", shape=(4, 4))
+    block.write(np.eye(4, dtype="float32"))
+    assert np.array_equal(block.read(), np.eye(4))
+    assert board.memories.info["block"].defined
+    assert board.configure_memory("block", 0x60100, 64, access="ro").read().dtype == np.uint32
+    board.load("plain")
+    board.load("filter")
+    assert "block" not in board.memories
+    with pytest.raises(RequestNotFound):
+        block.read()
+
+
+def test_a_lease_keeps_others_from_writing(board: cm.Board) -> None:
+    with board.lease("memories:taps", holder="anna") as lease:
+        with pytest.raises(RequestBusy, match="anna") as refused:
+            board.memories["taps"].write(b"1234")
+        assert refused.value.code == "held_by"
+        board.memories["taps"].held_by(lease.id).write(b"5678")
+    assert board.memories["taps"].read(0, 4).tobytes() == b"5678"
+
+
+def test_a_memory_is_refused_while_its_region_is_loaded(board: cm.Board) -> None:
+    taps = board.memories["taps"]
+    taps.write(b"1234")
+    board.memories["scratch"].write(b"kept")
+    change = board.load_async("filter", "default", force=True)
+    until(lambda: (p := board.status.progress) is not None and p.step == "load")
+    with pytest.raises(RequestBusy, match="region left, which is being reconfigured") as refused:
+        taps.read(0, 4)
+    assert refused.value.code == "region_busy"
+    with pytest.raises(RequestBusy, match="being reconfigured"):
+        taps.write(b"1234")
+    assert board.memories["scratch"].read(0, 4).tobytes() == b"kept"
+    change.wait(20)
+    assert taps.read(0, 4).tobytes() == bytes(4)
+
+
+def test_the_asyncio_client_does_the_same(manager: Manager, board: cm.Board) -> None:
+    values = noise(0x1000, "int16").reshape(32, 64)
+
+    async def run() -> None:
+        async with aio.connect(runtime_dir=manager.runtime, timeout=20) as peer:
+            taps = peer.memories["taps"]
+            assert await taps.write(values) == 0x1000
+            assert np.array_equal(await taps.read(), values)
+            await taps.put(3, 5)
+            assert (await taps.get(slice(3, 5)))[0].tolist() == [5] * 64
+            assert (await taps.info()).shape == (32, 64)
+            assert "scratch" in await peer.memories.info()
+            block = await peer.configure_memory("async", 0x60200, 16)
+            await block.write([1, 2, 3, 4])
+            assert (await block.read()).tolist() == [1, 2, 3, 4]
+            parts = await asyncio.gather(*(taps.read(offset, 256) for offset in range(0, 0x1000, 256)))
+            assert np.array_equal(np.concatenate(parts).reshape(32, 64), await taps.read())
+
+    asyncio.run(run())
+
+
+def test_too_many_transfers_at_once_are_told_to_come_back(manager: Manager, board: cm.Board) -> None:
+    async def run() -> list[Any]:
+        async with aio.connect(runtime_dir=manager.runtime, timeout=20) as peer:
+            reads = [peer.memories["big"].read(0, 4 * MIB) for _ in range(24)]
+            return await asyncio.gather(*reads, return_exceptions=True)
+
+    found = asyncio.run(run())
+    refused = [one for one in found if isinstance(one, Exception)]
+    assert {type(one) for one in refused} == {RequestBusy}
+    assert "16 transfers" in str(refused[0])
+    assert all(len(one) == MIB for one in found if not isinstance(one, Exception))
+
+
+# ---- the wire ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def req(manager: Manager, board: cm.Board) -> Iterator[zmq.Socket[bytes]]:
+    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
+        socket.connect(f"ipc://{manager.runtime}/req")
+        yield socket
+
+
+def test_bytes_travel_beside_the_message(req: zmq.Socket[bytes]) -> None:
+    req.send_multipart([b"cm_write_data", pb.WriteData(stream="taps", offset=8).SerializeToString(), b"\1\0\2\0"])
+    topic, message = req.recv_multipart()
+    reply = pb.Reply.FromString(message)
+    assert (topic, reply.ok, reply.frame.length, reply.frame.offset) == (b"cm_write_data", True, 4, 8)
+    req.send_multipart([b"cm_read_data", pb.ReadData(stream="taps", offset=8, length=4).SerializeToString()])
+    topic, message, payload = req.recv_multipart()
+    frame = pb.Reply.FromString(message).frame
+    assert payload == b"\1\0\2\0"
+    assert (frame.stream, frame.dtype, list(frame.shape), frame.mode) == ("taps", "int16", [2], "default")
+    req.send_multipart([b"cm_data_config", pb.DataConfig(stream="taps").SerializeToString()])
+    memory = pb.Reply.FromString(req.recv_multipart()[1]).memory
+    assert (memory.name, memory.size, list(memory.shape)) == ("taps", 0x1000, [32, 64])
+
+
+def test_a_command_without_a_reply_writes_too(manager: Manager, board: cm.Board) -> None:
+    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
+        socket.connect(f"ipc://{manager.runtime}/sub")
+
+        def written() -> bool:
+            socket.send_multipart([b"cm_write_data", pb.WriteData(stream="scratch").SerializeToString(), b"pub!"])
+            return board.memories["scratch"].read(0, 4).tobytes() == b"pub!"
+
+        until(written)
+
+
+# ---- the command ---------------------------------------------------------------------------
+
+
+class Command:
+    """`cm mem`, in this process."""
+
+    def __init__(self, manager: Manager, capture: pytest.CaptureFixture[bytes]) -> None:
+        self._manager, self._capture = manager, capture
+        self.err = b""
+
+    def __call__(self, *arguments: str) -> bytes:
+        """What it prints; it must end well."""
+        status, out = self.ended(*arguments)
+        assert status == 0, self.err
+        return out
+
+    def ended(self, *arguments: str) -> tuple[int, bytes]:
+        """Its exit status, and what it prints."""
+        self._capture.readouterr()
+        try:
+            status = main(["mem", *arguments, "--runtime-dir", str(self._manager.runtime)])
+        except SystemExit as end:
+            status = int(end.code or 0)
+        out, self.err = self._capture.readouterr()
+        return status, out
+
+
+@pytest.fixture
+def mem(manager: Manager, board: cm.Board, capsysbinary: pytest.CaptureFixture[bytes]) -> Command:
+    return Command(manager, capsysbinary)
+
+
+def test_the_command_lists_reads_and_writes(mem: Command, board: cm.Board, tmp_path: Path) -> None:
+    listing = mem("list").decode().splitlines()
+    assert any(line.split()[:6] == ["taps", "0x21000", "4096", "rw", "int16", "32x64"] for line in listing)
+    mem("write", "taps", "--values", "-1", "0x1234", "--offset", "0x10")
+    assert board.memories["taps"].read(16, 4).tolist() == [-1, 0x1234]
+    assert mem("read", "taps", "--offset", "16", "--length", "4").split()[:2] == [b"00000010", b"1234ffff"]
+    file = tmp_path / "taps.npy"
+    mem("read", "taps", "-o", str(file))
+    values = np.load(file)
+    assert (values.shape, values.dtype) == ((32, 64), np.int16)
+    values[31] = 9
+    np.save(file, values)
+    mem("write", "taps", str(file))
+    assert np.array_equal(board.memories["taps"].read(), values)
+
+
+def test_the_command_takes_and_gives_plain_bytes(mem: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"12345678")))
+    mem("write", "scratch", "-", "--offset", "4")
+    assert mem("read", "scratch", "--offset", "4", "--length", "8", "-o", "-") == b"12345678"
+    file = tmp_path / "scratch.bin"
+    assert b"8 bytes" in mem("read", "scratch", "--offset=4", "--length=8", "-o", str(file))
+    assert file.read_bytes() == b"12345678"
+
+
+def test_the_command_speaks_json(mem: Command, board: cm.Board) -> None:
+    board.memories["scratch"].write(b"\1\2\3\4")
+    read = json.loads(mem("read", "scratch", "--length", "4", "--json"))
+    assert read == {"name": "scratch", "offset": 0, "length": 4, "dtype": "uint8", "shape": [4], "hex": "01020304"}
+    wrote = json.loads(mem("write", "scratch", "--values", "5", "6", "7", "8", "--json"))
+    assert wrote == {"name": "scratch", "offset": 0, "length": 4}
+    defined = json.loads(mem("define", "cli", "0x60300", "64", "--shape", "4x4", "--json"))
+    assert (defined["name"], defined["address"], defined["shape"], defined["defined"]) == ("cli", 0x60300, [4, 4], True)
+    assert "cli" in {memory["name"] for memory in json.loads(mem("list", "--json"))}
+    status, refused = mem.ended("read", "scratch", "--offset", "2", "--length", "4", "--json")
+    assert (status, json.loads(refused)["error"]["code"]) == (1, "invalid_request")
+
+
+def test_the_command_says_what_it_cannot_read_or_write(mem: Command, tmp_path: Path) -> None:
+    for arguments, words in (
+        (("write", "scratch", str(tmp_path / "none.npy")), b"none.npy cannot be read"),
+        (("write", "scratch", "--values", "one"), b"the memory has uint8"),
+        (("read", "scratch", "-o", str(tmp_path / "no" / "file")), b"cannot be written"),
+    ):
+        status, _ = mem.ended(*arguments)
+        assert status == 1
+        assert words in mem.err
+    assert mem.ended("write", "scratch")[0] == 2
+
+
+def test_a_board_that_dies_ends_the_request(tmp_path: Path) -> None:
+    (tmp_path / "filter.yaml").write_text(SCHEMA)
+    with served(("--icap-rate", "0"), schemas=tmp_path) as (manager, sim), manager.connected() as board:
+        board.load("filter")
+        sim.kill()
+        with pytest.raises(RequestFailed) as failed:
+            board.memories["scratch"].read(0, 4)
+        assert failed.value.code == "device_gone"
