@@ -42,7 +42,7 @@ COMMANDS = (
     Command("reg", "cm.cli.reg", "list, read and write registers"),
     Command("mem", "cm.cli.mem", "list, read and write memories"),
     Command("irq", "cm.cli.irq", "list interrupts and wait for them"),
-    Command("stream", "cm.cli.stream", "list, capture and play data streams"),
+    Command("stream", "cm.cli.stream", "list, set, capture and play data streams"),
     Command("data", "cm.cli.data", "configure the data channels"),
     Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams"),
     Command("import", "cm.cli.import_", "make a runtime schema from a dfx-mgr or PYNQ package"),
