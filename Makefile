@@ -19,7 +19,7 @@ OUT ?= demo
 IMAGES ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-c test-rtl test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo clean distclean check-system
+.PHONY: help setup demo test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -72,6 +72,9 @@ soak: $(STAMP) ## ten thousand changes of mode
 
 bench: $(BENCH_STAMP) ## measure latency and throughput beside the alternatives
 	$(BIN)/cm bench --json bench.json --plots bench-plots
+
+test-bench: $(BENCH_STAMP) ## every measurement in its quick form: that it runs, not how fast
+	$(PYTEST) tests/bench $(PYTEST_ARGS)
 
 $(BENCH_STAMP): $(STAMP)
 	$(call install,bench)
