@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * Reading streams of the configuration manager in C, without copies.
+ * Streams of the configuration manager in C, without copies.
  *
  *	struct cm_reader *reader = cm_reader_open("/run/cm", "camera", 0);
  *	struct cm_frame frame;
@@ -11,7 +11,17 @@
  *	}
  *	cm_reader_close(reader);
  *
- * One thread at a time for each reader.  Functions return -1 or NULL and set errno.
+ *	struct cm_writer *writer = cm_writer_open("/run/cm", "to_pl", 0, NULL);
+ *	struct cm_slot slot;
+ *
+ *	while (cm_writer_slot(writer, 1000, &slot) > 0) {
+ *		... fill slot.data ...
+ *		cm_writer_submit(writer, &slot, 0);
+ *	}
+ *	cm_writer_flush(writer, 1000);
+ *	cm_writer_close(writer);
+ *
+ * One thread at a time for each reader or writer.  Functions return -1 or NULL and set errno.
  */
 #ifndef CM_PLANE_H
 #define CM_PLANE_H
@@ -26,6 +36,7 @@ extern "C" {
 #endif
 
 struct cm_reader;
+struct cm_writer;
 struct cm_memory;
 
 /**
@@ -53,6 +64,14 @@ struct cm_frame {
  * Errors: those of socket() and connect(), ENAMETOOLONG.
  */
 struct cm_reader *cm_reader_open(const char *runtime_dir, const char *stream, unsigned int depth);
+
+/**
+ * cm_reader_open_leased() - the same with a lease of one's own
+ * @lease: its id, where somebody holds the stream's region and the stream has
+ *         backpressure, so that its readers can hold the hardware up; or NULL
+ */
+struct cm_reader *cm_reader_open_leased(const char *runtime_dir, const char *stream,
+					unsigned int depth, const char *lease);
 
 /* Disconnect and unmap; frames that are held become invalid.  NULL is fine. */
 void cm_reader_close(struct cm_reader *reader);
@@ -83,6 +102,68 @@ uint64_t cm_reader_lost(const struct cm_reader *reader);
 
 /* Why the manager refused: "code: sentence". */
 const char *cm_reader_error(const struct cm_reader *reader);
+
+/**
+ * struct cm_slot - DMA memory to fill
+ * @data: valid until the slot is submitted, put back, or the writer closed
+ * @length: bytes that there are
+ */
+struct cm_slot {
+	void *data;
+	size_t length;
+	struct cm_memory *memory;	       /* the library's */
+	struct cm_plane_descriptor descriptor; /* the library's */
+};
+
+/**
+ * cm_writer_open() - connect to a stream towards the hardware
+ * @depth: slots that shall be the writer's own, or 0 for the usual number
+ * @lease: id of one's own, where somebody holds the stream's region; or NULL
+ *
+ * Returns at once: a stream that is refused is told by cm_writer_slot().
+ * Errors: those of socket() and connect(), ENAMETOOLONG, EINVAL.
+ */
+struct cm_writer *cm_writer_open(const char *runtime_dir, const char *stream, unsigned int depth,
+				 const char *lease);
+
+/* Disconnect and unmap; what was submitted still goes.  NULL is fine. */
+void cm_writer_close(struct cm_writer *writer);
+
+/* Descriptor that polls readable when a slot may have come free; the writer's. */
+int cm_writer_fd(const struct cm_writer *writer);
+
+/**
+ * cm_writer_slot() - a slot to fill
+ * @timeout_ms: to wait for one, 0: only look, -1: for ever
+ *
+ * Returns 1, or 0 if none came free.  Errors: EACCES if the manager refused, see
+ * cm_writer_error(); ECONNRESET if it has gone; EPROTO; EINTR; and, once, the
+ * errno of an earlier frame that the hardware did not take (ECANCELED: the stream
+ * was stopped before): call again.
+ */
+int cm_writer_slot(struct cm_writer *writer, int timeout_ms, struct cm_slot *slot);
+
+/**
+ * cm_writer_submit() - send a slot; it is the hardware's from here on
+ * @length: bytes of it from its beginning on, or 0 for a whole frame
+ *
+ * On a stream with a stride only whole frames go, their lines @stride apart
+ * (cm_writer_geometry()).  Errors: ECANCELED if the stream was stopped since
+ * cm_writer_slot(), EINVAL for a slot that was given back already, those of send().
+ */
+int cm_writer_submit(struct cm_writer *writer, struct cm_slot *slot, size_t length);
+
+/* Give a slot back unsent.  Errors: EINVAL if it was given back already. */
+int cm_writer_put_back(struct cm_writer *writer, struct cm_slot *slot);
+
+/* Until the hardware has taken all frames: 1, or 0 after @timeout_ms.  Errors: as cm_writer_slot(). */
+int cm_writer_flush(struct cm_writer *writer, int timeout_ms);
+
+/* Shape and type of what goes now; NULL before the first slot, and while the stream is stopped. */
+const struct cm_plane_geometry *cm_writer_geometry(const struct cm_writer *writer);
+
+/* Why the manager refused: "code: sentence". */
+const char *cm_writer_error(const struct cm_writer *writer);
 
 #ifdef __cplusplus
 }

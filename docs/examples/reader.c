@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 /*
- * Reads frames of a stream where the hardware put them: reader RUNTIME STREAM COUNT
+ * Reads frames of a stream where the hardware put them: reader RUNTIME STREAM COUNT [LEASE]
  *
  *	cc -o reader reader.c $(pkg-config --cflags --libs cm-plane)
  */
@@ -58,11 +58,11 @@ int main(int argc, char **argv)
 	struct cm_reader *reader;
 	int status;
 
-	if (argc != 4) {
-		fprintf(stderr, "usage: reader RUNTIME STREAM COUNT\n");
+	if (argc != 4 && argc != 5) {
+		fprintf(stderr, "usage: reader RUNTIME STREAM COUNT [LEASE]\n");
 		return 2;
 	}
-	reader = cm_reader_open(argv[1], argv[2], 0);
+	reader = cm_reader_open_leased(argv[1], argv[2], 0, argc == 5 ? argv[4] : NULL);
 	if (!reader) {
 		fprintf(stderr, "reader: %s: %s\n", argv[1], strerror(errno));
 		return 1;

@@ -301,7 +301,7 @@ def test_asyncio_synchronises_the_same(apart: Setup) -> None:
 
 def test_the_c_library_synchronises_what_it_takes(apart: Setup, tmp_path: Path) -> None:
     client, program = REPOSITORY / "csrc" / "client", tmp_path / "reader"
-    sources = [REPOSITORY / "docs" / "examples" / "reader.c", client / "cm_plane.c"]
+    sources = [REPOSITORY / "docs" / "examples" / "reader.c", *client.glob("*.c")]
     subprocess.run(["cc", "-D_GNU_SOURCE", "-std=gnu11", f"-I{client}", "-o", program, *sources], check=True)
     before = apart.counts("camera")
     command = [program, apart.manager.runtime, "camera", "7"]
@@ -310,6 +310,23 @@ def test_the_c_library_synchronises_what_it_takes(apart: Setup, tmp_path: Path) 
     means = [float(line.rpartition(" ")[2]) for line in done.stdout.splitlines()[:7]]
     assert all(mean not in (0.0, 197.0) for mean in means), "not what the device wrote: 0, or 0xC5"
     assert apart.added("camera", before) == {"read_starts": 7, "read_ends": 7}
+
+
+def test_the_c_librarys_writer_synchronises_what_it_fills(apart: Setup, tmp_path: Path) -> None:
+    client, program = REPOSITORY / "csrc" / "client", tmp_path / "writer"
+    sources = [REPOSITORY / "docs" / "examples" / "writer.c", *client.glob("*.c")]
+    subprocess.run(["cc", "-D_GNU_SOURCE", "-std=gnu11", f"-I{client}", "-o", program, *sources], check=True)
+    told, to_pl, from_pl = loop(
+        apart,
+        f"""
+        import subprocess
+        with board.stream("from_pl", depth=8, timeout=20) as reader:
+            subprocess.run([{str(program)!r}, sys.argv[1], "to_pl", "6"], check=True, stdout=subprocess.DEVNULL)
+            tell(same=[bool((reader.read() == number).all()) for number in range(6)])
+        """,
+    )
+    assert told == {"same": [True] * 6}
+    assert (to_pl, from_pl) == ({"write_starts": 6, "write_ends": 6}, {"read_starts": 6, "read_ends": 6})
 
 
 def test_coherent_memory_is_never_synchronised(library: Path, tmp_path: Path) -> None:

@@ -1,0 +1,72 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Inside of the library: what readers and writers have in common. */
+#ifndef CM_PLANE_PRIVATE_H
+#define CM_PLANE_PRIVATE_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "cm_plane_wire.h"
+
+#pragma GCC visibility push(hidden)
+
+/* The slots of one geometry; stays until the caller has given back the last of them. */
+struct cm_memory {
+	struct cm_memory *next;
+	struct cm_plane_geometry geometry;
+	uint8_t epoch;
+	uint32_t slots;
+	uint32_t held; /* by the caller */
+	void *map[CM_PLANE_SLOTS_MAX];
+	int fd[CM_PLANE_SLOTS_MAX]; /* kept where the memory needs synchronising, else -1 */
+	bool taken[CM_PLANE_SLOTS_MAX];
+};
+
+struct connection {
+	int fd;
+	struct cm_memory *memories; /* the first is that of what comes now, if @running */
+	bool running;
+	char mode[256];
+	char error[CM_PLANE_PACKET_MAX + 16];
+};
+
+struct packet {
+	union {
+		struct cm_plane_descriptor head;
+		char bytes[CM_PLANE_PACKET_MAX + 1];
+	};
+	size_t size;
+	int fds[CM_PLANE_FDS_MAX];
+	uint32_t fd_count;
+};
+
+/* Connect and say what is wanted; on an error nothing is left open. */
+int connection_open(struct connection *connection, const char *folder, const char *stream,
+		    const struct cm_plane_descriptor *wanted, const char *lease);
+void connection_close(struct connection *connection);
+
+/* Take a packet that is there: EAGAIN if none is, ECONNRESET at the connection's end. */
+int connection_receive(const struct connection *connection, struct packet *packet);
+
+/* Geometry, slots, names, stops and refusals; all else is passed over. */
+int connection_take(struct connection *connection, const struct packet *packet);
+
+/* Wait for a packet: 1, or 0 when @timeout_ms, counted from @begun, are over. */
+int connection_wait(const struct connection *connection, int timeout_ms, int64_t begun);
+
+int64_t connection_now_ms(void);
+
+/* What comes now; NULL while the stream is stopped. */
+struct cm_memory *connection_memory(const struct connection *connection);
+
+/* Drop memory that nothing comes into any more, and of which nothing is held. */
+void connection_sweep(struct connection *connection);
+
+/* The caller has a slot from here on, or has it no more: the processor's cache is told. */
+int memory_begin(struct cm_memory *memory, uint32_t slot);
+int memory_end(struct cm_memory *memory, uint32_t slot);
+
+#pragma GCC visibility pop
+
+#endif /* CM_PLANE_PRIVATE_H */
