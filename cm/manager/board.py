@@ -29,8 +29,11 @@ class Board(Protocol):
     def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
         """A load of `length` bytes took so long."""
 
+    def took(self, step: Step, seconds: float) -> None:
+        """A step took so long beside what a port took for its image."""
+
     def record(self, step: Step | None) -> None:
-        """Write the state, and the step about to be taken, to the store."""
+        """Write the state, and the step about to be taken, to the store. Raises RecordFailed."""
 
     def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:
         """From here on nobody else touches registers of these regions, or with `whole` any register."""

@@ -140,3 +140,15 @@ class StoreCorrupt(CmError):
     """The state record cannot be read; it was set aside."""
 
     code = "store_corrupt"
+
+
+class StateInUse(Busy):
+    """Another manager keeps its record in this state folder."""
+
+    code = "state_in_use"
+
+
+class RecordFailed(CmError):
+    """The state record could not be written."""
+
+    code = "store"

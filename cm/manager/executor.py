@@ -17,10 +17,10 @@ from cm.manager.knowledge import Knowledge
 from cm.manager.leases import Leases
 from cm.manager.loaders import Job
 from cm.manager.plan import Goal
+from cm.manager.record import Pending
 from cm.manager.runner import ChangeRunner
 from cm.manager.state import BoardState
 from cm.manager.steps import Step
-from cm.manager.store import Pending
 from cm.manager.telling import Teller
 from cm.messages.status import ErrorInfo, Progress
 from cm.schema.model import Config, ConfigType, LoaderKind
@@ -47,8 +47,12 @@ class LiveBoard:
         """Keep a measurement."""
         self.known.observed(kind, length, seconds)
 
+    def took(self, step: Step, seconds: float) -> None:
+        """Keep how long a step took."""
+        self.known.took(step.kind, seconds)
+
     def record(self, step: Step | None) -> None:
-        """Write state and pending step to the store. Raises OSError."""
+        """Write state and pending step to the store. Raises RecordFailed."""
         self.known.record(step)
 
     def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:

@@ -13,10 +13,11 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from cm.manager.cost import Throughput
-from cm.manager.errors import StoreCorrupt
+from cm.manager.errors import RecordFailed, StoreCorrupt
+from cm.manager.record import Pending, Record
 from cm.manager.state import BoardState
 from cm.manager.steps import ApplyOverlay, RemoveOverlay, Step
-from cm.manager.store import Pending, Record, Store
+from cm.manager.store import Store
 from cm.messages.status import ErrorInfo
 from cm.schema.model import Config, LoaderKind, Memory
 
@@ -68,6 +69,10 @@ class Knowledge:
         """Keep a measurement for plans and time-outs."""
         self.throughput = self.throughput.observed(kind, length, seconds)
 
+    def took(self, step: str, seconds: float) -> None:
+        """Keep how long a kind of step took, for plans."""
+        self.throughput = self.throughput.took(step, seconds)
+
     # ---- the record ----------------------------------------------------------------
 
     def read_record(self) -> tuple[Record | None, str]:
@@ -85,18 +90,21 @@ class Knowledge:
             self.throughput, self._number = record.throughput, record.number
 
     def record(self, step: Step | None) -> None:
-        """Write state and pending step to the store. Raises OSError."""
+        """Write state and pending step to the store. Raises RecordFailed."""
         with self.lock:
             pending = None if step is None or self.pending is None else _about_to(self.pending, step)
-            self._store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
+            try:
+                self._store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
+            except OSError as error:
+                raise RecordFailed(f"the state record could not be written: {error}") from error
             self._dirty = False
 
     def try_record(self) -> ErrorInfo | None:
         """Write the state between changes; what went wrong, if it could not be written."""
         try:
             self.record(None)
-        except OSError as problem:
-            return ErrorInfo("store", f"the state record could not be written: {problem}")
+        except RecordFailed as problem:
+            return ErrorInfo(problem.code, str(problem))
         return None
 
     @property

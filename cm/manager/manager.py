@@ -23,10 +23,10 @@ from cm.manager.leases import Leases, leases_concerned
 from cm.manager.loaders import Loaders
 from cm.manager.memories import MemoryDesk
 from cm.manager.plan import Goal
+from cm.manager.record import Pending
 from cm.manager.registers import RegisterAccess
 from cm.manager.startup import destination, is_whole, take_stock
 from cm.manager.state import BoardState
-from cm.manager.store import Pending
 from cm.manager.telling import Teller
 from cm.manager.worker import Worker
 from cm.messages.requests import RegWrite, WriteConfig
@@ -53,7 +53,7 @@ class Manager:
         self.status: Callable[[], Status] = self._teller.status
         tools = Tools(env.devices, self.registers, self._loaders, env.data_plane, env.clock)
         self._executor = Executor(LiveBoard(known, self._desk, self._teller), tools, env, self.leases)
-        self._worker = Worker(self._run)
+        self._worker = Worker(self._run, self._defect)
 
     @property
     def state(self) -> BoardState:
@@ -84,7 +84,7 @@ class Manager:
             self._teller.set_error(ErrorInfo("reconciled", "; ".join(finding.notes)))
         self._repair(finding.interrupted)
         self._env.data_plane.resume(self.loaded_config(), self.state.mode)
-        self._known.record(None)
+        self._teller.note(self._known.try_record())  # a disk that is full is no reason not to serve
         self._teller.changed()
         return finding.notes
 
@@ -173,6 +173,10 @@ class Manager:
         self._executor.run(change, self._worker.done)
         if change.error is None and self._worker.nothing_waits:
             self._executor.prefetch(lambda: self._worker.nothing_waits)
+
+    def _defect(self, problem: Exception) -> None:
+        self._teller.set_error(ErrorInfo("internal", f"{type(problem).__name__}: {problem}"))
+        self._teller.changed()
 
     def wait_idle(self) -> None:
         """Wait until no change runs or waits."""

@@ -68,6 +68,7 @@ def image_bytes(step: s.Step) -> int:
 
 
 def _seconds(step: s.Step, throughput: Throughput) -> float:
+    beside = throughput.overhead(step.kind)
     if isinstance(step, s.Load | s.LoadStatic):
-        return throughput.seconds(step.port_kind, step.image.length)
-    return 0.0
+        return beside + throughput.seconds(step.port_kind, step.image.length)
+    return beside

@@ -14,9 +14,9 @@ from cm.errors import CmError
 from cm.manager.decoupler import is_cut
 from cm.manager.loaders import loading_overlay
 from cm.manager.ports import Devices
+from cm.manager.record import Pending, Record
 from cm.manager.registers import RegisterAccess
 from cm.manager.state import BoardState, OverlayState, RegionEvent, RegionPhase, RegionState, all_lost
-from cm.manager.store import Pending, Record
 from cm.schema.model import Config, LoaderKind, Module, Region
 
 
@@ -43,7 +43,10 @@ def _compare(
 ) -> Finding:
     if record is None:
         return Finding(BoardState())
-    if record.boot_id != devices.boot_id():
+    boot_id = devices.boot_id()
+    if not boot_id:
+        return Finding(BoardState(), None, ("the boot id cannot be read, so the record may be of before a restart",))
+    if record.boot_id != boot_id:
         held = f" ({record.state.config}/{record.state.mode})" if record.state.config else ""
         return Finding(BoardState(), None, (f"the board was restarted; what it held{held} is gone",))
     state = record.state

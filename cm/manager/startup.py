@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 from cm.manager.knowledge import Knowledge
 from cm.manager.ports import Devices
 from cm.manager.reconcile import Finding, reconcile
+from cm.manager.record import Pending
 from cm.manager.registers import RegisterAccess
 from cm.manager.state import BoardState, RegionPhase
-from cm.manager.store import Pending
 from cm.schema.model import Config, ConfigType
 
 

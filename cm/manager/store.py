@@ -1,176 +1,173 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The record of what the hardware holds: written before each step, read after a crash.
+"""The record on disk: written before each step, read after a crash.
 
-A journal of one JSON line per record, each with a CRC; the last whole line counts. Appending one
-line is a single write(2), so a killed manager leaves whole lines and at most one torn end. There is
-no fsync: after a loss of power the device is empty too, and the boot id tells so. The journal is
-replaced atomically (rename) by its last line when it has grown.
+A journal of one line per record, of which the last whole one counts. A line is a single pwrite(2), so
+a killed manager leaves whole lines and at most one torn end. The file has its full length from the
+beginning, and so has the one that will replace it (by a rename) when it is full: a disk that others
+have filled does not keep the board from changing its mode. There is no fsync: after a loss of power
+the device is empty too, and the boot id tells so.
 """
 
 from __future__ import annotations
 
-import json
+import contextlib
+import errno
+import fcntl
 import os
-import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 
-from cm.manager.cost import Throughput
-from cm.manager.errors import StoreCorrupt
-from cm.manager.state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.schema.model import LoaderKind
+from cm.manager.errors import StateInUse, StoreCorrupt
+from cm.manager.record import OtherVersion, Pending, Record, encode, newest
 
-_VERSION = 2
-_ROTATE = 256 * 1024  # bytes
+__all__ = ["Pending", "Record", "Store"]
 
-
-@dataclass(frozen=True, slots=True)
-class Pending:
-    """A change under way: where it goes, where it came from, and the step it was about to take."""
-
-    number: int
-    config: str
-    mode: str
-    from_config: str | None
-    from_mode: str | None
-    step: str = ""
-    subject: str = ""
-    overlay: str | None = None  # being applied or removed
-    from_static: str | None = None  # the full configuration whose image the device held
-
-
-@dataclass(frozen=True, slots=True)
-class Record:
-    """One line of the journal."""
-
-    boot_id: str
-    state: BoardState
-    pending: Pending | None = None
-    throughput: Throughput = field(default_factory=Throughput)
-    number: int = 0  # of the last change
+LENGTH = 256 * 1024  # bytes of a journal
 
 
 class Store:
-    """The journal in a folder. One manager owns it (the daemon holds a lock on the runtime folder)."""
+    """The journal in a folder, which it holds a lock on. Raises StateInUse, OSError."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._path = folder / "journal"
-        self._fd = self._open()
+        self._lock = _locked(folder)
+        self._spare = -1
+        try:
+            self._fd = _open(self._path)
+        except OSError:
+            os.close(self._lock)
+            raise
+        self._begin()
 
-    def _open(self) -> int:
-        return os.open(self._path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o640)
+    def _begin(self) -> None:
+        self._at = _end(self._path)  # where the next line goes
+        _reserve(self._fd)
+        self._old.unlink(missing_ok=True)
+        self._renew_spare()
 
     def write(self, record: Record) -> None:
-        """Append a record; it survives the death of this process from here on. Raises OSError."""
-        line = _encode(record)
-        if os.fstat(self._fd).st_size + len(line) > _ROTATE:
+        """Add a record; it survives the death of this process from here on. Raises OSError."""
+        line = encode(record)
+        if self._at + len(line) > LENGTH:
             self._rotate(line)
-            return
-        written = os.write(self._fd, line)
-        if written != len(line):
-            raise OSError(28, f"state record {self._path} could not be written whole: is the disk full?")
+        else:
+            self._put(self._fd, line, self._at)
+            self._at += len(line)
+
+    def _put(self, descriptor: int, line: bytes, at: int) -> None:
+        if os.pwrite(descriptor, line, at) != len(line):
+            raise OSError(errno.ENOSPC, f"state record {self._path} could not be written whole: is the disk full?")
+
+    def _rotate(self, line: bytes) -> None:
+        if self._spare < 0:
+            self._spare = _open(self._new)
+            os.ftruncate(self._spare, 0)
+        self._put(self._spare, line, 0)
+        kept = self._keep_old()
+        self._new.replace(self._path)
+        old, self._fd, self._spare = self._fd, self._spare, -1
+        self._at = len(line)
+        self._renew_spare(old if kept else -1)
+        if self._spare != old:
+            os.close(old)
+
+    def _keep_old(self) -> bool:
+        """Give the journal a second name, so that its room is not lost to others when its first one goes."""
+        with contextlib.suppress(OSError):
+            os.link(self._path, self._old)
+            return True
+        return False
+
+    def _renew_spare(self, old: int = -1) -> None:
+        """A file of full length, to be the next journal: the old one, or a new one.
+
+        Without room for it, it is tried again when it is needed.
+        """
+        with contextlib.suppress(OSError):
+            if old >= 0:
+                self._old.replace(self._new)
+                os.pwrite(old, bytes(LENGTH), 0)
+                self._spare = old
+                return
+            self._new.unlink(missing_ok=True)
+            self._spare = _open(self._new)
+            _reserve(self._spare)
+
+    @property
+    def _new(self) -> Path:
+        return self._path.with_suffix(".new")
+
+    @property
+    def _old(self) -> Path:
+        return self._path.with_suffix(".old")
 
     def read(self) -> Record | None:
         """The last whole record; None if there is none yet.
 
-        Raises StoreCorrupt where the file holds lines but no good one, or the last good one is of
-        another version; it is set aside first.
+        Raises StoreCorrupt where the file cannot be read, holds lines but no good one, or the last good
+        one is of another version; it is set aside first.
         """
-        data = self._path.read_bytes()
-        for line in reversed(data.split(b"\n")):
-            body = _checked(line)
-            if body is not None:
-                return self._understood(body)
-        if data.strip():
-            raise StoreCorrupt(f"the state record {self._path} holds no whole line; it was moved to {self._aside()}")
-        return None
-
-    def _understood(self, body: bytes) -> Record:
-        """The newest whole line counts, or none: those before it are no longer true."""
         try:
-            return _from_plain(json.loads(body))
-        except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+            data = self._path.read_bytes()
+            record = newest(data)
+        except OSError as error:
+            raise StoreCorrupt(f"the state record {self._path} cannot be read ({error})") from error
+        except OtherVersion:
             raise StoreCorrupt(
-                f"the state record {self._path} is of another version of this program; it was moved to {self._aside()}"
+                f"the state record {self._path} is of another version of this program; {self._aside()}"
             ) from None
+        if record is None and data.strip(b"\0\n "):
+            raise StoreCorrupt(f"the state record {self._path} holds no whole line; {self._aside()}")
+        return record
 
-    def _aside(self) -> Path:
+    def _aside(self) -> str:
+        """Begin a new journal; says what became of the old one."""
         aside = self._path.with_suffix(".corrupt")
-        self._path.replace(aside)
+        try:
+            self._path.replace(aside)
+            new = _open(self._path)
+        except OSError as error:
+            return f"it could not be set aside ({error})"
         os.close(self._fd)
-        self._fd = self._open()
-        return aside
-
-    def _rotate(self, line: bytes) -> None:
-        new = self._path.with_suffix(".new")
-        new.write_bytes(line)
-        new.replace(self._path)
-        os.close(self._fd)
-        self._fd = self._open()
+        self._fd, self._at = new, 0
+        _reserve(self._fd)
+        return f"it was moved to {aside}"
 
     def close(self) -> None:
-        """Close the file; twice is fine."""
-        if self._fd >= 0:
-            os.close(self._fd)
-            self._fd = -1
+        """Close the files and give the lock back; twice is fine."""
+        for descriptor in (self._fd, self._spare, self._lock):
+            if descriptor >= 0:
+                os.close(descriptor)
+        self._fd = self._spare = self._lock = -1
 
 
-def _encode(record: Record) -> bytes:
-    body = json.dumps(_to_plain(record), separators=(",", ":")).encode()
-    return b"\n%08x %b\n" % (zlib.crc32(body), body)
+def _open(path: Path) -> int:
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o640)
 
 
-def _checked(line: bytes) -> bytes | None:
-    """The body of a line whose CRC is right."""
-    crc, space, body = line.partition(b" ")
+def _end(path: Path) -> int:
     try:
-        return body if space and int(crc, 16) == zlib.crc32(body) else None
-    except ValueError:
-        return None
+        return len(path.read_bytes().rstrip(b"\0"))
+    except OSError:  # `read` will say so; what is written next goes to a new file
+        return LENGTH
 
 
-def _to_plain(r: Record) -> dict[str, Any]:
-    return {
-        "version": _VERSION,
-        "boot_id": r.boot_id,
-        "number": r.number,
-        "state": {
-            "config": r.state.config,
-            "mode": r.state.mode,
-            "static": [r.state.static_sha256, r.state.static_config, r.state.static_lost],
-            "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in r.state.regions.items()},
-            "overlays": [[o.name, o.sha256] for o in r.state.overlays],
-            "values": dict(r.state.values),
-        },
-        "pending": None if r.pending is None else {n: getattr(r.pending, n) for n in Pending.__slots__},
-        "throughput": {kind.value: rate for kind, rate in r.throughput.measured.items()},
-    }
+def _reserve(descriptor: int) -> None:
+    """Room for a whole journal, as far as the file system can promise it."""
+    with contextlib.suppress(OSError):
+        os.posix_fallocate(descriptor, 0, LENGTH)
 
 
-def _from_plain(plain: Mapping[str, Any]) -> Record:
-    """Raises ValueError, KeyError, TypeError, IndexError or AttributeError for what is not of this version."""
-    if plain["version"] != _VERSION:
-        raise ValueError(plain["version"])
-    state = plain["state"]
-    return Record(
-        boot_id=plain["boot_id"],
-        number=plain["number"],
-        state=BoardState(
-            config=state["config"],
-            mode=state["mode"],
-            static_sha256=state["static"][0],
-            static_config=state["static"][1],
-            static_lost=state["static"][2],
-            regions=MappingProxyType(
-                {n: RegionState(RegionPhase(p), m, h) for n, (p, m, h) in state["regions"].items()}
-            ),
-            overlays=tuple(OverlayState(n, h) for n, h in state["overlays"]),
-            values=MappingProxyType(dict(state["values"])),
-        ),
-        pending=None if plain["pending"] is None else Pending(**plain["pending"]),
-        throughput=Throughput(MappingProxyType({LoaderKind(k): float(v) for k, v in plain["throughput"].items()})),
-    )
+def _locked(folder: Path) -> int:
+    """An flock on the folder: it ends with the process, however that dies. Raises StateInUse."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(descriptor)
+        if error.errno not in (errno.EWOULDBLOCK, errno.EACCES):
+            raise
+        raise StateInUse(
+            f"another configuration manager keeps its state in {folder}; stop it, or choose another --state-dir"
+        ) from None
+    return descriptor

@@ -29,11 +29,15 @@ class Transaction:
 
     def run(self) -> None:
         """Take all steps. Raises what the failing step raised; `current` is that step."""
-        run = self._run
-        for at, step in enumerate(run.plan.steps):
-            run.at, self.current = at, step
-            run.board.record(step)
-            run.tell(0)
-            ACTIONS[type(step)](run, step)
+        for at, step in enumerate(self._run.plan.steps):
+            self._run.at, self.current = at, step
+            self._take(step)
         self.current = None
-        run.board.record(None)
+
+    def _take(self, step: Step) -> None:
+        run, clock = self._run, self._run.tools.clock
+        started, run.port_seconds = clock.monotonic(), 0.0
+        run.board.record(step)
+        run.tell(0)
+        ACTIONS[type(step)](run, step)
+        run.board.took(step, clock.monotonic() - started - run.port_seconds)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from cm.errors import CmError
 from cm.manager.board import Board, Tools
 from cm.manager.decoupler import drive
-from cm.manager.errors import StaticUnknown, StepFailed, UndoFailed
+from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
 from cm.manager.plan import Goal, Plan
 from cm.manager.registers import RegisterAccess
 from cm.manager.state import BoardState, RegionEvent, RegionPhase
-from cm.manager.steps import Step
+from cm.manager.steps import LoadStatic, Step
 from cm.manager.transaction import Transaction
 from cm.schema.model import Config, ConfigType, Region
 
@@ -89,7 +89,8 @@ class WayBack:
     def _restore(self, old: Config, mode: str, values: Mapping[str, int]) -> None:
         static = self._static_to_load(old)
         back = self._plan(Goal(old, mode, values=values, also=self._beside(old, mode), static=static))
-        Transaction(back, self._board, self._tools, self._number, lambda: False).run()
+        board = BestEffort(self._board)
+        Transaction(back, board, self._tools, self._number, lambda: False).run()
         self._tools.data_plane.resume(old, mode)
 
     def _beside(self, old: Config, mode: str) -> tuple[str, ...]:
@@ -126,8 +127,8 @@ class WayBack:
         self._board.update(lambda state: replace(state, config=before.config if same else None, mode=mode))
         try:
             self._board.record(None)
-        except OSError as error:
-            problems.append(f"the state record could not be written: {error}")
+        except RecordFailed as error:
+            problems.append(str(error))
         self._tools.data_plane.resume(self._old, mode)
         return "; ".join([self._left(), *problems])
 
@@ -157,6 +158,36 @@ class WayBack:
         return self._same_static() and all(
             now.region(name) == before.region(name) for name in {*before.regions, *now.regions}
         )
+
+
+class BestEffort:
+    """A board on the way back: that the record cannot be written does not keep it from the mode before.
+
+    Whatever was touched, the last good record is of this change and says so: after a crash the board
+    goes to the same mode before, by loading what that record does not say is there. Only a whole image
+    is not begun without a record: registers of a device that is half loaded must not be accessed.
+    """
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+        self.update = board.update
+        self.observed = board.observed
+        self.took = board.took
+        self.lock_regions = board.lock_regions
+        self.progress = board.progress
+
+    @property
+    def state(self) -> BoardState:
+        """What the board holds now."""
+        return self._board.state
+
+    def record(self, step: Step | None) -> None:
+        """Write the state if that is possible. Raises RecordFailed before a whole image is loaded."""
+        try:
+            self._board.record(step)
+        except RecordFailed:
+            if isinstance(step, LoadStatic):
+                raise
 
 
 def abandon(board: Board, registers: RegisterAccess, regions: Iterable[Region]) -> list[str]:

@@ -15,10 +15,15 @@ QUEUE_LENGTH = 8
 
 
 class Worker:
-    """Changes wait here for their turn; `run` is called with each, and must not raise."""
+    """Changes wait here for their turn; `run` is called with each.
 
-    def __init__(self, run: Callable[[Change], None]) -> None:
+    What it raises, or whoever waits for a change raises when told of its end, is a `defect` that those
+    that come after must not suffer from.
+    """
+
+    def __init__(self, run: Callable[[Change], None], defect: Callable[[Exception], None]) -> None:
         self._run = run
+        self._defect = defect
         self._queue: queue.Queue[Change | None] = queue.Queue(QUEUE_LENGTH)
         self._thread = threading.Thread(target=self._work, name="cm-changes", daemon=True)
         self._stopping = threading.Event()
@@ -62,9 +67,15 @@ class Worker:
 
     def _work(self) -> None:
         while (change := self._queue.get()) is not None:
-            if self._stopping.is_set():
-                self.done()
-                change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
-            else:
-                self._run(change)
+            try:
+                self._turn(change)
+            except Exception as problem:  # noqa: BLE001 (the thread has to live)
+                self._defect(problem)
         self.done()
+
+    def _turn(self, change: Change) -> None:
+        if self._stopping.is_set():
+            self.done()
+            change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
+        else:
+            self._run(change)

@@ -17,12 +17,13 @@ from manager_support import Rig, rig
 from cm.bitstream import assemble_module
 from cm.daemon.files import BoardFiles
 from cm.errors import CmError
+from cm.manager.changes import Change
 from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
 from cm.manager.loaders import Job, Loaders
 from cm.manager.ports import Image
 from cm.messages.requests import RegWrite, WriteConfig
 from cm.schema import loads
-from cm.schema.model import Config, LoaderKind
+from cm.schema.model import Config, LoaderKind, Module
 from cm.sim import Board as SimBoard
 
 # IDCODE of the xc7z020, IV, DWC and the words that only the device can read
@@ -162,6 +163,7 @@ def test_what_is_lost_is_still_known_after_a_restart(
     at(made, "duo/default")
     sim.control.inject("fpga_manager_error")
     assert error_of(made, "whole/default") == "undo_failed"
+    made.close()
     with rig(sim.root, tmp_path / "state", *configs.values()) as again:
         assert any("full image" in note for note in again.notes)
         assert error_of(again, "duo/default") == "static_unknown"
@@ -197,6 +199,7 @@ def test_a_loading_overlay_that_somebody_took_off_is_put_on_again(
     at(made, "kernel/default")
     made.devices.overlays().remove("kernel_base")
     made.devices.overlays().remove("cm-prr1")
+    made.close()
     with rig(sim.root, tmp_path / "state", *configs.values()) as again:
         assert any("cm-prr1 is no longer applied" in note for note in again.notes)
         at(again, "kernel/default")
@@ -207,6 +210,7 @@ def test_overlays_of_a_run_whose_record_was_lost_are_recognised_and_removed(
     made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
     at(made, "duo/both")
+    made.close()
     (tmp_path / "state" / "journal").write_bytes(b"\nnothing that could be read\n")
     with rig(sim.root, tmp_path / "state", *configs.values()) as again:
         assert "state record" in again.notes[0]
@@ -490,6 +494,7 @@ def test_what_the_kernel_failed_to_load_is_not_trusted_after_a_restart(
     at(made, "managed/default")
     state = sim.root / "sys/class/fpga_manager/fpga0/state"
     state.write_text("write error\n", encoding="ascii")  # another program tried
+    made.close()
     with rig(sim.root, tmp_path / "state", *configs.values()) as again:
         assert any("fpga_manager says 'write error'" in note for note in again.notes)
         again.manager.wait_idle()
@@ -521,3 +526,58 @@ def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
     assert made.manager.read_registers(("led",)).values
     assert made.manager.describe("", {}).mode == ""
     at(made, "duo/default")
+
+
+# ---- the worker, and what it expects --------------------------------------------------
+
+
+def test_whoever_fails_when_told_of_an_end_does_not_stop_the_changes_that_follow(made: Rig) -> None:
+    def fails(_: Change) -> None:
+        raise RuntimeError("a listener's defect")
+
+    made.manager.submit(WriteConfig(config_name="duo", mode="default"), fails)
+    made.manager.wait_idle()
+    until(lambda: "a listener's defect" in str(made.manager.status().last_error))
+    at(made, "duo/both")
+
+
+def test_memory_that_runs_out_while_images_are_fetched_ahead_stops_no_change(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    class Greedy(BoardFiles):
+        def image(self, config: Config, module: Module) -> Image:
+            if threading.current_thread() is not threading.main_thread() and made.manager.status().last_change:
+                raise MemoryError
+            return super().image(config, module)
+
+    with rig(sim.root, tmp_path, configs["duo"], prefetch=64 << 20, files=Greedy) as made:
+        at(made, "duo/default")
+        error = made.go("both", config="duo")
+        assert error is not None
+        assert "MemoryError" in error.message
+        assert made.go("default", config="duo") is not None  # the thread lives and answers
+
+
+def test_a_plan_expects_what_such_changes_took_even_after_a_restart(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    def slowly(name: str) -> None:
+        made.clock.ahead += 0.1 if name.startswith("uio") else 0.05 if name.startswith("overlays") else 0.0
+
+    request = WriteConfig(config_name="duo", mode="both")
+    at(made, "duo/default")
+    first = made.manager.plan(request).seconds
+    made.fault.watch = slowly
+    at(made, *("duo/both", "duo/default") * 6)
+    made.fault.watch = lambda _: None
+    plan = made.manager.plan(request)
+    made.fault.watch = slowly
+    at(made, "duo/both")
+    took = made.manager.status().last_change_seconds
+    assert took > 1
+    assert first < 0.5 * took  # of a board that was quicker
+    assert abs(plan.seconds - took) < 0.25 * took
+    at(made, "duo/default")
+    made.close()
+    with rig(sim.root, tmp_path / "state", *configs.values()) as again:
+        assert abs(again.manager.plan(request).seconds - plan.seconds) < 0.25 * took

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from manager_support import Rig, camera, rig
+from manager_support import Rig, camera, make_rig, rig
 
+from cm.daemon.devices import BoardDevices
 from cm.sim import Board as SimBoard
 
 SHORT = 0.3  # seconds for a load: a hang shall not take long
@@ -183,3 +185,96 @@ def test_a_region_that_somebody_else_reloaded_is_not_trusted(sim: SimBoard, tmp_
         again.manager.wait_idle()
         assert any("identity" in note for note in again.notes)
         assert truth(sim)["module"] == "default"
+
+
+# ---- the record ---------------------------------------------------------------------
+
+
+class Disk:
+    """Makes every write of the record fail from operation `at` on, as a card does that turns read-only."""
+
+    def __init__(self, made: Rig, at: int = 0) -> None:
+        self._fault, self._at = made.fault, at
+        made.fault.watch = self
+
+    def __call__(self, name: str) -> None:
+        if name == "store.write" and len(self._fault.names) >= self._at:
+            raise OSError(errno.EROFS, "Read-only file system")
+
+
+def test_a_record_that_cannot_be_written_refuses_the_change_before_anything_is_touched(
+    made: Rig, sim: SimBoard
+) -> None:
+    made.arm(-1)
+    Disk(made)
+    for _ in range(2):
+        error = made.go("edge_detection")
+        assert error is not None
+        assert error.code == "store"
+        assert "Read-only file system" in error.message
+        assert "is back in camera/default" in error.message
+        assert set(made.fault.names) <= {"store.write"}
+        assert settled(made, sim) == "default"
+    made.fault.watch = lambda _: None
+    assert made.go("edge_detection") is None
+
+
+def test_a_record_that_fails_from_any_operation_on_leaves_the_board_whole(made: Rig, sim: SimBoard) -> None:
+    ends = {}
+    for number in range(operations(made)):
+        made.arm(-1)
+        Disk(made, number)
+        error = made.go("edge_detection")
+        ends[number] = settled(made, sim)
+        assert ends[number] == ("edge_detection" if error is None else "default"), f"operation {number}: {error}"
+        assert error is None or error.code == "store"
+        assert made.manager.status().last_error is not None
+        assert made.manager.status().last_error.code == "store"  # type: ignore[union-attr]
+        made.fault.watch = lambda _: None
+        assert made.go("default") is None
+    assert ends[0] == "default"
+    assert ends[len(ends) - 1] == "edge_detection"  # nothing is undone for the record of the end
+
+
+def test_a_manager_that_dies_after_its_record_failed_comes_back_to_the_mode_before(
+    sim: SimBoard, tmp_path: Path
+) -> None:
+    """What is on disk is older than what was done last; it leads to the mode before all the same."""
+    with rig(sim.root, tmp_path, camera(timeout=SHORT)) as first:
+        assert first.go("default") is None
+        count = operations(first)
+    for number in range(1, count, 2):
+        with rig(sim.root, tmp_path, camera(timeout=SHORT)) as dying:
+            assert dying.go("default") is None
+            dying.arm(-1)
+            Disk(dying, number)
+            dying.go("edge_detection")  # no record of what became of it, nor of the end: as if killed
+        with rig(sim.root, tmp_path, camera(timeout=SHORT)) as again:
+            again.manager.wait_idle()
+            recorded = number >= count - 2  # the mode was entered and that recorded before the disk failed
+            assert settled(again, sim) == ("edge_detection" if recorded else "default"), f"operation {number}"
+            assert recorded or any("cut short" in note for note in again.notes)
+
+
+def test_a_manager_starts_where_the_record_cannot_be_written(sim: SimBoard, tmp_path: Path) -> None:
+    fresh = make_rig(sim.root, tmp_path, camera(timeout=SHORT))
+    Disk(fresh)
+    try:
+        fresh.manager.start()
+        error = fresh.go("default")
+        assert error is not None
+        assert error.code == "store"
+        assert fresh.manager.status().configs == ("camera",)
+    finally:
+        fresh.close()
+
+
+def test_without_a_boot_id_nothing_that_is_recorded_is_trusted(
+    sim: SimBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(BoardDevices, "boot_id", lambda _: "")
+    with rig(sim.root, tmp_path) as first:
+        assert first.go("default") is None
+    with rig(sim.root, tmp_path) as second:
+        assert second.manager.status().config_name == ""
+        assert any("boot id" in note for note in second.notes)

@@ -3,7 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import json
 import os
+import shutil
+import subprocess
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,9 +18,10 @@ from types import MappingProxyType
 import pytest
 
 from cm.manager.cost import Throughput
-from cm.manager.errors import StoreCorrupt
+from cm.manager.errors import StateInUse, StoreCorrupt
+from cm.manager.record import Pending, Record, encode, newest
 from cm.manager.state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.store import Pending, Record, Store
+from cm.manager.store import LENGTH, Store
 from cm.schema.model import LoaderKind
 
 FULL = Record(
@@ -30,7 +36,7 @@ FULL = Record(
         values=MappingProxyType({"focus": 2**64 - 1}),
     ),
     Pending(7, "camera", "default", "camera", "edge", "load", "prr0", None, "whole"),
-    Throughput(MappingProxyType({LoaderKind.ICAP: 123.5})),
+    Throughput(MappingProxyType({LoaderKind.ICAP: 123.5}), MappingProxyType({"load": 0.5})),
     7,
 )
 
@@ -40,6 +46,11 @@ def store(tmp_path: Path) -> Iterator[Store]:
     made = Store(tmp_path)
     yield made
     made.close()
+
+
+def lines(folder: Path) -> bytes:
+    """What was written; the rest of the file is room for more."""
+    return (folder / "journal").read_bytes().rstrip(b"\0")
 
 
 def test_nothing_is_read_before_anything_was_written(store: Store) -> None:
@@ -55,13 +66,14 @@ def test_a_record_comes_back_as_it_was(store: Store) -> None:
 
 def test_a_torn_end_counts_for_nothing_wherever_it_is_torn(store: Store, tmp_path: Path) -> None:
     store.write(FULL)
-    whole = (tmp_path / "journal").read_bytes()
+    whole = lines(tmp_path)
     store.write(replace(FULL, number=8))
-    both = (tmp_path / "journal").read_bytes()
+    both = lines(tmp_path)
     for length in range(len(whole), len(both) - 1):
-        (tmp_path / "journal").write_bytes(both[:length])
+        (tmp_path / "journal").write_bytes(both[:length].ljust(LENGTH, b"\0"))
         assert store.read() == FULL
     (tmp_path / "journal").write_bytes(both[:-5])
+    store.close()
     again = Store(tmp_path)
     again.write(replace(FULL, number=9))  # after a torn end
     assert again.read() == replace(FULL, number=9)
@@ -70,7 +82,7 @@ def test_a_torn_end_counts_for_nothing_wherever_it_is_torn(store: Store, tmp_pat
 
 def test_a_flipped_bit_is_noticed(store: Store, tmp_path: Path) -> None:
     store.write(FULL)
-    line = bytearray((tmp_path / "journal").read_bytes())
+    line = bytearray(lines(tmp_path))
     for at in range(1, len(line) - 1, 7):
         line[at] ^= 4
         (tmp_path / "journal").write_bytes(line)
@@ -100,11 +112,138 @@ def test_the_journal_is_bounded_and_a_kill_while_it_is_replaced_loses_nothing(st
     assert store.read() == replace(FULL, number=999)
 
 
-def test_a_short_write_is_an_error(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_short_write_is_an_error_and_the_next_one_takes_its_place(
+    store: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
     store.write(FULL)
-    write = os.write
-    monkeypatch.setattr(os, "write", lambda fd, data: write(fd, data[:-9]))
-    with pytest.raises(OSError, match="whole"):
-        store.write(replace(FULL, number=8))
-    monkeypatch.undo()
+    write = os.pwrite
+    for torn in (9, 100, 1):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "pwrite", lambda fd, data, at, torn=torn: write(fd, data[:-torn], at))
+            with pytest.raises(OSError, match="whole"):
+                store.write(replace(FULL, number=8))
+        assert store.read() == FULL
+    small = Record("boot", BoardState(), number=9)
+    store.write(small)
+    assert store.read() == small
+
+
+def test_a_second_manager_with_the_same_state_folder_is_refused(store: Store, tmp_path: Path) -> None:
+    with pytest.raises(StateInUse, match="another configuration manager keeps its state"):
+        Store(tmp_path)
+    store.write(FULL)
+    store.close()
+    store.close()
+    again = Store(tmp_path)
+    assert again.read() == FULL
+    again.close()
+
+
+def test_what_an_older_program_wrote_without_seconds_is_read(store: Store) -> None:
+    store.write(FULL)
+    plain = json.loads(encode(FULL).split(b" ", 1)[1])
+    assert plain.pop("seconds") == {"load": 0.5}
+    body = json.dumps(plain).encode()
+    record = newest(b"\n%08x %b\n" % (zlib.crc32(body), body))
+    assert record == replace(FULL, throughput=replace(FULL.throughput, steps=MappingProxyType({})))
+
+
+def test_a_record_that_cannot_be_read_is_said_to_be_so(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(_: Path) -> bytes:
+        raise OSError(errno.EIO, "broken card")
+
+    store.write(FULL)
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "read_bytes", fails)
+        with pytest.raises(StoreCorrupt, match="broken card"):
+            store.read()
+
+
+def test_a_bad_record_on_a_read_only_file_system_is_no_more_than_bad(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object) -> Path:
+        raise OSError(errno.EROFS, "read-only")
+
+    (tmp_path / "journal").write_bytes(b"rubbish")
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", fails)
+        with pytest.raises(StoreCorrupt, match="could not be set aside"):
+            store.read()
+
+
+def test_no_descriptor_goes_astray_when_the_journal_cannot_be_replaced(
+    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A number that is not ours any more may be a device's by the next write."""
+
+    def fails(*_: object) -> Path:
+        raise OSError(errno.EROFS, "read-only")
+
+    before = descriptors()
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", fails)
+        failures = sum(not written(store, number) for number in range(1500))
+    assert failures > 500
+    assert descriptors() == before
+    assert written(store, 4711)
+    assert store.read() == replace(FULL, number=4711)
+    assert descriptors() == before
+
+
+def written(store: Store, number: int) -> bool:
+    try:
+        store.write(replace(FULL, number=number))
+    except OSError:
+        return False
+    return True
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 1 MiB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=1m", "cm-test", str(place)]
+    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("needs the right to mount a tmpfs")
+    yield place
+    subprocess.run(["umount", str(place)], check=True)
+
+
+def fill(disk: Path) -> None:
+    with contextlib.suppress(OSError), (disk / "log").open("ab", buffering=0) as file:
+        while True:
+            file.write(bytes(4096))
+
+
+def test_a_disk_that_others_fill_does_not_stop_the_record(small_disk: Path) -> None:
+    store = Store(small_disk / "state")
+    for number in range(2000):  # three times and more a new journal
+        fill(small_disk)
+        store.write(replace(FULL, number=number))
+    assert store.read() == replace(FULL, number=1999)
+    assert sorted(p.name for p in (small_disk / "state").iterdir()) == ["journal", "journal.new"]
+    store.close()
+    again = Store(small_disk / "state")
+    assert again.read() == replace(FULL, number=1999)
+    for number in range(1000):
+        fill(small_disk)
+        again.write(replace(FULL, number=number))
+    again.close()
+
+
+def test_a_disk_that_was_full_before_is_an_error_until_there_is_room(small_disk: Path) -> None:
+    fill(small_disk)
+    store = Store(small_disk / "state")
+    with pytest.raises(OSError, match="No space"):
+        store.write(FULL)
+    assert store.read() is None
+    (small_disk / "log").unlink()
+    store.write(FULL)
     assert store.read() == FULL
+    store.close()

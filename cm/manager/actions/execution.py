@@ -24,6 +24,7 @@ class Execution:
     number: int
     cancelled: Callable[[], bool]
     at: int = 0  # index of the step that is being taken
+    port_seconds: float = 0.0  # that a port has taken for that step's image
     written: dict[str, int] = field(default_factory=dict)  # registers, by name
     found: dict[str, int] = field(default_factory=dict)  # what registers held before, for the way back
 

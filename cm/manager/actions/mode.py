@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 from types import MappingProxyType
 
 from cm.manager import steps as s
 from cm.manager.actions.execution import Execution
 from cm.manager.actions.regions import job_of
+from cm.manager.errors import RecordFailed
 from cm.manager.plan import Goal
 from cm.manager.state import BoardState
 
@@ -28,9 +30,15 @@ def quiesce(run: Execution, step: s.Quiesce) -> None:
 
 
 def publish(run: Execution, step: s.Publish) -> None:
-    """The board is in the mode: record it, let readers and streams in."""
+    """The board is in the mode: record it, let readers and streams in.
+
+    A record that cannot be written now undoes nothing: the one before says that this change was nearly
+    done, and after a crash the board goes back to the mode before. It is tried once more, and told, when
+    the change has ended.
+    """
     run.board.update(lambda state: _entered(state, run.plan.goal, run.written))
-    run.board.record(None)
+    with contextlib.suppress(RecordFailed):
+        run.board.record(None)
     run.board.lock_regions(frozenset())
     run.tools.data_plane.resume(run.plan.goal.config, step.mode)
 

@@ -90,7 +90,8 @@ def _forget_device(run: Execution, step: s.LoadStatic) -> None:
 def _timed(run: Execution, step: s.Load | s.LoadStatic, start: Start) -> None:
     started = run.tools.clock.monotonic()
     start(run.tell)
-    run.board.observed(step.port_kind, step.image.length, run.tools.clock.monotonic() - started)
+    run.port_seconds = run.tools.clock.monotonic() - started
+    run.board.observed(step.port_kind, step.image.length, run.port_seconds)
 
 
 def check_identity(run: Execution, step: s.CheckIdentity) -> None:
