@@ -441,3 +441,28 @@ def test_a_definition_is_refused_or_is_a_memory_that_can_be_used(
         assert memory.access is Access.RO or register.address >= memory.end or register.address + 4 <= memory.address
     if memory.access is not Access.WO:
         assert len(read(made, "block", 0, min(length, PIECE))) == min(length, PIECE)
+
+
+words = st.integers(0, 0x440).map(lambda number: 4 * number)
+accesses = st.lists(st.tuples(st.booleans(), words, words, st.integers(0, 255)), max_size=12)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(accesses)
+def test_a_memory_is_as_an_array_of_bytes_or_refuses(made: Rig, steps: list[tuple[bool, int, int, int]]) -> None:
+    model = bytearray(0x1000)
+    write(made, "taps", bytes(model))
+    for writes, offset, length, value in steps:
+        inside = offset + length <= len(model)
+        if writes and inside and length:
+            write(made, "taps", bytes([value]) * length, offset)
+            model[offset : offset + length] = bytes([value]) * length
+        elif writes:
+            with pytest.raises(OutOfRange):
+                write(made, "taps", bytes([value]) * length, offset)
+        elif inside and offset < len(model):
+            assert read(made, "taps", offset, length) == (model[offset : offset + length] or model[offset:])
+        else:
+            with pytest.raises(OutOfRange):
+                read(made, "taps", offset, length)
+    assert read(made, "taps") == model

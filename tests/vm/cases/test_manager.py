@@ -66,6 +66,28 @@ def test_a_register_keeps_what_was_written(board: cm.Board) -> None:
     assert board.registers["focus"] == 9
 
 
+def test_a_memory_holds_an_array_and_registers_see_its_words(board: cm.Board) -> None:
+    scratchpad = board.memories["scratchpad"]
+    values = np.random.default_rng(3).integers(-30000, 30000, (16, 32)).astype("int16")
+    scratchpad.write(values)
+    assert np.array_equal(scratchpad.read(), values)
+    scratchpad[2:4] = 7
+    assert scratchpad[1:4].tolist() == [values[1].tolist(), [7] * 32, [7] * 32]
+    with device.Uio.open(0x58001800) as uio:
+        assert uio.read(0x800 + 2 * 64) == 0x0007_0007
+    board.registers["scratch"] = 5
+    assert board.configure_memory("static", 0x58001000, 0x20, access="ro").read().tolist()[5] == 5
+
+
+def test_a_memory_is_refused_while_nobody_answers_for_it(board: cm.Board) -> None:
+    window = board.memories["window"]
+    window.write(np.arange(256))
+    assert window.read(4, 8).tolist() == [1, 2]
+    with pytest.raises(CmError, match="region prr1") as refused:
+        board.configure_memory("loop", 0x58001400, 64, region="prr1").read()
+    assert refused.value.code == "region_busy"
+
+
 def test_camera_frames_come_by_dma(board: cm.Board) -> None:
     with board.stream("camera", timeout=PATIENCE) as stream:
         board.configure_stream("camera", enable=True)
