@@ -52,11 +52,23 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--keys", type=Path, metavar="FILE", help="server key file of 'cm keygen', for TCP")
     parser.add_argument("--insecure", action="store_true", help="allow TCP beyond this machine without keys")
     parser.add_argument("--prefetch", type=int, default=64, metavar="MIB", help="DMA memory for images held ready")
+    parser.add_argument("--stream-queue", type=_mebibytes, default=32 << 20, metavar="MIB",
+        help="frames that may wait for each subscriber over ZeroMQ (default: 32; at least two frames)")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
     parser.add_argument("--sim-icap-rate", type=float, metavar="BYTES", help="with --sim: bytes per second of its ICAP")
     parser.add_argument("--sim-hold", type=int, metavar="FRAMES", help="with --sim: frames that a photograph stays")
     parser.add_argument("-v", "--verbose", action="store_true", help="log what goes on")
     parser.set_defaults(run=run)
+
+
+def _mebibytes(text: str) -> int:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0 <= value <= 1 << 20:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of MiB from 0 to 1048576")
+    return int(value * (1 << 20))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -103,6 +115,7 @@ def _options(args: argparse.Namespace, stack: ExitStack) -> Options:
         security=_security(args),
         load=args.load or ("camera" if example else ""),
         settings=Settings(prefetch_bytes=args.prefetch << 20),
+        queue_bytes=args.stream_queue,
     )
 
 

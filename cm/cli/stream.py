@@ -88,7 +88,10 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
 
 
 def _shape(text: str) -> tuple[int, ...]:
-    return tuple(int(extent) for extent in text.lower().replace(",", "x").split("x"))
+    try:
+        return tuple(int(extent) for extent in text.lower().replace(",", "x").split("x"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no shape such as 480x640") from None
 
 
 _SETTINGS = (

@@ -265,7 +265,7 @@ class Board:
         """The frames of a stream (``async for``), without copies on the manager's machine; see `cm.client.board`."""
         if self._data is not None:
             return AsyncLocalStream(self._data, Open(name, depth=depth, lease=lease), timeout, newest)
-        wanted = Wanted(name, timeout, newest, compression)
+        wanted = Wanted(name, timeout, newest, compression, depth)
         return AsyncNewestStream(self.ask, wanted) if newest else AsyncRemoteStream(self.ask, self.subscribe, wanted)
 
     def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, lease: str = "") -> AsyncWriter:

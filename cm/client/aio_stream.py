@@ -116,7 +116,7 @@ class AsyncRemoteStream(Stream):
             # raises for an unknown stream, and for what the manager cannot compress with
             await self._ask(calls.data_config(DataConfig(self._wanted.name, compression=self._wanted.compression)))
             self._socket = self._subscribe()
-            self._socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
+            self._socket.setsockopt(zmq.RCVHWM, self._wanted.depth or STREAM_HWM)
             self._socket.setsockopt(zmq.SUBSCRIBE, self._wanted.topic)
 
     async def read(self, timeout: float | None = None) -> Frame:

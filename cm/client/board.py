@@ -207,12 +207,13 @@ class Board:
         On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
         held at a time, and go back when the last reference to them goes. `newest` skips those that wait behind
         a newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
-        package lz4 at both ends), `newest` asks for each frame when it is read. `timeout` in seconds, None waits
+        package lz4 at both ends), `newest` asks for each frame when it is read, and `depth` of them (0: 4) wait
+        here, beside those at the manager. `timeout` in seconds, None waits
         for ever. `lease`: the id of one's own, where a stream with back-pressure lies in a region that is held.
         """
         if self._data is not None:
             return LocalStream(self._data, Open(name, depth=depth, lease=lease), timeout, newest)
-        wanted = Wanted(name, timeout, newest, compression)
+        wanted = Wanted(name, timeout, newest, compression, depth)
         return NewestStream(self._new_link, wanted) if newest else RemoteStream(self, wanted)
 
     def _new_link(self) -> Link:

@@ -27,9 +27,12 @@ class Wanted:
     timeout: float | None
     newest: bool = False
     compression: str = ""
+    depth: int = 0  # frames that wait in our socket before newer ones are lost, 0: the usual number
 
     def __post_init__(self) -> None:
         """Refuse what cannot be. Raises InvalidRequest, also for a package that is missing here."""
+        if self.depth < 0:
+            raise InvalidRequest(f"a stream of depth {self.depth}: frames that may wait are 1 or more")
         if self.compression and self.newest:
             raise InvalidRequest("the newest frame is asked for when it is read, and comes as it is: no compression")
         if self.compression not in ("", "lz4"):

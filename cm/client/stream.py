@@ -201,7 +201,7 @@ class RemoteStream(Stream):
             # raises for an unknown stream, and for what the manager cannot compress with
             self._board.ask(calls.data_config(DataConfig(self.name, compression=self._wanted.compression)))
             self._socket = self._board.subscribe()
-            self._socket.setsockopt(zmq.RCVHWM, STREAM_HWM)
+            self._socket.setsockopt(zmq.RCVHWM, self._wanted.depth or STREAM_HWM)
             self._socket.setsockopt(zmq.SUBSCRIBE, self._wanted.topic)
         return self._socket
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The way out of an XPUB socket: how much may wait for a slow subscriber, in bytes.
 
-ZeroMQ's high-water mark counts messages, of any length, for each subscriber. Here it is what fits into
-`BYTES` of the longest frames that are being published; short messages go beyond it, up to `HWM_PUB`.
+ZeroMQ's high-water mark counts messages, of any length, for each subscriber. Here it is what fits into a
+limit in bytes (`cm serve --stream-queue`) of the longest frames that are being published; short messages go
+beyond it, up to `HWM_PUB`.
 The socket has ZMQ_XPUB_NODROP: it says when a queue is full, which it does not otherwise, and the message
 is sent again without, so that all others get it.
 """
@@ -17,7 +18,7 @@ import zmq
 from cm.daemon.loop import Loop
 from cm.daemon.sockets import HWM_PUB
 
-BYTES = 32 << 20  # frames that wait for one subscriber
+BYTES = 32 << 20  # of frames that wait for one subscriber, where nobody says
 _FEWEST = 2  # frames, however long they are
 
 _SNDHWM, _NODROP, _NOBLOCK = int(zmq.SNDHWM), int(zmq.XPUB_NODROP), int(zmq.NOBLOCK)

@@ -15,7 +15,7 @@ import zmq
 from cm._version import __version__
 from cm.daemon.compress import Compressor, compressions
 from cm.daemon.loop import Loop
-from cm.daemon.outbox import Outbox
+from cm.daemon.outbox import BYTES, Outbox
 from cm.daemon.pump import Frame
 from cm.messages.status import FrameInfo, Irq, RegValues, Status
 from cm.wire import encode, topics
@@ -27,10 +27,16 @@ class Publisher:
     """Keeps track of who subscribes to what; numbers statuses. The loop's thread."""
 
     def __init__(
-        self, loop: Loop, socket: zmq.Socket[bytes], status: Callable[[], Status], changed: Callable[[], None]
+        self,
+        loop: Loop,
+        socket: zmq.Socket[bytes],
+        status: Callable[[], Status],
+        changed: Callable[[], None],
+        queue_bytes: int = BYTES,
     ) -> None:
+        """`queue_bytes`: of frames that may wait for one subscriber."""
         self._socket = socket
-        self._outbox = Outbox(loop, socket)
+        self._outbox = Outbox(loop, socket, queue_bytes)
         self._compressor = Compressor(loop, self._compressed)
         self._status = status
         self._changed = changed  # subscriptions changed: streams may be wanted or not

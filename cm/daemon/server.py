@@ -26,6 +26,7 @@ from cm.daemon.holders import Holders
 from cm.daemon.interrupts import Interrupts
 from cm.daemon.loop import Loop
 from cm.daemon.memories import Memories
+from cm.daemon.outbox import BYTES
 from cm.daemon.provision import Provisioner
 from cm.daemon.publisher import Publisher
 from cm.daemon.rereads import Rereads
@@ -59,6 +60,7 @@ class Options:
     listen: tuple[str, ...] = ()
     security: Security | None = None
     load: str = ""
+    queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
     settings: Settings = Settings()  # noqa: RUF009 (frozen)
 
 
@@ -83,7 +85,9 @@ class Server:
         self._store = Store(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         self._manager = self._make_manager()
-        self._publisher = Publisher(self._loop, self._sockets.pub, self._status, self._streams.refresh)
+        self._publisher = Publisher(
+            self._loop, self._sockets.pub, self._status, self._streams.refresh, options.queue_bytes
+        )
         self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
         self._holders = Holders(self._loop, self._manager.leases)
         self._memories = Memories(self._loop, self._manager.memories)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -29,11 +29,11 @@ LARGE = 4 << 20
 
 
 @contextlib.contextmanager
-def listening(env: dict[str, str] | None = None) -> Iterator[tuple[Manager, str]]:
+def listening(env: dict[str, str] | None = None, more: Sequence[str] = ()) -> Iterator[tuple[Manager, str]]:
     """A manager that listens on TCP as well, and where."""
     with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
         state, listen = str(folder / "state"), "tcp://127.0.0.1:0"
-        arguments = ("--config", str(CAMERA), "--root", str(sim.root), "--state-dir", state, "--listen", listen)
+        arguments = ("--config", str(CAMERA), "--root", str(sim.root), "--state-dir", state, "--listen", listen, *more)
         manager = Manager(folder / "run", *arguments, env=env)
         manager.start()
         try:
@@ -126,6 +126,42 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
         assert both[:7] == lively_got[:7], "the oldest wait"
         assert sequences == sorted(sequences), "in order"  # with gaps, where the kernel took more of them meanwhile
         assert 8 <= len(sequences) < 30
+
+
+@pytest.mark.parametrize(("mebibytes", "fewest", "most"), [("0", 2, 9), ("64", 16, 28)])
+def test_how_much_may_wait_is_a_setting(context: zmq.Context, mebibytes: str, fewest: int, most: int) -> None:
+    """Frames of 4 MiB; libzmq counts the mark at both ends, and the kernel holds some, too."""
+    with listening(more=("--stream-queue", mebibytes)) as (manager, address), manager.connected() as board:
+        board.load("camera", "loopback")
+        for name in ("to_pl", "from_pl"):
+            board.configure_stream(name, shape=(LARGE,))
+        stuck = context.socket(zmq.SUB)
+        stuck.setsockopt(zmq.RCVHWM, 1)
+        stuck.connect(address)
+        stuck.subscribe(b"cm_stream/from_pl")
+        until(lambda: next(s for s in board.status.streams if s.name == "from_pl").open)
+        with board.writer("to_pl", timeout=20) as writer:
+            for _ in range(40):
+                writer.write(np.zeros(LARGE, np.uint8))
+                writer.flush()
+        assert overruns(board, "from_pl") > 0
+        got = 0
+        while stuck.poll(1000):
+            stuck.recv_multipart()
+            got += 1
+    assert fewest <= got <= most
+
+
+def test_how_much_may_wait_at_the_client_is_the_streams_depth(far: cm.Board) -> None:
+    far.load("camera", "loopback")
+    for name in ("to_pl", "from_pl"):
+        far.configure_stream(name, shape=(1 << 20,))
+    with far.stream("from_pl", depth=40) as deep, far.stream("from_pl", depth=1) as shallow:
+        until(lambda: next(s for s in far.status.streams if s.name == "from_pl").open)
+        assert isinstance(deep, RemoteStream)
+        assert [s._opened().getsockopt(zmq.RCVHWM) for s in (deep, shallow)] == [40, 1]
+    with pytest.raises(InvalidRequest, match="depth -1"):
+        far.stream("from_pl", depth=-1)
 
 
 def test_who_is_behind_with_frames_costs_nobody_an_interrupt_or_status(context: zmq.Context) -> None:
