@@ -73,6 +73,9 @@ class Files(Protocol):
     def firmware_name(self, image: Image) -> str:
         """A name below /lib/firmware under which the kernel finds the image in .bin form."""
 
+    def check_firmware(self, name: str, image: Image) -> None:
+        """Raise Sha256Mismatch where the kernel finds something else under the name than the image."""
+
     def overlay(self, config: Config, overlay: Overlay) -> bytes:
         """The .dtbo's bytes."""
 

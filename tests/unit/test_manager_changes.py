@@ -349,9 +349,9 @@ class CountingFiles(BoardFiles):
         super().__init__(root)
         self.read: list[str] = []
 
-    def _read(self, image: Image) -> bytes:
+    def port_bytes(self, image: Image) -> bytes:
         self.read.append(image.path.name)
-        return super()._read(image)
+        return super().port_bytes(image)
 
     def _read_overlay(self, path: Path) -> bytes:
         self.read.append(path.name)

@@ -23,7 +23,7 @@ class Loaders:
         self._all: dict[LoaderKind, Loader] = {
             LoaderKind.ICAP: self._icap,
             LoaderKind.FPGA_MANAGER: FpgaManagerLoader(devices, files),
-            LoaderKind.OVERLAY: OverlayLoader(devices),
+            LoaderKind.OVERLAY: OverlayLoader(devices, files),
         }
 
     def kind(self, kind: LoaderKind) -> Loader:

@@ -39,8 +39,10 @@ class FpgaManagerLoader:
         yield lambda on_bytes: self._load(manager, name, job, on_bytes)
 
     def _load(self, manager: FpgaManager, name: str, job: Job, on_bytes: OnBytes) -> None:
+        """The kernel reads the file itself: what was replaced meanwhile may be what it loaded."""
         manager.load(name, partial=job.region is not None, encrypted=job.image.report.encrypted)
         _raise_not_operating(manager, job.image)
+        self._files.check_firmware(name, job.image)
         on_bytes(job.image.length)
 
     def forget(self) -> None:

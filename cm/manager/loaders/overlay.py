@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from cm.device import Overlays
-from cm.manager.errors import LoadFailed
+from cm.manager.errors import BadOverlay, LoadFailed
 from cm.manager.loaders.job import Job, OnBytes, Start
-from cm.manager.ports import Devices
+from cm.manager.ports import Devices, Files
 from cm.schema.model import Region
 
 
@@ -20,8 +20,9 @@ class OverlayLoader:
     a region refuses a second firmware overlay (Documentation/devicetree/bindings/fpga/fpga-region).
     """
 
-    def __init__(self, devices: Devices) -> None:
+    def __init__(self, devices: Devices, files: Files) -> None:
         self._devices = devices
+        self._files = files
 
     def check(self, job: Job) -> None:
         """A whole image cannot be loaded so: the node of its region would go with it."""
@@ -30,6 +31,7 @@ class OverlayLoader:
     @contextmanager
     def prepared(self, job: Job, timeout: float) -> Iterator[Start]:  # noqa: ARG002 (the kernel has its own)
         """The region's node without an overlay that an earlier run left."""
+        self._check_unchanged(job)
         overlays = self._devices.overlays()
         name = loading_overlay(_region_of(job).name)
         if name in overlays.list():
@@ -37,8 +39,14 @@ class OverlayLoader:
         yield lambda on_bytes: self._load(overlays, name, job, on_bytes)
 
     def _load(self, overlays: Overlays, name: str, job: Job, on_bytes: OnBytes) -> None:
+        """The kernel reads the firmware itself: what was replaced meanwhile may be what it loaded."""
         overlays.apply(name, job.overlay)
+        self._check_unchanged(job)
         on_bytes(job.image.length)
+
+    def _check_unchanged(self, job: Job) -> None:
+        if job.module is None or self._files.loading_overlay(job.config, job.module, job.image) != job.overlay:
+            raise BadOverlay(f"{job.image.path.name}: its overlay was replaced after it had been checked; ask again")
 
     def forget(self) -> None:
         """Nothing is kept."""

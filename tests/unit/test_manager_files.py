@@ -1,0 +1,329 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is loaded is what was validated, whatever becomes of the files meanwhile; and what is learned from them."""
+
+from __future__ import annotations
+
+import os
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from manager_schemas import DUO, MANAGED, written
+from manager_support import Rig, rig
+
+from cm.bitstream import Container, assemble_module, convert
+from cm.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch
+from cm.daemon.bitstreams import MAX_BYTES
+from cm.daemon.files import BoardFiles
+from cm.daemon.footprints import Footprints, Lesson
+from cm.errors import InvalidRequest
+from cm.manager.errors import BadOverlay
+from cm.manager.ports import Image
+from cm.schema import loads
+from cm.schema.model import Config, FrameRange, Overlay
+from cm.sim import Board as SimBoard
+
+DEVICE = "xc7z020"
+
+
+# ---- footprints -----------------------------------------------------------------------
+
+
+def module(name: str, region: int) -> bytes:
+    """A module's bitstream; regions lie in rows of their own."""
+    return assemble_module(name, device=DEVICE, region_index=region)
+
+
+@pytest.fixture
+def duo(tmp_path: Path) -> Config:
+    folder = tmp_path / "duo"
+    folder.mkdir()
+    for name in ("a0", "a1", "b0", "b1"):
+        (folder / f"{name}.bit").write_bytes(module(name, int(name[1])))
+    (folder / "schema.yaml").write_text(DUO, encoding="utf-8")
+    return loads(DUO, source=folder / "schema.yaml")
+
+
+def opened(tmp_path: Path) -> BoardFiles:
+    return BoardFiles(tmp_path / "root", Footprints(tmp_path / "state" / "footprints"))
+
+
+def image(files: BoardFiles, config: Config, name: str) -> Image:
+    return files.image(config, config.modules[name])
+
+
+def put(config: Config, name: str, data: bytes) -> None:
+    assert config.source is not None
+    (config.source.parent / f"{name}.bit").write_bytes(data)
+
+
+def test_what_was_learned_of_a_region_is_known_after_a_restart(duo: Config, tmp_path: Path) -> None:
+    image(opened(tmp_path), duo, "a0")
+    put(duo, "b0", module("b0", 1))  # made for the other region
+    with pytest.raises(FootprintOutside):
+        image(opened(tmp_path), duo, "b0")
+    assert image(BoardFiles(tmp_path / "root"), duo, "b0")  # nothing known: it would be the first
+
+
+def test_a_new_build_of_the_module_that_taught_is_learned_from_anew(duo: Config, tmp_path: Path) -> None:
+    image(opened(tmp_path), duo, "a0")
+    put(duo, "a0", module("a0", 1))  # another floorplan
+    put(duo, "b0", module("b0", 1))
+    again = opened(tmp_path)
+    assert image(again, duo, "b0")
+    assert image(again, duo, "a0")
+    third = opened(tmp_path)
+    put(duo, "b0", module("b0", 0))
+    assert image(third, duo, "b0")  # it was the one that taught
+
+
+def test_a_configuration_that_was_replaced_is_forgotten_for_good(duo: Config, tmp_path: Path) -> None:
+    first = opened(tmp_path)
+    image(first, duo, "a0")
+    image(first, duo, "a1")
+    first.forget("another")
+    first.forget("duo")
+    put(duo, "b0", module("b0", 1))
+    assert image(opened(tmp_path), duo, "b0")
+
+
+def test_a_module_that_left_the_schema_teaches_nothing(duo: Config, tmp_path: Path) -> None:
+    image(opened(tmp_path), duo, "a0")
+    put(duo, "b0", module("b0", 1))
+    without = replace(duo, modules={n: m for n, m in duo.modules.items() if n != "a0"})
+    assert image(opened(tmp_path), without, "b0")
+
+
+LESSON = Lesson("a0", "ab", (FrameRange(0, 1, 2, 3), FrameRange(1, 1, 2, 2)))
+
+
+def learned(path: Path, config: Config) -> tuple[FrameRange, ...]:
+    return Footprints(path).of(config, "prr0", lambda _: "ab")
+
+
+def test_a_damaged_file_is_nothing_known_wherever_it_is_damaged(duo: Config, tmp_path: Path) -> None:
+    path = tmp_path / "footprints"
+    Footprints(path).learn("duo", "prr0", LESSON)
+    assert learned(path, duo) == LESSON.frames
+    whole = path.read_bytes()
+    for length in range(len(whole) - 1):
+        path.write_bytes(whole[:length])
+        assert learned(path, duo) == ()
+    for at in range(len(whole) - 1):
+        path.write_bytes(whole[:at] + bytes([whole[at] ^ 2]) + whole[at + 1 :])
+        assert learned(path, duo) in ((), LESSON.frames)  # a CRC's digit may be spelled otherwise
+    Footprints(path).learn("duo", "prr0", LESSON)
+    assert learned(path, duo) == LESSON.frames
+
+
+@pytest.mark.parametrize(
+    "body", [b'{"version": 99, "regions": []}', b"[]", b"null", b'{"version": 1, "regions": [[1]]}']
+)
+def test_a_file_of_another_version_is_nothing_known(duo: Config, tmp_path: Path, body: bytes) -> None:
+    path = tmp_path / "footprints"
+    path.write_bytes(b"%08x %b\n" % (zlib.crc32(body), body))
+    assert learned(path, duo) == ()
+
+
+def test_a_kill_while_it_is_written_leaves_the_old_one(
+    duo: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Killed(BaseException):
+        pass
+
+    def dies(_: int) -> None:
+        raise Killed
+
+    path = tmp_path / "footprints"
+    Footprints(path).learn("duo", "prr0", LESSON)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", dies)
+        with pytest.raises(Killed):
+            Footprints(path).forget("duo")
+    assert learned(path, duo) == LESSON.frames
+
+
+def test_where_it_cannot_be_written_it_is_known_until_the_end(duo: Config, tmp_path: Path) -> None:
+    (tmp_path / "state").write_text("no folder", encoding="ascii")
+    files = opened(tmp_path)
+    image(files, duo, "a0")
+    put(duo, "b0", module("b0", 1))
+    with pytest.raises(FootprintOutside):
+        image(files, duo, "b0")
+
+
+# ---- firmware ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def firmware(tmp_path: Path) -> Path:
+    return tmp_path / "root" / "lib" / "firmware"
+
+
+def copy_of(files: BoardFiles, config: Config, name: str, firmware: Path) -> Path:
+    return firmware / files.firmware_name(image(files, config, name))
+
+
+def test_a_copy_that_a_loss_of_power_has_torn_is_made_again(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    files = opened(tmp_path)
+    copy = copy_of(files, duo, "a0", firmware)
+    good = copy.read_bytes()
+    for torn in (b"", good[:100], bytes(len(good)), good[:-4]):
+        copy.write_bytes(torn)
+        assert copy_of(opened(tmp_path), duo, "a0", firmware) == copy
+        assert copy.read_bytes() == good
+
+
+def test_a_link_in_place_of_a_copy_is_replaced_and_not_followed(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    copy = copy_of(opened(tmp_path), duo, "a0", firmware)
+    victim = tmp_path / "victim"
+    victim.write_bytes(copy.read_bytes())
+    copy.unlink()
+    copy.symlink_to(victim)
+    before = victim.stat()
+    assert copy_of(opened(tmp_path), duo, "a0", firmware) == copy
+    assert not copy.is_symlink()
+    assert victim.stat() == before
+
+
+def test_copies_are_not_written_through_a_folder_that_is_a_link(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    firmware.mkdir(parents=True)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (firmware / "cm-converted").symlink_to(elsewhere)
+    with pytest.raises(InvalidRequest, match="symbolic link"):
+        copy_of(opened(tmp_path), duo, "a0", firmware)
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_only_our_oldest_copies_are_removed_whatever_the_clock_says(
+    duo: Config, tmp_path: Path, firmware: Path
+) -> None:
+    folder = firmware / "cm-converted"
+    folder.mkdir(parents=True)
+    (folder / "users.bin").write_bytes(b"not ours")
+    future = 4_000_000_000  # a board whose clock was right before, and begins in 1970 now
+    for number in range(80):
+        path = folder / f"{number:064x}.bin"
+        path.write_bytes(b"")
+        os.utime(path, (future + number, future + number))
+    (folder / ".killed.new").write_bytes(b"half")
+    first = copy_of(opened(tmp_path), duo, "a0", firmware)
+    second = copy_of(opened(tmp_path), duo, "a1", firmware)
+    assert first.exists()
+    left = {path.name for path in folder.iterdir()}
+    assert len(left) == 65
+    assert {first.name, second.name, "users.bin", f"{79:064x}.bin"} <= left
+    assert f"{17:064x}.bin" not in left
+
+
+@pytest.mark.parametrize("shadow", ["updates", os.uname().release, f"updates/{os.uname().release}", "custom"])
+def test_a_file_that_the_kernel_would_find_first_is_what_is_compared(
+    duo: Config, tmp_path: Path, firmware: Path, shadow: str
+) -> None:
+    files = opened(tmp_path)
+    name = files.firmware_name(image(files, duo, "a0"))
+    folder = firmware / shadow
+    if shadow == "custom":
+        folder = tmp_path / "root" / "srv" / "fw"
+        parameter = tmp_path / "root/sys/module/firmware_class/parameters/path"
+        parameter.parent.mkdir(parents=True)
+        parameter.write_text("/srv/fw\n", encoding="ascii")
+    (folder / name).parent.mkdir(parents=True)
+    (folder / name).write_bytes(module("b0", 0))
+    with pytest.raises(Sha256Mismatch, match="not the bitstream that was checked"):
+        files.firmware_name(image(files, duo, "a0"))
+    (folder / name).write_bytes((firmware / name).read_bytes())
+    assert files.firmware_name(image(files, duo, "a0")) == name
+
+
+# ---- sizes ------------------------------------------------------------------------------
+
+
+def test_a_huge_file_is_refused_before_it_is_read(duo: Config, tmp_path: Path) -> None:
+    assert duo.source is not None
+    with (duo.source.parent / "a0.bit").open("r+b") as file:
+        file.truncate(MAX_BYTES + 1)  # sparse
+    with pytest.raises(BadContainer, match="at most 512 MiB"):
+        image(opened(tmp_path), duo, "a0")
+    with (duo.source.parent / "duo_base.dtbo").open("wb") as file:
+        file.truncate(17 << 20)
+    with pytest.raises(BadOverlay, match="at most 16 MiB"):
+        opened(tmp_path).overlay(duo, Overlay("duo_base"))
+
+
+# ---- replaced while a change runs ---------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sim(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimBoard]:
+    folder = tmp_path_factory.mktemp("configs")
+    written(folder)
+    with SimBoard([folder], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
+        yield board
+
+
+def replaced(made: Rig, sim: SimBoard, config: str, victim: str, at: str) -> object:
+    """Go from default to both, while at the first operation `at` a firmware file is replaced; the error."""
+    place = sim.root / "lib/firmware/cm" / config / victim
+    good, other = place.read_bytes(), module("someone_else", 0)
+    if victim.endswith(".bin"):
+        other = convert(other, Container.BIN_SWAPPED)
+    assert made.go("default", config=config) is None
+
+    def watch(name: str) -> None:
+        if name == at and place.read_bytes() == good:
+            place.write_bytes(other)
+
+    made.arm(-1)
+    made.fault.watch = watch
+    error = made.go("both", config=config)
+    made.fault.watch = lambda _: None
+    assert place.read_bytes() == other
+    place.write_bytes(good)
+    status = made.manager.status()
+    assert (status.config_name, status.mode) == (config, "default")
+    state = sim.control.state()["regions"]
+    assert [state[r.name]["module"] for r in status.regions] == [r.module for r in status.regions]
+    assert {r.state for r in status.regions} == {"ready"}
+    assert made.go("both", config=config) is None
+    return error
+
+
+@pytest.mark.parametrize(
+    ("config", "victim", "at", "code"),
+    [
+        ("duo", "b0.bit", "uio.write", "sha256_mismatch"),
+        ("kernel", "l0.bin", "uio.write", "bad_overlay"),
+        ("kernel", "l0.bin", "overlays.apply", "bad_overlay"),
+    ],
+)
+def test_a_file_that_is_replaced_during_the_change_is_noticed_and_undone(
+    sim: SimBoard, tmp_path: Path, config: str, victim: str, at: str, code: str
+) -> None:
+    configs = written(tmp_path)
+    with rig(sim.root, tmp_path / "state", configs[config]) as made:
+        error = replaced(made, sim, config, victim, at)
+    assert error is not None
+    assert error.code == code  # type: ignore[attr-defined]
+
+
+def test_a_file_that_is_replaced_as_the_fpga_manager_reads_it_is_noticed_and_undone(
+    sim: SimBoard, tmp_path: Path
+) -> None:
+    """Below /lib/firmware, in the kernel's form: it is not copied, and the kernel opens it after the check."""
+    text = MANAGED.replace("l0: {region: prr0,", "l0: {region: prr0, bitstream: direct.bin,")
+    (tmp_path / "managed.yaml").write_text(text, encoding="utf-8")
+    config = loads(text, source=tmp_path / "managed.yaml")
+    folder = sim.root / "lib/firmware/cm/managed"
+    files = BoardFiles(sim.root)
+    ready = sim.root / "lib/firmware" / files.firmware_name(image(files, written(tmp_path)["managed"], "l0"))
+    (folder / "direct.bin").write_bytes(ready.read_bytes())
+    assert files.firmware_name(image(files, config, "l0")) == "cm/managed/direct.bin"
+    with rig(sim.root, tmp_path / "state", config) as made:
+        error = replaced(made, sim, "managed", "direct.bin", "fpga_manager.load")
+    assert error is not None
+    assert error.code == "sha256_mismatch"  # type: ignore[attr-defined]
+    assert "not the bitstream that was checked" in error.message  # type: ignore[attr-defined]
