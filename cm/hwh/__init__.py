@@ -25,4 +25,5 @@ from cm.hwh.trace import clocks as clocks
 from cm.hwh.trace import decouplers as decouplers
 from cm.hwh.trace import dma_channels as dma_channels
 from cm.hwh.trace import interrupts as interrupts
+from cm.hwh.trace import memories as memories
 from cm.hwh.trace import windows as windows

@@ -11,6 +11,7 @@ from cm.hwh.model import Connection, Hwh, MemoryRange, ModuleInstance
 
 _PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
 _PS_INTERRUPTS = re.compile(r"IRQ_F2P|pl_ps_irq[01]|Core[01]_n(FIQ|IRQ)")
+_ECC = "S_AXI_CTRL"  # a BRAM controller's registers
 _DEPTH = 8  # slices in a row
 _WIDEST = 1024  # bits of one input of a concatenation
 _GPIO_OUTPUTS = {"gpio_io_o": 0, "gpio2_io_o": 8}  # port → offset of its data register (PG144)
@@ -73,6 +74,19 @@ def windows(hwh: Hwh) -> tuple[MemoryRange, ...]:
     own = ps.instance if ps else ""
     kept = {(x.base, x.instance): x for x in found if x.kind == "REGISTER" and x.instance != own}
     return tuple(kept[key] for key in sorted(kept))
+
+
+def memories(hwh: Hwh) -> tuple[MemoryRange, ...]:
+    """Block RAM behind AXI BRAM controllers (PG078), as `windows`; whatever kind the range is said to be."""
+    ps = processor(hwh)
+    found = ps.ranges if ps else hwh.external_ranges
+    kept = {(x.base, x.instance): x for x in found if _is_memory(hwh, x)}
+    return tuple(kept[key] for key in sorted(kept))
+
+
+def _is_memory(hwh: Hwh, item: MemoryRange) -> bool:
+    module = hwh.modules.get(item.instance)
+    return module is not None and module.type == "axi_bram_ctrl" and item.interface != _ECC
 
 
 def _base(hwh: Hwh, instance: str) -> int | None:

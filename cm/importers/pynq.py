@@ -13,6 +13,7 @@ from cm import hwh as handoff
 from cm.bitstream import Expectation, Report, inspect, verify
 from cm.bitstream.devices import base_name
 from cm.hwh import Hwh
+from cm.importers.memories import memories
 from cm.importers.names import Names, to_name
 from cm.importers.pynq_regions import import_regions
 from cm.importers.registers import RegisterBank
@@ -55,7 +56,7 @@ def _handoff(bit: Path, report: Report) -> Hwh:
 
 
 def _static(bit: Path, report: Report, hwh: Hwh, notes: list[str]) -> Config:
-    name = to_name(bit.stem)
+    name, streams = to_name(bit.stem), _streams(hwh, notes)
     return Config(
         name=name,
         type=ConfigType.FULL,
@@ -64,19 +65,20 @@ def _static(bit: Path, report: Report, hwh: Hwh, notes: list[str]) -> Config:
         sha256=report.sha256,
         registers=frozen(_registers(hwh, notes)),
         overlays=_overlays(bit, notes),
-        streams=frozen(_streams(hwh, notes)),
+        streams=frozen(streams),
         interrupts=frozen(_interrupts(hwh, notes)),
         clocks=frozen({clock.name: Clock(clock.name, clock.rate) for clock in handoff.clocks(hwh)}),
         modes=frozen({"default": Mode("default")}),
         doc=f"From the PYNQ overlay {bit.name}, design {hwh.design}, Vivado {hwh.vivado}",
+        memories=frozen(memories(hwh, notes, streams.values())),
     )
 
 
 def _registers(hwh: Hwh, notes: list[str]) -> dict[str, Register]:
-    bank = RegisterBank(Names(), notes)
+    bank, blocks = RegisterBank(Names(), notes), handoff.memories(hwh)
     for window in handoff.windows(hwh):
         module = hwh.modules.get(window.instance)
-        if module is None or module.region:
+        if module is None or module.region or window in blocks:
             continue
         where = f"{window.instance} ({module.type}) at 0x{window.base:08x}, {window.size} bytes"
         infos = handoff.registers(module, window.interface)

@@ -15,10 +15,22 @@ from pathlib import Path
 from cm import hwh as handoff
 from cm.bitstream import BitstreamError, Report, footprint_of, inspect, outside
 from cm.hwh import DecouplerInfo, Hwh, HwhError
+from cm.importers.memories import memories
 from cm.importers.names import Names, to_name
 from cm.importers.registers import RegisterBank
 from cm.importers.result import frozen
-from cm.schema.model import Config, ConfigType, Decoupler, FrameRange, LoaderKind, Mode, Module, Region, Register
+from cm.schema.model import (
+    Config,
+    ConfigType,
+    Decoupler,
+    FrameRange,
+    LoaderKind,
+    Memory,
+    Mode,
+    Module,
+    Region,
+    Register,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,8 +166,11 @@ def _modules(slot: Slot, hwh: Hwh, notes: list[str]) -> Iterator[Module]:
     for partial in slot.partials:
         name = to_name(partial.path.stem)
         registers: dict[str, Register] = {}
+        blocks: dict[str, Memory] = {}
         if partial.hwh is not None and window is not None:
             registers = _registers(slot, partial.hwh, window.base, window.size, notes)
+            place = (window.base, window.size)
+            blocks = memories(partial.hwh, notes, prefix=f"{slot.name}_", window=place, region=slot.name)
         elif partial.hwh is not None:
             notes.append(f"{name}: the static design says no address for {slot.name}, so its registers are left out")
         yield Module(
@@ -164,13 +179,17 @@ def _modules(slot: Slot, hwh: Hwh, notes: list[str]) -> Iterator[Module]:
             bitstream=partial.path,
             sha256=partial.report.sha256,
             registers=frozen(registers),
+            memories=frozen(blocks),
         )
 
 
 def _registers(slot: Slot, hwh: Hwh, base: int, size: int, notes: list[str]) -> dict[str, Register]:
     """A partial's addresses are relative to its region's window."""
     bank = RegisterBank(Names(), notes)
+    blocks = handoff.memories(hwh)
     for window in handoff.windows(hwh):
+        if window in blocks:
+            continue
         prefix = f"{slot.name}_{window.instance}"
         module = hwh.modules.get(window.instance)
         if module is None or window.base >= size:

@@ -137,6 +137,49 @@ def test_channels_interrupts_and_clocks_are_carried_over(overlay: Path) -> None:
     assert config.clocks["fclk0"].rate == 100_000_000
 
 
+def bram_design(*ranges: str) -> bytes:
+    """A design whose processor addresses a BRAM controller."""
+    return hwh(module("ps", PS, f"<MEMORYMAP>{''.join(ranges)}</MEMORYMAP>"), module("bram", "axi_bram_ctrl"))
+
+
+@pytest.mark.parametrize("kind", ["MEMORY", "REGISTER"])
+def test_block_ram_becomes_a_memory(overlay: Path, kind: str) -> None:
+    overlay.with_suffix(".hwh").write_bytes(bram_design(memory_range("bram", 0x40000000, 0x2000, kind)))
+    imported = import_pynq(overlay)
+    (block,) = static(imported).memories.values()
+    assert (block.name, block.address, block.size, block.dtype) == ("bram", 0x40000000, 0x2000, "uint32")
+    assert not any("bram" in note for note in imported.notes)
+
+
+def test_the_registers_of_a_bram_controller_are_no_memory(overlay: Path) -> None:
+    ecc = memory_range("bram", 0x40010000, 0x1000).replace('"S_AXI"', '"S_AXI_CTRL"')
+    overlay.with_suffix(".hwh").write_bytes(bram_design(ecc))
+    imported = import_pynq(overlay)
+    assert not static(imported).memories
+    assert any("bram" in note and "describes no registers" in note for note in imported.notes)
+
+
+def test_block_ram_that_no_schema_can_have_is_left_out_and_told(overlay: Path) -> None:
+    overlay.with_suffix(".hwh").write_bytes(bram_design(memory_range("bram", 0x40000000, 0x8000_0000, "MEMORY")))
+    imported = import_pynq(overlay)
+    assert not static(imported).memories
+    assert any("bram" in note and "left out" in note for note in imported.notes)
+
+
+def test_block_ram_of_a_module_lies_in_its_regions_window(dfx: Path, tmp_path: Path) -> None:
+    ranges = memory_range("table", 0x800, 0x400, "MEMORY") + memory_range("far", 0x20000, 0x400, "MEMORY")
+    external = f"<BUSINTERFACE><MEMORYMAP>{ranges}</MEMORYMAP></BUSINTERFACE>"
+    blocks = (module("table", "axi_bram_ctrl"), module("far", "axi_bram_ctrl"))
+    text = hwh(*blocks, external=external, design="rm_edge")
+    (dfx.parent / "partial" / "pr_0_edge.hwh").write_bytes(text)
+    imported = import_pynq(dfx)
+    (block,) = imported.configs[1].modules["pr_0_edge"].memories.values()
+    assert (block.name, block.address, block.size, block.region) == ("pr_0_table", 0x43C00800, 0x400, "pr_0")
+    assert any("far" in note and "left out" in note for note in imported.notes)
+    write(imported, tmp_path / "out")
+    assert load(tmp_path / "out" / f"{imported.configs[1].name}.yaml").modules["pr_0_edge"].memories
+
+
 def test_overlay_beside_the_bitstream_is_used(overlay: Path) -> None:
     assert any("cam.dtbo: not there" in note for note in import_pynq(overlay).notes)
     overlay.with_suffix(".dtbo").write_bytes(slot_overlay(0, None))

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Block RAM of a `.hwh` as memories of the runtime schema."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from cm import hwh as handoff
+from cm.hwh import Hwh, MemoryRange
+from cm.importers.names import Names
+from cm.schema.model import Memory, Stream
+
+_WORD = 4
+_LARGEST = 1 << 30  # bytes that the schema takes
+
+
+def memories(
+    hwh: Hwh,
+    notes: list[str],
+    streams: Iterable[Stream] = (),
+    prefix: str = "",
+    window: tuple[int, int] | None = None,
+    region: str | None = None,
+) -> dict[str, Memory]:
+    """A memory for each BRAM controller; `window` is (base, size) of the region that the addresses are relative to."""
+    names = Names()
+    for stream in streams:
+        names.take(stream.name)  # one name leads to one of them
+    found: dict[str, Memory] = {}
+    base, limit = window or (0, 1 << 64)
+    for item in handoff.memories(hwh):
+        if item.size % _WORD or item.base % _WORD or item.size > _LARGEST or item.base + item.size > limit:
+            notes.append(f"{prefix}{_where(item)}: no memory that a schema can have, left out")
+            continue
+        name = names.take(f"{prefix}{item.instance}")
+        found[name] = Memory(name, base + item.base, item.size, region=region, doc=f"Block RAM of {item.instance}")
+    return found
+
+
+def _where(item: MemoryRange) -> str:
+    return f"{item.instance} at 0x{item.base:x}, {item.size} bytes"
