@@ -127,9 +127,9 @@ def _dump(data: bytes, offset: int) -> list[str]:
 def run_write(args: argparse.Namespace) -> int:
     """Write to a memory; the exit status."""
     with connected(args) as board:
-        memory = board.memories[args.name].held_by(args.lease)
+        memory = board.memories[args.name]
         data = _values(args.values, memory.info.dtype) if args.file is None else _loaded(args.file)
-        length = memory.write(data, args.offset)
+        length = memory.write(data, args.offset, args.lease)
     if args.json:
         print_json({"name": args.name, "offset": args.offset, "length": length})
     else:

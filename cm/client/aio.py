@@ -250,7 +250,7 @@ class Board:
             name, shape, dtype, address=address, length=length, access=access, region=region, lease=lease
         )
         await self.ask(calls.memory_config(request))
-        return Memory(self.ask, name, lease)
+        return Memory(self.ask, name)
 
     def stream(
         self,

@@ -29,10 +29,9 @@ async def _run(ask: Ask, wanted: Generator[Call[Any], Any, _T]) -> _T:
 class Memory:
     """As `cm.client.memories.Memory`, awaited."""
 
-    def __init__(self, ask: Ask, name: str, lease: str = "") -> None:
+    def __init__(self, ask: Ask, name: str) -> None:
         self._ask = ask
         self.name = name
-        self._lease = lease
 
     async def info(self) -> MemoryInfo:
         """What the manager knows of it."""
@@ -43,21 +42,17 @@ class Memory:
         """A copy of `length` bytes (None: the rest), as an array of the memory's dtype."""
         return await _run(self._ask, memory.read(self.name, offset, length))
 
-    async def write(self, data: Any, offset: int = 0) -> int:
+    async def write(self, data: Any, offset: int = 0, lease: str = "") -> int:
         """Write values as the memory's elements, or bytes as they are; returns how many bytes they were."""
-        return await _run(self._ask, memory.write(self.name, data, offset, self._lease))
+        return await _run(self._ask, memory.write(self.name, data, offset, lease))
 
     async def get(self, key: Key) -> Any:
         """A row, or rows, of the first axis; no more is read than it needs."""
         return await _run(self._ask, memory.get(self.name, key))
 
-    async def put(self, key: Key, value: Any) -> None:
+    async def put(self, key: Key, value: Any, lease: str = "") -> None:
         """Write rows of the first axis; together they must be whole words of 32 bits."""
-        await _run(self._ask, memory.put(self.name, key, value, self._lease))
-
-    def held_by(self, lease: str) -> Memory:
-        """The same memory, to be written with the id of one's own lease."""
-        return Memory(self._ask, self.name, lease)
+        await _run(self._ask, memory.put(self.name, key, value, lease))
 
 
 class Memories:

@@ -274,7 +274,7 @@ class Board:
             name, shape, dtype, address=address, length=length, access=access, region=region, lease=lease
         )
         self.ask(calls.memory_config(request))
-        return Memory(self.ask, name, lease)
+        return Memory(self.ask, name)
 
     # ---- life -----------------------------------------------------------------------------
 

@@ -29,10 +29,9 @@ def _run(ask: Ask, wanted: Generator[Call[Any], Any, _T]) -> _T:
 class Memory:
     """A memory; nothing of it is kept here. Offsets and lengths are bytes, multiples of 4."""
 
-    def __init__(self, ask: Ask, name: str, lease: str = "") -> None:
+    def __init__(self, ask: Ask, name: str) -> None:
         self._ask = ask
         self.name = name
-        self._lease = lease
 
     @property
     def info(self) -> MemoryInfo:
@@ -48,16 +47,13 @@ class Memory:
         """
         return _run(self._ask, memory.read(self.name, offset, length))
 
-    def write(self, data: Any, offset: int = 0) -> int:
+    def write(self, data: Any, offset: int = 0, lease: str = "") -> int:
         """Write values as the memory's elements, or bytes as they are; returns how many bytes they were.
 
-        Raises InvalidRequest for values that its dtype cannot hold, RequestFailed.
+        `lease`: the id of one's own, where the memory or its region is held. Raises InvalidRequest for values that
+        its dtype cannot hold, RequestFailed.
         """
-        return _run(self._ask, memory.write(self.name, data, offset, self._lease))
-
-    def held_by(self, lease: str) -> Memory:
-        """The same memory, to be written with the id of one's own lease."""
-        return Memory(self._ask, self.name, lease)
+        return _run(self._ask, memory.write(self.name, data, offset, lease))
 
     def __len__(self) -> int:
         """Length of the first axis."""
@@ -69,7 +65,7 @@ class Memory:
 
     def __setitem__(self, key: Key, value: Any) -> None:
         """Write rows of the first axis; together they must be whole words of 32 bits."""
-        _run(self._ask, memory.put(self.name, key, value, self._lease))
+        _run(self._ask, memory.put(self.name, key, value))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
         """The whole, for ``numpy.asarray(memory)``."""

@@ -20,12 +20,15 @@ def with_channels(config: Config, root: Root) -> Config:
     """`config`, or, where it has no streams (the paper's Listing 1 has none), one with a stream for each channel.
 
     Such a stream has no shape: frames are flat bytes of the length that came. It counts as passing
-    through the region if there is only one, so that it is stopped while that is reconfigured.
+    through the region if there is only one, so that it is stopped while that is reconfigured. A channel that
+    is called as a memory is left out: data are read and written by name.
     """
     if config.streams or any(mode.streams for mode in config.modes.values()):
         return config
     region = next(iter(config.regions)) if len(config.regions) == 1 else None
-    streams = {name: Stream(name, name, way, region=region) for name, way in _channels(root).items()}
+    taken = {name for mode in config.modes for name in config.visible_memories(mode)}
+    channels = {name: way for name, way in _channels(root).items() if name not in taken}
+    streams = {name: Stream(name, name, way, region=region) for name, way in channels.items()}
     frozen = MappingProxyType(streams)
     modes = {name: replace(mode, streams=frozen) for name, mode in config.modes.items()}
     return replace(config, streams=frozen, modes=MappingProxyType(modes))

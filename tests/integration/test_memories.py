@@ -48,7 +48,14 @@ config:
     default: {modules: [fir]}
     other: {modules: [iir]}
 """
-OTHER = "config: {name: plain, regions: [left], modules: {iir: {region: left}}, modes: {default: {modules: [iir]}}}"
+OTHER = """
+config:
+  name: plain
+  regions: [left]
+  modules: {iir: {region: left}}
+  memories: {samples: {base_address: 0x60000, offset: 0x200, size: 16}}
+  modes: {default: {modules: [iir]}}
+"""
 SLOW = 400_000  # bytes a second through the port: a load takes a good half second
 MIB = 1 << 20
 
@@ -206,12 +213,20 @@ def test_a_block_is_defined_at_run_time_and_forgotten_with_its_configuration(boa
         block.read()
 
 
+def test_a_channel_of_the_board_that_is_called_as_a_memory_is_no_stream(board: cm.Board) -> None:
+    assert [stream.name for stream in board.status.streams] == ["samples"]
+    board.load("plain")  # names no streams: the board's channels are, but for that name
+    assert not board.status.streams
+    board.memories["samples"].write([1, 2, 3, 4])
+    assert board.memories["samples"].read().tolist() == [1, 2, 3, 4]
+
+
 def test_a_lease_keeps_others_from_writing(board: cm.Board) -> None:
     with board.lease("memories:taps", holder="anna") as lease:
         with pytest.raises(RequestBusy, match="anna") as refused:
             board.memories["taps"].write(b"1234")
         assert refused.value.code == "held_by"
-        board.memories["taps"].held_by(lease.id).write(b"5678")
+        board.memories["taps"].write(b"5678", lease=lease.id)
     assert board.memories["taps"].read(0, 4).tobytes() == b"5678"
 
 
