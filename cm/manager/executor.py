@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from cm.errors import CmError
+from cm.manager import resolve
 from cm.manager.board import Tools
 from cm.manager.changes import Change
 from cm.manager.desk import Locked, RegisterDesk
@@ -116,7 +117,9 @@ class Executor:
             raise Cancelled("the change was cancelled before it began")
         self._leases.check(change.scopes, change.lease)  # one may have been given while this change waited
         configs = self._known.configs
-        goal = Goal(configs[change.config], change.mode, change.force, static=configs.get(change.static or ""))
+        config = configs[change.config]
+        mode = resolve.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
+        goal = Goal(config, mode, change.force, static=configs.get(change.static or ""))
         self._runner.run(goal, change.number, lambda: change.cancelled)
 
     def prefetch(self, go_on: Callable[[], bool]) -> None:

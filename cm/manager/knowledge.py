@@ -35,6 +35,7 @@ class Knowledge:
         self._store = store
         self._boot_id = ""
         self._number = 0
+        self._recorded: Pending | None = None  # as it stands in the record
         self._dirty = False
 
     def loaded_config(self) -> Config | None:
@@ -90,27 +91,32 @@ class Knowledge:
             self.throughput, self._number = record.throughput, record.number
 
     def record(self, step: Step | None) -> None:
-        """Write state and pending step to the store. Raises RecordFailed."""
+        """Write the state and the step about to be taken, or that no change is under way. Raises RecordFailed."""
         with self.lock:
-            pending = None if step is None or self.pending is None else _about_to(self.pending, step)
-            try:
-                self._store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
-            except OSError as error:
-                raise RecordFailed(f"the state record could not be written: {error}") from error
-            self._dirty = False
+            self._write(None if step is None or self.pending is None else _about_to(self.pending, step))
+
+    def _write(self, pending: Pending | None) -> None:
+        try:
+            self._store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
+        except OSError as error:
+            raise RecordFailed(f"the state record could not be written: {error}") from error
+        self._recorded, self._dirty = pending, False
 
     def try_record(self) -> ErrorInfo | None:
-        """Write the state between changes; what went wrong, if it could not be written."""
+        """Write that no change is under way; what went wrong, if it could not be written."""
+        return self._tried(None)
+
+    def flush(self) -> ErrorInfo | None:
+        """Write values of registers that requests wrote; a change that runs meanwhile stays under way."""
+        return self._tried(self._recorded) if self._dirty else None
+
+    def _tried(self, pending: Pending | None) -> ErrorInfo | None:
         try:
-            self.record(None)
+            with self.lock:
+                self._write(pending)
         except RecordFailed as problem:
             return ErrorInfo(problem.code, str(problem))
         return None
-
-    @property
-    def dirty(self) -> bool:
-        """Whether register values were written since the last record."""
-        return self._dirty
 
     def registers_written(self) -> None:
         """Register values differ from the record."""

@@ -97,7 +97,12 @@ class Manager:
             self._worker.add(Change(self._known.next_number(), there.config.name, there.mode, static=there.static))
 
     def board_restarted(self) -> None:
-        """The board was started anew: nothing that is recorded is true any more. Raises DeviceError."""
+        """The board was started anew: nothing that is recorded is true any more.
+
+        Raises DeviceError, and ChangeBusy until the change that runs has ended.
+        """
+        if self._worker.busy:
+            raise ChangeBusy("the board was restarted while a change runs; its end is awaited")
         self._loaders.forget()
         self.registers.forget(lost=True)
         self.reconcile()
@@ -207,8 +212,7 @@ class Manager:
 
     def flush(self) -> None:
         """Record register values that were written since the last record."""
-        if self._known.dirty:
-            self._teller.note(self._known.try_record())
+        self._teller.note(self._known.flush())
 
     def note_error(self, error: ErrorInfo) -> None:
         """Tell an error of a request that has no reply."""

@@ -86,6 +86,7 @@ class Store:
         with contextlib.suppress(OSError):
             if old >= 0:
                 self._old.replace(self._new)
+                os.ftruncate(old, LENGTH)
                 os.pwrite(old, bytes(LENGTH), 0)
                 self._spare = old
                 return

@@ -581,3 +581,42 @@ def test_a_plan_expects_what_such_changes_took_even_after_a_restart(
     made.close()
     with rig(sim.root, tmp_path / "state", *configs.values()) as again:
         assert abs(again.manager.plan(request).seconds - plan.seconds) < 0.25 * took
+
+
+def test_a_mode_that_went_while_its_change_waited_is_unknown(made: Rig, configs: dict[str, Config]) -> None:
+    """The configuration was provisioned anew without it."""
+    at(made, "duo/default")
+    duo = configs["duo"]
+    held, let = threading.Event(), threading.Event()
+
+    def hold(name: str) -> None:
+        held.set()
+        assert let.wait(10)
+
+    made.fault.watch = hold
+    first = made.manager.submit(WriteConfig(config_name="kernel", mode="default"))
+    assert held.wait(10)
+    second = made.manager.submit(WriteConfig(config_name="duo", mode="lit"))
+    made.manager.add_config(replace(duo, modes={n: m for n, m in duo.modes.items() if n != "lit"}))
+    made.fault.watch = lambda _: None
+    let.set()
+    assert first.wait(10)
+    assert second.wait(10)
+    assert first.error is None
+    assert second.error is not None
+    assert second.error.code == "unknown_mode"
+
+
+def test_a_board_that_is_restarted_during_a_change_waits_for_its_end(made: Rig) -> None:
+    seen: list[type[Exception]] = []
+
+    def restart(_: str) -> None:
+        try:
+            made.manager.board_restarted()
+        except ChangeBusy as error:
+            seen.append(type(error))
+
+    made.arm(-1)
+    made.fault.watch = restart
+    assert made.go("default", config="duo") is None
+    assert ChangeBusy in seen

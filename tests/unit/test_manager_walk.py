@@ -18,6 +18,7 @@ from manager_schemas import written
 from manager_support import Rig, make_rig, rig
 
 from cm.device import DeviceError
+from cm.manager.record import newest
 from cm.messages.requests import RegWrite
 from cm.schema.model import Config
 from cm.sim import Board as SimBoard
@@ -202,6 +203,31 @@ def test_a_region_that_was_only_cut_off_is_written_its_registers_again(made: Rig
     assert reset == ["uio.read"]  # behind the last decoupler, before the registers
     assert loads(made.fault.names) == 0
     assert [v.value for v in made.manager.read_registers(("gain", "depth")).values] == [9, 8]
+
+
+def test_register_values_that_are_recorded_during_a_change_do_not_hide_it(made: Rig, tmp_path: Path) -> None:
+    """Else a kill after that would leave new modules in what is taken for the old mode."""
+    begin(made, TWO_REGIONS)
+    found = []
+
+    def request(name: str) -> None:
+        if name == "icap.load":
+            made.manager.write_registers((RegWrite("led", 2),))
+            made.manager.flush()
+            found.append(newest((tmp_path / "journal").read_bytes()))
+
+    made.arm(-1)
+    made.fault.watch = request
+    assert go(made, TWO_REGIONS.goal) is None
+    made.fault.watch = lambda _: None
+    assert len(found) == 2
+    assert found[0] is not None
+    assert found[0].pending is not None
+    assert (found[0].pending.step, found[0].pending.mode) == ("load", "both")
+    assert found[0].state.values["led"] == 2
+    last = newest((tmp_path / "journal").read_bytes())
+    assert last is not None
+    assert last.pending is None
 
 
 def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, way: Way, number: int) -> bool:
