@@ -12,14 +12,22 @@ from cm.build.errors import BuildError
 from cm.build.partition import Group, Problem, Unit, UsedMode, group_of
 from cm.build.parts import part_of
 from cm.build.platforms import device_of, platform_of
-from cm.build.project import ModuleSpec, Project
+from cm.build.project import ModuleSpec, Project, Resources
 from cm.build.utilisation import read_utilisation
 
 ICAP_BYTES = 4  # per clock
 
 
-def problem_of(project: Project, analysis: Analysis, rate: float | None = None) -> Problem:
+def problem_of(
+    project: Project,
+    analysis: Analysis,
+    rate: float | None = None,
+    static: Resources | None = None,
+    budget: float = 1.0,
+) -> Problem:
     """Modules, modes and part; `rate` in bytes per second (None: the limit of the ICAP).
+
+    `static` is what the static part needs, `budget` the share of the part that regions may take.
 
     A module that fits several regions counts as one unit for each region that a mode puts it into.
     """
@@ -37,7 +45,8 @@ def problem_of(project: Project, analysis: Analysis, rate: float | None = None) 
         for mode in project.modes.values()
     ]
     limit = float(platform_of(project.part).icap_rate_max * ICAP_BYTES)
-    return Problem(part_of(device_of(project.part)), units, modes, rate or limit)
+    part = part_of(device_of(project.part))
+    return Problem(part, units, modes, rate or limit, static or Resources(), budget)
 
 
 def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, dict[str, Path]]:
@@ -54,6 +63,12 @@ def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, di
         if path is not None and not spec.resources:
             modules[name], read[name] = replace(spec, resources=read_utilisation(path)), path
     return replace(project, modules=modules), read
+
+
+def static_report(folders: Iterable[Path]) -> Path | None:
+    """The report of our flow on the static part, of several folders the first that has one."""
+    paths = (folder / "static_synth.utilization.rpt" for folder in folders)
+    return next((path for path in paths if path.is_file()), None)
 
 
 def todays_groups(project: Project, problem: Problem) -> list[Group]:

@@ -168,7 +168,8 @@ def _engine(
 
 
 def _integer(module: hwh.ModuleInstance, name: str, default: int) -> int:
-    text = module.parameters.get(name, "")
+    """A parameter of the core, or, where only that is written, of its customisation (``c_addr_width``)."""
+    text = module.parameters.get(name) or module.parameters.get(name.lower(), "")
     return int(text) if text.isdecimal() and int(text) else default
 
 

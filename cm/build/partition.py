@@ -80,13 +80,22 @@ class Partition:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What is given: `rate` in bytes per second of the configuration port, `static` what the static part needs."""
+    """What is given: `rate` in bytes per second of the configuration port, `static` what the static part needs.
+
+    `budget` is the share of the part that the regions may take together, at most.
+    """
 
     part: Part
     units: Mapping[str, Unit]
     modes: Sequence[UsedMode]
     rate: float
     static: Resources = NOTHING
+    budget: float = 1.0
+
+    @property
+    def room(self) -> float:
+        """The share of the part that is left for regions."""
+        return min(self.budget, 1.0 - _static_share(self))
 
 
 def group_of(problem: Problem, modules: Sequence[str]) -> Group:
@@ -115,7 +124,8 @@ def evaluate(problem: Problem, groups: Sequence[Group]) -> Partition:
         weight += before.share * after.share
     share = sum(group.share for group in groups) + _static_share(problem)
     mean = total / weight if weight else 0.0
-    return Partition(tuple(groups), worst, change, mean, share, share <= 1.0)
+    fits = sum(group.share for group in groups) <= problem.room + 1e-9
+    return Partition(tuple(groups), worst, change, mean, share, fits)
 
 
 def _loads(group: Group, before: UsedMode, after: UsedMode) -> bool:
@@ -181,7 +191,7 @@ def _solve(problem: Problem, groups: list[Group], objective: str) -> list[Group]
     column = numpy.zeros((len(problem.units), 1))
     rows = [
         LinearConstraint(numpy.hstack([once.reshape(-1, count), column]), 1, 1),
-        LinearConstraint(numpy.append(shares, 0.0), -numpy.inf, 1.0 - _static_share(problem) + 1e-9),
+        LinearConstraint(numpy.append(shares, 0.0), -numpy.inf, problem.room + 1e-9),
     ]
     if objective == "worst" and changes:
         rows.append(LinearConstraint(numpy.hstack([times, -numpy.ones((len(changes), 1))]), -numpy.inf, 0))
@@ -196,7 +206,10 @@ def _solve(problem: Problem, groups: list[Group], objective: str) -> list[Group]
     upper = numpy.append(numpy.ones(count), numpy.inf)
     found = milp(cost / scale, integrality=kinds, bounds=Bounds(0, upper), constraints=rows)
     if found.x is None:
-        raise BuildError(f"no partition fits {problem.part.name}: the modules need more than it has")
+        raise BuildError(
+            f"no partition fits {problem.part.name}: the modules need more than the {problem.room:.1%} that is left for"
+            " regions"
+        )
     return [group for group, value in zip(groups, found.x[:count], strict=True) if value > 0.5]
 
 

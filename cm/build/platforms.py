@@ -8,8 +8,14 @@ Kernel interrupt numbers count from 32 (`GIC_SPI`). Checked against public sourc
   143), and Xilinx/device-tree-xlnx ac65e01, device_tree/data/common_proc.tcl (which pin has which);
 - clocks of the ICAP: UG909 2022.2, "Configuration Time", tables 1 and 3.
 
-The address windows and the names of the PS's pins and segments are from memory of UG585 chapter 4 and UG1085
-chapter 10, not checked.
+- the PL's window of Zynq-7000: Xilinx/embeddedsw, cortexa9/iccarm/translation_table.s (GpAxi0: 0x40000000 to
+  0x7fffffff);
+- the PL's window of UltraScale+: Xilinx/embeddedsw, cortexa53/32bit/gcc/translation_table.s (0xA0000000 to 0xBFFFFFFF
+  for HPM0 and HPM1), and designs that give M_AXI_HPM0_FPD 256 MB from 0xA0000000 (Xilinx/kria-dfx-hw 78a1236);
+- pins of the PS: .hwh files of Vivado (ZCU106 in alliedvision/zynq-mipi-bitstreams 4f0f401, ZCU104 in byuccl/PYNQ-PRIO
+  c7578a1, Zynq-7000 in RDC23/image_filtering_pynq 58f580c); clocks of HP1 to HP3: the base.tcl of Xilinx/PYNQ 19ed17d
+  and Xilinx/kria-dfx-hw;
+- segments of memory (HP0_DDR_LOWOCM to HP3_DDR_LOWOCM; SAXIGP2/HP0_DDR_LOW to SAXIGP5/HP3_DDR_LOW): the same Tcl files.
 """
 
 from __future__ import annotations
@@ -37,7 +43,6 @@ class Platform:
     irq_pins: tuple[tuple[str, int, int], ...]  # pin, lines, first GIC SPI
     base: int  # PL window of the control master
     size: int
-    axi_data_width: int
     address_bits: int
     ultrascale: bool
     icap_rate_max: int  # Hz
@@ -82,7 +87,6 @@ ZYNQ7000 = Platform(
     irq_pins=(("IRQ_F2P", 8, 29), ("IRQ_F2P", 8, 52)),
     base=0x4000_0000,
     size=0x4000_0000,
-    axi_data_width=64,
     address_bits=32,
     ultrascale=False,
     icap_rate_max=100_000_000,
@@ -103,7 +107,6 @@ ZYNQMP = Platform(
     irq_pins=(("pl_ps_irq0", 8, 89), ("pl_ps_irq1", 8, 104)),
     base=0xA000_0000,
     size=0x1000_0000,
-    axi_data_width=128,
     address_bits=40,
     ultrascale=True,
     icap_rate_max=200_000_000,

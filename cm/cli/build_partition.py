@@ -7,11 +7,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cm.build.advise import problem_of, todays_groups, with_reports
+from cm.build.advise import problem_of, static_report, todays_groups, with_reports
 from cm.build.analyse import analyse
 from cm.build.generate import output_folder
 from cm.build.load import load_project
 from cm.build.partition import Partition, advise, evaluate
+from cm.build.utilisation import read_utilisation
 from cm.cli.build_common import add_schema_argument
 from cm.cli.common import add_json_option, print_json, print_table
 
@@ -29,6 +30,13 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
     parser.add_argument("--objective", choices=("worst", "mean"), default="worst", help="default: worst")
     parser.add_argument("--rate", type=float, metavar="MB/S", help="of the configuration port (default: its limit)")
     parser.add_argument(
+        "--budget",
+        type=_percent,
+        default=100.0,
+        metavar="PERCENT",
+        help="of the part that the regions may take together (default: what the static part leaves)",
+    )
+    parser.add_argument(
         "--reports",
         type=Path,
         action="append",
@@ -41,11 +49,27 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
     parser.set_defaults(run=run_partition)
 
 
+def _percent(text: str) -> float:
+    try:
+        value = float(text.removesuffix("%"))
+    except ValueError:
+        value = 0.0
+    if not 0 < value <= 100:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number above 0 and at most 100")
+    return value
+
+
 def run_partition(args: argparse.Namespace) -> int:
     """Print both assignments with their figures."""
     project = load_project(args.schema)
-    project, reports = with_reports(project, args.reports or [output_folder(project, None) / "reports"])
-    problem = problem_of(project, analyse(project), args.rate * 1e6 if args.rate else None)
+    folders = args.reports or [output_folder(project, None) / "reports"]
+    project, reports = with_reports(project, folders)
+    rate = args.rate * 1e6 if args.rate else None
+    path = static_report(folders)
+    static = read_utilisation(path) if path else None
+    problem = problem_of(project, analyse(project), rate, static, args.budget / 100)
+    if path is not None:
+        reports |= {"static part": path}
     today = evaluate(problem, todays_groups(project, problem))
     proposed = advise(problem, args.objective)
     if args.json:

@@ -17,7 +17,8 @@ from cm.build.collect import collect
 from cm.build.errors import BuildError
 from cm.build.foreign_dma import engines
 from cm.build.handoff import MAX_ARCHIVE, MAX_MEMBER, streams
-from cm.build.platforms import ZYNQ7000, ZYNQMP, platform_of
+from cm.build.parts import part_of
+from cm.build.platforms import ZYNQ7000, ZYNQMP, device_of, platform_of
 from cm.schema.model import Direction
 
 LITE = port("s_axi_lite_aclk", "I", ("ps", "FCLK_CLK1"), kind="clk")
@@ -138,6 +139,14 @@ def test_two_engines_of_one_name_have_streams_of_their_own() -> None:
     assert "sub_axi_vdma_0" in streams(found)
 
 
+def test_addresses_of_an_engine_have_the_width_that_it_was_customised_with() -> None:
+    """Vivado writes it in lower case only."""
+    text = design(*BOTH).decode("utf-8-sig")
+    wide = text.replace('NAME="C_INCLUDE_S2MM_DRE" VALUE="1"/>', 'NAME="c_addr_width" VALUE="40"/>')
+    assert wide != text
+    assert [engine.address_bits for engine in engines(handoff.parse(wide.encode()), ZYNQ7000).found] == [40, 32]
+
+
 # parts of boards, as their board files in Xilinx/XilinxBoardStore 20bbb12 have them
 BOARDS = {
     "Ultra96 v2": ("xczu3eg-sbva484-1-i", "zynqmp"),
@@ -154,6 +163,7 @@ BOARDS = {
 def test_the_parts_of_known_boards_have_a_platform(board: str) -> None:
     part, platform = BOARDS[board]
     assert platform_of(part).name == platform
+    assert part_of(device_of(part)).bytes > 0
 
 
 # archives ----------------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from build_support import STREAM_MODULE, project
+from build_support import EXAMPLES, NAMES, STREAM_MODULE, project
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -49,7 +49,8 @@ def problems(draw: st.DrawFn) -> Problem:
     chosen = st.frozensets(st.sampled_from(sorted(units)), min_size=1)
     modes = draw(st.lists(chosen, min_size=1, max_size=4))
     listed = [UsedMode(f"mode{i}", names, draw(st.sampled_from([0.5, 1.0, 3.0]))) for i, names in enumerate(modes)]
-    return Problem(PART, units, listed, 1e6)
+    static = Resources(draw(st.sampled_from([0, 200])))
+    return Problem(PART, units, listed, 1e6, static, draw(st.sampled_from([1.0, 0.5])))
 
 
 @given(problems(), st.sampled_from(["worst", "mean"]))
@@ -87,6 +88,16 @@ def test_where_there_is_room_every_module_stays_loaded() -> None:
     assert (len(found.groups), found.worst) == (2, 0.0)
 
 
+def test_what_the_static_part_needs_and_a_budget_leave_less_room() -> None:
+    units = {name: Unit(name, Resources(300)) for name in "ab"}
+    modes = [UsedMode(name, frozenset(name)) for name in "ab"]
+    assert len(advise(Problem(PART, units, modes, 1e6)).groups) == 2
+    assert len(advise(Problem(PART, units, modes, 1e6, Resources(400))).groups) == 1
+    assert len(advise(Problem(PART, units, modes, 1e6, budget=0.4)).groups) == 1
+    with pytest.raises(BuildError, match=r"more than the 20\.0% that is left for regions"):
+        advise(Problem(PART, units, modes, 1e6, Resources(500), 0.2))
+
+
 def test_the_worst_change_takes_the_regions_bytes_at_the_ports_rate() -> None:
     units = {name: Unit(name, Resources(400)) for name in "ab"}
     problem = Problem(PART, units, [UsedMode(name, frozenset(name)) for name in "ab"], 1e6)
@@ -116,3 +127,14 @@ def test_the_command_shows_todays_assignment_beside_the_proposal(tmp_path: Path,
     assert "proposed: worst" in said
     assert "one, two, three" in said.partition("proposed")[0]
     assert "proposed: worst 0.000 ms" in said  # all three fit beside each other
+    assert main(["build", "partition", str(path), "--budget", "23"]) == 0
+    assert "0  one, two, three" in capsys.readouterr().out.partition("proposed")[2]
+
+
+def test_the_shipped_examples_can_be_advised(capsys: pytest.CaptureFixture) -> None:
+    pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+    from cm.cli.main import main
+
+    for name in NAMES:
+        assert main(["build", "partition", str(EXAMPLES / name / "build.yaml"), "--budget", "4"]) == 0
+        assert "proposed: worst" in capsys.readouterr().out

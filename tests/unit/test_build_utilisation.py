@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -78,8 +79,8 @@ def test_any_damage_is_read_or_refused(noise: str, where: int) -> None:
 def test_the_advisor_takes_them_and_the_schema_goes_first(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     folder = copy_examples(tmp_path) / "camera"
     schema = folder / "build.yaml"
-    text = schema.read_text().replace("    top: camera_edge\n", "    top: camera_edge\n    resources: {lut: 5000}\n")
-    schema.write_text(text)
+    text = re.sub(r"    resources: .*\n", "", schema.read_text())
+    schema.write_text(text.replace("    top: camera_edge\n", "    top: camera_edge\n    resources: {lut: 5000}\n"))
     assert main(["build", "partition", str(schema)]) == 1
     assert "resources: is missing for default, colorise" in capsys.readouterr().err
     reports = folder / "build/reports"
@@ -92,3 +93,9 @@ def test_the_advisor_takes_them_and_the_schema_goes_first(tmp_path: Path, capsys
     (region,) = said["today"]["regions"]
     # 5000 LUTs and a fifth more, of 53200, in steps of 1/64
     assert region["share"] == pytest.approx(8 / 64)
+    alone = said["today"]["share"]
+    (reports / "static_synth.utilization.rpt").write_text(SERIES_7.format(lut=5320))
+    assert main(["build", "partition", str(schema), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["reports"]["static part"].endswith("static_synth.utilization.rpt")
+    assert said["today"]["share"] == pytest.approx(alone + 0.1)
