@@ -8,6 +8,7 @@ our output went away, as shells report a program that these signals ended.
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -28,6 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     as_json = "--json" in words
+    _print_anything()
     try:
         status = _run(words)
         sys.stdout.flush()  # a reader that is gone shows here, not at the interpreter's end
@@ -41,6 +43,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _fail(_sentence(error), "io", as_json)
     return status
+
+
+def _print_anything() -> None:
+    """On a terminal that cannot show a character print a question mark for it, rather than end in an exception."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # stderr is lenient already
+        sys.stdout.reconfigure(errors="replace")
 
 
 def _run(words: list[str]) -> int:

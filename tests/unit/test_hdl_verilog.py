@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -350,3 +351,12 @@ def test_encrypted_file_is_told(tmp_path: Path) -> None:
     (tmp_path / "e.v").write_text("`pragma protect begin_protected\n`pragma protect end_protected\n")
     with pytest.raises(HdlError, match=r"encrypted.*component\.xml"):
         extract([tmp_path / "e.v"])
+
+
+def test_a_file_whose_name_is_no_utf8_is_read(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"gr\xf6\xdfer")
+    folder.mkdir()
+    (folder / "w.vh").write_text("`define W 8\n")
+    (folder / "a.v").write_text("module a (input wire clk, output wire [`W-1:0] o);\nendmodule\n")
+    (found,) = extract([folder / "w.vh", folder / "a.v"])
+    assert found.name == "a"

@@ -8,6 +8,7 @@ so what a module instantiates need not be given.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -61,6 +62,11 @@ def expression(value: str) -> str:
     return text if _NUMBER.fullmatch(text) or (len(text) > 1 and text[0] == text[-1] == '"') else f'"{text}"'
 
 
+def _utf8(path: Path) -> str:
+    """The path as text for slang, which takes UTF-8 whatever the locale is; other bytes become question marks."""
+    return os.fsencode(path).decode("utf-8", errors="replace")
+
+
 class VerilogReader:
     """Parses files once each, then evaluates the modules asked for."""
 
@@ -76,7 +82,7 @@ class VerilogReader:
     def parse(self, path: Path, text: str) -> Tree:
         """Parse one file and keep it for `read`."""
         # A file of macros among the sources counts for those after it, as in Vivado's compilation order.
-        before = "".join(f'`include "{header.resolve()}" ' for header in self._headers)
+        before = "".join(f'`include "{_utf8(header.resolve())}" ' for header in self._headers)
         tree = self._parse(path, before + text)
         self._trees.append(tree)
         if not tree.modules and "`define" in text:
@@ -99,10 +105,10 @@ class VerilogReader:
         options.additionalIncludePaths = includes
         options.predefines = self._defines
         # Two readings of one file need two names in slang's source manager; the folder stays for relative includes.
-        name = str(path) if language is Language.VERILOG else f"{path} as SystemVerilog"
+        name = _utf8(path) + ("" if language is Language.VERILOG else " as SystemVerilog")
         bag = self._slang.Bag([options])
         try:
-            syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, str(path), name, bag)
+            syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, _utf8(path), name, bag)
         except RuntimeError as error:  # slang's answer to nesting without end
             raise HdlError(f"{path}: the parser gave up: {error or 'too deeply nested'}") from error
         return Tree(path, language, syntax, tuple(self._problems(path, syntax)), tuple(_modules(syntax.root)))
