@@ -26,7 +26,7 @@ static void close_keeping_errno(int fd)
 /* Connect to a simulated attribute and hear whether it opens. */
 static int connect_attr(int path_fd)
 {
-	int sock = cm_path_connect(path_fd), event_fd = -1;
+	int sock = cm_path_connect(path_fd, 0), event_fd = -1;
 	uint32_t offers;
 
 	if (sock < 0)

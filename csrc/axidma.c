@@ -12,16 +12,30 @@ struct cm_dma {
 	struct cm_node *node;
 };
 
+#define PATH_SIZE (sizeof("dev/cm_dma/") + CM_DMA_NAME_MAX)
+
+static int channel_path(char *path, const char *name)
+{
+	int length = snprintf(path, PATH_SIZE, "dev/cm_dma/%s", name);
+
+	if (*name && !strchr(name, '/') && (size_t)length < PATH_SIZE)
+		return 0;
+	errno = EINVAL;
+	return -1;
+}
+
 static struct cm_node *open_channel(const char *root, const char *name)
 {
-	char path[sizeof("dev/cm_dma/") + CM_DMA_NAME_MAX];
-	int length = snprintf(path, sizeof(path), "dev/cm_dma/%s", name);
+	char path[PATH_SIZE];
 
-	if (!*name || strchr(name, '/') || (size_t)length >= sizeof(path)) {
-		errno = EINVAL;
-		return NULL;
-	}
-	return cm_node_open(root, path);
+	return channel_path(path, name) ? NULL : cm_node_open(root, path);
+}
+
+int cm_dma_probe(const char *root, const char *name)
+{
+	char path[PATH_SIZE];
+
+	return channel_path(path, name) ? -1 : cm_node_probe(root, path);
 }
 
 struct cm_dma *cm_dma_open(const char *root, const char *name)
@@ -57,6 +71,11 @@ int cm_dma_event_fd(struct cm_dma *dma)
 void cm_dma_release(struct cm_dma *dma)
 {
 	cm_node_release(dma->node);
+}
+
+bool cm_dma_answers(struct cm_dma *dma)
+{
+	return cm_node_answers(dma->node);
 }
 
 int cm_dma_get_info(struct cm_dma *dma, struct cm_dma_info *info)

@@ -21,6 +21,8 @@ union fd_control {
 /* The other end's death looks as it does on a device that was unplugged. */
 static int gone(int error)
 {
+	if (error == EAGAIN || error == EWOULDBLOCK)
+		return ETIMEDOUT; /* the connection has a limit */
 	return error == EPIPE || error == ECONNRESET || error == ENOTCONN ? ENODEV : error;
 }
 
@@ -159,6 +161,30 @@ ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, in
 	struct cm_node_reply reply = { 0 };
 
 	return receive(sock, op, payload, size, fd, broken, &reply);
+}
+
+int cm_message_drop_late(int sock)
+{
+	struct cm_node_reply reply;
+	struct iovec part = { .iov_base = &reply, .iov_len = sizeof(reply) };
+	union fd_control control;
+	struct msghdr msg = {
+		.msg_iov = &part,
+		.msg_iovlen = 1,
+		.msg_control = control.bytes,
+		.msg_controllen = sizeof(control.bytes),
+	};
+	ssize_t got = recvmsg(sock, &msg, MSG_CMSG_CLOEXEC | MSG_DONTWAIT);
+	int passed;
+
+	if (got > 0) {
+		detach_fds(&msg, &passed);
+		if (passed >= 0)
+			close(passed);
+		return 0;
+	}
+	errno = got ? gone(errno) : ENODEV;
+	return -1;
 }
 
 int cm_message_greeting(int sock, int *event_fd, uint32_t *offers)

@@ -25,10 +25,18 @@ int cm_message_send(int sock, uint32_t op, const void *payload, size_t length, i
  * @fd: where a passed descriptor is stored (-1 if none came), or NULL to refuse one
  *
  * Returns the payload's length.  Errors: the reply's own; ENODEV if the other
- * end is gone; EPROTO for a malformed reply.  @broken is set where the two ends
- * no longer agree, that is for the latter two.
+ * end is gone; EPROTO for a malformed reply; ETIMEDOUT if none came within the
+ * connection's time.  @broken is set where the two ends no longer agree, that is
+ * for the latter three.
  */
 ssize_t cm_message_receive(int sock, uint32_t op, void *payload, size_t size, int *fd, int *broken);
+
+/**
+ * cm_message_drop_late() - take the reply to a request that was given up, and forget it
+ *
+ * Never blocks.  ETIMEDOUT while there is none; ENODEV if the other end is gone.
+ */
+int cm_message_drop_late(int sock);
 
 /**
  * cm_message_greeting() - receive what a server says first

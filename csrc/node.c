@@ -42,7 +42,7 @@ static int open_kind(struct cm_node *node, int path_fd)
 	}
 	if (S_ISSOCK(st.st_mode)) {
 		node->simulated = true;
-		node->fd = cm_path_connect(path_fd);
+		node->fd = cm_path_connect(path_fd, CM_NODE_TIMEOUT_MS);
 		return node->fd < 0 ? -1 : greet(node);
 	}
 	errno = ENXIO;
@@ -57,6 +57,32 @@ static int open_under(struct cm_node *node, const char *root, const char *path)
 	if (path_fd < 0)
 		return -1;
 	result = open_kind(node, path_fd);
+	error = errno;
+	close(path_fd);
+	errno = error;
+	return result;
+}
+
+static int knock(int path_fd)
+{
+	struct stat st;
+
+	if (fstat(path_fd, &st))
+		return -1;
+	if (S_ISSOCK(st.st_mode))
+		return cm_path_connect(path_fd, CM_PATH_NO_WAIT);
+	errno = ENOTSUP;
+	return -1;
+}
+
+int cm_node_probe(const char *root, const char *path)
+{
+	int path_fd = cm_path_open(root, path, O_PATH);
+	int result, error;
+
+	if (path_fd < 0)
+		return -1;
+	result = knock(path_fd);
 	error = errno;
 	close(path_fd);
 	errno = error;
@@ -104,7 +130,7 @@ static void await_release(int fd)
 static void close_descriptors(struct cm_node *node)
 {
 	if (node->simulated && node->event_fd >= 0) {
-		if (node->owner == getpid())
+		if (node->owner == getpid() && node->broken != ETIMEDOUT)
 			await_release(node->fd);
 		close(node->event_fd);
 	}

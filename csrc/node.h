@@ -19,6 +19,9 @@
 #include <stdint.h>
 #include <sys/types.h>
 
+/* How long a simulated node may take to answer; one that is stopped (SIGSTOP) does not. */
+#define CM_NODE_TIMEOUT_MS 3000
+
 struct cm_node;
 
 /* Wait without end. */
@@ -44,6 +47,15 @@ enum cm_node_fd {
  * does not keep to cm_node.h.
  */
 struct cm_node *cm_node_open(const char *root, const char *path);
+
+/**
+ * cm_node_probe() - knock at a simulated node without waiting
+ *
+ * Returns a descriptor that polls readable when the node answers, or nobody serves
+ * it any more; the caller's to close, which ends it.  Errors: ENOTSUP for a real
+ * node, ETIMEDOUT where no more connections can wait, those of cm_node_open().
+ */
+int cm_node_probe(const char *root, const char *path);
 
 /**
  * cm_node_release() - close the device; @node stays valid
@@ -75,10 +87,13 @@ bool cm_node_simulated(const struct cm_node *node);
  * @fd: field of the structure that carries a descriptor, or NULL
  * @mode: which way @fd goes
  *
- * Blocks as long as the driver takes.  A signal does not end it.
+ * Blocks as long as the driver takes, on a simulated node at most
+ * CM_NODE_TIMEOUT_MS, counted anew after a signal.  A signal does not end it.
  *
  * Errors: what the driver says; ENODEV if the node is gone; EPROTO if the
- * reply does not keep to cm_node.h, after which every request fails with it.
+ * reply does not keep to cm_node.h, after which every request fails with it;
+ * ETIMEDOUT if there is none (the request may be done yet), after which every
+ * request fails with it at once until the reply has come.
  */
 int cm_node_request(struct cm_node *node, uint32_t op, void *arg, size_t size, int32_t *fd,
 		    enum cm_node_fd mode);
@@ -126,6 +141,9 @@ int cm_node_write(struct cm_node *node, const void *data, size_t size);
 
 /* Whether a simulated node offers all of these CM_NODE_OFFERS_*; a real one offers none. */
 bool cm_node_offers(const struct cm_node *node, uint32_t offers);
+
+/* False while a simulated node owes a reply that should have come long ago.  Never blocks. */
+bool cm_node_answers(struct cm_node *node);
 
 /* False once the other end of a simulated node has gone; true for a real one. */
 bool cm_node_connected(const struct cm_node *node);

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <sys/time.h>
 #include <sys/un.h>
 #include <unistd.h>
 
@@ -54,18 +55,29 @@ static int connect_to(int sock, const struct sockaddr_un *address)
 	} while (result && errno == EINTR);
 	if (result && errno == ECONNREFUSED)
 		errno = ENODEV;
+	else if (result && errno == EAGAIN)
+		errno = ETIMEDOUT; /* all places in the queue are taken */
 	return result;
 }
 
-int cm_path_connect(int path_fd)
+static int limit(int sock, int timeout_ms)
+{
+	struct timeval time = { .tv_sec = timeout_ms / 1000, .tv_usec = timeout_ms % 1000 * 1000 };
+
+	return setsockopt(sock, SOL_SOCKET, SO_RCVTIMEO, &time, sizeof(time)) ||
+	       setsockopt(sock, SOL_SOCKET, SO_SNDTIMEO, &time, sizeof(time));
+}
+
+int cm_path_connect(int path_fd, int timeout_ms)
 {
 	struct sockaddr_un address = { .sun_family = AF_UNIX };
-	int sock = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0);
+	int type = SOCK_SEQPACKET | SOCK_CLOEXEC | (timeout_ms < 0 ? SOCK_NONBLOCK : 0);
+	int sock = socket(AF_UNIX, type, 0);
 
 	if (sock < 0)
 		return -1;
 	snprintf(address.sun_path, sizeof(address.sun_path), "/proc/self/fd/%d", path_fd);
-	if (connect_to(sock, &address)) {
+	if ((timeout_ms > 0 && limit(sock, timeout_ms)) || connect_to(sock, &address)) {
 		int error = errno;
 
 		close(sock);

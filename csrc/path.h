@@ -21,9 +21,13 @@ int cm_path_reopen(int path_fd, int flags);
  * cm_path_connect() - connect a SOCK_SEQPACKET to the socket behind an O_PATH fd
  *
  * Works through /proc/self/fd, because sun_path holds 107 bytes only and a
- * root may be longer.  ENODEV where the socket lies there but nobody listens.
+ * root may be longer.  With @timeout_ms no call on it waits longer, 0: for ever.
+ * ENODEV where the socket lies there but nobody listens, ETIMEDOUT where nobody
+ * takes the connection.
  */
-int cm_path_connect(int path_fd);
+int cm_path_connect(int path_fd, int timeout_ms);
+
+#define CM_PATH_NO_WAIT (-1) /* nor does the connecting */
 
 /* Text of a short plain file into @text, without the end of line; -1 with errno. */
 int cm_path_read_text(const char *root, const char *path, char *text, size_t size);

@@ -75,6 +75,10 @@ class BoardDevices:
         """A DMA channel, opened anew: its handle belongs to the caller, who closes it."""
         return AxiDma.open(channel, self._root)
 
+    def probe_dma(self, channel: str) -> int:
+        """A descriptor that polls readable when a channel answers that did not. Raises OSError."""
+        return AxiDma.probe(channel, self._root)
+
     def forget(self) -> None:
         """Close UIO handles; the next use opens them anew."""
         with self._lock:

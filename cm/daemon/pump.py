@@ -233,6 +233,13 @@ class Pump:
 
     def close(self, error: int = 0) -> None:
         """Stop the channel and release everything; clients are told, and keep what they have mapped."""
+        try:
+            self.release(error)
+        finally:
+            self._dma.close()
+
+    def release(self, error: int = 0) -> AxiDma:
+        """The same, but the channel stays open, and is the caller's from here on."""
         self._plane.stop(self.id, error)
         try:
             with suppress(DeviceGone):
@@ -242,7 +249,7 @@ class Pump:
             for fd in self._shared:
                 os.close(fd)
             self._shared.clear()
-            self._dma.close()
+        return self._dma
 
 
 def _read_only(fd: int) -> int:

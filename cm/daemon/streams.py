@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import socket
@@ -16,9 +17,10 @@ from cm.daemon.echo import Echoes
 from cm.daemon.loop import Loop
 from cm.daemon.pump import Done, Frame, Peer, Pump, StreamStopped
 from cm.daemon.settings import changed, setup
+from cm.daemon.silence import Silence
 from cm.daemon.taps import ReadTap, WriteTap
 from cm.device.plane import ClientGone, ClientLeaves, Plane
-from cm.errors import Busy, CmError, InvalidRequest
+from cm.errors import Busy, CmError, InvalidRequest, Timeout
 from cm.manager.describe import stream_status
 from cm.manager.errors import NothingLoaded, UnknownStream
 from cm.manager.resolve import hint
@@ -69,6 +71,7 @@ class Streams:
         self._overruns: Callable[[str], int] = lambda _: 0
         self._check_lease: Callable[[tuple[str, ...], str], None] = lambda _, __: None
         self._enabled: dict[str, bool] = {}
+        self._silence = Silence(devices.probe_dma)
 
     # ---- wiring -------------------------------------------------------------------
 
@@ -112,8 +115,9 @@ class Streams:
 
     def refresh(self) -> None:
         """Open what is wanted, close what nobody wants any more."""
+        self._silence.look()
         for name, stream in self._streams.items():
-            wanted = self._is_wanted(stream) and name not in self._held
+            wanted = self._is_wanted(stream) and name not in self._held and not self._silence.of(name)
             if wanted and name not in self._pumps:
                 self._open_quietly(stream)
             elif not wanted and name in self._pumps:
@@ -164,6 +168,8 @@ class Streams:
     def _check_channel(self, stream: Stream) -> None:
         """Raise InvalidRequest for what the channel cannot do, also where nobody uses it yet."""
         pump = self._pumps.get(stream.name)
+        if self._silence.of(stream.name):
+            return
         try:
             if pump is not None:
                 setup(pump.channel, stream)
@@ -265,6 +271,7 @@ class Streams:
     def end(self) -> None:
         """Stop all, hang up on all clients, end the plane's thread."""
         self.close()
+        self._silence.close()
         self._loop.remove(self._plane.fileno())
         self._plane.close()
 
@@ -311,18 +318,21 @@ class Streams:
         return any(local.stream == name and not local.leaving for local in self._locals.values())
 
     def _may_run(self, name: str) -> bool:
-        return name not in self._held and self._enabled.get(name) is not False
+        return name not in self._held and self._enabled.get(name) is not False and not self._silence.of(name)
 
     def _running(self, stream: Stream, first: Callable[[Pump], bool] = lambda _: True) -> Pump:
         if stream.name in self._held:
             raise StreamStopped(f"stream {stream.name!r} is stopped while its region changes")
+        if self._silence.of(stream.name):
+            raise Timeout(f"stream {stream.name!r}: the board does not answer; it goes on when the board does")
         if not self._may_run(stream.name):
             raise StreamStopped(f"stream {stream.name!r} was stopped; cm_data_config with enable lets it run")
         return self._pumps.get(stream.name) or self._open(stream, first)
 
     def _open(self, stream: Stream, first: Callable[[Pump], bool] = lambda _: True) -> Pump:
         """Open a stream; who is there already, and what `first` attaches, get it from its first frame on."""
-        pump = Pump(self._plane, self._devices.dma(stream.channel), stream)
+        with self._silence.noticed(stream):
+            pump = Pump(self._plane, self._devices.dma(stream.channel), stream)
         try:
             pump.label(self._config.name if self._config else "", self._mode or "")
             self._pumps[stream.name] = pump
@@ -373,6 +383,13 @@ class Streams:
         if tap is not None:
             tap.close()
 
+    def _end_silently(self, name: str, error: int) -> None:
+        """As `_close`, for a channel that does not answer: it is kept, and asked whether it does again."""
+        tap, pump = self._taps.pop(name, None), self._pumps.pop(name)
+        self._silence.begin(name, pump.release(error))
+        if tap is not None:
+            tap.close()
+
     def _hold(self, names: Collection[str]) -> None:
         self._held.update(names)
         for name in names:
@@ -405,7 +422,10 @@ class Streams:
             if pump.id == number:
                 text = os.strerror(error)
                 _LOG.warning("stream %s ended: %s", name, text)
-                self._close(name, error)
+                if error == errno.ETIMEDOUT:
+                    self._end_silently(name, error)
+                else:
+                    self._close(name, error)
                 self._on_error(ErrorInfo("device_error", f"stream {name!r} ended: {text}"))
 
     def _fan_out(self, frame: Frame) -> None:

@@ -18,8 +18,8 @@ from cm.device.errors import DeviceInvalid, device_error
 from cm.native import buffer as native
 from cm.native.call import Handle
 
-# The device is gone or closed, or has forgotten the handle: nothing is left to give back.
-_FREED_WITH_DEVICE = (errno.EBADF, errno.ENODEV, errno.ENOENT)
+# The device is gone or closed, has forgotten the handle, or does not answer: nothing can be given back.
+_FREED_WITH_DEVICE = (errno.EBADF, errno.ENODEV, errno.ENOENT, errno.ETIMEDOUT)
 
 
 class DmaBuffer:

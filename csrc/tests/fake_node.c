@@ -5,6 +5,7 @@
 #include <ftw.h>
 #include <poll.h>
 #include <pthread.h>
+#include <semaphore.h>
 #include <signal.h>
 #include <stdbool.h>
 #include <sys/mman.h>
@@ -26,6 +27,7 @@ struct fake_node {
 	int listener, stop_fd[2];
 	enum misdeed misdeed;
 	atomic_uint requests;
+	sem_t speak;
 	uint32_t words[FAKE_NODE_WORDS];
 	uint32_t interrupts;
 	uint64_t completions;
@@ -310,6 +312,8 @@ static bool serve_request(struct fake_node *fake, int sock, int events)
 	answer.header.op = request.header.op;
 	answer.header.length = request.header.length;
 	answer.fd = -1;
+	if (fake->misdeed == ANSWER_LATE && !fake_node_requests(fake))
+		sem_wait(&fake->speak);
 	answer_request(fake, &request, fd, events, &answer);
 	if (fd >= 0)
 		close(fd);
@@ -415,6 +419,7 @@ struct fake_node *fake_node_start(const char *root, const char *path, enum misde
 	CHECK(fake);
 	fake->misdeed = misdeed;
 	fake->listener = listen_at(root, path);
+	CHECK(!sem_init(&fake->speak, 0, 0));
 	CHECK(!pipe2(fake->stop_fd, O_CLOEXEC));
 	/* signals of the tests are for the tests' own thread */
 	sigfillset(&all);
@@ -430,7 +435,13 @@ void fake_node_stop(struct fake_node *fake)
 	pthread_join(fake->thread, NULL);
 	close(fake->stop_fd[0]);
 	close(fake->listener);
+	sem_destroy(&fake->speak);
 	free(fake);
+}
+
+void fake_node_speak(struct fake_node *fake)
+{
+	sem_post(&fake->speak);
 }
 
 unsigned int fake_node_requests(struct fake_node *fake)

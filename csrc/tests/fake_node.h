@@ -41,6 +41,8 @@ enum misdeed {
 	OFFER_BLOCKS,
 	OFFER_BLOCKS_AND_REFUSE, /* EIO */
 	OFFER_BLOCKS_AND_CUT_SHORT,
+	/* the first request is answered when fake_node_speak() says so */
+	ANSWER_LATE,
 };
 
 #define FAKE_NODE_WORDS (40 * 1024) /* more than fit into two messages */
@@ -50,6 +52,9 @@ struct fake_node;
 /* Serve @path under @root, whose folders are made. */
 struct fake_node *fake_node_start(const char *root, const char *path, enum misdeed misdeed);
 void fake_node_stop(struct fake_node *fake);
+
+/* Let one that answers late do so. */
+void fake_node_speak(struct fake_node *fake);
 
 /* Requests answered so far. */
 unsigned int fake_node_requests(struct fake_node *fake);

@@ -196,6 +196,48 @@ static void a_peer_that_died_between_requests_is_enodev(void)
 	fake_root_remove(scene.root);
 }
 
+static int64_t now_ms(void)
+{
+	struct timespec now;
+
+	clock_gettime(CLOCK_MONOTONIC, &now);
+	return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
+}
+
+static void a_silent_peer_is_etimedout_until_it_has_answered(void)
+{
+	struct scene scene = scene_make(ANSWER_LATE);
+	int64_t begun = now_ms();
+
+	CHECK(cm_node_answers(scene.node));
+	CHECK_ERRNO(request_alloc(scene.node), ETIMEDOUT);
+	CHECK(now_ms() - begun >= CM_NODE_TIMEOUT_MS - 50);
+	begun = now_ms();
+	CHECK_ERRNO(request_info(scene.node), ETIMEDOUT);
+	CHECK(now_ms() - begun < CM_NODE_TIMEOUT_MS / 2 && !cm_node_answers(scene.node));
+	fake_node_speak(scene.fake);
+	while (!cm_node_answers(scene.node))
+		usleep(1000);
+	CHECK(!request_info(scene.node) && !request_alloc(scene.node));
+	CHECK(fake_node_requests(scene.fake) == 3);
+	scene_end(&scene);
+}
+
+static void a_silent_peer_that_dies_is_enodev(void)
+{
+	struct scene scene = scene_make(ANSWER_LATE);
+
+	CHECK_ERRNO(request_info(scene.node), ETIMEDOUT);
+	fake_node_speak(scene.fake);
+	while (!cm_node_answers(scene.node))
+		usleep(1000);
+	fake_node_stop(scene.fake);
+	CHECK(cm_node_answers(scene.node));
+	CHECK_ERRNO(request_info(scene.node), ENODEV);
+	scene.fake = fake_node_start(scene.root, "dev/another", WELL_BEHAVED);
+	scene_end(&scene);
+}
+
 static void a_payload_above_the_limit_is_refused_before_it_is_sent(void)
 {
 	struct scene scene = scene_make(WELL_BEHAVED);
@@ -355,6 +397,8 @@ int main(void)
 	RUN(a_malformed_reply_with_a_descriptor_leaks_none);
 	RUN(a_peer_that_dies_in_a_request_is_enodev_from_then_on);
 	RUN(a_peer_that_died_between_requests_is_enodev);
+	RUN(a_silent_peer_is_etimedout_until_it_has_answered);
+	RUN(a_silent_peer_that_dies_is_enodev);
 	RUN(a_payload_above_the_limit_is_refused_before_it_is_sent);
 	RUN(a_wait_ends_with_its_time);
 	RUN(an_event_of_another_size_is_eproto);

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated board that is stopped: the manager goes on, says so, and finds it again when it answers."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from manager_process import Manager, served, until
+
+import cm
+from cm.client.errors import RequestFailed, TransferFailed
+from cm.errors import CmError, Timeout
+from cm.sim import Board as SimBoard
+
+LIMIT = 3.0  # CM_NODE_TIMEOUT_MS
+AT_ONCE = 1.5  # a busy machine's idea of it: less than half of that
+Own = tuple[Manager, SimBoard]
+
+
+@pytest.fixture(scope="module")
+def own() -> Iterator[Own]:
+    """A manager and a board that no other test needs."""
+    with served() as both:
+        yield both
+
+
+@pytest.fixture
+def board(own: Own) -> Iterator[cm.Board]:
+    """The camera example in its default mode."""
+    with own[0].connected() as connected:
+        connected.load("camera", "default", force=True)
+        yield connected
+
+
+@contextlib.contextmanager
+def stopped(sim: SimBoard) -> Iterator[None]:
+    """The board's process does nothing, as under a debugger."""
+    os.kill(sim.pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(sim.pid, signal.SIGCONT)
+
+
+def took(begun: float) -> float:
+    return time.monotonic() - begun
+
+
+def answers(board: cm.Board, within: float) -> None:
+    begun = time.monotonic()
+    assert board.status.config_name == "camera"
+    assert took(begun) < within
+
+
+def test_a_stream_whose_board_is_stopped_ends_and_goes_on_with_it(board: cm.Board, own: Own) -> None:
+    with board.stream("camera", timeout=0.3) as stream:
+        held = [stream.read() for _ in range(3)]
+        with stopped(own[1]):
+            held.clear()  # what is given back goes to the board
+            answers(board, LIMIT + AT_ONCE)
+            until(lambda: board.status.last_error is not None, LIMIT + AT_ONCE)
+            error = board.status.last_error
+            assert error is not None
+            assert "'camera' ended: Connection timed out" in error.message
+            for _ in range(30):  # ticks of the manager come and go
+                answers(board, AT_ONCE)
+                time.sleep(0.1)
+            with pytest.raises(Timeout, match="it is stopped"):
+                list(stream)  # those that had come before
+            begun = time.monotonic()
+            with pytest.raises(Timeout, match="board does not answer"):
+                board.read("camera")
+            assert took(begun) < AT_ONCE
+        assert stream.read(timeout=20).shape == (480, 640)
+        assert board.read("camera", timeout=5).shape == (480, 640)
+
+
+def test_registers_are_an_error_after_a_while_and_at_once_then(board: cm.Board, own: Own) -> None:
+    board.registers["focus"] = 2
+    with stopped(own[1]):
+        for longest in (LIMIT + AT_ONCE, AT_ONCE):
+            begun = time.monotonic()
+            with pytest.raises(Timeout, match="0x5"):
+                board.registers["focus"] = 5
+            assert took(begun) < longest
+        answers(board, AT_ONCE)
+    board.registers["focus"] = 7
+    assert board.registers["focus"] == 7
+
+
+def test_a_writer_is_told_and_writes_again(board: cm.Board, own: Own) -> None:
+    board.load("camera", "loopback")
+    picture = np.full((480, 640), 9, np.uint8)
+    with board.stream("from_pl", timeout=20) as reader, board.writer("to_pl", timeout=20) as writer:
+        writer.write(picture)
+        assert (reader.read() == 9).all()
+        with stopped(own[1]):
+            writer.write(picture)
+            with pytest.raises(TransferFailed):
+                writer.flush(timeout=LIMIT + 5)
+            with pytest.raises(RequestFailed, match="does not answer"):
+                board.write("to_pl", picture)
+        until(lambda: not writer.poll() and writer.free > 0)
+        writer.write(picture)
+        assert (reader.read() == 9).all()
+
+
+def test_who_comes_while_it_is_stopped_is_refused_and_keeps_nobody_else_waiting(board: cm.Board, own: Own) -> None:
+    with stopped(own[1]):
+        for longest in (LIMIT + AT_ONCE, AT_ONCE):
+            begun = time.monotonic()
+            with pytest.raises(CmError) as caught:
+                board.read("camera")
+            assert took(begun) < longest
+            assert caught.value.code == "timeout"
+        answers(board, AT_ONCE)
+
+    def reads() -> bool:
+        with contextlib.suppress(Timeout):
+            return bool(board.read("camera").shape)
+        return False
+
+    until(reads)
+
+
+def test_a_change_of_mode_ends_too(board: cm.Board, own: Own) -> None:
+    board.registers["focus"] = 2
+    with stopped(own[1]):
+        begun = time.monotonic()
+        with pytest.raises(CmError):
+            board.load("camera", "edge_detection")
+        assert took(begun) < 60
+        answers(board, LIMIT + AT_ONCE)
+    board.load("camera", "edge_detection", force=True)
+    assert (board.mode, board.status.fpga_busy) == ("edge_detection", False)
+    assert board.read("camera", timeout=20).shape == (480, 640)
