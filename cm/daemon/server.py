@@ -21,6 +21,7 @@ from cm.daemon.devices import BoardDevices
 from cm.daemon.discover import with_channels
 from cm.daemon.door import Door
 from cm.daemon.files import BoardFiles
+from cm.daemon.footprints import Footprints
 from cm.daemon.handlers import Handlers, Respond, Services, error_info
 from cm.daemon.holders import Holders
 from cm.daemon.interrupts import Interrupts
@@ -103,7 +104,7 @@ class Server:
         self._provisioner.recover()
         named = {**o.configs, **_stored(self._provisioner)}
         configs = {name: with_channels(config, o.root) for name, config in named.items()}
-        files = BoardFiles(o.root.join())
+        files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"))
         env = Environment(self._devices, files, self._store, self._streams, _Clock(), self, o.settings)
         return Manager(configs, env)
 

@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 from manager_process import Manager, environment, until
+from manager_schemas import written
 
 import cm
 from cm.client.errors import ConnectionLost, NoAnswer
+from cm.errors import CmError
 from cm.sim import Board as SimBoard
 
 READER = """
@@ -104,3 +108,54 @@ def test_a_stopped_manager_leaves_nothing_but_its_state(runtime) -> None:  # typ
     served = Manager(runtime / "run", "--sim").start()
     assert served.stop() == 0
     assert sorted(p.name for p in (runtime / "run").iterdir()) == ["lock", "state"]
+
+
+def test_what_was_learned_of_a_region_outlives_a_killed_manager(runtime) -> None:  # type: ignore[no-untyped-def]
+    """A module that was built for the other region is refused, though it is the first one after the restart."""
+    written(runtime, ("duo",))
+    with SimBoard([runtime / "duo.yaml"], root=runtime / "board") as sim:
+        arguments = ("--config", str(runtime / "duo.yaml"), "--root", str(sim.root), "--state-dir", str(runtime / "s"))
+        manager = Manager(runtime / "run", *arguments).start()
+        try:
+            with manager.connected() as board:
+                board.load("duo", "default")
+            manager.kill()
+            firmware = sim.root / "lib/firmware/cm/duo"
+            (firmware / "b0.bit").write_bytes((firmware / "b1.bit").read_bytes())
+            manager.start()
+            with manager.connected() as board:
+                assert board.mode == "default"
+                with pytest.raises(CmError, match="the region owns") as refused:
+                    board.load("duo", "other")
+                assert refused.value.code == "footprint_outside"
+        finally:
+            manager.stop()
+
+
+def test_a_second_manager_with_the_same_state_is_refused(own: Own, runtime) -> None:  # type: ignore[no-untyped-def]
+    manager, sim = own
+    state = manager.arguments[manager.arguments.index("--state-dir") + 1]
+    second = Manager(runtime / "run", "--root", str(sim.root), "--state-dir", state)
+    with pytest.raises(AssertionError, match=r"another configuration manager keeps its state"):
+        second.start()
+    second.stop()
+
+
+def test_a_manager_killed_at_any_instant_of_a_change_comes_back_to_a_whole_mode(own: Own) -> None:
+    manager, sim = own
+    chance = random.Random(20)
+    modes = {"default": "default", "edge_detection": "edge"}
+    with manager.connected() as board:
+        board.load("camera", "default")
+    for _ in range(5):
+        with manager.connected() as board:
+            goal = next(mode for mode in modes if mode != board.mode)
+            board.load_async("camera", goal)
+            time.sleep(chance.uniform(0.0, 0.03))  # any instant will do
+            manager.kill()
+        manager.start()
+        with manager.connected() as board:
+            until(lambda board=board: not board.status.fpga_busy)
+            region = sim.control.state()["regions"]["prr0"]
+            assert (region["module"], region["decoupled"]) == (modes[board.mode], False)
+            assert board.status.pr_mode.value == "idle"
