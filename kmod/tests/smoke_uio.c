@@ -254,6 +254,8 @@ int main(int argc, char **argv)
 	find();
 	fd = open_uio(O_NONBLOCK);
 	CHECK(fd >= 0);
+	/* as whoever had it before may have left it */
+	CHECK(set_mask(fd, 1) == 0);
 	registers = test_registers(fd);
 	test_sizes(fd);
 	test_mask(fd);
