@@ -67,8 +67,8 @@ test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
 vm: $(STAMP) ## a shell on that board, with a manager running and its ports forwarded
 	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)"
 
-soak: $(STAMP) ## ten thousand changes of mode
-	$(PYTEST) tests/soak --changes=10000 $(PYTEST_ARGS)
+soak: $(STAMP) ## ten thousand changes of mode, and a minute of killed readers
+	$(PYTEST) tests/soak --changes=10000 --stress=60 $(PYTEST_ARGS)
 
 bench: $(BENCH_STAMP) ## measure latency and throughput beside the alternatives
 	$(BIN)/cm bench --json bench.json --plots bench-plots

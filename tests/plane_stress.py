@@ -14,10 +14,12 @@ import numpy as np
 from manager_process import REPOSITORY, Manager, environment, until
 
 import cm
+from cm.messages.status import StreamStatus
 from cm.sim import Board as SimBoard
 
 READERS = 8
 WORDS = 16384  # 128 KiB a frame
+DEPTH = 4  # frames that a reader may hold if it does not say
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,26 @@ def _nothing_is_left(manager: Manager, sim: SimBoard, before: Held) -> None:
         raise AssertionError(f"left behind (before, now): {left}") from None
 
 
+def _all_is_given_back(board: cm.Board) -> None:
+    """The dead hold no slots: nobody is left, there are no more than so many readers can need, and all are used."""
+
+    def alone() -> StreamStatus | None:
+        stream = next(s for s in board.status.streams if s.name == "from_pl")
+        return None if stream.clients else stream
+
+    stream = until(alone)
+    assert stream.slots <= 2 * READERS * DEPTH, f"{stream.slots} slots for {READERS} readers"
+    with board.stream("from_pl", depth=1) as reader, board.writer("to_pl", timeout=10) as writer:
+        places = set()
+        for number in range(2 * stream.slots):
+            writer.write(np.full(WORDS, number, np.uint64))
+            frame = reader.read(timeout=10)
+            assert (frame == number).all()
+            places.add(frame.__array_interface__["data"][0])
+            del frame
+    assert len(places) >= stream.slots, f"the hardware has {len(places)} of {stream.slots} slots"
+
+
 def _counts(pid: int) -> tuple[int, int]:
     fds = len(list(Path(f"/proc/{pid}/fd").iterdir()))
     return fds, Path(f"/proc/{pid}/maps").read_text().count("cm-sim-buffer")
@@ -89,6 +111,7 @@ def stress(manager: Manager, sim: SimBoard, seconds: float, seed: int) -> Outcom
             board.configure_stream(name, shape=(WORDS,), dtype="uint64", force=True)
         board.configure_stream("from_pl", enable=True)
         outcome = _produce(board, manager, seconds, seed)
+        _all_is_given_back(board)
         board.configure_stream("from_pl", automatic=True)
         _nothing_is_left(manager, sim, before)
         board.load("camera", "default")

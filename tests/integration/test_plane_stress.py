@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Eight readers killed at random for some seconds; `make soak` does it for a minute."""
+"""Eight readers killed at random for some seconds; `make soak` does it for a minute, from any seed."""
 
 from __future__ import annotations
 

@@ -8,6 +8,12 @@ import pytest
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--changes", type=int, default=200, help="changes of mode to make")
+    parser.addoption("--stress", type=float, default=5.0, help="seconds for which readers are killed")
+
+
+@pytest.fixture
+def stress_seconds(request: pytest.FixtureRequest) -> float:
+    return float(request.config.getoption("--stress"))
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Eight readers killed at random for a minute."""
+"""Eight readers killed at random, from another seed each time; `make soak` does it for a minute."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from plane_stress import stress
 
 
 @pytest.mark.timeout(300)
-def test_a_minute_of_killed_readers() -> None:
+def test_readers_are_killed_for_long(stress_seconds: float) -> None:
     seed = secrets.randbelow(1 << 20)
     with served() as (manager, sim):
-        outcome = stress(manager, sim, seconds=60.0, seed=seed)
+        outcome = stress(manager, sim, seconds=stress_seconds, seed=seed)
     print(f"seed {seed}: {outcome}")
     assert outcome.longest_gap < 5.0
-    assert outcome.frames > 1000
+    assert outcome.kills > 5 * stress_seconds
+    assert outcome.frames > 15 * stress_seconds
