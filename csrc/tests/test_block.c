@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 /* Blocks of a window: on a mapped device, on a node that takes them, and on one that does not. */
 #include <stdint.h>
+#include <sys/mman.h>
 #include <unistd.h>
 
 #include "cm_node.h"
 #include "fake_node.h"
+#include "mirror.h"
 #include "test.h"
 #include "uio.h"
 
@@ -193,6 +195,25 @@ static void a_closed_device_has_no_blocks(void)
 	scene_end(&node);
 }
 
+static void a_mirror_tells_a_block_unless_a_word_has_a_flag(void)
+{
+	int fd = memfd_create("mirror", MFD_CLOEXEC);
+	unsigned char data[8] = "abcdefgh", flag = 1, none = 0, got[8];
+	struct cm_mirror mirror = { 0 };
+
+	CHECK(fd >= 0 && !ftruncate(fd, 2 * 4096) && pwrite(fd, data, 8, 4088) == 8);
+	CHECK(!cm_mirror_map(&mirror, fd, 4096));
+	CHECK(cm_mirror_read_block(&mirror, 4088, got, 8) && !memcmp(got, data, 8));
+	CHECK(pwrite(fd, &flag, 1, 4096 + 4095) == 1);
+	CHECK(!cm_mirror_read_block(&mirror, 4088, got, 8));
+	CHECK(cm_mirror_read_block(&mirror, 4088, got, 4)); /* the flag is behind it */
+	CHECK(pwrite(fd, &none, 1, 4096 + 4095) == 1);
+	CHECK(cm_mirror_read_block(&mirror, 4088, got, 8));
+	CHECK(!cm_mirror_read_block(&mirror, 4092, got, 8)); /* behind its end */
+	cm_mirror_unmap(&mirror);
+	close(fd);
+}
+
 int main(void)
 {
 	RUN(a_mapped_device_holds_a_block);
@@ -200,6 +221,7 @@ int main(void)
 	RUN(a_node_without_blocks_is_asked_word_by_word);
 	RUN(a_block_that_does_not_fit_reaches_no_bus);
 	RUN(what_the_node_says_is_the_error);
+	RUN(a_mirror_tells_a_block_unless_a_word_has_a_flag);
 	RUN(a_closed_device_has_no_blocks);
 	return 0;
 }
