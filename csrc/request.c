@@ -112,6 +112,7 @@ static int transfer(struct cm_node *node, uint32_t op, const void *out, size_t o
 {
 	ssize_t length;
 
+	recover(node);
 	if (node->broken) {
 		errno = node->broken;
 		return -1;

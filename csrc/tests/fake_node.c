@@ -86,7 +86,7 @@ static ssize_t receive_packet(int sock, struct packet *packet, int *fd)
 static bool offers_blocks(enum misdeed misdeed)
 {
 	return misdeed == OFFER_BLOCKS || misdeed == OFFER_BLOCKS_AND_REFUSE ||
-	       misdeed == OFFER_BLOCKS_AND_CUT_SHORT;
+	       misdeed == OFFER_BLOCKS_AND_CUT_SHORT || misdeed == OFFER_BLOCKS_AND_ANSWER_LATE;
 }
 
 static bool greet(struct fake_node *fake, int sock, int *events)
@@ -312,7 +312,8 @@ static bool serve_request(struct fake_node *fake, int sock, int events)
 	answer.header.op = request.header.op;
 	answer.header.length = request.header.length;
 	answer.fd = -1;
-	if (fake->misdeed == ANSWER_LATE && !fake_node_requests(fake))
+	if ((fake->misdeed == ANSWER_LATE || fake->misdeed == OFFER_BLOCKS_AND_ANSWER_LATE) &&
+	    !fake_node_requests(fake))
 		sem_wait(&fake->speak);
 	answer_request(fake, &request, fd, events, &answer);
 	if (fd >= 0)

@@ -41,6 +41,7 @@ enum misdeed {
 	OFFER_BLOCKS,
 	OFFER_BLOCKS_AND_REFUSE, /* EIO */
 	OFFER_BLOCKS_AND_CUT_SHORT,
+	OFFER_BLOCKS_AND_ANSWER_LATE, /* as ANSWER_LATE */
 	/* the first request is answered when fake_node_speak() says so */
 	ANSWER_LATE,
 };

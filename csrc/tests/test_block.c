@@ -180,6 +180,23 @@ static void what_the_node_says_is_the_error(void)
 	}
 }
 
+static void a_late_answer_is_not_taken_for_the_next(void)
+{
+	struct scene scene = scene_of_node(OFFER_BLOCKS_AND_ANSWER_LATE);
+	uint32_t words[2] = { 1, 2 }, got[2] = { 0 };
+
+	CHECK_ERRNO(cm_uio_read_block(scene.uio, 0, 0, got, 8), ETIMEDOUT);
+	CHECK_ERRNO(cm_uio_write_block(scene.uio, 0, 0, words, 8), ETIMEDOUT); /* at once */
+	fake_node_speak(scene.fake);
+	while (cm_uio_write_block(scene.uio, 0, 0, words, 8)) {
+		CHECK(errno == ETIMEDOUT);
+		usleep(1000);
+	}
+	CHECK(!cm_uio_read_block(scene.uio, 0, 4, got, 4) && got[0] == 2);
+	CHECK(fake_node_requests(scene.fake) == 3);
+	scene_end(&scene);
+}
+
 static void a_closed_device_has_no_blocks(void)
 {
 	struct scene scene = scene_of_device(), node = scene_of_node(OFFER_BLOCKS);
@@ -222,6 +239,7 @@ int main(void)
 	RUN(a_block_that_does_not_fit_reaches_no_bus);
 	RUN(what_the_node_says_is_the_error);
 	RUN(a_mirror_tells_a_block_unless_a_word_has_a_flag);
+	RUN(a_late_answer_is_not_taken_for_the_next);
 	RUN(a_closed_device_has_no_blocks);
 	return 0;
 }
