@@ -137,8 +137,12 @@ def _error_of(devices: Devices, name: str | None) -> str:
 
 
 def _regions(state: BoardState, config: Config | None, registers: RegisterAccess, notes: list[str]) -> BoardState:
+    used = _used(config, state.mode)
     for name, region in state.regions.items():
-        checked = _region(name, region, config, registers, notes)
+        if region.phase is RegionPhase.READY:
+            checked = _region(name, region, config, registers, notes)
+        else:
+            checked = _cut_short(name, region, name in used, notes)
         if checked is not region:
             state = state.with_region(name, checked)
     return state
@@ -147,8 +151,6 @@ def _regions(state: BoardState, config: Config | None, registers: RegisterAccess
 def _region(
     name: str, region: RegionState, config: Config | None, registers: RegisterAccess, notes: list[str]
 ) -> RegionState:
-    if region.phase is not RegionPhase.READY:
-        return _cut_short(name, region, notes)
     module = config.modules.get(region.module or "") if config else None
     if module is None or config is None or name not in config.regions:
         return region
@@ -159,9 +161,18 @@ def _region(
     return region.after(RegionEvent.LOSE)
 
 
-def _cut_short(name: str, region: RegionState, notes: list[str]) -> RegionState:
-    """Regions are cut off before a load begins and after it has ended; the record says so in between."""
-    if region.phase in (RegionPhase.DECOUPLED, RegionPhase.LOADED) and region.sha256 is not None:
+def _used(config: Config | None, mode: str | None) -> set[str]:
+    """The regions of a mode."""
+    found = config.modes.get(mode or "") if config else None
+    return {config.modules[m].region for m in found.modules} if config and found else set()
+
+
+def _cut_short(name: str, region: RegionState, used: bool, notes: list[str]) -> RegionState:
+    """Regions are cut off before a load begins and after it has ended; the record says so in between.
+
+    Those of the mode will be coupled again by the change that brings the board back to it.
+    """
+    if used and region.phase in (RegionPhase.DECOUPLED, RegionPhase.LOADED) and region.sha256 is not None:
         notes.append(f"region {name} was {region.phase.value}, with {region.module} in it")
         return region
     notes.append(f"region {name} was {region.phase.value}; its content is not trusted")

@@ -20,6 +20,8 @@ from cm.manager.steps import LoadStatic, Step
 from cm.manager.transaction import Transaction
 from cm.schema.model import Config, ConfigType, Region
 
+_CUT = (RegionPhase.DECOUPLED, RegionPhase.LOADED)
+
 
 @dataclass(frozen=True, slots=True)
 class Failure:
@@ -73,7 +75,8 @@ class WayBack:
         try:
             if old is not None and before.mode is not None and before.mode in old.modes:
                 self._restore(old, before.mode, {**failure.found, **before.values})
-                return StepFailed(f"{failure.text}; the board is back in {before.config}/{before.mode}", failure.code)
+                tail = "; ".join([f"the board is back in {before.config}/{before.mode}", *self._tidy(failure.goal)])
+                return StepFailed(f"{failure.text}; {tail}", failure.code)
             end = self._give_up(failure.goal)
             return StepFailed(f"{failure.text}; there was no mode to go back to; {end}", failure.code)
         except Exception as second:  # noqa: BLE001 (a defect of ours must not leave the region coupled either)
@@ -102,6 +105,29 @@ class WayBack:
             if held.phase is RegionPhase.READY and name not in named and now.region(name) != held
         }
         return tuple(m.name for m in old.modules.values() if lost.get(m.name) == m.region)
+
+    def _tidy(self, goal: Config) -> list[str]:
+        """Regions that the mode before leaves alone and that the failed change has cut off.
+
+        What another configuration had loaded there, and is there still, is coupled again; the rest stays
+        cut off. Returns sentences on what is not as it was.
+        """
+        cut = [r for r in goal.regions.values() if self._board.state.region(r.name).phase in _CUT]
+        lost = [r for r in cut if not self._coupled_again(r)]
+        problems = abandon(self._board, self._tools.registers, lost)
+        return [*([f"regions left decoupled: {', '.join(r.name for r in lost)}"] if lost else []), *problems]
+
+    def _coupled_again(self, region: Region) -> bool:
+        held, now = self._before.region(region.name), self._board.state.region(region.name)
+        if held.phase is not RegionPhase.READY or held.sha256 is None or now.sha256 != held.sha256:
+            return False
+        try:
+            if region.decoupler:
+                drive(self._tools.registers, region.decoupler, cut=False)
+        except (CmError, OSError):
+            return False
+        self._board.update(lambda state: state.with_region(region.name, held))
+        return True
 
     def _static_to_load(self, old: Config) -> Config | None:
         """The full configuration to load first, where the device held one under a partial configuration.
