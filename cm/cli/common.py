@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -76,6 +75,8 @@ class Progress:
         """Show `fraction` (0 to 1; what lies outside is clipped) and a word about what goes on."""
         if not self._visible:
             return
+        import shutil  # half a MiB, for who shows no bar
+
         line = bar(self._label, fraction, note, shutil.get_terminal_size().columns - 1)
         if line != self._drawn:
             self._stream.write("\r" + line.ljust(len(self._drawn)))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
@@ -100,6 +99,8 @@ class FirmwareFolder:
 
 def _write(target: Path, data: bytes) -> None:
     """Whole or not at all, also after a loss of power; never through a link that somebody left."""
+    import tempfile  # 1 MiB, for who loads without the kernel's firmware loader
+
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".new")
     new = Path(name)
     try:

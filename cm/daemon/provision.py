@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -63,6 +61,8 @@ class Provisioner:
         if sum(len(f.data) for f in files) > MAX_BYTES:
             raise InvalidRequest(f"files of {config.name!r} have more than {MAX_BYTES >> 20} MiB together")
         self._folder.mkdir(parents=True, exist_ok=True)
+        import tempfile  # with shutil 1 MiB, for who provisions nothing
+
         new = Path(tempfile.mkdtemp(prefix=f".{config.name}-", dir=self._folder))
         try:
             _write(new / SCHEMA_FILE, schema.encode())
@@ -72,29 +72,35 @@ class Provisioner:
             load(new / SCHEMA_FILE)
             self._swap(new, self._folder / config.name)
         except BaseException:
-            shutil.rmtree(new, ignore_errors=True)
+            _remove(new)
             raise
         return load(self._folder / config.name / SCHEMA_FILE)
 
     def _swap(self, new: Path, place: Path) -> None:
         old = place.with_name(f".{place.name}.old")
-        shutil.rmtree(old, ignore_errors=True)
+        _remove(old)
         if place.exists():
             place.rename(old)
         new.rename(place)
         _sync(self._folder)
-        shutil.rmtree(old, ignore_errors=True)
+        _remove(old)
 
     def recover(self) -> None:
         """After a kill between the two renames: put the old configuration back; drop leftovers."""
         for old in self._folder.glob(".*.old") if self._folder.exists() else ():
             place = self._folder / old.name[1:].removesuffix(".old")
             if place.exists():
-                shutil.rmtree(old, ignore_errors=True)
+                _remove(old)
             else:
                 old.rename(place)
         for half in self._folder.glob(".*-*") if self._folder.exists() else ():
-            shutil.rmtree(half, ignore_errors=True)
+            _remove(half)
+
+
+def _remove(folder: Path) -> None:
+    import shutil
+
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _write(path: Path, data: bytes) -> None:

@@ -7,11 +7,9 @@ import contextlib
 import json
 import os
 import select
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,7 +18,7 @@ from types import TracebackType
 from .control import Control
 from .errors import SimError
 from .handle import Adopted, Child, Handle
-from .root import PREFIX, default_parent
+from .root import PREFIX, fresh_folder, remove
 
 LINGER = 5.0
 
@@ -44,7 +42,7 @@ class Board:
         self._arguments = list(arguments)
         self._timeout = timeout
         self._own_root = root is None
-        self.root = Path(tempfile.mkdtemp(prefix=PREFIX, dir=default_parent())) if root is None else Path(root)
+        self.root = fresh_folder(PREFIX) if root is None else Path(root)
         self.control = Control(self.root)
         self._process: Handle | None = None
 
@@ -90,7 +88,7 @@ class Board:
             except subprocess.TimeoutExpired:
                 self.kill()
         if self._own_root:
-            shutil.rmtree(self.root, ignore_errors=True)
+            remove(self.root)
 
     def __enter__(self) -> Board:
         return self.start()
@@ -145,7 +143,7 @@ class Board:
             process.kill()
             Child(process).wait(10.0)
             if self._own_root:
-                shutil.rmtree(self.root, ignore_errors=True)
+                remove(self.root)
             raise
         return Child(process)
 

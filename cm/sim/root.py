@@ -11,9 +11,7 @@ import contextlib
 import errno
 import fcntl
 import os
-import shutil
 import socket
-import tempfile
 from pathlib import Path
 
 from .errors import NodeError, SimError
@@ -30,7 +28,23 @@ def default_parent() -> Path:
     for candidate in ("/dev/shm", os.environ.get("XDG_RUNTIME_DIR")):
         if candidate and os.access(candidate, os.W_OK | os.X_OK):
             return Path(candidate)
+    import tempfile
+
     return Path(tempfile.gettempdir())
+
+
+def fresh_folder(prefix: str) -> Path:
+    """As tempfile.mkdtemp() in memory. That module is 1 MiB with what it imports, and who asks needs no more of it."""
+    folder = default_parent() / f"{prefix}{os.getpid()}-{os.urandom(8).hex()}"
+    folder.mkdir(mode=0o700)
+    return folder
+
+
+def remove(folder: Path) -> None:
+    """A folder with all that is in it, as far as that is allowed."""
+    import shutil
+
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 class Root:
@@ -117,7 +131,7 @@ class Root:
         os.close(self._lock)
         os.close(self._dir)
         if self._fresh:
-            shutil.rmtree(self.path, ignore_errors=True)  # nobody else's: what clients wrote goes too
+            remove(self.path)  # nobody else's: what clients wrote goes too
         elif self._own:
             _remove(self.path)
 
@@ -125,7 +139,7 @@ class Root:
         if path is None:
             self._fresh = self._own = True
             _sweep(default_parent())
-            return Path(tempfile.mkdtemp(prefix=_FRESH, dir=default_parent()))
+            return fresh_folder(_FRESH)
         if not path.is_dir():
             path.mkdir(parents=True)
             self._own = True
@@ -178,7 +192,7 @@ def _sweep(parent: Path) -> None:
             try:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 if path.stat().st_uid == os.getuid():
-                    shutil.rmtree(path, ignore_errors=True)
+                    remove(path)
             finally:
                 os.close(fd)
 

@@ -102,7 +102,7 @@ def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", dying)
-        patch.setattr("cm.daemon.provision.shutil.rmtree", lambda *_, **__: None)  # nothing is tidied by the dead
+        patch.setattr("cm.daemon.provision._remove", lambda *_, **__: None)  # nothing is tidied by the dead
         if after < 2:
             with pytest.raises(Killed):
                 provisioner.store(SCHEMA, (File("one.bit", b"new"),))
