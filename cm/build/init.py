@@ -19,6 +19,17 @@ from cm.build.register_maps import identifier
 from cm.build.render import Renderer
 
 DEFAULT_PART = "xc7z020clg400-1"
+# a board with that part, as its board file in Xilinx/XilinxBoardStore 20bbb12 has it
+_BOARDS = {
+    "xc7z010clg400-1": "digilentinc.com:zybo-z7-10:part0:1.0",
+    "xc7z020clg400-1": "tul.com.tw:pynq-z2:part0:1.0",
+    "xc7z020clg484-1": "avnet.com:zedboard:part0:1.4",
+    "xczu3eg-sbva484-1-i": "avnet.com:ultra96v2:part0:1.2",
+    "xczu5eg-sfvc784-1-e": "tul.com.tw:pynqzu:part0:1.1",
+    "xczu7ev-ffvc1156-2-e": "xilinx.com:zcu104:part0:1.1",
+    "xczu9eg-ffvb1156-2-e": "xilinx.com:zcu102:part0:3.4",
+    "xck26-sfvc784-2LV-c": "xilinx.com:kv260_som:part0:1.4",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +68,7 @@ def init_text(files: Sequence[Path], folder: Path, name: str, part: str = DEFAUL
     context = {
         "name": identifier(name),
         "part": part,
+        "board": _BOARDS.get(part, "VENDOR:BOARD:part0:VERSION"),
         "clock": DEFAULT_CLOCK if platform.name == "zynq7000" else "pl_clk0",
         "rate": f"{DEFAULT_RATE:_}",
         "modules": modules,
@@ -68,9 +80,10 @@ def init_text(files: Sequence[Path], folder: Path, name: str, part: str = DEFAUL
     return Renderer(folder, folder, "").render("build.yaml.j2", context)
 
 
-def _proposal(info: ModuleInfo, known: Iterable[ModuleInfo], files: Sequence[Path], folder: Path) -> Proposal:
+def _proposal(info: ModuleInfo, known: Sequence[ModuleInfo], files: Sequence[Path], folder: Path) -> Proposal:
+    """The module with the files of what it instantiates, and those without a module: packages, macros."""
     by_name = {module.name: module for module in known}
-    needed = {Path(info.file)}
+    needed = {Path(info.file), *files} - {Path(module.file) for module in known if module.file != info.file}
     queue = [info]
     seen = {info.name}
     for module in queue:

@@ -100,9 +100,9 @@ def test_interrupts_behind_a_controller_are_told_and_left_out() -> None:
     assert "axi_dma_0_mm2s: the interrupt of axi_dma_0 goes to intc" in found.notes[0]
 
 
+@needs("dtc")
+@needs("fdtget")
 def test_streams_of_the_schema_are_channels_of_the_overlay(theirs: Path, tmp_path: Path) -> None:
-    needs("dtc")
-    needs("fdtget")
     found = collect([theirs])
     directions = {name: stream.direction for name, stream in found.config.streams.items()}
     assert directions == {

@@ -61,3 +61,24 @@ def test_names_with_blanks_stay_whole(tmp_path: Path) -> None:
     (folder / "a b.v").write_text(STREAM_MODULE.format(name="one", high=31))
     assert main(["build", "init", str(folder / "a b.v"), "-o", str(tmp_path / "build.yaml")]) == 0
     assert load_project(tmp_path / "build.yaml").modules["one"].sources[0].name == "a b.v"
+
+
+def test_files_of_packages_and_macros_go_with_every_module(tmp_path: Path) -> None:
+    """In the order given: they come before what uses them."""
+    (tmp_path / "width.vh").write_text("`define WIDTH 16\n")
+    (tmp_path / "sizes.sv").write_text("package sizes;\n    localparam int HIGH = 31;\nendpackage\n")
+    text = STREAM_MODULE.format(name="one", high="sizes::HIGH").replace("input  wire        clk,", "input wire clk,")
+    (tmp_path / "one.sv").write_text(text)
+    (tmp_path / "two.v").write_text(STREAM_MODULE.format(name="two", high="`WIDTH*2-1"))
+    files = [str(tmp_path / name) for name in ("width.vh", "sizes.sv", "one.sv", "two.v")]
+    schema = tmp_path / "build.yaml"
+    assert main(["build", "init", *files, "-o", str(schema)]) == 0
+    sources = {name: [path.name for path in module.sources] for name, module in load_project(schema).modules.items()}
+    assert sources == {"one": ["width.vh", "sizes.sv", "one.sv"], "two": ["width.vh", "sizes.sv", "two.v"]}
+    assert main(["build", "check", str(schema)]) == 0
+
+
+def test_the_board_that_is_proposed_has_the_part(tmp_path: Path) -> None:
+    schema = tmp_path / "build.yaml"
+    assert main(["build", "init", *map(str, CAMERA), "-o", str(schema), "--part", "xck26-sfvc784-2LV-c"]) == 0
+    assert "# board: xilinx.com:kv260_som:part0:1.4" in schema.read_text()

@@ -360,3 +360,11 @@ def test_a_file_whose_name_is_no_utf8_is_read(tmp_path: Path) -> None:
     (folder / "a.v").write_text("module a (input wire clk, output wire [`W-1:0] o);\nendmodule\n")
     (found,) = extract([folder / "w.vh", folder / "a.v"])
     assert found.name == "a"
+
+
+def test_a_verilog_header_among_the_sources_leaves_systemverilog_its_keywords(tmp_path: Path) -> None:
+    (tmp_path / "width.vh").write_text("`define WIDTH 8\n")
+    (tmp_path / "sizes.sv").write_text("package sizes;\n    localparam int HIGH = `WIDTH * 2 - 1;\nendpackage\n")
+    (tmp_path / "a.sv").write_text("module a (input logic clk, output logic [sizes::HIGH:0] o);\nendmodule\n")
+    (found,) = extract([tmp_path.resolve() / name for name in ("width.vh", "sizes.sv", "a.sv")])
+    assert (found.problems, found.port("o").width) == ((), 16)

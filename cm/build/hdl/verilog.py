@@ -104,8 +104,9 @@ class VerilogReader:
         options = self._slang.parsing.PreprocessorOptions()
         options.additionalIncludePaths = includes
         options.predefines = self._defines
-        # Two readings of one file need two names in slang's source manager; the folder stays for relative includes.
-        name = _utf8(path) + ("" if language is Language.VERILOG else " as SystemVerilog")
+        # Two readings of one file need two names in slang's source manager, and none may be the file's own: a header
+        # that is included would be taken from there, with the keywords set above. The folder stays, for includes.
+        name = f"{_utf8(path)} as {language.value}"
         bag = self._slang.Bag([options])
         try:
             syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, _utf8(path), name, bag)
