@@ -65,7 +65,9 @@ class _Outside:
             name = f"s_axi_{self._region.name}_{self._bus.interface.name}_{signal}"
             return self._net.port(name, OUT if logical in axi.FROM_SLAVE else IN, width)
         domain = next(d for d in self._system.domains if d.clock == self._region.spec.clock)
-        have = next(bits for known, _, bits in LITE if known == signal)
+        have = next((bits for known, _, bits in LITE if known == signal), None)
+        if have is None:  # AWCACHE and the like, which some AXI4-Lite slaves have against the specification
+            return zeros(width)
         return low_bits(slave_port(domain, self._bus.window.name, signal), have, width)
 
     def into(self, field: axi.Field) -> str:

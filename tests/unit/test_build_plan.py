@@ -293,3 +293,13 @@ def test_a_submodule_that_no_file_has_is_told(tmp_path: Path, capsys: pytest.Cap
     (tmp_path / "gone.v").write_text("module gone;\nendmodule\n")
     assert main(["build", "check", str(path)]) == 0
     assert "no file has" not in capsys.readouterr().out
+
+
+def test_a_signal_that_axi4_lite_does_not_have_is_driven_0(tmp_path: Path) -> None:
+    """Some AXI4-Lite slaves have AWCACHE all the same."""
+    extra = "    input  wire [3:0]  s_axi_awcache,\n    input  wire        s_axi_awvalid,\n"
+    text = AXIL_MODULE.replace("    input  wire        s_axi_awvalid,\n", extra)
+    assert text != AXIL_MODULE
+    static = files(design(tmp_path, one=text))["hdl/cm_static.v"]
+    assert "s_awpayload" in static
+    assert "{4{1'b0}}" in static
