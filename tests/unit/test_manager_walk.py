@@ -17,7 +17,8 @@ import pytest
 from manager_schemas import written
 from manager_support import Rig, make_rig, rig
 
-from cm.device import DeviceError
+from cm.device import DeviceError, DevicePermission, Overlays
+from cm.device.errors import device_error
 from cm.manager.record import newest
 from cm.messages.requests import RegWrite
 from cm.schema.model import Config
@@ -178,6 +179,62 @@ def test_a_first_change_that_fails_leaves_what_it_touched_cut_off(
             error = fresh.go("default", config="duo")
             fresh.arm(-1)
             assert where(fresh, sim, configs) == ("" if error else "duo/default")
+
+
+@pytest.mark.parametrize(
+    ("way", "operation"),
+    [
+        (BY_MANAGER, "fpga_manager.load"),
+        (BY_OVERLAY, "overlays.apply"),
+        (BY_OVERLAY, "overlays.remove"),
+        (TWO_REGIONS, "icap.load"),
+        (TWO_REGIONS, "uio.write"),
+    ],
+    ids=str,
+)
+def test_what_the_system_does_not_permit_is_undone_and_told_as_such(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], way: Way, operation: str
+) -> None:
+    begin(made, way)
+
+    refused: list[str] = []
+
+    def refuse(name: str) -> None:
+        if name == operation and not refused:
+            refused.append(name)
+            raise device_error(errno.EACCES, "opening", "/sys/of/the/test")
+
+    made.fault.watch = refuse
+    made.arm(-1)
+    config, _, mode = way.goal.partition("/")
+    error = made.go(mode, config=config)
+    assert error is not None
+    assert error.code == "device_permission"
+    assert "/sys/of/the/test" in error.message
+    assert where(made, sim, configs) == way.start
+
+
+def test_a_manager_that_may_not_look_at_the_board_does_not_start(
+    made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else it would take the board for an empty one."""
+    begin(made, TWO_REGIONS)
+    made.close()
+
+    def refuses(_: Overlays) -> list[str]:
+        raise device_error(errno.EACCES, "listing", "/sys/kernel/config/device-tree/overlays")
+
+    before = newest((tmp_path / "journal").read_bytes())
+    with monkeypatch.context() as patch:
+        patch.setattr(Overlays, "list", refuses)
+        blind = make_rig(sim.root, tmp_path, *configs.values())
+        with pytest.raises(DevicePermission, match="device-tree/overlays"):
+            blind.manager.start()
+        blind.close()
+    assert newest((tmp_path / "journal").read_bytes()) == before
+    with rig(sim.root, tmp_path, *configs.values()) as again:
+        assert where(again, sim, configs) == TWO_REGIONS.start
+        assert again.notes == ()
 
 
 def test_a_region_that_was_only_cut_off_is_written_its_registers_again(made: Rig, sim: SimBoard) -> None:
