@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Callable
 from pathlib import Path
 
-from cm.errors import InvalidRequest
+from cm.errors import CmError, InvalidRequest
 from cm.manager.resolve import checked_name
 from cm.messages.requests import File
 from cm.schema import load, loads
 from cm.schema.model import Config
+
+_LOG = logging.getLogger("cm")
 
 SCHEMA_FILE = "schema.yaml"
 MAX_BYTES = 512 << 20
@@ -45,6 +48,18 @@ class Provisioner:
     def stored(self) -> list[Path]:
         """The schema files of all configurations that were provisioned."""
         return sorted(path for path in self._folder.glob(f"*/{SCHEMA_FILE}") if not path.parent.name.startswith("."))
+
+    def configs(self) -> dict[str, Config]:
+        """All configurations that were provisioned, by name; one that cannot be read is left out and logged."""
+        found = {}
+        for path in self.stored():
+            try:
+                config = load(path)
+            except CmError as error:
+                _LOG.error("a provisioned configuration is left out: %s", error)
+            else:
+                found[config.name] = config
+        return found
 
     def store(self, schema: str, files: tuple[File, ...], allowed: Callable[[str], None] = lambda _: None) -> Config:
         """Check the schema and put it with its files in place of what was there under its name.

@@ -4,25 +4,22 @@
 from __future__ import annotations
 
 import logging
-import os
-import socket as net
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import zmq
 
-from cm import multipart
 from cm.daemon.devices import BoardDevices
 from cm.daemon.discover import with_channels
 from cm.daemon.door import Door
 from cm.daemon.files import BoardFiles
 from cm.daemon.footprints import Footprints
-from cm.daemon.handlers import Handlers, Respond, Services, error_info
+from cm.daemon.front_desk import FrontDesk
+from cm.daemon.handlers import Handlers, Services
 from cm.daemon.holders import Holders
 from cm.daemon.interrupts import Interrupts
 from cm.daemon.loop import Loop
@@ -33,18 +30,15 @@ from cm.daemon.publisher import Publisher
 from cm.daemon.rereads import Rereads
 from cm.daemon.sockets import FolderLock, Security, Sockets
 from cm.daemon.streams import Streams
+from cm.daemon.systemd import notify_ready
 from cm.daemon.zap import Doorkeeper
 from cm.device import Root
-from cm.errors import CmError, InvalidRequest
+from cm.errors import CmError
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.store import Store
-from cm.messages.requests import Request, WriteConfig
-from cm.messages.status import ErrorInfo, Irq, RegValues, Reply, Status
-from cm.schema import load
+from cm.messages.requests import WriteConfig
+from cm.messages.status import ErrorInfo, Irq, RegValues, Status
 from cm.schema.model import Config
-from cm.wire.decode import Frame, decode_request, split_text
-from cm.wire.encode import encode_reply
-from cm.wire.topics import READ_REG
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two looks at streams, records and a lost board
@@ -92,8 +86,7 @@ class Server:
         self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
         self._holders = Holders(self._loop, self._manager.leases)
         self._memories = Memories(self._loop, self._manager.memories)
-        self._handlers = Handlers(self._services())
-        self._rereads = Rereads(self._manager.prepare_read)
+        self._front_desk = self._make_front_desk()
         self._statuses: deque[Status] = deque()
         self._doorkeeper: Doorkeeper | None = None
         self._boot_id = ""
@@ -102,11 +95,15 @@ class Server:
     def _make_manager(self) -> Manager:
         o = self._options
         self._provisioner.recover()
-        named = {**o.configs, **_stored(self._provisioner)}
+        named = {**o.configs, **self._provisioner.configs()}
         configs = {name: with_channels(config, o.root) for name, config in named.items()}
         files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"))
         env = Environment(self._devices, files, self._store, self._streams, _Clock(), self, o.settings)
         return Manager(configs, env)
+
+    def _make_front_desk(self) -> FrontDesk:
+        handlers, rereads = Handlers(self._services()), Rereads(self._manager.prepare_read)
+        return FrontDesk(self._loop, self._sockets, handlers, rereads, self._publisher, self._note_error)
 
     def _services(self) -> Services:
         return Services(
@@ -135,7 +132,7 @@ class Server:
             self._start_manager()
             self._loop.every(_TICK, self._tick)
             self._sockets.announce()
-            _notify_ready()
+            notify_ready()
             on_ready()
             self._loop.run()
         finally:
@@ -156,8 +153,8 @@ class Server:
             bound = self._sockets.bind_tcp(address, security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
         self._loop.add_socket(self._sockets.pub, self._publisher.subscription)
-        self._loop.add_socket(self._sockets.sub, self._on_sub)
-        self._loop.add_socket(self._sockets.req, self._on_req, foremost=True)
+        self._loop.add_socket(self._sockets.sub, self._front_desk.on_message)
+        self._loop.add_socket(self._sockets.req, self._front_desk.on_request, foremost=True)
 
     def _start_manager(self) -> None:
         for note in self._manager.start():
@@ -228,49 +225,6 @@ class Server:
     def _complete_status(self) -> Status:
         return self._publisher.complete(self._status())
 
-    # ---- sockets ------------------------------------------------------------------------
-
-    def _on_req(self) -> None:
-        envelope, message = split_envelope(multipart.receive(self._sockets.req))
-        if len(message) == 2 and message[0] == READ_REG and self._read_again(envelope, message[1]):
-            return
-        if len(message) == 1:
-            message = split_text(message)
-        topic = bytes(message[0]) if message else b""
-        self._dispatch(message, partial(self._reply, envelope, topic))
-        if topic == READ_REG:
-            self._rereads.learn(message)
-
-    def _read_again(self, envelope: list[Frame], message: Frame) -> bool:
-        """Answer a read of registers that was answered before; False where it was not."""
-        try:
-            reply = self._rereads.answer(bytes(message), self._publisher.sequence)
-        except Exception as error:  # noqa: BLE001 (every request gets an answer)
-            self._handlers.refuse(error, partial(self._reply, envelope, READ_REG))
-            return True
-        if reply is not None:
-            self._loop.send(self._sockets.req, [*envelope, READ_REG, reply])
-        return reply is not None
-
-    def _reply(self, envelope: list[Frame], topic: bytes, reply: Reply) -> None:
-        frames = encode_reply(topic, reply, self._publisher.sequence)
-        self._loop.send(self._sockets.req, [*envelope, *frames])
-
-    def _on_sub(self) -> None:
-        self._dispatch(multipart.receive(self._sockets.sub), self._fire_and_forget)
-
-    def _fire_and_forget(self, reply: Reply) -> None:
-        if reply.error is not None:
-            self._note_error(reply.error)
-
-    def _dispatch(self, frames: Sequence[bytes | memoryview], respond: Respond) -> None:
-        try:
-            request: Request = decode_request(frames)
-        except InvalidRequest as error:
-            respond(Reply(error=error_info(error)))
-            return
-        self._handlers.handle(request, respond)
-
     # ---- regular work ---------------------------------------------------------------------
 
     def _tick(self) -> None:
@@ -294,40 +248,3 @@ class Server:
             return
         self._boot_id = boot_id
         self._autoload()
-
-
-def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
-    """What a ROUTER received → return path, message.
-
-    A REQ socket puts an empty frame between them; a DEALER may, with frames of its own before it, or
-    may send the message straight away.
-    """
-    if len(frames) > 1 and not frames[1]:  # most do
-        return frames[:2], frames[2:]
-    if len(frames) < 2 or bytes(frames[1][:3]) == b"cm_" or b"" not in frames[1:]:
-        return frames[:1], frames[1:]
-    cut = frames.index(b"", 1) + 1
-    return frames[:cut], frames[cut:]
-
-
-def _stored(provisioner: Provisioner) -> dict[str, Config]:
-    found = {}
-    for path in provisioner.stored():
-        try:
-            config = load(path)
-        except CmError as error:
-            _LOG.error("a provisioned configuration is left out: %s", error)
-        else:
-            found[config.name] = config
-    return found
-
-
-def _notify_ready() -> None:
-    """Tell systemd (Type=notify), sd_notify(3)."""
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
-    if address.startswith("@"):
-        address = "\0" + address[1:]
-    with net.socket(net.AF_UNIX, net.SOCK_DGRAM) as sock:
-        sock.sendto(b"READY=1", address)
