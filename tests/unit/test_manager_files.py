@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import zlib
 from collections.abc import Iterator
@@ -196,6 +197,20 @@ def test_copies_are_not_written_through_a_folder_that_is_a_link(duo: Config, tmp
     with pytest.raises(InvalidRequest, match="symbolic link"):
         copy_of(opened(tmp_path), duo, "a0", firmware)
     assert list(elsewhere.iterdir()) == []
+
+
+def test_a_copy_that_does_not_fit_on_the_disk_leaves_nothing(
+    duo: Config, tmp_path: Path, firmware: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            copy_of(opened(tmp_path), duo, "a0", firmware)
+    assert list((firmware / "cm-converted").iterdir()) == []
+    assert copy_of(opened(tmp_path), duo, "a0", firmware).exists()
 
 
 def test_only_our_oldest_copies_are_removed_whatever_the_clock_says(
