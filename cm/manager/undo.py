@@ -6,17 +6,18 @@ Going back is a plan from wherever the board is now, like any other change.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from cm.errors import CmError
+from cm.manager.abandon import abandon
+from cm.manager.best_effort import BestEffort
 from cm.manager.board import Board, Tools
 from cm.manager.decoupler import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
 from cm.manager.plan import Goal, Plan
-from cm.manager.registers import RegisterAccess
-from cm.manager.state import BoardState, RegionEvent, RegionPhase
-from cm.manager.steps import LoadStatic, Step
+from cm.manager.state import BoardState, RegionPhase
+from cm.manager.steps import Step
 from cm.manager.transaction import Transaction
 from cm.schema.model import Config, ConfigType, Region
 
@@ -184,56 +185,3 @@ class WayBack:
         return self._same_static() and all(
             now.region(name) == before.region(name) for name in {*before.regions, *now.regions}
         )
-
-
-class BestEffort:
-    """A board on the way back: that the record cannot be written does not keep it from the mode before.
-
-    Whatever was touched, the last good record is of this change and says so: after a crash the board
-    goes to the same mode before, by loading what that record does not say is there. Only a whole image
-    is not begun without a record: registers of a device that is half loaded must not be accessed.
-    """
-
-    def __init__(self, board: Board) -> None:
-        self._board = board
-        self.update = board.update
-        self.observed = board.observed
-        self.took = board.took
-        self.lock_regions = board.lock_regions
-        self.progress = board.progress
-
-    @property
-    def state(self) -> BoardState:
-        """What the board holds now."""
-        return self._board.state
-
-    def record(self, step: Step | None) -> None:
-        """Write the state if that is possible. Raises RecordFailed before a whole image is loaded."""
-        try:
-            self._board.record(step)
-        except RecordFailed:
-            if isinstance(step, LoadStatic):
-                raise
-
-
-def abandon(board: Board, registers: RegisterAccess, regions: Iterable[Region]) -> list[str]:
-    """After a failed way back: cut off every region that is not ready.
-
-    Returns a sentence for each that could not be cut off. A device that may not be configured is not
-    accessed at all: its bus would not answer, and the processor would hang.
-    """
-    problems = []
-    for region in regions:
-        if board.state.region(region.name).phase is RegionPhase.READY:
-            continue
-        try:
-            if region.decoupler and not board.state.static_lost:
-                drive(registers, region.decoupler, cut=True)
-        except (CmError, OSError) as error:
-            problems.append(f"{region.name} could not be decoupled: {error}")
-        _mark_failed(board, region.name)
-    return problems
-
-
-def _mark_failed(board: Board, name: str) -> None:
-    board.update(lambda state: state.with_region(name, state.region(name).after(RegionEvent.ABANDON)))
