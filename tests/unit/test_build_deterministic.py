@@ -69,7 +69,7 @@ def first(tmp_path_factory: pytest.TempPathFactory) -> Trees:
     umask=st.sampled_from([0o022, 0o077]),
     where=st.sampled_from(["beside", "below", "root"]),
 )
-@settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_another_process_generates_the_same_bytes(
     tmp_path_factory: pytest.TempPathFactory,
     first: Trees,
