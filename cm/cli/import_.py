@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm import dfx-mgr|pynq``: runtime schemas from the packages of other managers."""
+"""``cm import dfx-mgr|pynq|archive``: runtime schemas from other managers' packages, and our own archives."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ import argparse
 from pathlib import Path
 
 from cm.cli.common import add_json_option, print_json
-from cm.importers import Imported, import_dfx_mgr, import_pynq, write
+from cm.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
 from cm.schema import dump
+
+FIRMWARE = Path("/lib/firmware/cm")  # where the manager looks for a configuration's files
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser(
         "import",
-        help="make a runtime schema from a dfx-mgr or PYNQ package",
+        help="make a runtime schema from a dfx-mgr or PYNQ package, or unpack an archive",
         description="Make runtime schemas that load another manager's package where it is, and say what could not be"
-        " carried over.",
+        " carried over; or unpack an archive of `cm build collect`.",
     )
     formats = parser.add_subparsers(dest="format", metavar="FORMAT", required=True)
     dfx = formats.add_parser("dfx-mgr", help="a base folder of dfx-mgr, the one with shell.json")
@@ -26,6 +28,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     pynq = formats.add_parser("pynq", help="a PYNQ overlay: a .bit with its .hwh beside it")
     pynq.add_argument("source", type=Path, metavar="FILE.bit")
     pynq.set_defaults(importer=import_pynq)
+    packed = formats.add_parser("archive", help="an archive of `cm build collect`, onto the board")
+    packed.add_argument("source", type=Path, metavar="FILE.tar.gz")
+    packed.add_argument("--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"below this folder ({FIRMWARE})")
+    add_json_option(packed)
+    packed.set_defaults(run=run_archive)
     for each in (dfx, pynq):
         each.add_argument("--out", type=Path, metavar="DIR", help="write the schemas into this folder, else print them")
         add_json_option(each)
@@ -45,6 +52,17 @@ def run(args: argparse.Namespace) -> int:
         print("---\n".join(dump(config) for config in imported.configs), end="")
     for note in imported.notes:
         print(f"# not carried over: {note}" if not files else f"  note: {note}")
+    return 0
+
+
+def run_archive(args: argparse.Namespace) -> int:
+    """Unpack; 0 unless the archive is refused."""
+    done = unpack(args.source, args.out)
+    if args.json:
+        print_json({"config": done.config.name, "folder": str(done.folder), "files": list(done.files)})
+    else:
+        counts = f"{len(done.config.modules)} modules, {len(done.config.modes)} modes, {len(done.files)} files"
+        print(f"{done.folder}: configuration {done.config.name}, {counts}")
     return 0
 
 

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages of other managers as runtime schemas: dfx-mgr (Kria) and PYNQ.
+"""Packages of other managers as runtime schemas: dfx-mgr (Kria) and PYNQ; and archives of our own build tool.
 
-Nothing is copied: the schemas point at the package's own files, so that it is loaded in place.
+Nothing of theirs is copied: the schemas point at the package's own files, so that it is loaded in place.
 What a package says that the runtime schema has no word for is told in `Imported.notes`.
 """
 
+from cm.importers.archive import Unpacked as Unpacked
+from cm.importers.archive import unpack as unpack
 from cm.importers.dfx_mgr import import_dfx_mgr as import_dfx_mgr
 from cm.importers.pynq import import_pynq as import_pynq
 from cm.importers.result import Imported as Imported

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An archive of `cm build collect`: one configuration with its files, unpacked whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import shutil
+import tarfile
+import tempfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from cm.importers.result import ImportRefused
+from cm.schema import load_folder
+from cm.schema.files import bitstream_path, overlay_path
+from cm.schema.model import Config
+
+MAX_BYTES = 1 << 30  # of all files together, unpacked
+MAX_FILES = 4096
+_PADDING = 16  # MiB of zeros that may follow the last file
+
+
+@dataclass(frozen=True, slots=True)
+class Unpacked:
+    """A configuration that lies in `folder`, in `files`."""
+
+    config: Config
+    folder: Path
+    files: tuple[str, ...]
+
+
+def unpack(archive: Path, out: Path) -> Unpacked:
+    """Put an archive's configuration into ``out/<config>/``, in place of what was there under its name.
+
+    The archive holds ``<config>/<file>…`` and nothing else. Schema, files and hashes are checked aside, then the
+    folder is renamed: a killed import leaves the old one, or the next one brings it back.
+    Raises ImportRefused, SchemaError, OSError; `out` is then as before.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
+    try:
+        name, files = _extract(archive, aside)
+        _checked(archive, aside / name)
+        _swap(aside / name, out / name)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return Unpacked(_only(archive, out / name), out / name, files)
+
+
+def _extract(archive: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
+    """Names and sizes are looked at before a file's first byte is written; nothing in them is believed."""
+    names: list[str] = []
+    top, total = "", 0
+    with _opened(archive) as tar:
+        for member in tar:
+            parts = PurePosixPath(member.name).parts
+            top = top or (parts[0] if parts else "")
+            if member.isdir() and parts == (top,) and top not in ("/", ".", ".."):
+                continue
+            _check_name(archive, member, parts, top)
+            total += member.size
+            if total > MAX_BYTES or len(names) >= MAX_FILES:
+                raise ImportRefused(f"{archive}: more than {MAX_FILES} files or {MAX_BYTES >> 20} MiB unpacked")
+            if parts[1] in names:
+                raise ImportRefused(f"{archive}: {member.name} is in it twice")
+            names.append(parts[1])
+            _write(tar, member, folder / top / parts[1])
+        _read_to_the_end(archive, tar)
+    if not names:
+        raise ImportRefused(f"{archive}: no files; an archive of `cm build collect` holds <configuration>/<file>…")
+    return top, tuple(sorted(names))
+
+
+def _read_to_the_end(archive: Path, tar: tarfile.TarFile) -> None:
+    """Behind the last file stands the compression's checksum, which nobody has looked at yet."""
+    assert tar.fileobj is not None
+    for _ in range(_PADDING):
+        if not tar.fileobj.read(1 << 20):
+            return
+    raise ImportRefused(f"{archive}: more than {_PADDING} MiB behind the last file")
+
+
+@contextlib.contextmanager
+def _opened(archive: Path) -> Iterator[tarfile.TarFile]:
+    try:
+        with tarfile.open(archive, "r:*") as tar:
+            yield tar
+    except (tarfile.TarError, zlib.error, EOFError, ValueError) as problem:  # what is wrong in the midst of it, too
+        raise ImportRefused(f"{archive}: no whole tar archive ({problem})") from problem
+    except OSError as problem:
+        if problem.errno is not None:
+            raise
+        raise ImportRefused(f"{archive}: no whole tar archive ({problem})") from problem  # of gzip: a wrong CRC
+
+
+def _check_name(archive: Path, member: tarfile.TarInfo, parts: tuple[str, ...], top: str) -> None:
+    if not member.isreg():
+        raise ImportRefused(f"{archive}: {member.name} is no plain file; links and devices are not unpacked")
+    if len(parts) != 2 or ".." in parts or parts[0] in ("/", ".") or "\0" in member.name:
+        raise ImportRefused(f"{archive}: {member.name!r} where <configuration>/<file> is expected")
+    if parts[0] != top or top.startswith("."):
+        raise ImportRefused(f"{archive}: files of {top!r} and {parts[0]!r}; one configuration is expected")
+
+
+def _write(tar: tarfile.TarFile, member: tarfile.TarInfo, place: Path) -> None:
+    source = tar.extractfile(member)
+    assert source is not None  # it is a plain file
+    place.parent.mkdir(exist_ok=True)
+    with source, place.open("xb") as file:
+        shutil.copyfileobj(source, file, 1 << 20)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _only(archive: Path, folder: Path) -> Config:
+    configs = load_folder(folder)
+    if list(configs) != [folder.name]:
+        found = " and ".join(configs) or "none"
+        raise ImportRefused(f"{archive}: the schema of configuration {folder.name!r} is expected; there is {found}")
+    return configs[folder.name]
+
+
+def _checked(archive: Path, folder: Path) -> None:
+    """Every file that the schema names is there, with the hash that it names."""
+    config = _only(archive, folder)
+    wanted = [(bitstream_path(config, module, folder), module.sha256) for module in config.modules.values()]
+    if config.bitstream is not None:
+        wanted.append((bitstream_path(config, None, folder), config.sha256))
+    overlays = [*config.overlays, *(overlay for mode in config.modes.values() for overlay in mode.overlays)]
+    wanted += [(overlay_path(config, overlay, folder), None) for overlay in overlays]
+    for path, sha256 in wanted:
+        if path.parent != folder:
+            raise ImportRefused(f"{archive}: the schema names {path}, which does not come with it")
+        if sha256 is not None and _sha256(path) != sha256:
+            raise ImportRefused(f"{archive}: {path.name} is not the file that the schema was made for (sha256)")
+
+
+def _sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        digest = hashlib.sha256()
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def _swap(new: Path, place: Path) -> None:
+    old = place.with_name(f".{place.name}.old")
+    if old.exists():
+        if place.exists():
+            shutil.rmtree(old)
+        else:  # an import was killed between its two renames
+            old.rename(place)
+    new.chmod(0o755)
+    _sync(new)
+    if place.exists():
+        place.rename(old)
+    try:
+        new.rename(place)
+    except BaseException:
+        if old.exists():
+            old.rename(place)
+        raise
+    _sync(place.parent)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
