@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from cm.daemon.choices import Choices
 from cm.daemon.compress import check_compression
 from cm.daemon.devices import BoardDevices
 from cm.daemon.echo import Echoes
@@ -60,7 +61,7 @@ class Streams:
         self._config: Config | None = None
         self._mode: str | None = None
         self._streams: dict[str, Stream] = {}
-        self._overrides: dict[str, tuple[Stream, Stream]] = {}  # as the schema has it, and as it was set
+        self._choices = Choices()
         self._plane = Plane()
         self.echoes = Echoes(self._plane)
         self._pumps: dict[str, Pump] = {}
@@ -70,7 +71,6 @@ class Streams:
         self._wanted: Callable[[str], bool] = lambda _: False
         self._overruns: Callable[[str], int] = lambda _: 0
         self._check_lease: Callable[[tuple[str, ...], str], None] = lambda _, __: None
-        self._enabled: dict[str, bool] = {}
         self._silence = Silence(devices.probe_dma)
 
     # ---- wiring -------------------------------------------------------------------
@@ -132,22 +132,18 @@ class Streams:
         wanted = changed(stream, request)
         if wanted != stream and not request.force and self._in_use(stream):
             raise Busy(f"stream {stream.name!r} is in use; close its readers, or force the change")
-        before = stream, self._overrides.get(stream.name), self._enabled.get(stream.name)
         if wanted != stream:
             self._check_channel(wanted)
             self._close(stream.name)
-            base = before[1][0] if before[1] else stream
-            self._overrides[stream.name] = base, wanted
             self._streams[stream.name] = wanted
-        if request.automatic:
-            self._enabled.pop(stream.name, None)
-        elif request.enable is not None:
-            self._enabled[stream.name] = request.enable
+        take_back = self._choices.take(stream, wanted, request)
         try:
             if self._is_wanted(wanted) and stream.name not in self._held:
                 self._running(wanted)
-        except BaseException:
-            self._restore(*before)
+        except BaseException:  # a change that the channel refuses is none
+            take_back()
+            self._streams[stream.name] = stream
+            self.refresh()
             raise
         self.refresh()
         return self.status_of(stream.name)
@@ -159,11 +155,8 @@ class Streams:
         if stream.name not in self._pumps and stream.name not in self._held:
             return False
         tap = self._taps.get(stream.name)
-        working = bool(tap and tap.working)
-        return self._has_subscriber(stream) or self._has_local(stream.name) or working or self._always(stream)
-
-    def _always(self, stream: Stream) -> bool:
-        return self._enabled.get(stream.name) is True
+        busy = bool(self._choices.runs(stream.name) or (tap and tap.working))
+        return busy or self._has_subscriber(stream) or self._has_local(stream.name)
 
     def _check_channel(self, stream: Stream) -> None:
         """Raise InvalidRequest for what the channel cannot do, also where nobody uses it yet."""
@@ -178,18 +171,6 @@ class Streams:
                     setup(dma.info, stream)
         except OSError as error:  # not there now, or somebody else's: told when it is opened
             _LOG.info("stream %s: its channel cannot be asked: %s", stream.name, error)
-
-    def _restore(self, stream: Stream, override: tuple[Stream, Stream] | None, enabled: bool | None) -> None:
-        """A change that the channel refused is none."""
-        name = stream.name
-        self._streams[name] = stream
-        self._overrides.pop(name, None)
-        self._enabled.pop(name, None)
-        if override is not None:
-            self._overrides[name] = override
-        if enabled is not None:
-            self._enabled[name] = enabled
-        self.refresh()
 
     def named(self, name: str, direction: Direction | None) -> Stream:
         """A stream by name, or the only one of a direction. Raises UnknownStream, NothingLoaded."""
@@ -280,15 +261,12 @@ class Streams:
     def _enter(self, config: Config | None, mode: str | None) -> None:
         streams = dict(config.modes[mode].streams) if config and mode is not None and mode in config.modes else {}
         if config is not None and (self._config is None or config.name != self._config.name):
-            self._overrides.clear()
-            self._enabled.clear()
+            self._choices.config_changed()
+        if mode != self._mode:
+            self._choices.mode_changed()
         self._held.clear()
-        same_mode = mode == self._mode
         self._config, self._mode = config, mode
-        if not same_mode:
-            self._overrides.clear()  # a mode's shapes are the schema's until somebody changes them again
-            self._enabled = {name: True for name, runs in self._enabled.items() if runs}  # what runs runs on
-        new = {n: self._as_set(s) for n, s in streams.items()}
+        new = {n: self._choices.of(s) for n, s in streams.items()}
         for name in list(self._pumps):
             if new.get(name) != self._streams.get(name):
                 self._close(name)
@@ -297,17 +275,10 @@ class Streams:
             pump.label(config.name if config else "", mode or "")
         self.refresh()
 
-    def _as_set(self, stream: Stream) -> Stream:
-        base, wanted = self._overrides.get(stream.name, (None, stream))
-        if base == stream:
-            return wanted
-        self._overrides.pop(stream.name, None)  # of a schema that was replaced
-        return stream
-
     def _is_wanted(self, stream: Stream) -> bool:
-        enabled = self._enabled.get(stream.name)
-        if enabled is not None:
-            return enabled
+        runs = self._choices.runs(stream.name)
+        if runs is not None:
+            return runs
         tap = self._taps.get(stream.name)
         return self._has_subscriber(stream) or self._has_local(stream.name) or bool(tap and tap.busy)
 
@@ -318,7 +289,7 @@ class Streams:
         return any(local.stream == name and not local.leaving for local in self._locals.values())
 
     def _may_run(self, name: str) -> bool:
-        return name not in self._held and self._enabled.get(name) is not False and not self._silence.of(name)
+        return name not in self._held and self._choices.runs(name) is not False and not self._silence.of(name)
 
     def _running(self, stream: Stream, first: Callable[[Pump], bool] = lambda _: True) -> Pump:
         if stream.name in self._held:

@@ -19,7 +19,7 @@ from cm.errors import CmError, Timeout
 from cm.sim import Board as SimBoard
 
 LIMIT = 3.0  # CM_NODE_TIMEOUT_MS
-AT_ONCE = 1.5  # a busy machine's idea of it: less than half of that
+AT_ONCE = 2.5  # a busy machine's idea of it: less than that
 Own = tuple[Manager, SimBoard]
 
 
