@@ -18,6 +18,18 @@
 /* How long close() waits for a simulated node to let go, as a driver's release() would. */
 #define RELEASE_TIMEOUT_MS 5000
 
+/* CM_SIM_TIMEOUT in whole seconds, for simulators under a debugger or on a machine that is too busy. */
+static int answer_timeout_ms(void)
+{
+	const char *text = secure_getenv("CM_SIM_TIMEOUT");
+	char *end = NULL;
+	long seconds = text ? strtol(text, &end, 10) : 0;
+
+	if (seconds < 1 || seconds > CM_NODE_TIMEOUT_MAX_S || *end != '\0')
+		return CM_NODE_TIMEOUT_MS;
+	return (int)seconds * 1000;
+}
+
 static int greet(struct cm_node *node)
 {
 	if (cm_message_greeting(node->fd, &node->event_fd, &node->offers))
@@ -42,7 +54,7 @@ static int open_kind(struct cm_node *node, int path_fd)
 	}
 	if (S_ISSOCK(st.st_mode)) {
 		node->simulated = true;
-		node->fd = cm_path_connect(path_fd, CM_NODE_TIMEOUT_MS);
+		node->fd = cm_path_connect(path_fd, answer_timeout_ms());
 		return node->fd < 0 ? -1 : greet(node);
 	}
 	errno = ENXIO;

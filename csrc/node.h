@@ -19,8 +19,12 @@
 #include <stdint.h>
 #include <sys/types.h>
 
-/* How long a simulated node may take to answer; one that is stopped (SIGSTOP) does not. */
+/*
+ * How long a simulated node may take to answer; one that is stopped (SIGSTOP) does not.
+ * The environment's CM_SIM_TIMEOUT says otherwise, in whole seconds.
+ */
 #define CM_NODE_TIMEOUT_MS 3000
+#define CM_NODE_TIMEOUT_MAX_S 3600
 
 struct cm_node;
 
@@ -88,7 +92,7 @@ bool cm_node_simulated(const struct cm_node *node);
  * @mode: which way @fd goes
  *
  * Blocks as long as the driver takes, on a simulated node at most
- * CM_NODE_TIMEOUT_MS, counted anew after a signal.  A signal does not end it.
+ * CM_NODE_TIMEOUT_MS (or CM_SIM_TIMEOUT), counted anew after a signal.  A signal does not end it.
  *
  * Errors: what the driver says; ENODEV if the node is gone; EPROTO if the
  * reply does not keep to cm_node.h, after which every request fails with it;

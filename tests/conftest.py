@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import os
+
 from hypothesis import HealthCheck, Phase, settings
 
 # A busy machine must not fail a test: no deadlines. The explain phase costs much and tells little here.
@@ -13,3 +15,6 @@ settings.register_profile(
     phases=[Phase.explicit, Phase.reuse, Phase.generate, Phase.shrink],
 )
 settings.load_profile("cm")
+
+# Nor do simulators that get no processor time; tests of silent ones say their own (seconds).
+os.environ.setdefault("CM_SIM_TIMEOUT", "60")

@@ -47,7 +47,14 @@ class Outbox:
         mark = max(_FEWEST, min(HWM_PUB, self._limit // longest))
         if mark != self._mark:
             self._mark = mark
-            self._socket.setsockopt(_SNDHWM, mark)  # of subscribers that are there as well as of new ones
+            self._apply_mark()
+
+    def _apply_mark(self) -> None:
+        self._socket.setsockopt(_SNDHWM, self._mark)  # libzmq: to the connections that are there, to no other
+
+    def joined(self) -> None:
+        """A subscriber came: its connection has the mark that the socket had when it was bound."""
+        self._apply_mark()
 
     def send(self, message: Sequence[Any]) -> None:
         """Send a short message: who is behind with frames still gets it."""
@@ -59,7 +66,7 @@ class Outbox:
         try:
             self._send_to_all(message)
         finally:
-            self._socket.setsockopt(_SNDHWM, self._mark)
+            self._apply_mark()
 
     def send_frame(self, stream: str, message: Sequence[Any]) -> bool:
         """Send a frame; False if a subscriber does not get it, because as much as may wait for it already does."""

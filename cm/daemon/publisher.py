@@ -57,6 +57,7 @@ class Publisher:
             topic = message[1:]
             if message[:1] == b"\x01":
                 self._subscriptions.add(topic)
+                self._outbox.joined()
                 wanted = wanted or topics.STATUS.startswith(topic)
             else:
                 self._subscriptions.discard(topic)

@@ -11,14 +11,14 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-from manager_process import Manager, served, until
+from manager_process import Manager, environment, served, until
 
 import cm
 from cm.client.errors import RequestFailed, TransferFailed
 from cm.errors import CmError, Timeout
 from cm.sim import Board as SimBoard
 
-LIMIT = 3.0  # CM_NODE_TIMEOUT_MS
+LIMIT = 3  # seconds: CM_NODE_TIMEOUT_MS where CM_SIM_TIMEOUT says nothing better
 AT_ONCE = 2.5  # a busy machine's idea of it: less than that
 Own = tuple[Manager, SimBoard]
 
@@ -26,7 +26,7 @@ Own = tuple[Manager, SimBoard]
 @pytest.fixture(scope="module")
 def own() -> Iterator[Own]:
     """A manager and a board that no other test needs."""
-    with served() as both:
+    with served(env=environment() | {"CM_SIM_TIMEOUT": str(LIMIT)}) as both:
         yield both
 
 
