@@ -11,14 +11,12 @@ import os
 import socket
 import time
 from collections import deque
-from collections.abc import Callable
-
-import numpy as np
+from collections.abc import Callable, Iterator
 
 from cm.daemon.loop import Loop, Timer
 from cm.daemon.pump import Done, Frame, Pump, StreamStopped
 from cm.daemon.settings import frame_bytes
-from cm.device.plane import Plane
+from cm.device.plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
 from cm.wire import plane as packets
 from cm.wire.plane import DESCRIPTOR, Descriptor
@@ -135,9 +133,7 @@ class ReadTap(_Tap):
         setup, slot = self._pump.setup, self._pump.slots[packet.slot]
         view = slot.memoryview(writable=False)
         if setup.lines and setup.stride != setup.line_bytes:
-            whole = np.frombuffer(view, np.uint8)
-            lines = np.lib.stride_tricks.as_strided(whole, (setup.lines, setup.line_bytes), (setup.stride, 1))
-            return np.ascontiguousarray(lines).reshape(-1).data[: packet.length]
+            return memoryview(b"".join(view[line] for line in _lines(setup)))[: packet.length]
         return view[packet.offset : packet.offset + packet.length]
 
     def close(self) -> None:
@@ -196,13 +192,12 @@ class WriteTap(_Tap):
         setup, slot = self._pump.setup, self._pump.slots[number]
         slot.sync_begin(write=True)
         try:
+            memory = slot.memoryview()
             if setup.lines and setup.stride != setup.line_bytes:
-                lines = np.lib.stride_tricks.as_strided(
-                    slot.array(), (setup.lines, setup.line_bytes), (setup.stride, 1), writeable=True
-                )
-                lines[:] = np.frombuffer(view, np.uint8).reshape(setup.lines, setup.line_bytes)
+                for at, line in enumerate(_lines(setup)):
+                    memory[line] = view[at * setup.line_bytes : (at + 1) * setup.line_bytes]
                 return setup.length
-            slot.memoryview()[: view.nbytes] = view
+            memory[: view.nbytes] = view
             return view.nbytes
         finally:
             slot.sync_end(write=True)
@@ -249,6 +244,12 @@ class WriteTap(_Tap):
             done(stopped)
         self._under_way.clear()
         self._waiting.clear()
+
+
+def _lines(setup: StreamSetup) -> Iterator[slice]:
+    """Where the lines of a video frame lie in its slot."""
+    for begin in range(0, setup.lines * setup.stride, setup.stride):
+        yield slice(begin, begin + setup.line_bytes)
 
 
 def _failure(stream: str, number: int) -> CmError:

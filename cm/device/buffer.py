@@ -9,14 +9,15 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any
 
 from cm.device.errors import DeviceInvalid, device_error
 from cm.native import buffer as native
 from cm.native.call import Handle
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
 
 # The device is gone or closed, has forgotten the handle, or does not answer: nothing can be given back.
 _FREED_WITH_DEVICE = (errno.EBADF, errno.ENODEV, errno.ENOENT, errno.ETIMEDOUT)
@@ -55,6 +56,8 @@ class DmaBuffer:
 
     def array(self, offset: int = 0, length: int | None = None, writable: bool = True) -> npt.NDArray[np.uint8]:
         """Return ``length`` bytes (default: the rest) from ``offset`` as a uint8 view, not a copy."""
+        import numpy as np  # here: the manager needs no arrays until it checks a bitstream, and starts without
+
         length = self.length - offset if length is None else length
         self.check_range(offset, length)
         return np.frombuffer(self.memoryview(writable), np.uint8, length, offset)

@@ -171,6 +171,15 @@ def test_help_imports_no_command_and_no_library() -> None:
     assert run_python(code).stdout.endswith("[]\n")
 
 
+def test_the_manager_starts_without_numpy() -> None:
+    """It is a quarter of the time to the first reply, which needs none of it."""
+    code = (
+        "import sys, cm.cli.serve, cm.client.address, cm.daemon.server, cm.schema.loader\n"
+        "print([n for n in sys.modules if n in ('numpy', 'jsonschema', 'cm.sim.main', 'cm.cli.check')])"
+    )
+    assert run_python(code).stdout.endswith("[]\n")
+
+
 def test_a_reader_that_goes_away_is_no_traceback() -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "cm", "check", "--print-schema"],
