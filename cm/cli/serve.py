@@ -52,7 +52,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--insecure", action="store_true", help="allow TCP beyond this machine without keys")
     parser.add_argument("--prefetch", type=int, default=64, metavar="MIB", help="DMA memory for images held ready")
     parser.add_argument("--stream-queue", type=_mebibytes, default=32 << 20, metavar="MIB",
-        help="frames that may wait for each subscriber over ZeroMQ (default: 32; at least two frames)")  # fmt: skip
+        help="frames that may wait for each subscriber over ZeroMQ, by the schemas' longest (default: 32)")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
     parser.add_argument("--sim-icap-rate", type=float, metavar="BYTES", help="with --sim: bytes per second of its ICAP")
     parser.add_argument("--sim-hold", type=int, metavar="FRAMES", help="with --sim: frames that a photograph stays")

@@ -15,7 +15,7 @@ import zmq
 from cm._version import __version__
 from cm.daemon.compress import Compressor, compressions
 from cm.daemon.loop import Loop
-from cm.daemon.outbox import BYTES, Outbox
+from cm.daemon.outbox import Outbox
 from cm.daemon.pump import Frame
 from cm.messages.status import FrameInfo, Irq, RegValues, Status
 from cm.wire import encode, topics
@@ -32,11 +32,9 @@ class Publisher:
         socket: zmq.Socket[bytes],
         status: Callable[[], Status],
         changed: Callable[[], None],
-        queue_bytes: int = BYTES,
     ) -> None:
-        """`queue_bytes`: of frames that may wait for one subscriber."""
         self._socket = socket
-        self._outbox = Outbox(loop, socket, queue_bytes)
+        self._outbox = Outbox(loop, socket)
         self._compressor = Compressor(loop, self._compressed)
         self._status = status
         self._changed = changed  # subscriptions changed: streams may be wanted or not
@@ -57,13 +55,11 @@ class Publisher:
             topic = message[1:]
             if message[:1] == b"\x01":
                 self._subscriptions.add(topic)
-                self._outbox.joined()
                 wanted = wanted or topics.STATUS.startswith(topic)
             else:
                 self._subscriptions.discard(topic)
         if wanted:
             self.status(self._status())
-        self._outbox.keep(self.wants_stream)
         self._changed()
 
     def has_subscriber(self, topic: bytes) -> bool:
@@ -116,7 +112,7 @@ class Publisher:
             self._send_frame(info.stream, [topic, encode.encode_frame_info(info), data])
 
     def _send_frame(self, stream: str, message: Sequence[Any]) -> None:
-        if not self._outbox.send_frame(stream, message):
+        if not self._outbox.send_frame(message):
             self._overruns[stream] += 1
 
     def close(self) -> None:

@@ -24,7 +24,7 @@ from cm.daemon.holders import Holders
 from cm.daemon.interrupts import Interrupts
 from cm.daemon.loop import Loop
 from cm.daemon.memories import Memories
-from cm.daemon.outbox import BYTES
+from cm.daemon.outbox import BYTES, mark
 from cm.daemon.provision import Provisioner
 from cm.daemon.publisher import Publisher
 from cm.daemon.rereads import Rereads
@@ -72,7 +72,6 @@ class Server:
         self._lock = FolderLock(options.runtime_dir)
         self._loop = Loop()
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._sockets = Sockets(self._context, options.runtime_dir)
         self._devices = BoardDevices(options.root)
         self._streams = Streams(self._loop, self._devices, self._note_error)
         self._door = Door(self._loop, options.runtime_dir, self._streams.open_local, self._streams.echoes)
@@ -80,9 +79,9 @@ class Server:
         self._store = Store(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         self._manager = self._make_manager()
-        self._publisher = Publisher(
-            self._loop, self._sockets.pub, self._status, self._streams.refresh, options.queue_bytes
-        )
+        waiting = mark(self._manager.configs.values(), options.queue_bytes)
+        self._sockets = Sockets(self._context, options.runtime_dir, waiting)
+        self._publisher = Publisher(self._loop, self._sockets.pub, self._status, self._streams.refresh)
         self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
         self._holders = Holders(self._loop, self._manager.leases)
         self._memories = Memories(self._loop, self._manager.memories)

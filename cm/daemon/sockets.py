@@ -16,7 +16,6 @@ from cm.wire.plane import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
 ENDPOINTS_FILE = "endpoints.json"
-HWM_PUB = 1000  # messages waiting for one slow subscriber; frames have a limit in bytes (publisher.py)
 
 
 class AlreadyServed(Busy):
@@ -57,17 +56,17 @@ class Security:
 
 
 class Sockets:
-    """XPUB, SUB and ROUTER, bound."""
+    """XPUB, SUB and ROUTER, bound. `waiting`: messages that may wait for each slow subscriber."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], runtime_dir: Path) -> None:
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], runtime_dir: Path, waiting: int) -> None:
         self._folder = runtime_dir
         self.ipc = ipc_endpoints(runtime_dir)
         self.pub = context.socket(zmq.XPUB)
         self.sub = context.socket(zmq.SUB)
         self.req = context.socket(zmq.ROUTER)
         self.pub.setsockopt(zmq.XPUB_VERBOSE, 1)  # every new subscriber gets the status at once
-        self.pub.setsockopt(zmq.SNDHWM, HWM_PUB)
-        self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells who publishes of a full queue; see publisher.py
+        self.pub.setsockopt(zmq.SNDHWM, waiting)  # before it is bound, and never after: see outbox.py
+        self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells who publishes of a full queue; see outbox.py
         self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_")
         self.req.setsockopt(zmq.ROUTER_HANDOVER, 1)
         for socket in self.all:
