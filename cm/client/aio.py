@@ -135,10 +135,12 @@ class Board:
             self._pending.pop(number, None)
         return call.result(decode_reply(frames))
 
-    def subscribe(self, *names: bytes) -> zmq.asyncio.Socket:
-        """A SUB socket on topics; the caller closes it."""
+    def subscribe(self, *names: bytes, depth: int = 0) -> zmq.asyncio.Socket:
+        """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number); the caller closes it."""
         socket = self._context.socket(zmq.SUB)
         prepare(socket, self._keys)
+        if depth:
+            socket.setsockopt(zmq.RCVHWM, depth)  # before connect(): see cm/daemon/outbox.py
         for name in names:
             socket.setsockopt(zmq.SUBSCRIBE, name)
         socket.connect(self._endpoints.pub)

@@ -102,7 +102,7 @@ class AsyncLocalStream(Stream):
 class AsyncRemoteStream(Stream):
     """Frames over ZeroMQ; see `RemoteStream`."""
 
-    def __init__(self, ask: Ask, subscribe: Callable[[], zmq.asyncio.Socket], wanted: Wanted) -> None:
+    def __init__(self, ask: Ask, subscribe: Callable[..., zmq.asyncio.Socket], wanted: Wanted) -> None:
         self._ask, self._subscribe, self._wanted = ask, subscribe, wanted
         self._socket: zmq.asyncio.Socket | None = None
         self._arrivals = Arrivals()
@@ -115,9 +115,7 @@ class AsyncRemoteStream(Stream):
         if self._socket is None:
             # raises for an unknown stream, and for what the manager cannot compress with
             await self._ask(calls.data_config(DataConfig(self._wanted.name, compression=self._wanted.compression)))
-            self._socket = self._subscribe()
-            self._socket.setsockopt(zmq.RCVHWM, self._wanted.depth or STREAM_HWM)
-            self._socket.setsockopt(zmq.SUBSCRIBE, self._wanted.topic)
+            self._socket = self._subscribe(self._wanted.topic, depth=self._wanted.depth or STREAM_HWM)
 
     async def read(self, timeout: float | None = None) -> Frame:
         await self.open()

@@ -99,9 +99,11 @@ class Board:
         frames = self._link.ask(encode_request(call.request), timeout or self.timeout)
         return call.result(decode_reply(frames))
 
-    def subscribe(self, *topic: bytes) -> Socket:
-        """A SUB socket on topics; the caller closes it."""
+    def subscribe(self, *topic: bytes, depth: int = 0) -> Socket:
+        """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number); the caller closes it."""
         socket = prepare(self._context.socket(zmq.SUB), self._keys)
+        if depth:
+            socket.setsockopt(zmq.RCVHWM, depth)  # before connect(): see cm/daemon/outbox.py
         for name in topic:
             socket.setsockopt(zmq.SUBSCRIBE, name)
         socket.connect(self._endpoints.pub)

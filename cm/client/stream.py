@@ -10,8 +10,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, TypeVar
 
-import zmq
-
 from cm.client import calls
 from cm.client.calls import Call
 from cm.client.errors import RequestFailed
@@ -34,7 +32,7 @@ class Asker(Protocol):
     def ask(self, call: Call[_T], timeout: float | None = None) -> _T:
         """Make a request."""
 
-    def subscribe(self, *topic: bytes) -> Socket:
+    def subscribe(self, *topic: bytes, depth: int = 0) -> Socket:
         """A SUB socket."""
 
 
@@ -200,9 +198,7 @@ class RemoteStream(Stream):
         if self._socket is None:
             # raises for an unknown stream, and for what the manager cannot compress with
             self._board.ask(calls.data_config(DataConfig(self.name, compression=self._wanted.compression)))
-            self._socket = self._board.subscribe()
-            self._socket.setsockopt(zmq.RCVHWM, self._wanted.depth or STREAM_HWM)
-            self._socket.setsockopt(zmq.SUBSCRIBE, self._wanted.topic)
+            self._socket = self._board.subscribe(self._wanted.topic, depth=self._wanted.depth or STREAM_HWM)
         return self._socket
 
     @property
