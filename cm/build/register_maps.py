@@ -54,7 +54,7 @@ def _ipxact(path: Path, module: str) -> Registers:
     data = path.read_bytes()
     try:
         root = ElementTree.fromstring(data[max(data.find(b"<?xml"), 0) :])
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the latter for encodings
         raise BuildError(f"{path}: no XML: {error}") from None
     found: Registers = {}
     for block in _all(root, "addressBlock"):

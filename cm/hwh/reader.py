@@ -36,7 +36,7 @@ def parse(data: bytes, name: str = ".hwh") -> Hwh:
         raise HwhError(f"{name}: a document type or entities have no place in a hardware handoff")
     try:
         root = ElementTree.fromstring(data)
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the latter for encodings
         raise HwhError(f"{name}: no XML: {error}") from error
     info = root.find("SYSTEMINFO")
     if root.tag != "EDKSYSTEM" or info is None:

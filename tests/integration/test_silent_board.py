@@ -73,7 +73,7 @@ def again(call: Callable[[], object]) -> None:
 
 def test_a_stream_whose_board_is_stopped_ends_and_goes_on_with_it(board: cm.Board, own: Own) -> None:
     with board.stream("camera", timeout=0.3) as stream:
-        held = [stream.read() for _ in range(3)]
+        held = [stream.read(timeout=20) for _ in range(3)]
         with stopped(own[1]):
             held.clear()  # what is given back goes to the board
             answers(board, LIMIT + AT_ONCE)

@@ -88,6 +88,7 @@ def test_systemrdl(tmp_path: Path) -> None:
     [
         ("a.txt", "", "registers are read from"),
         ("a.xml", "<spirit", "no XML"),
+        ("a.xml", '<?xml version="1.0" encoding="aTF-8"?><a/>', "no XML"),
         ("a.xml", "<a/>", "describes no registers"),
         ("a.rdl", "addrmap {", "a.rdl"),
     ],

@@ -209,6 +209,12 @@ def test_refusal_names_the_file(tmp_path: Path) -> None:
         handoff.read(path)
 
 
+@pytest.mark.parametrize("encoding", ["aTF-8", "shift_jis", ""])
+def test_an_encoding_that_xml_is_not_read_in_is_refused(encoding: str) -> None:
+    with pytest.raises(HwhError, match="no XML"):
+        handoff.parse(f'<?xml version="1.0" encoding="{encoding}"?><EDKSYSTEM/>'.encode())
+
+
 @given(st.binary(max_size=60), st.integers(0, 2000))
 def test_any_damage_is_read_or_refused(noise: bytes, where: int) -> None:
     data = hwh(module("ps", PS, memory(("gpio", 0, 4096))), module("gpio", "axi_gpio", described(register("A", 0))))
