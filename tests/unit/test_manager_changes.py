@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from bitstream_support import bit
 from manager_process import until
-from manager_schemas import DUO, written
+from manager_schemas import DUO
 from manager_support import Rig, rig
 
 from cm.bitstream import assemble_module
@@ -29,19 +29,6 @@ from cm.sim import Board as SimBoard
 # IDCODE of the xc7z020, IV, DWC and the words that only the device can read
 ENCRYPTED = bit(0x30018001, 0x03727093, 0x30016004, 1, 2, 3, 4, 0x30034001, 4, 9, 9, 9, 9)
 BOTH_REGIONS = ("a0", "b0", "a1", "b1")
-
-
-@pytest.fixture(scope="module")
-def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
-    return written(tmp_path_factory.mktemp("configs"))
-
-
-@pytest.fixture(scope="module")
-def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
-    folder = next(iter(configs.values())).source
-    assert folder is not None
-    with SimBoard([folder.parent], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
-        yield board
 
 
 @pytest.fixture

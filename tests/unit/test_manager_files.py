@@ -6,7 +6,6 @@ from __future__ import annotations
 import errno
 import os
 import zlib
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -270,14 +269,6 @@ def test_a_huge_file_is_refused_before_it_is_read(duo: Config, tmp_path: Path) -
 
 
 # ---- replaced while a change runs ---------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def sim(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimBoard]:
-    folder = tmp_path_factory.mktemp("configs")
-    written(folder)
-    with SimBoard([folder], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
-        yield board
 
 
 def replaced(made: Rig, sim: SimBoard, config: str, victim: str, at: str) -> object:

@@ -10,11 +10,9 @@ import os
 import random
 import signal
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from manager_schemas import written
 from manager_support import Rig, make_rig, rig
 
 from cm.schema.model import Config
@@ -22,19 +20,6 @@ from cm.sim import Board as SimBoard
 
 CHANGES = int(os.environ.get("CM_RANDOM_CHANGES", "60"))
 SEED = int(os.environ.get("CM_RANDOM_SEED", "1"))
-
-
-@pytest.fixture(scope="module")
-def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
-    return written(tmp_path_factory.mktemp("configs"))
-
-
-@pytest.fixture(scope="module")
-def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
-    folder = next(iter(configs.values())).source
-    assert folder is not None
-    with SimBoard([folder.parent], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
-        yield board
 
 
 def go(made: Rig, place: str) -> str:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from manager_schemas import written
 from manager_support import Rig, make_rig, rig
 
 from cm.device import DeviceError, DevicePermission, Overlays
@@ -46,19 +45,6 @@ BY_OVERLAY = Way("kernel/default", "kernel/both")
 BY_MANAGER = Way("managed/default", "managed/both")
 REGISTERS = {"gain": 0x2000 + 0x1010, "depth": 0x6000 + 0x1010}  # of prr0 and prr1
 WAYS = (TWO_REGIONS, ONE_OF_TWO, TO_FULL, TO_PARTIAL, BY_OVERLAY, BY_MANAGER)
-
-
-@pytest.fixture(scope="module")
-def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
-    return written(tmp_path_factory.mktemp("configs"))
-
-
-@pytest.fixture(scope="module")
-def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
-    folder = next(iter(configs.values())).source
-    assert folder is not None
-    with SimBoard([folder.parent], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
-        yield board
 
 
 @pytest.fixture

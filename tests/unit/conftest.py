@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The board that tests of changes share; a module with another one has fixtures of its own by these names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from manager_schemas import written
+
+from cm.schema.model import Config
+from cm.sim import Board as SimBoard
+
+
+@pytest.fixture(scope="module")
+def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
+    """All of `manager_schemas`, from files."""
+    return written(tmp_path_factory.mktemp("configs"))
+
+
+@pytest.fixture(scope="module")
+def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
+    """A simulated board of them, whose ports take no time."""
+    folder = next(iter(configs.values())).source
+    assert folder is not None
+    with SimBoard([folder.parent], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
+        yield board
