@@ -138,9 +138,7 @@ class Board:
     def subscribe(self, *names: bytes, depth: int = 0) -> zmq.asyncio.Socket:
         """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number); the caller closes it."""
         socket = self._context.socket(zmq.SUB)
-        prepare(socket, self._keys)
-        if depth:
-            socket.setsockopt(zmq.RCVHWM, depth)  # before connect(): see cm/daemon/outbox.py
+        prepare(socket, self._keys, depth)
         for name in names:
             socket.setsockopt(zmq.SUBSCRIBE, name)
         socket.connect(self._endpoints.pub)

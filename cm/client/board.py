@@ -101,9 +101,7 @@ class Board:
 
     def subscribe(self, *topic: bytes, depth: int = 0) -> Socket:
         """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number); the caller closes it."""
-        socket = prepare(self._context.socket(zmq.SUB), self._keys)
-        if depth:
-            socket.setsockopt(zmq.RCVHWM, depth)  # before connect(): see cm/daemon/outbox.py
+        socket = prepare(self._context.socket(zmq.SUB), self._keys, depth)
         for name in topic:
             socket.setsockopt(zmq.SUBSCRIBE, name)
         socket.connect(self._endpoints.pub)

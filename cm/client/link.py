@@ -26,8 +26,10 @@ STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones a
 _AnySocket = TypeVar("_AnySocket", bound=zmq.Socket[Any])
 
 
-def prepare(socket: _AnySocket, keys: Keys | None) -> _AnySocket:
-    """Options that every client socket has."""
+def prepare(socket: _AnySocket, keys: Keys | None, depth: int = 0) -> _AnySocket:
+    """Options that every client socket has, before it connects; `depth` messages wait (0: ZeroMQ's own number)."""
+    if depth:
+        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/daemon/outbox.py
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.IPV6, 1)
     if keys is not None:
