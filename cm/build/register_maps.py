@@ -10,6 +10,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from cm.build.errors import BuildError, MissingTool
+from cm.build.hdl.ipxact import component_root
 from cm.build.project import FieldSpec, RegisterSpec
 from cm.schema.model import Access
 
@@ -53,8 +54,8 @@ def _ipxact(path: Path, module: str) -> Registers:
     del module  # a component has one set
     data = path.read_bytes()
     try:
-        root = ElementTree.fromstring(data[max(data.find(b"<?xml"), 0) :])
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the latter for encodings
+        root = component_root(data)
+    except ValueError as error:
         raise BuildError(f"{path}: no XML: {error}") from None
     found: Registers = {}
     for block in _all(root, "addressBlock"):

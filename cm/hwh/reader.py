@@ -10,6 +10,7 @@ from types import MappingProxyType
 from xml.etree import ElementTree
 
 from cm.errors import CmError
+from cm.hwh.markup import root_of
 from cm.hwh.model import BusInterface, Connection, Hwh, MemoryRange, ModuleInstance, Port, RegisterField, RegisterInfo
 
 _LIMIT = 64 * 1024 * 1024  # bytes; the largest real ones have a few
@@ -35,8 +36,8 @@ def parse(data: bytes, name: str = ".hwh") -> Hwh:
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
         raise HwhError(f"{name}: a document type or entities have no place in a hardware handoff")
     try:
-        root = ElementTree.fromstring(data)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the latter for encodings
+        root = root_of(data)
+    except ValueError as error:
         raise HwhError(f"{name}: no XML: {error}") from error
     info = root.find("SYSTEMINFO")
     if root.tag != "EDKSYSTEM" or info is None:

@@ -28,6 +28,7 @@ from cm.build.hdl.model import (
     PortDirection,
     Reset,
 )
+from cm.hwh.markup import root_of
 
 _DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDirection.INOUT}
 _MODES = {
@@ -41,6 +42,14 @@ _SIGNALS = ("clock", "reset", "interrupt")
 _LEFT_OVER = "belongs to no bus interface of the component"
 
 
+def component_root(data: bytes) -> ElementTree.Element:
+    """The root element of a file's bytes. Raises ValueError for what is no XML.
+
+    Files are met that have a licence comment before the declaration, which XML does not allow.
+    """
+    return root_of(data[max(data.find(b"<?xml"), 0) :])
+
+
 def load_component_xml(path: str | Path) -> ModuleInfo:
     """Read a component.xml. Raises `HdlError` where it is no IP-XACT component.
 
@@ -48,12 +57,10 @@ def load_component_xml(path: str | Path) -> ModuleInfo:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
-        # Files are met that have a licence comment before the declaration, which XML does not allow.
-        root = ElementTree.fromstring(data[max(data.find(b"<?xml"), 0) :])
+        root = component_root(path.read_bytes())
     except OSError as error:
         raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
+    except ValueError as error:
         raise HdlError(f"{path}: no XML: {error}") from error
     if _local(root.tag) != "component":
         raise HdlError(f"{path}: no IP-XACT component: its root is <{_local(root.tag)}>, not <spirit:component>")
