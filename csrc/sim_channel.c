@@ -10,7 +10,7 @@
 #include "cm_node.h"
 #include "sim_private.h"
 
-#define MAX_LENGTH ((UINT64_C(1) << 26) - 1) /* cm/sim/dma.py */
+#define MAX_LENGTH ((UINT64_C(1) << 26) - 1) /* cm/sim/hardware/dma.py */
 
 struct request {
 	struct cm_node_request head;

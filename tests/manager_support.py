@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cm.daemon.devices import BoardDevices
-from cm.daemon.files import BoardFiles
+from cm.daemon.host.devices import BoardDevices
+from cm.daemon.host.files import BoardFiles
 from cm.device import DeviceError, Root
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.ports import Window
-from cm.manager.store import Store
+from cm.manager.state.journal import Store
 from cm.messages.requests import WriteConfig
 from cm.messages.status import Irq, RegValues
 from cm.schema import loads

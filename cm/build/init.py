@@ -13,9 +13,9 @@ from cm.build.boundary import boundary
 from cm.build.boundary.model import Boundary
 from cm.build.errors import BuildError
 from cm.build.hdl.model import Mode, ModuleInfo
-from cm.build.load import DEFAULT_CLOCK, DEFAULT_RATE
+from cm.build.hdl.register_maps import identifier
 from cm.build.platforms import platform_of
-from cm.build.register_maps import identifier
+from cm.build.project.load import DEFAULT_CLOCK, DEFAULT_RATE
 from cm.build.render import Renderer
 
 DEFAULT_PART = "xc7z020clg400-1"

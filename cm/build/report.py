@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from cm.build.analyse import Analysis
+from cm.build.boundary.analyse import Analysis
 from cm.build.boundary.model import Adaptation, Boundary, Fit
 from cm.build.hdl.model import Mode, ModuleInfo
-from cm.build.project import Project
-from cm.build.system import RegionPlan, System
+from cm.build.plan.system import RegionPlan, System
+from cm.build.project.model import Project
 
 _PLAIN = (Fit.CONNECT,)
 

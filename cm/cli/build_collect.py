@@ -6,12 +6,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cm.build.answers import load_answers
-from cm.build.collect import collect, collect_ours, write
-from cm.build.collected import Collected
+from cm.build.collect.collected import Collected
+from cm.build.collect.collection import collect, collect_ours, write
 from cm.build.errors import BuildError
-from cm.build.generate import ANSWERS, load_design, output_folder
-from cm.build.steps import Flow
+from cm.build.generate.tree import ANSWERS, load_design, output_folder
+from cm.build.run.steps import Flow
+from cm.build.runtime.answers import load_answers
 from cm.cli.common import add_json_option, print_json
 
 

@@ -7,10 +7,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from cm.build.answers import read_answers
-from cm.build.configure import answer_all, as_text, questions, to_answers
 from cm.build.errors import BuildError
-from cm.build.generate import ANSWERS, generate, load_design, output_folder
+from cm.build.generate.tree import ANSWERS, generate, load_design, output_folder
+from cm.build.runtime.answers import read_answers
+from cm.build.runtime.configure import answer_all, as_text, questions, to_answers
 from cm.cli.build_common import add_out_option, add_schema_argument
 
 

@@ -6,14 +6,14 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from cm.build.analyse import analyse
-from cm.build.answers import Answers
-from cm.build.generate import generate, load_design, output_folder
-from cm.build.load import load_project
-from cm.build.manifest import Written
-from cm.build.plan import plan_system
+from cm.build.boundary.analyse import analyse
+from cm.build.generate.manifest import Written
+from cm.build.generate.tree import generate, load_design, output_folder
+from cm.build.plan.planner import plan_system
+from cm.build.project.load import load_project
 from cm.build.report import as_dict, lines
-from cm.build.runtime import runtime_config
+from cm.build.runtime.answers import Answers
+from cm.build.runtime.schema import runtime_config
 from cm.cli.build_common import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, print_json
 

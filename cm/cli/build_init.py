@@ -8,7 +8,7 @@ from pathlib import Path
 
 from cm.build.errors import BuildError
 from cm.build.init import DEFAULT_PART, init_text
-from cm.build.load import SCHEMA_FILE
+from cm.build.project.load import SCHEMA_FILE
 
 
 def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

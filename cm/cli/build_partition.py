@@ -7,12 +7,12 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from cm.build.advise import problem_of, static_report, todays_groups, with_reports
-from cm.build.analyse import analyse
-from cm.build.generate import output_folder
-from cm.build.load import load_project
-from cm.build.partition import Partition, advise, evaluate
-from cm.build.utilisation import read_utilisation
+from cm.build.boundary.analyse import analyse
+from cm.build.generate.tree import output_folder
+from cm.build.partition.advise import problem_of, static_report, todays_groups, with_reports
+from cm.build.partition.advisor import Partition, advise, evaluate
+from cm.build.partition.utilisation import read_utilisation
+from cm.build.project.load import load_project
 from cm.cli.build_common import add_schema_argument
 from cm.cli.common import add_json_option, print_json, print_table
 

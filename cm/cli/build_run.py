@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cm.build.errors import BuildError, MissingTool
-from cm.build.generate import behind, load_design, output_folder
+from cm.build.generate.tree import behind, load_design, output_folder
 from cm.build.hdl.errors import ParserMissing
-from cm.build.load import load_project
-from cm.build.run import run_flow
-from cm.build.steps import Flow, Planned, State
-from cm.build.vivado import find_vivado
+from cm.build.project.load import load_project
+from cm.build.run.make import run_flow
+from cm.build.run.steps import Flow, Planned, State
+from cm.build.run.vivado import find_vivado
 from cm.cli.build_common import add_out_option, add_schema_argument
 from cm.cli.common import add_json_option, print_json, print_table
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from cm.errors import InvalidRequest
 
 if TYPE_CHECKING:
-    from cm.daemon.sockets import Security
+    from cm.daemon.endpoints import Security
 
 
 def write_key_file(path: Path, keys: dict[str, bytes], comment: str) -> None:
@@ -33,7 +33,7 @@ def read_key_file(path: Path) -> dict[str, bytes]:
 
 def load_server_keys(path: Path) -> Security:
     """A server's keys, and the public keys of the clients it lets in (``*.pub`` in ``clients/`` beside the file)."""
-    from cm.daemon.sockets import Security
+    from cm.daemon.endpoints import Security
 
     keys = read_key_file(path)
     if not {"public", "secret"} <= keys.keys() or "server-public" in keys:

@@ -17,8 +17,8 @@ from cm.errors import CmError, InvalidRequest
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
+    from cm.daemon.endpoints import Security
     from cm.daemon.server import Options, Server
-    from cm.daemon.sockets import Security
     from cm.device import Root
     from cm.schema.model import Config
 

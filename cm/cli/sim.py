@@ -27,7 +27,7 @@ _FAULTS = """faults (TARGET, VALUE):
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    from cm.sim.arguments import add_arguments
+    from cm.sim.process.arguments import add_arguments
 
     parser = subparsers.add_parser(
         "sim",
@@ -45,7 +45,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def run(args: argparse.Namespace) -> int:
     """Serve, or carry out one action on a simulator that runs; the exit status."""
     if getattr(args, "action", None) is None:
-        from cm.sim.main import run as serve
+        from cm.sim.process.main import run as serve
 
         logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
         return serve(args)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from cm.device import Root
-from cm.sim.process import Board
+from cm.sim.process.child import Board
 
 _LINGER = "30"  # seconds that a board without a manager keeps its state
 

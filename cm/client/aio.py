@@ -36,7 +36,7 @@ from cm.client.calls import Call
 from cm.client.errors import NoAnswer
 from cm.client.frame import Frame
 from cm.client.link import prepare
-from cm.client.remote import Wanted
+from cm.client.zmq_frames import Wanted
 from cm.errors import InvalidRequest
 from cm.messages.requests import DataConfig, TakeLease
 from cm.messages.status import ConfigInfo, FrameInfo, Irq, LeaseInfo, PlanInfo, Progress, Status, StreamStatus

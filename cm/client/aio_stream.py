@@ -19,9 +19,9 @@ from cm.client import calls
 from cm.client.errors import RequestFailed
 from cm.client.frame import Frame
 from cm.client.link import STREAM_HWM
-from cm.client.remote import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.client.stream import LocalStream
 from cm.client.writer import Writer
+from cm.client.zmq_frames import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.errors import Timeout
 from cm.messages.requests import DataConfig
 from cm.wire.plane import Open

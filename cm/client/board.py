@@ -20,9 +20,9 @@ from cm.client.frame import Frame
 from cm.client.lease import BoardLease
 from cm.client.link import Link, Socket, prepare
 from cm.client.memories import Memories, Memory
-from cm.client.remote import Wanted
 from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream, receive
 from cm.client.writer import Writer
+from cm.client.zmq_frames import Wanted
 from cm.errors import InvalidRequest
 from cm.messages.requests import DataConfig
 from cm.messages.status import (

@@ -29,7 +29,7 @@ _AnySocket = TypeVar("_AnySocket", bound=zmq.Socket[Any])
 def prepare(socket: _AnySocket, keys: Keys | None, depth: int = 0) -> _AnySocket:
     """Options that every client socket has, before it connects; `depth` messages wait (0: ZeroMQ's own number)."""
     if depth:
-        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/daemon/outbox.py
+        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/daemon/xpub.py
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.IPV6, 1)
     if keys is not None:

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from cm.client.errors import ConnectionLost, LateRelease, request_error
-from cm.client.shared import LocalFrame, Memory, lend
+from cm.client.mapping import LocalFrame, Memory, lend
 from cm.errors import NotFound
 from cm.messages.status import ErrorInfo
 from cm.wire import plane as packets

@@ -16,7 +16,7 @@ from cm.client.errors import RequestFailed
 from cm.client.frame import Frame
 from cm.client.link import STREAM_HWM, Link, Socket
 from cm.client.plane import Connection
-from cm.client.remote import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
+from cm.client.zmq_frames import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.errors import Timeout
 from cm.messages.requests import DataConfig
 from cm.wire.encode import decode_reply, encode_request

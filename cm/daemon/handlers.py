@@ -10,19 +10,19 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
+from cm.daemon.host.provision import Provisioner
 from cm.daemon.interrupts import Interrupts
 from cm.daemon.loop import Loop
-from cm.daemon.memories import Memories, frame_info
-from cm.daemon.provision import Provisioner
-from cm.daemon.pump import Frame
-from cm.daemon.streams import Streams
+from cm.daemon.memory_transfers import Memories, frame_info
+from cm.daemon.streams.registry import Streams
+from cm.daemon.streams.stream import Frame
 from cm.device import DeviceGone
 from cm.errors import CmError
-from cm.manager.changes import Change
+from cm.manager.access.memory_service import Transfer
+from cm.manager.change import Change
 from cm.manager.errors import UnknownInterrupt, UnknownStream
 from cm.manager.manager import Manager
-from cm.manager.memories import Transfer
-from cm.manager.resolve import hint
+from cm.manager.planning.resolve import hint
 from cm.messages import requests as rq
 from cm.messages.status import (
     Body,

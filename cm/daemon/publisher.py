@@ -13,10 +13,10 @@ from typing import Any
 import zmq
 
 from cm._version import __version__
-from cm.daemon.compress import Compressor, compressions
 from cm.daemon.loop import Loop
-from cm.daemon.outbox import Outbox
-from cm.daemon.pump import Frame
+from cm.daemon.streams.compression import Compressor, compressions
+from cm.daemon.streams.stream import Frame
+from cm.daemon.xpub import Outbox
 from cm.messages.status import FrameInfo, Irq, RegValues, Status
 from cm.wire import encode, topics
 

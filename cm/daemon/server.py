@@ -13,29 +13,29 @@ from pathlib import Path
 
 import zmq
 
-from cm.daemon.devices import BoardDevices
-from cm.daemon.discover import with_channels
-from cm.daemon.door import Door
-from cm.daemon.files import BoardFiles
-from cm.daemon.footprints import Footprints
-from cm.daemon.front_desk import FrontDesk
+from cm.daemon.curve import Doorkeeper
+from cm.daemon.dispatcher import FrontDesk
+from cm.daemon.endpoints import FolderLock, Security, Sockets
 from cm.daemon.handlers import Handlers, Services
-from cm.daemon.holders import Holders
+from cm.daemon.host.devices import BoardDevices
+from cm.daemon.host.files import BoardFiles
+from cm.daemon.host.footprints import Footprints
+from cm.daemon.host.provision import Provisioner
+from cm.daemon.host.systemd import notify_ready
 from cm.daemon.interrupts import Interrupts
+from cm.daemon.lease_watch import Holders
 from cm.daemon.loop import Loop
-from cm.daemon.memories import Memories
-from cm.daemon.outbox import BYTES, mark
-from cm.daemon.provision import Provisioner
+from cm.daemon.memory_transfers import Memories
 from cm.daemon.publisher import Publisher
-from cm.daemon.rereads import Rereads
-from cm.daemon.sockets import FolderLock, Security, Sockets
-from cm.daemon.streams import Streams
-from cm.daemon.systemd import notify_ready
-from cm.daemon.zap import Doorkeeper
+from cm.daemon.read_cache import Rereads
+from cm.daemon.streams.acceptor import Door
+from cm.daemon.streams.discovery import with_channels
+from cm.daemon.streams.registry import Streams
+from cm.daemon.xpub import BYTES, mark
 from cm.device import Root
 from cm.errors import CmError
 from cm.manager.manager import Environment, Manager, Settings
-from cm.manager.store import Store
+from cm.manager.state.journal import Store
 from cm.messages.requests import WriteConfig
 from cm.messages.status import ErrorInfo, Irq, RegValues, Status
 from cm.schema.model import Config

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cm.manager.ports import Clock, DataPlane, Devices, Files, Observer
-from cm.manager.store import Store
+from cm.manager.state.journal import Store
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,7 @@
 """The manager: configurations, the state of the board, changes one after the other, registers by name.
 
 Threads: requests come from one thread (the daemon's loop); one worker thread runs changes. What is
-known is immutable values that are swapped (`cm.manager.knowledge`).
+known is immutable values that are swapped (`cm.manager.state.board_state`).
 """
 
 from __future__ import annotations
@@ -10,25 +10,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-from cm.manager import resolve
-from cm.manager.board import Tools
-from cm.manager.changes import Change
-from cm.manager.describe import config_info
-from cm.manager.desk import RegisterDesk
+from cm.manager.access.leases import Leases, leases_concerned
+from cm.manager.access.memory_service import MemoryDesk
+from cm.manager.access.register_bus import RegisterAccess
+from cm.manager.access.register_service import RegisterDesk
+from cm.manager.change import Change
 from cm.manager.environment import Environment, Settings
 from cm.manager.errors import ChangeBusy, NothingLoaded
-from cm.manager.executor import Executor, LiveBoard
-from cm.manager.knowledge import Knowledge
-from cm.manager.leases import Leases, leases_concerned
+from cm.manager.execution.board import Tools
+from cm.manager.execution.executor import Executor, LiveBoard
+from cm.manager.execution.worker import Worker
 from cm.manager.loaders import Loaders
-from cm.manager.memories import MemoryDesk
-from cm.manager.plan import Goal
-from cm.manager.record import Pending
-from cm.manager.registers import RegisterAccess
-from cm.manager.startup import destination, is_whole, take_stock
-from cm.manager.state import BoardState
-from cm.manager.telling import Teller
-from cm.manager.worker import Worker
+from cm.manager.planning import resolve
+from cm.manager.planning.plan import Goal
+from cm.manager.recovery.startup import destination, is_whole, take_stock
+from cm.manager.reporting.descriptions import config_info
+from cm.manager.reporting.status import Teller
+from cm.manager.state.board_state import Knowledge
+from cm.manager.state.record import Pending
+from cm.manager.state.table import BoardState
 from cm.messages.requests import RegWrite, WriteConfig
 from cm.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status
 from cm.schema.model import Config

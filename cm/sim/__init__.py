@@ -12,14 +12,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .board import BoardSpec
-    from .control import Control
-    from .errors import SimError
-    from .process import Board
+    from cm.sim.errors import SimError
+    from cm.sim.hardware.board import BoardSpec
+    from cm.sim.process.child import Board
+    from cm.sim.process.control import Control
 
 __all__ = ["Board", "BoardSpec", "Control", "SimError"]
 
-_HOMES = {"Board": "process", "BoardSpec": "board", "Control": "control", "SimError": "errors"}
+_HOMES = {"Board": "process.child", "BoardSpec": "hardware.board", "Control": "process.control", "SimError": "errors"}
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,6 @@
 
 import sys
 
-from .main import main
+from cm.sim.process.main import main
 
 sys.exit(main())

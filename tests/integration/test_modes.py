@@ -17,7 +17,7 @@ import cm
 from cm.client.errors import RequestBusy, RequestFailed, RequestInvalid, RequestNotFound
 from cm.errors import Timeout
 from cm.sim import Board as SimBoard
-from cm.sim.camera import shipped_photos
+from cm.sim.hardware.camera import shipped_photos
 
 
 def test_loading_enters_the_default_mode(board: cm.Board) -> None:

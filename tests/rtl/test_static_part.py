@@ -10,7 +10,7 @@ from build_support import copy_examples, generated
 from conftest import HERE, needs
 from simulation import simulate
 
-from cm.build.generate import Design
+from cm.build.generate.tree import Design
 
 pytestmark = [needs("iverilog"), pytest.mark.timeout(600)]
 MODELS = sorted((HERE / "models").glob("*.v"))

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import cm
-from cm.build.generate import Design, generate, load_design, output_folder
+from cm.build.generate.tree import Design, generate, load_design, output_folder
 
 EXAMPLES = Path(cm.__file__).parent / "data" / "examples"
 GOLDEN = Path(__file__).parent.parent / "golden"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cm.sim import protocol as p
+from cm.sim.transport import protocol as p
 
 
 class Node:

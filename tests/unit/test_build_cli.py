@@ -11,7 +11,7 @@ from build_support import EXAMPLES, MINIMAL, STREAM_MODULE, copy_examples, proje
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cm.build.load import check_project
+from cm.build.project.load import check_project
 from cm.cli.main import main
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")

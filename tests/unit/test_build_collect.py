@@ -18,11 +18,11 @@ from cm import schema
 from cm.bitstream import assemble_module, inspect
 from cm.bitstream.assemble import FrameRun, assemble
 from cm.bitstream.far import FrameAddress
-from cm.build.answers import Answers
-from cm.build.collect import collect, collect_ours, write
-from cm.build.collected import Collected
+from cm.build.collect.collected import Collected
+from cm.build.collect.collection import collect, collect_ours, write
 from cm.build.errors import BuildError
-from cm.build.generate import Design
+from cm.build.generate.tree import Design
+from cm.build.runtime.answers import Answers
 from cm.cli.main import main
 from cm.schema.model import ConfigType, Direction
 

@@ -13,11 +13,11 @@ from build_support import needs
 from import_support import bitstream, hwh, memory, module, port, ports
 
 from cm import hwh as handoff
-from cm.build.collect import collect
+from cm.build.collect.collection import collect
+from cm.build.collect.foreign_dma import engines
+from cm.build.collect.handoff import MAX_ARCHIVE, MAX_MEMBER, streams
 from cm.build.errors import BuildError
-from cm.build.foreign_dma import engines
-from cm.build.handoff import MAX_ARCHIVE, MAX_MEMBER, streams
-from cm.build.parts import part_of
+from cm.build.partition.parts import part_of
 from cm.build.platforms import ZYNQ7000, ZYNQMP, device_of, platform_of
 from cm.schema.model import Direction
 
@@ -185,7 +185,7 @@ def test_a_member_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
 
 def test_members_that_are_too_much_together_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert MAX_ARCHIVE > MAX_MEMBER
-    monkeypatch.setattr("cm.build.handoff.MAX_ARCHIVE", 3000)
+    monkeypatch.setattr("cm.build.collect.handoff.MAX_ARCHIVE", 3000)
     path = packed(tmp_path / "many.xsa", *((f"{index}.bit", bytes(1000)) for index in range(4)))
     with pytest.raises(BuildError, match=r"3\.bit has 1000 bytes"):
         collect([path])

@@ -11,8 +11,8 @@ import pytest
 from import_support import bitstream, described, hwh, memory, module, port, ports, register
 
 from cm import hwh as handoff
-from cm.build.collect import collect
-from cm.build.foreign_interrupts import interrupts
+from cm.build.collect.collection import collect
+from cm.build.collect.foreign_interrupts import interrupts
 from cm.build.platforms import ZYNQ7000
 from cm.hwh import HwhError
 

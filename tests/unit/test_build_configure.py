@@ -9,9 +9,9 @@ import pytest
 from build_support import copy_examples, generated
 
 from cm import schema
-from cm.build.configure import Question, answer_all, questions
 from cm.build.errors import BuildError
-from cm.build.generate import Design
+from cm.build.generate.tree import Design
+from cm.build.runtime.configure import Question, answer_all, questions
 from cm.cli.main import main
 
 

@@ -8,7 +8,7 @@ import itertools
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cm.build.cover import cover
+from cm.build.plan.cover import cover
 
 REGIONS = {"a": ["a1", "a2", "a3"], "b": ["b1", "b2"]}
 

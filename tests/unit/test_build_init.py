@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from build_support import EXAMPLES, STREAM_MODULE
 
-from cm.build.load import load_project
+from cm.build.project.load import load_project
 from cm.cli.main import main
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")

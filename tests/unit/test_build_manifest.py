@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cm.build.errors import BuildError
-from cm.build.manifest import MANIFEST, Tree
+from cm.build.generate.manifest import MANIFEST, Tree
 
 
 def test_a_new_file_is_written(tmp_path: Path) -> None:

@@ -13,8 +13,8 @@ import pytest
 from build_support import copy_examples, generated, needs
 
 from cm import schema
-from cm.build.overlays import QUIET
-from cm.build.system import System
+from cm.build.collect.overlays import QUIET
+from cm.build.plan.system import System
 
 DTS = Path(__file__).parents[2] / "dts"
 BOARDS = {"camera": "zynq-7000", "two_regions": "kv260"}

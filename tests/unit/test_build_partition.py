@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cm.build.errors import BuildError
-from cm.build.partition import Part, Problem, Unit, UsedMode, advise, compatible, evaluate, group_of
-from cm.build.project import Resources
+from cm.build.partition.advisor import Part, Problem, Unit, UsedMode, advise, compatible, evaluate, group_of
+from cm.build.project.model import Resources
 
 pytest.importorskip("scipy", reason="needs scipy: the extra [build] is not installed")
 

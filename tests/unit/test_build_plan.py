@@ -10,14 +10,14 @@ import pytest
 from build_support import AXIL_MODULE, MINIMAL, STREAM_MODULE, copy_examples, generated, project
 
 from cm import schema
-from cm.build.analyse import analyse
-from cm.build.answers import Answers
+from cm.build.boundary.analyse import analyse
 from cm.build.errors import BuildError
-from cm.build.generate import Design, generate, load_design
-from cm.build.load import load_project
-from cm.build.outputs import render_all
-from cm.build.plan import plan_system
+from cm.build.generate.outputs import render_all
+from cm.build.generate.tree import Design, generate, load_design
+from cm.build.plan.planner import plan_system
 from cm.build.platforms import ZYNQ7000, ZYNQMP, device_of
+from cm.build.project.load import load_project
+from cm.build.runtime.answers import Answers
 from cm.cli.main import main
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")

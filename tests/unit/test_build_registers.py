@@ -10,7 +10,7 @@ from build_support import MINIMAL, project
 from import_support import described, hwh, module, register, register_field
 
 from cm.build.errors import BuildError
-from cm.build.register_maps import read_register_map
+from cm.build.hdl.register_maps import read_register_map
 from cm.schema.model import Access
 
 IPXACT = """<?xml version="1.0" encoding="UTF-8"?>
@@ -104,7 +104,7 @@ def test_a_map_reaches_the_runtime_schema_and_the_build_schema_goes_first(tmp_pa
     from build_support import AXIL_MODULE
 
     from cm import schema
-    from cm.build.generate import generate, load_design
+    from cm.build.generate.tree import generate, load_design
 
     (tmp_path / "xone_hw.h").write_text(HLS)
     text = MINIMAL + "    register_map: xone_hw.h\n    registers: {gain: {offset: 0x10, default: 3, max: 9}}\n"

@@ -10,10 +10,10 @@ import pytest
 from build_support import copy_examples, generated, needs
 
 from cm.build.errors import BuildError, MissingTool
-from cm.build.generate import generate, load_design
-from cm.build.run import StepFailed, run_flow
-from cm.build.steps import Flow, State
-from cm.build.vivado import Vivado, find_vivado
+from cm.build.generate.tree import generate, load_design
+from cm.build.run.make import StepFailed, run_flow
+from cm.build.run.steps import Flow, State
+from cm.build.run.vivado import Vivado, find_vivado
 from cm.cli.main import main
 
 FAKE = Path(__file__).parent / "fake_vivado.sh"

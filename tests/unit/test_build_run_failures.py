@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from build_support import copy_examples, generated, needs
 
-from cm.build.run import StepFailed, run_flow
-from cm.build.steps import Flow, State
-from cm.build.vivado import Vivado
+from cm.build.run.make import StepFailed, run_flow
+from cm.build.run.steps import Flow, State
+from cm.build.run.vivado import Vivado
 from cm.cli.main import main
 
 FAKE = Path(__file__).parent / "fake_vivado.sh"

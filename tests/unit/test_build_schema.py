@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from build_support import EXAMPLES, MINIMAL, NAMES, project
 
-from cm.build.load import SCHEMA_FILE, check_project, load_project
+from cm.build.project.load import SCHEMA_FILE, check_project, load_project
 from cm.schema import SchemaError
 from cm.schema.model import Access, LoaderKind
 

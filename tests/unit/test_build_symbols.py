@@ -12,7 +12,7 @@ import pytest
 from build_support import MINIMAL, NAMES, copy_examples, generated, needs, project
 
 from cm import schema
-from cm.build.generate import generate, load_design
+from cm.build.generate.tree import generate, load_design
 
 VHDL = """\
 library ieee;

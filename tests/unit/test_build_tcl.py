@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from build_support import NAMES, copy_examples, generated, needs, project
 
-from cm.build.generate import generate, load_design, output_folder
+from cm.build.generate.tree import generate, load_design, output_folder
 from cm.build.render import tcl_word
 
 TCL = Path(__file__).parent.parent / "tcl"

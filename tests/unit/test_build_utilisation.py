@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cm.build.errors import BuildError
-from cm.build.project import Resources
-from cm.build.utilisation import parse_utilisation
+from cm.build.partition.utilisation import parse_utilisation
+from cm.build.project.model import Resources
 from cm.cli.main import main
 
 SERIES_7 = """\

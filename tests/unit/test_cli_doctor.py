@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from cm.cli.main import main
-from cm.sim.process import Board
+from cm.sim.process.child import Board
 
 
 def doctor(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any]]:

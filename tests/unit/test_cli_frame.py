@@ -175,7 +175,7 @@ def test_the_manager_starts_without_numpy() -> None:
     """It is a quarter of the time to the first reply, which needs none of it."""
     code = (
         "import sys, cm.cli.serve, cm.client.address, cm.daemon.server, cm.schema.loader\n"
-        "print([n for n in sys.modules if n in ('numpy', 'jsonschema', 'cm.sim.main', 'cm.cli.check')])"
+        "print([n for n in sys.modules if n in ('numpy', 'jsonschema', 'cm.sim.process.main', 'cm.cli.check')])"
     )
     assert run_python(code).stdout.endswith("[]\n")
 

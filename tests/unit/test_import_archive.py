@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cm.build.layout import archive
+from cm.build.collect.layout import archive
 from cm.cli.main import main
 from cm.errors import CmError
 from cm.importers import unpack

@@ -15,9 +15,9 @@ from manager_schemas import DUO
 from manager_support import Rig, rig
 
 from cm.bitstream import assemble_module
-from cm.daemon.files import BoardFiles
+from cm.daemon.host.files import BoardFiles
 from cm.errors import CmError
-from cm.manager.changes import Change
+from cm.manager.change import Change
 from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
 from cm.manager.loaders import Job, Loaders
 from cm.manager.ports import Image

@@ -13,7 +13,7 @@ from typing import Any
 
 import cm
 from cm.errors import CmError
-from cm.manager.steps import Step
+from cm.manager.state.steps import Step
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reconfiguration.md"

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from manager_support import Rig, camera, make_rig, rig
 
-from cm.daemon.devices import BoardDevices
+from cm.daemon.host.devices import BoardDevices
 from cm.sim import Board as SimBoard
 
 SHORT = 0.3  # seconds for a load: a hang shall not take long

@@ -10,8 +10,8 @@ import pytest
 from manager_schemas import written
 
 from cm.errors import InvalidRequest
+from cm.manager.access.leases import MAX_SECONDS, Leases, UnknownLease, leases_concerned
 from cm.manager.errors import HeldBy
-from cm.manager.leases import MAX_SECONDS, Leases, UnknownLease, leases_concerned
 from cm.messages.requests import TakeLease
 from cm.messages.status import LeaseInfo
 

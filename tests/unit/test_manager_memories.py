@@ -16,8 +16,8 @@ from manager_support import Rig, rig
 
 from cm.device import DeviceError, DeviceNotFound
 from cm.errors import CmError, InvalidRequest
+from cm.manager.access.memory_service import LENGTH_MAX, PIECE, Transfer
 from cm.manager.errors import AccessDenied, HeldBy, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory
-from cm.manager.memories import LENGTH_MAX, PIECE, Transfer
 from cm.messages.requests import DataConfig, TakeLease, WriteConfig
 from cm.schema import load
 from cm.schema.model import Access, Config

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from cm.daemon.provision import SCHEMA_FILE, Provisioner
+from cm.daemon.host.provision import SCHEMA_FILE, Provisioner
 from cm.errors import InvalidRequest
 from cm.manager.errors import ChangeBusy
 from cm.messages.requests import File
@@ -102,7 +102,7 @@ def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", dying)
-        patch.setattr("cm.daemon.provision._remove", lambda *_, **__: None)  # nothing is tidied by the dead
+        patch.setattr("cm.daemon.host.provision._remove", lambda *_, **__: None)  # nothing is tidied by the dead
         if after < 2:
             with pytest.raises(Killed):
                 provisioner.store(SCHEMA, (File("one.bit", b"new"),))

@@ -17,11 +17,11 @@ from types import MappingProxyType
 
 import pytest
 
-from cm.manager.cost import Throughput
 from cm.manager.errors import StateInUse, StoreCorrupt
-from cm.manager.record import Pending, Record, encode, newest
-from cm.manager.state import BoardState, OverlayState, RegionPhase, RegionState
-from cm.manager.store import LENGTH, Store
+from cm.manager.state.cost import Throughput
+from cm.manager.state.journal import LENGTH, Store
+from cm.manager.state.record import Pending, Record, encode, newest
+from cm.manager.state.table import BoardState, OverlayState, RegionPhase, RegionState
 from cm.schema.model import LoaderKind
 
 FULL = Record(

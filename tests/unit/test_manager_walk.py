@@ -18,7 +18,7 @@ from manager_support import Rig, make_rig, rig
 
 from cm.device import DeviceError, DevicePermission, Overlays
 from cm.device.errors import device_error
-from cm.manager.record import newest
+from cm.manager.state.record import newest
 from cm.messages.requests import RegWrite
 from cm.schema.model import Config
 from cm.sim import Board as SimBoard

@@ -11,7 +11,7 @@ import pytest
 import zmq
 
 from cm.daemon.loop import Loop
-from cm.daemon.outbox import Outbox, mark
+from cm.daemon.xpub import Outbox, mark
 from cm.schema.model import Config, Direction, Mode, Stream
 
 MIB = 1 << 20

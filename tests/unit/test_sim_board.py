@@ -13,9 +13,10 @@ import pytest
 from sim_support import Dma, Icap, Node, Uio, attribute
 
 from cm.bitstream.convert import to_dma_words
-from cm.sim import Board, SimError, camera
-from cm.sim import protocol as p
-from cm.sim.models import Colorise, edge
+from cm.sim import Board, SimError
+from cm.sim.hardware import camera
+from cm.sim.hardware.models import Colorise, edge
+from cm.sim.transport import protocol as p
 
 PIXELS = 480 * 640
 STATIC, PRR0, PRR1 = "dev/uio0", "dev/uio1", "dev/uio2"

@@ -13,7 +13,7 @@ from sim_support import Dma, Icap, Uio
 
 from cm.bitstream.convert import to_dma_words
 from cm.sim import Board
-from cm.sim.models import edge
+from cm.sim.hardware.models import edge
 
 LENGTH = 100_000
 SCHEMA = """

@@ -16,7 +16,7 @@ from cm.bitstream.far import FrameAddress
 from cm.bitstream.module import assemble_module
 from cm.schema.model import FrameRange
 from cm.sim import Board
-from cm.sim import protocol as p
+from cm.sim.transport import protocol as p
 
 SCHEMA = """\
 config:

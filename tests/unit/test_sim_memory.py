@@ -13,8 +13,8 @@ from sim_support import Node
 
 import cm.device as device
 from cm.bitstream import to_dma_words
-from cm.sim import protocol as p
-from cm.sim.process import Board
+from cm.sim.process.child import Board
+from cm.sim.transport import protocol as p
 
 SCHEMA = """
 config:

@@ -10,8 +10,8 @@ import pytest
 from sim_support import Node, Uio
 
 import cm.device as device
-from cm.sim import protocol as p
-from cm.sim.process import Board
+from cm.sim.process.child import Board
+from cm.sim.transport import protocol as p
 
 SCHEMA = """
 config:

@@ -9,8 +9,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from cm.sim import SimError, camera
-from cm.sim.models import Colorise, Models, default, edge
+from cm.sim import SimError
+from cm.sim.hardware import camera
+from cm.sim.hardware.models import Colorise, Models, default, edge
 
 GX = ((-1, 0, 1), (-2, 0, 2), (-1, 0, 1))
 GY = ((-1, -2, -1), (0, 0, 0), (1, 2, 1))

@@ -15,8 +15,9 @@ from sim_support import Node, Uio, attribute
 from cm.bitstream.assemble import FrameRun, assemble
 from cm.bitstream.convert import to_dma_words
 from cm.bitstream.far import FrameAddress
-from cm.sim import Board, fdt
-from cm.sim import protocol as p
+from cm.sim import Board
+from cm.sim.nodes import fdt
+from cm.sim.transport import protocol as p
 
 OVERLAYS = "sys/kernel/config/device-tree/overlays"
 MANAGER = "sys/class/fpga_manager/fpga0"

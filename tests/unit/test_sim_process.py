@@ -26,7 +26,7 @@ from sim_support import Dma, Icap, Node, Uio
 
 from cm.bitstream.convert import to_dma_words
 from cm.sim import Board, Control, SimError
-from cm.sim import protocol as p
+from cm.sim.transport import protocol as p
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FAST = ["--hold", "0", "--rate", "0"]

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from cm.sim import protocol as p
 from cm.sim.errors import NodeError
+from cm.sim.transport import protocol as p
 
 UAPI = Path(__file__).resolve().parents[2] / "kmod" / "uapi"
 

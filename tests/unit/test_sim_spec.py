@@ -10,7 +10,7 @@ import pytest
 
 from cm import schema
 from cm.sim import BoardSpec, SimError
-from cm.sim.fabric import Fabric
+from cm.sim.hardware.fabric import Fabric
 
 LISTING_1 = """\
 config:

@@ -17,17 +17,17 @@ from cm.bench.peer import Unavailable
 from cm.bench.result import Goal, Result
 from cm.bench.run import Run
 from cm.bitstream.module import assemble_module
-from cm.daemon.devices import BoardDevices
-from cm.daemon.files import BoardFiles
+from cm.daemon.host.devices import BoardDevices
+from cm.daemon.host.files import BoardFiles
 from cm.device import Icap, Root
-from cm.manager.changes import Change
+from cm.manager.change import Change
 from cm.manager.manager import Environment, Manager, Settings
-from cm.manager.store import Store
+from cm.manager.state.journal import Store
 from cm.messages.requests import WriteConfig
 from cm.messages.status import Irq, RegValues
 from cm.schema import load
 from cm.schema.model import Config, FrameRange
-from cm.sim.process import Board
+from cm.sim.process.child import Board
 
 BYTES = 8_000_000
 RATE = 400e6  # bytes per second: 32 bits at 100 MHz

@@ -8,7 +8,8 @@ from dataclasses import replace
 from types import MappingProxyType
 
 from cm.build.boundary.buses import Fitting, bus_interface, bus_ports, fit_bus
-from cm.build.boundary.loose import (
+from cm.build.boundary.model import Adaptation, Boundary, BoundaryPort
+from cm.build.boundary.scalar_signals import (
     Clocks,
     Single,
     clock_ports,
@@ -18,7 +19,6 @@ from cm.build.boundary.loose import (
     make_interrupts,
     make_signals,
 )
-from cm.build.boundary.model import Adaptation, Boundary, BoundaryPort
 from cm.build.boundary.slots import Names, Slot, make_slots
 from cm.build.hdl.model import Interface, ModuleInfo, Polarity
 

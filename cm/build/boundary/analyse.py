@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""HDL of a project → interfaces per module and a boundary per region."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from cm.build import hdl
+from cm.build.boundary import boundary
+from cm.build.boundary.model import Boundary
+from cm.build.errors import BuildError, MissingTool
+from cm.build.hdl import UserProtocol
+from cm.build.hdl.model import ModuleInfo, Problem
+from cm.build.hdl.register_maps import read_register_map
+from cm.build.project.model import ModuleSpec, Project
+from cm.build.project.where import fault
+
+_SUBJECT = re.compile(r"(?:port )?(\w+)(?:\.(\w+))?")
+_PRIMITIVE = re.compile(r"[A-Z][A-Z0-9_]*|xpm_\w+")  # of the vendor's library: BUFG, RAMB36E2, xpm_cdc_single
+
+
+@dataclass(frozen=True, slots=True)
+class Analysis:
+    """What the HDL says: `modules` by the project's name of the module, `boundaries` by region.
+
+    `differences` are those between extraction and IP-XACT, one sentence each, by module.
+    """
+
+    modules: Mapping[str, ModuleInfo]
+    boundaries: Mapping[str, Boundary]
+    differences: Mapping[str, tuple[str, ...]]
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Why modules do not fit their regions, one sentence each."""
+        return tuple(
+            f"{self.placed(adaptation.module, sentence)} (module {adaptation.module}, region {region})"
+            for region, found in self.boundaries.items()
+            for adaptation in found.adaptations
+            for sentence in adaptation.refused
+        )
+
+    @property
+    def broken(self) -> int:
+        """How many problems there are with which synthesis cannot succeed."""
+        return sum(problem.breaks for info in self.modules.values() for problem in info.problems)
+
+    def placed(self, module: str, sentence: str) -> str:
+        """A sentence about a module with file and line of the port or interface that it begins with."""
+        info = self.modules[module]
+        if sentence.startswith(info.file):
+            return sentence
+        found = _SUBJECT.match(sentence)
+        name, logical = (found[1], found[2]) if found else ("", None)
+        interface = next((i for i in info.interfaces if i.name == name), None)
+        if interface is not None:
+            name = interface.ports.get(logical or "") or next(iter(interface.ports.values()))
+        port = next((port for port in info.ports if port.name == name), None)
+        line = port.line if port is not None and port.line else info.line
+        file = port.file if port is not None and port.file else info.file
+        return f"{file}:{line}: {sentence}" if line else f"{file}: {sentence}"
+
+    def completed(self, project: Project) -> Project:
+        """`project` with the registers of its modules' register maps; what the build schema says goes first."""
+        modules = {name: _with_registers(project, spec) for name, spec in project.modules.items()}
+        return replace(project, modules=modules)
+
+
+def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
+    if spec.register_map is None:
+        return spec
+    try:
+        found = read_register_map(spec.register_map, spec.top)
+    except MissingTool:
+        raise
+    except BuildError as error:
+        raise fault(project.source, ("modules", spec.name, "register_map"), str(error)) from None
+    return replace(spec, registers={**found, **spec.registers})
+
+
+def analyse(project: Project) -> Analysis:
+    """Parse all modules of `project`; raises the HDL half's errors for files that cannot be read."""
+    protocols = tuple(protocol for path in project.protocols for protocol in hdl.load_protocols(path))
+    modules: dict[str, ModuleInfo] = {}
+    differences: dict[str, tuple[str, ...]] = {}
+    for spec in project.modules.values():
+        try:
+            modules[spec.name], differences[spec.name] = _module(spec, protocols)
+        except hdl.HdlError as error:
+            raise fault(project.source, ("modules", spec.name, *_key(spec, error)), str(error)) from None
+    return Analysis(modules, {name: _boundary(project, name, modules) for name in project.regions}, differences)
+
+
+def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:
+    """The key of a module that is wrong."""
+    if isinstance(error, hdl.UnknownParameter):
+        return ("parameters", error.name)
+    if spec.component is not None and str(error).startswith(f"{spec.component}:"):
+        return ("component",)
+    return ("top",) if isinstance(error, hdl.ModuleNotFound) else ("sources",)
+
+
+def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) -> Boundary:
+    """By the project's names: two modules may have one top with other parameters or sources."""
+    names = [spec.name for spec in project.modules_of(region)]
+    return boundary([modules[name] for name in names], labels=names)
+
+
+def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:
+    if not spec.readable:
+        if spec.component is None:
+            raise hdl.HdlError(f"{spec.name}: nothing tells its interfaces; give sources, sim_sources or component")
+        return hdl.load_component_xml(spec.component), ()
+    reading = hdl.read(
+        spec.readable,
+        top=spec.top,
+        include_dirs=spec.include_dirs,
+        defines=spec.defines,
+        parameters={name: str(value) for name, value in spec.parameters.items()},
+        protocols=protocols,
+    )
+    found = reading.modules[0]
+    info = _with_missing(replace(found, problems=(*found.problems, *reading.problems)), spec, reading.outside)
+    if spec.component is None:
+        return info, ()
+    return info, tuple(str(difference) for difference in hdl.compare(info, hdl.load_component_xml(spec.component)))
+
+
+def _with_missing(info: ModuleInfo, spec: ModuleSpec, outside: Sequence[str]) -> ModuleInfo:
+    """A problem for submodules that synthesis will look for in vain; vendor IP may bring them, primitives are there."""
+    missing = [name for name in outside if not _PRIMITIVE.fullmatch(name)]
+    if not missing or spec.ip or spec.tcl or spec.sim_sources:
+        return info
+    text = f"no file has {', '.join(missing)}, which {info.name} needs below it: add to sources: (or ip:, if vendor IP)"
+    return replace(info, problems=(*info.problems, Problem(text, info.file, info.line, breaks=True)))

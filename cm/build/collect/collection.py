@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`cm build collect`: what a flow produced, ours or anyone's → runtime schema, .bin files, overlays, archive."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from cm import hwh
+from cm.build.collect import handoff
+from cm.build.collect.collected import Collected, Inputs
+from cm.build.collect.foreign import their_config
+from cm.build.collect.images import Image, check_images, check_regions, footprint, read_images, to_bin
+from cm.build.collect.layout import archive, write_folder
+from cm.build.collect.overlays import compile_overlays
+from cm.build.errors import BuildError
+from cm.build.plan.system import System
+from cm.build.runtime.answers import Answers
+from cm.build.runtime.schema import runtime_config
+from cm.build.runtime.text import runtime_text
+from cm.schema import loads
+from cm.schema.model import Config
+
+_HEAD = "# SPDX-License-Identifier: Apache-2.0\n# Written by cm build collect.\n"
+
+
+def gather(paths: Iterable[Path], work: Path) -> Inputs:
+    """Everything in `paths`: files, folders (not below), XSA and HDF archives unpacked to `work`."""
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            files += sorted(entry for entry in path.iterdir() if entry.is_file())
+        elif path.exists():
+            files.append(path)
+        else:
+            raise BuildError(f"{path} does not exist")
+    loose = {path.name for path in files}
+    sources: dict[Path, str] = {}  # of what was unpacked, for messages
+    for path in [path for path in files if path.suffix.lower() in handoff.ARCHIVES]:
+        # a file that lies beside the archive under the same name is newer than the one inside
+        inside = [entry for entry in handoff.unpack(path, work) if entry.name not in loose]
+        sources |= {entry: f"{path}: {entry.name}" for entry in inside}
+        files += inside
+    descriptions = [
+        handoff.read_handoff(path, sources.get(path, "")) for path in files if path.suffix.lower() == ".hwh"
+    ]
+    images = read_images(path for path in files if path.suffix.lower() in (".bit", ".bin"))
+    if not descriptions and not images:
+        raise BuildError("neither a .hwh (or an XSA or HDF with one) nor a bitstream was given")
+    return Inputs(tuple(descriptions), tuple(images))
+
+
+def collect(paths: Iterable[Path], name: str | None = None) -> Collected:
+    """The configuration that files of any flow are; `name` is by default that of the design."""
+    with tempfile.TemporaryDirectory() as work:
+        inputs = gather(paths, Path(work))
+        check_images(inputs.images, inputs.whole.device if inputs.whole else None)
+        return _loadable(their_config(inputs, name))
+
+
+def collect_ours(paths: Iterable[Path], system: System, answers: Answers, generated: Path) -> Collected:
+    """The configuration that `system`'s flow produced; `generated` is its output folder (for the overlays)."""
+    with tempfile.TemporaryDirectory() as work:
+        inputs = gather(paths, Path(work))
+        check_images(inputs.images, system.device)
+        if inputs.whole:
+            check_addresses(system, inputs.whole.design)
+        return _loadable(_our_config(inputs, system, answers, generated))
+
+
+def _our_config(inputs: Inputs, system: System, answers: Answers, generated: Path) -> Collected:
+    images = {image.name: image for image in inputs.images}
+    missing = [one.name for one in system.implementations if one.name not in images]
+    if missing:
+        raise BuildError(f"no bitstream for {', '.join(missing)}: each module's is called <module>.bit")
+    groups: dict[str, list[Image]] = {region.name: [] for region in system.regions}
+    for one in system.implementations:
+        image = images[one.name]
+        if not image.report.partial:
+            raise BuildError(f"{image.path.name} is a full bitstream; module {one.name} needs a partial one")
+        groups[one.region.name].append(image)
+    notes = check_regions(groups)
+    files = {f"{one.name}.bin": to_bin(images[one.name]) for one in system.implementations}
+    config = _with_images(runtime_config(system, answers), files, groups)
+    full = images.get(system.project.name)
+    if full is not None:
+        files[f"{config.name}_full.bin"] = to_bin(full)
+    sources = {path.stem: path.read_text(encoding="utf-8") for path in sorted((generated / "dts").glob("*.dtso"))}
+    overlays, more = compile_overlays(sources)
+    files |= overlays
+    files[f"{config.name}.yaml"] = (_HEAD + runtime_text(system, config) + "\n").encode()
+    return Collected(config, files, (*notes, *more))
+
+
+def _with_images(config: Config, files: Mapping[str, bytes], groups: Mapping[str, list[Image]]) -> Config:
+    """`config` with checksums of the files and the frames that the regions own."""
+    modules = {
+        name: replace(module, sha256=hashlib.sha256(files[f"{name}.bin"]).hexdigest())
+        for name, module in config.modules.items()
+    }
+    regions = {name: replace(region, footprint=footprint(groups[name])) for name, region in config.regions.items()}
+    return replace(config, modules=modules, regions=regions)
+
+
+def check_addresses(system: System, design: hwh.Hwh) -> None:
+    """BuildError where the block design has a DMA engine elsewhere than planned: the files are of another build."""
+    found = {design.modules[w.instance].name: w.base for w in hwh.windows(design) if w.instance in design.modules}
+    wrong = [
+        f"dma_{dma.name} is at {found[f'dma_{dma.name}']:#x}, planned at {dma.window.base:#x}"
+        for dma in system.dmas
+        if found.get(f"dma_{dma.name}", dma.window.base) != dma.window.base
+    ]
+    if wrong:
+        raise BuildError("the .hwh is not of this build schema: " + "; ".join(wrong))
+
+
+def _loadable(collected: Collected) -> Collected:
+    """Load the schema as the CM will; `SchemaError` where it would not."""
+    text = collected.files[f"{collected.config.name}.yaml"].decode()
+    return replace(collected, config=loads(text, f"{collected.config.name}.yaml"))
+
+
+def write(collected: Collected, out: Path) -> tuple[Path, Path]:
+    """The folder and the archive beside it, below `out`."""
+    name = collected.config.name
+    write_folder(out / name, collected.files)
+    packed = out / f"{name}.tar.gz"
+    packed.write_bytes(archive(name, collected.files))
+    return out / name, packed

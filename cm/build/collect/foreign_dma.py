@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DMA engines of a design that is not ours, from its .hwh, as its device-tree overlay needs them.
+
+Properties after the kernel's binding dma/xilinx/xilinx_dma.txt; which parameter of the IP gives which is
+told by Xilinx/device-tree-xlnx ac65e01, axi_dma.tcl and axi_vdma.tcl.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from cm import hwh
+from cm.build.hdl.register_maps import identifier
+from cm.build.platforms import Platform
+
+KINDS = {"axi_dma": 1, "axi_vdma": 2}  # as fpga-cm,types counts them
+_CLOCK_PINS = {
+    "axi_dma": ("s_axi_lite_aclk", "m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk"),
+    "axi_vdma": ("s_axi_lite_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk", "m_axis_mm2s_aclk", "s_axis_s2mm_aclk"),
+}
+_PS_CLOCKS = {f"FCLK_CLK{i}": f"&clkc {15 + i}" for i in range(4)} | {
+    f"pl_clk{i}": f"&zynqmp_clk {71 + i}" for i in range(4)
+}
+_LENGTH_BITS = 14  # of an axi_dma that does not say (PG021)
+_NAME_LENGTH = 31  # of a node in /dev/cm_dma
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One direction of an engine: `stream` is its name in the runtime schema and in ``/dev/cm_dma``."""
+
+    stream: str
+    direction: str  # mm2s or s2mm
+    spi: int
+    width: int  # bits of a beat
+    realigns: bool
+
+    @property
+    def number(self) -> int:
+        """The cell of ``dmas``."""
+        return 1 if self.direction == "s2mm" else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """A clock input: a phandle with its arguments, or (`rate` in Hz) a clock made in the PL."""
+
+    pin: str
+    source: str
+    rate: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Engine:
+    """An axi_dma or axi_vdma."""
+
+    label: str
+    kind: str
+    base: int
+    size: int
+    address_bits: int
+    length_bits: int
+    frames: int  # frame stores of a VDMA
+    clocks: tuple[Clock, ...]
+    channels: tuple[Channel, ...]
+
+    @property
+    def type(self) -> int:
+        """As ``fpga-cm,types`` counts."""
+        return KINDS[self.kind]
+
+
+@dataclass(slots=True)
+class Engines:
+    """What goes into the overlay, and a sentence about each channel that does not."""
+
+    found: list[Engine] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def fixed_clocks(self) -> list[Clock]:
+        """Clocks that the PL makes itself, each once."""
+        clocks = {clock.source: clock for engine in self.found for clock in engine.clocks if clock.rate}
+        return [clocks[name] for name in sorted(clocks)]
+
+    @property
+    def max_length(self) -> int:
+        """Most bytes of one transfer that every engine takes."""
+        bits = [engine.length_bits for engine in self.found if engine.kind == "axi_dma"]
+        return (1 << min(bits, default=23)) - 1
+
+
+def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[tuple[str, str], str]:
+    """(instance, direction) → stream: the engine's name, with the direction where it has both; each once."""
+    listed = list(channels)
+    found: dict[tuple[str, str], str] = {}
+    for channel in listed:
+        both = sum(other.instance == channel.instance for other in listed) > 1
+        end = f"_{channel.direction}" if both else ""
+        name = identifier(design.modules[channel.instance].name)[: _NAME_LENGTH - len(end)] + end
+        if name in found.values():  # of the same name in another hierarchy
+            name = identifier(channel.instance)[: _NAME_LENGTH - len(end)] + end
+        number = 2
+        while name in found.values():
+            name, number = f"{name[: _NAME_LENGTH - 3]}_{number}", number + 1
+        found[channel.instance, channel.direction] = name
+    return found
+
+
+def engines(design: hwh.Hwh, platform: Platform) -> Engines:
+    """Every engine whose address and interrupts the kernel can be told."""
+    result = Engines()
+    listed = hwh.dma_channels(design)
+    names = stream_names(listed, design)
+    lines = {(line.instance, line.port): line for line in hwh.interrupts(design)}
+    windows = {window.instance: window for window in reversed(hwh.windows(design))}
+    for instance in dict.fromkeys(channel.instance for channel in listed):
+        mine = [channel for channel in listed if channel.instance == instance]
+        module, window = design.modules[instance], windows.get(instance)
+        if module.type not in KINDS or window is None:
+            why = "has no address" if module.type in KINDS else f"is an {module.type}, whose channels are not told here"
+            result.notes.append(f"{instance} {why}: its streams need a DMA node in the board's own tree")
+            continue
+        channels = tuple(_channels(mine, names, lines, platform, module, result.notes))
+        if channels:
+            result.found.append(_engine(module, window, channels, design))
+    return result
+
+
+def _channels(
+    mine: list[hwh.DmaChannel],
+    names: Mapping[tuple[str, str], str],
+    lines: Mapping[tuple[str, str], hwh.InterruptLine],
+    platform: Platform,
+    module: hwh.ModuleInstance,
+    notes: list[str],
+) -> Iterator[Channel]:
+    for channel in mine:
+        name = names[channel.instance, channel.direction]
+        line = lines.get((channel.instance, f"{channel.direction}_introut"))
+        spi = platform.spi_at(line.pin, line.index) if line and line.controller is None else None
+        if spi is None:
+            why = f"goes to {line.controller or line.pin}" if line else "goes nowhere"
+            notes.append(
+                f"stream {name}: the interrupt of {channel.instance} {why}, and the kernel's DMA driver needs one of "
+                "the processor's shared interrupts: it needs a DMA node in the board's own tree"
+            )
+            continue
+        realigns = module.parameters.get(f"C_INCLUDE_{channel.direction.upper()}_DRE") == "1"
+        yield Channel(name, channel.direction, spi, channel.width or 32, realigns)
+
+
+def _engine(
+    module: hwh.ModuleInstance, window: hwh.MemoryRange, channels: tuple[Channel, ...], design: hwh.Hwh
+) -> Engine:
+    return Engine(
+        label=identifier(module.instance),
+        kind=module.type,
+        base=window.base,
+        size=window.size,
+        address_bits=_integer(module, "C_ADDR_WIDTH", 32),
+        length_bits=min(_integer(module, "C_SG_LENGTH_WIDTH", _LENGTH_BITS), 26),
+        frames=_integer(module, "C_NUM_FSTORES", 3),
+        clocks=tuple(_clocks(module, design)),
+        channels=channels,
+    )
+
+
+def _integer(module: hwh.ModuleInstance, name: str, default: int) -> int:
+    """A parameter of the core, or, where only that is written, of its customisation (``c_addr_width``)."""
+    text = module.parameters.get(name) or module.parameters.get(name.lower(), "")
+    return int(text) if text.isdecimal() and int(text) else default
+
+
+def _clocks(module: hwh.ModuleInstance, design: hwh.Hwh) -> Iterator[Clock]:
+    """Connected clock inputs; the first is the one that the driver insists on."""
+    for pin in _CLOCK_PINS[module.type]:
+        port = module.ports.get(pin)
+        drivers = [end for end in port.connections if _drives(design, end)] if port else []
+        if port is None or not (drivers or port.rate):
+            continue
+        known = next((_PS_CLOCKS[end.port] for end in drivers if end.port in _PS_CLOCKS), None)
+        if known is not None:
+            yield Clock(pin, known)
+        elif port.rate:
+            yield Clock(pin, f"&cm_clock_{port.rate}", port.rate)
+
+
+def _drives(design: hwh.Hwh, end: hwh.Connection) -> bool:
+    module = design.modules.get(end.instance)
+    return module is not None and end.port in module.ports and module.ports[end.port].direction == "O"

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A .hwh (or the XSA, HDF that holds it) → static registers, interrupts, streams, clocks of a runtime schema."""
+
+from __future__ import annotations
+
+import lzma
+import zipfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cm import hwh
+from cm.build.collect.foreign_dma import stream_names
+from cm.build.errors import BuildError
+from cm.build.hdl.register_maps import identifier, register_of
+from cm.schema.model import Clock, Direction, Register, Stream
+
+ARCHIVES = (".xsa", ".hdf", ".zip")
+MAX_MEMBER = 64 << 20  # bytes of a file in an archive
+# an exception for each kind of damage; RuntimeError is a password
+_DAMAGED = (zipfile.BadZipFile, OSError, EOFError, ValueError, zlib.error, lzma.LZMAError, RuntimeError)
+MAX_ARCHIVE = 512 << 20  # bytes of all that is read from one
+
+
+@dataclass(frozen=True, slots=True)
+class Handoff:
+    """A block design as the vendor's tool described it; `partial` has no processor and relative addresses."""
+
+    name: str
+    design: hwh.Hwh
+
+    @property
+    def partial(self) -> bool:
+        """The description of a module, not of the whole design."""
+        return not any(m.type in _PROCESSORS for m in self.design.modules.values())
+
+    @property
+    def device(self) -> str:
+        """As in a runtime schema: ``xc7z020``."""
+        name = self.design.device.lower()
+        return name if name.startswith("x") else f"xc{name}"
+
+
+_PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
+
+
+def unpack(path: Path, folder: Path) -> list[Path]:
+    """The .hwh and .bit files of an archive, written to `folder`."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return list(_members(archive, path, folder))
+    except _DAMAGED as error:
+        raise BuildError(f"{path}: no XSA or HDF: {error}") from None
+
+
+def _members(archive: zipfile.ZipFile, path: Path, folder: Path) -> Iterator[Path]:
+    names: dict[str, str] = {}
+    left = MAX_ARCHIVE
+    for info in sorted(archive.infolist(), key=lambda info: info.filename):
+        if info.is_dir() or Path(info.filename).suffix.lower() not in (".hwh", ".bit"):
+            continue
+        left -= info.file_size
+        if info.file_size > MAX_MEMBER or left < 0:
+            limit = f"{MAX_MEMBER >> 20} MiB a file, {MAX_ARCHIVE >> 20} MiB together"
+            raise BuildError(f"{path}: {info.filename} has {info.file_size} bytes: more than an XSA holds ({limit})")
+        name = Path(info.filename).name  # never a path out of the archive
+        if name in names:
+            raise BuildError(f"{path}: {names[name]} and {info.filename} have one name: unpack it and give one of them")
+        names[name] = info.filename
+        target = folder / name
+        # no more than the directory promised: zipfile stops there, and the checksum tells
+        target.write_bytes(archive.read(info))
+        yield target
+
+
+def read_handoff(path: Path, source: str = "") -> Handoff:
+    """A .hwh file; raises `cm.hwh.HwhError`, which calls it `source` where it came out of an archive."""
+    return Handoff(path.stem, hwh.read(path, source))
+
+
+def static_registers(design: hwh.Hwh, regions: frozenset[str]) -> dict[str, Register]:
+    """Registers of every window outside of regions, called ``<instance>_<register>``.
+
+    Those of DMA engines belong to the kernel's drivers: no UIO device shows them.
+    """
+    found: dict[str, Register] = {}
+    driven = {channel.instance for channel in hwh.dma_channels(design)}
+    for window in hwh.windows(design):
+        instance = design.modules.get(window.instance)
+        if instance is None or window.instance in regions | driven or instance.region:
+            continue
+        for register in _registers(instance, window):
+            found.setdefault(register.name, register)
+    return found
+
+
+def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: str | None = None) -> Iterator[Register]:
+    blocks = hwh.registers(instance, window.interface) or (
+        next(iter(instance.registers.values())) if len(instance.registers) == 1 else ()
+    )
+    prefix = identifier(instance.name)
+    for info in blocks:
+        spec = register_of(info)
+        if spec.offset + spec.width // 8 > window.size:
+            continue
+        yield Register(
+            name=f"{prefix}_{spec.name}",
+            base_address=window.base,
+            offset=spec.offset,
+            width=spec.width,
+            access=spec.access,
+            reset=spec.reset,
+            region=region,
+            # hardware may change what it describes: never verified after a write
+            volatile=True,
+            doc=spec.doc[:200],
+        )
+
+
+def module_registers(design: hwh.Hwh, base: int, region: str) -> dict[str, Register]:
+    """Registers of a module from its own .hwh: relative addresses, moved to `base` where they are below it."""
+    found: dict[str, Register] = {}
+    for window in hwh.windows(design):
+        instance = design.modules.get(window.instance)
+        if instance is None:
+            continue
+        for register in _registers(instance, window, region):
+            found.setdefault(register.name, _moved(register, base))
+    return found
+
+
+def _moved(register: Register, base: int) -> Register:
+    if register.base_address >= base:
+        return register
+    return replace(register, base_address=base + register.base_address)
+
+
+def streams(design: hwh.Hwh) -> dict[str, Stream]:
+    """One stream per DMA channel; the name is the engine's where it has one channel only."""
+    channels = hwh.dma_channels(design)
+    names = stream_names(channels, design)
+    found: dict[str, Stream] = {}
+    for channel in channels:
+        name = names[channel.instance, channel.direction]
+        doc = f"{channel.kind} {channel.instance}" + (f", {channel.width} bits a beat" if channel.width else "")
+        found[name] = Stream(name, name, Direction(channel.direction), doc=doc)
+    return found
+
+
+def clocks(design: hwh.Hwh) -> dict[str, Clock]:
+    """PL clocks."""
+    return {clock.name: Clock(clock.name, clock.rate) for clock in hwh.clocks(design)}

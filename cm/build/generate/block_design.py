@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the block-design template needs: settings of the processing system, ports, addresses, interrupts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.build.errors import BuildError
+from cm.build.generate.static_part.module import used_clocks
+from cm.build.hdl.model import Interface
+from cm.build.plan.system import Dma, System, Window
+from cm.schema.model import Direction
+
+MAX_SLAVES = 16  # of one SmartConnect (PG247)
+
+
+@dataclass(frozen=True, slots=True)
+class ClockPin:
+    """A clock of the processing system in use."""
+
+    name: str
+    pin: str
+    rate: int
+
+
+@dataclass(frozen=True, slots=True)
+class DmaCell:
+    """A DMA engine's cell."""
+
+    name: str
+    cell: str
+    doc: str
+    mode: str
+    stream_pin: str
+    memory_pin: str
+    clock: str
+    clock_pin: str
+    clock_pins: tuple[str, ...]
+    settings: tuple[tuple[str, object], ...]
+    port_settings: tuple[tuple[str, object], ...]
+    interrupt_pin: str
+
+
+@dataclass(frozen=True, slots=True)
+class AxiPort:
+    """An AXI port of the block design; `mode` as seen from outside it."""
+
+    name: str
+    mode: str
+    doc: str
+    settings: tuple[tuple[str, object], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """A high-performance port of the processing system and the masters that share it."""
+
+    cell: str
+    slave: str
+    clock: str
+    sources: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Interrupts:
+    """A bundle of interrupt lines to a pin of the processing system."""
+
+    cell: str
+    pin: str
+    sources: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """An address range of the control master."""
+
+    window: Window
+    target: str
+
+
+def context(system: System) -> dict[str, object]:
+    """Variables of ``block_design.tcl.j2``."""
+    clocks = _clocks(system)
+    dmas = [_dma_cell(system, dma, clocks) for dma in system.dmas]
+    ports = list(_axi_ports(system))
+    memories = list(_memories(system, dmas))
+    masters = [f"[get_bd_intf_ports {port.name}]" for port in ports if port.mode == "Master"]
+    masters += [f"[get_bd_intf_pins {dma.cell}/S_AXI_LITE]" for dma in dmas]
+    if len(masters) > MAX_SLAVES:
+        raise BuildError(f"{len(masters)} register ports are needed, one interconnect has {MAX_SLAVES}")
+    return {
+        "platform": system.platform,
+        "board": system.project.board,
+        "clocks": clocks,
+        "ps_settings": list(_ps_settings(system, clocks, memories)),
+        "dmas": dmas,
+        "axi_ports": ports,
+        "masters": masters,
+        "memories": memories,
+        "interrupts": list(_interrupts(system, dmas)),
+        "segments": list(_segments(system)),
+        "user_files": list[Path](system.project.static.block_design),
+    }
+
+
+def _clocks(system: System) -> list[ClockPin]:
+    order = list(system.project.clocks)
+    used = [name for name in order if name in used_clocks(system)]
+    return [ClockPin(n, system.platform.clock_pins[order.index(n)], system.project.clocks[n].rate) for n in used]
+
+
+def _ps_settings(system: System, clocks: list[ClockPin], memories: list[Memory]) -> Iterator[tuple[str, object]]:
+    pins = system.platform.clock_pins
+    groups = len(system.dmas) + 1
+    if system.platform.name == "zynq7000":
+        yield "PCW_USE_M_AXI_GP0", 1
+        for index in range(len(memories)):
+            yield f"PCW_USE_S_AXI_HP{index}", 1
+        yield "PCW_USE_FABRIC_INTERRUPT", 1
+        yield "PCW_IRQ_F2P_INTR", 1
+        for clock in clocks:
+            index = pins.index(clock.pin)
+            yield f"PCW_EN_CLK{index}_PORT", 1
+            yield f"PCW_FPGA{index}_PERIPHERAL_FREQMHZ", _megahertz(clock.rate)
+        return
+    yield "PSU__USE__M_AXI_GP0", 1
+    yield "PSU__USE__M_AXI_GP1", 0
+    yield "PSU__USE__M_AXI_GP2", 0
+    for index in range(len(memories)):
+        yield f"PSU__USE__S_AXI_GP{index + 2}", 1
+    yield "PSU__USE__IRQ0", 1
+    yield "PSU__USE__IRQ1", int(groups > 8)
+    for clock in clocks:
+        index = pins.index(clock.pin)
+        yield f"PSU__FPGA_PL{index}_ENABLE", 1
+        yield f"PSU__CRL_APB__PL{index}_REF_CTRL__FREQMHZ", _megahertz(clock.rate)
+
+
+def _megahertz(rate: int) -> str:
+    return f"{rate / 1e6:.6f}".rstrip("0").rstrip(".")
+
+
+def _dma_cell(system: System, dma: Dma, clocks: list[ClockPin]) -> DmaCell:
+    sends = dma.direction is Direction.MM2S
+    kind = dma.direction.value
+    settings: list[tuple[str, object]] = [
+        ("c_include_sg", 1),
+        ("c_sg_include_stscntrl_strm", 0),
+        ("c_sg_length_width", dma.length_bits),
+        ("c_addr_width", system.platform.address_bits),
+        ("c_include_mm2s", int(sends)),
+        ("c_include_s2mm", int(not sends)),
+        (f"c_{'m_axis_mm2s' if sends else 's_axis_s2mm'}_tdata_width", dma.width),
+        (f"c_m_axi_{kind}_data_width", max(dma.width, 32)),
+        (f"c_include_{kind}_dre", 0),
+    ]
+    rate = system.project.clocks[dma.clock].rate
+    port: list[tuple[str, object]] = [("FREQ_HZ", rate)]
+    if not sends:
+        keep = any("TKEEP" in b.interface.ports for r in system.regions for b in r.streams if b.dma is dma)
+        port = [("TDATA_NUM_BYTES", dma.width // 8), ("HAS_TLAST", 1), ("HAS_TKEEP", int(keep)), *port]
+    pin = next(clock.pin for clock in clocks if clock.name == dma.clock)
+    return DmaCell(
+        name=dma.name,
+        cell=f"dma_{dma.name}",
+        doc=f"{dma.name}: {'memory to stream' if sends else 'stream to memory'}, registers at {dma.window.base:#010x}",
+        mode="Master" if sends else "Slave",
+        stream_pin="M_AXIS_MM2S" if sends else "S_AXIS_S2MM",
+        memory_pin=f"M_AXI_{kind.upper()}",
+        clock=dma.clock,
+        clock_pin=pin,
+        clock_pins=("s_axi_lite_aclk", "m_axi_sg_aclk", f"m_axi_{kind}_aclk"),
+        settings=tuple(settings),
+        port_settings=tuple(port),
+        interrupt_pin=f"[get_bd_pins dma_{dma.name}/{kind}_introut]",
+    )
+
+
+def _axi_ports(system: System) -> Iterator[AxiPort]:
+    for domain in system.domains:
+        settings = (("PROTOCOL", "AXI4LITE"), ("DATA_WIDTH", 32), ("ADDR_WIDTH", 32), ("FREQ_HZ", domain.rate))
+        yield AxiPort(f"m_axi_{domain.clock}", "Master", f"register windows on {domain.clock}", settings)
+    for region in system.regions:
+        rate = system.project.clocks[region.spec.clock].rate
+        for bus in region.registers:
+            if bus.full:
+                name = f"m_axi_{region.name}_{bus.interface.name}"
+                yield AxiPort(name, "Master", f"{region.name}.{bus.interface.name}", _settings(bus.interface, rate))
+        for memory in region.memory:
+            name = f"s_axi_{region.name}_{memory.interface.name}"
+            yield AxiPort(name, "Slave", f"{region.name}.{memory.interface.name}", _settings(memory.interface, rate))
+
+
+def _settings(interface: Interface, rate: int) -> tuple[tuple[str, object], ...]:
+    lite = interface.protocol == "axi4lite"
+    settings: list[tuple[str, object]] = [
+        ("PROTOCOL", "AXI4LITE" if lite else "AXI4"),
+        ("DATA_WIDTH", interface.data_width or 32),
+        ("ADDR_WIDTH", interface.addr_width or 32),
+        ("FREQ_HZ", rate),
+    ]
+    if not lite:
+        settings += [("ID_WIDTH", interface.id_width or 0), ("NUM_READ_OUTSTANDING", 8), ("NUM_WRITE_OUTSTANDING", 8)]
+        for signal in ("LOCK", "CACHE", "QOS", "REGION"):
+            there = any(f"{channel}{signal}" in interface.ports for channel in ("AW", "AR"))
+            # the top drives AxCACHE where the module has none
+            settings.append((f"HAS_{signal}", int(there or signal == "CACHE")))
+    if not (interface.reads and interface.writes):
+        settings.append(("READ_WRITE_MODE", "READ_ONLY" if interface.reads else "WRITE_ONLY"))
+    return tuple(settings)
+
+
+def _memories(system: System, dmas: list[DmaCell]) -> Iterator[Memory]:
+    """Masters to memory, as many as an interconnect takes on each port of the processing system."""
+    sources: list[str] = []
+    for dma in dmas:
+        sources += [f"[get_bd_intf_pins {dma.cell}/M_AXI_SG]", f"[get_bd_intf_pins {dma.cell}/{dma.memory_pin}]"]
+    for region in system.regions:
+        sources += [f"[get_bd_intf_ports s_axi_{region.name}_{bus.interface.name}]" for bus in region.memory]
+    for index, start in enumerate(range(0, len(sources), MAX_SLAVES)):
+        if index >= len(system.platform.memory_slaves):
+            raise BuildError(f"{len(sources)} masters to memory are more than the processing system's ports can take")
+        slave, clock = system.platform.memory_slaves[index], system.platform.memory_clocks[index]
+        yield Memory(f"memory_interconnect_{index}", slave, clock, tuple(sources[start : start + MAX_SLAVES]))
+
+
+def _interrupts(system: System, dmas: list[DmaCell]) -> Iterator[Interrupts]:
+    sources = ["[get_bd_ports irq]", *(dma.interrupt_pin for dma in dmas)]
+    merged: dict[str, list[str]] = {}
+    for pin, lines, _ in system.platform.irq_pins:
+        share, sources = sources[:lines], sources[lines:]
+        if share:
+            merged.setdefault(pin, []).extend(share)
+    for index, (pin, share) in enumerate(merged.items()):
+        yield Interrupts(f"interrupt_lines_{index}", pin, tuple(share))
+
+
+def _segments(system: System) -> Iterator[Segment]:
+    for domain in system.domains:
+        target = f"[get_bd_addr_segs m_axi_{domain.clock}/Reg]"
+        yield Segment(domain.aperture, target)
+    for region in system.regions:
+        for bus in region.registers:
+            if bus.full:
+                yield Segment(bus.window, f"[get_bd_addr_segs m_axi_{region.name}_{bus.interface.name}/Reg]")
+    for dma in system.dmas:
+        yield Segment(dma.window, f"[get_bd_addr_segs dma_{dma.name}/S_AXI_LITE/Reg]")

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A project as the advisor's problem, and its present regions as a partition."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+from cm.build.boundary.analyse import Analysis
+from cm.build.errors import BuildError
+from cm.build.partition.advisor import Group, Problem, Unit, UsedMode, group_of
+from cm.build.partition.parts import part_of
+from cm.build.partition.utilisation import read_utilisation
+from cm.build.platforms import device_of, platform_of
+from cm.build.project.model import ModuleSpec, Project, Resources
+
+ICAP_BYTES = 4  # per clock
+
+
+def problem_of(
+    project: Project,
+    analysis: Analysis,
+    rate: float | None = None,
+    static: Resources | None = None,
+    budget: float = 1.0,
+) -> Problem:
+    """Modules, modes and part; `rate` in bytes per second (None: the limit of the ICAP).
+
+    `static` is what the static part needs, `budget` the share of the part that regions may take.
+
+    A module that fits several regions counts as one unit for each region that a mode puts it into.
+    """
+    missing = [module.name for module in project.modules.values() if not module.resources]
+    if missing:
+        hint = "synthesise them (cm build run), give reports with --reports, or estimate"
+        raise BuildError(f"resources: is missing for {', '.join(missing)} ({hint})")
+    units = {}
+    for module in project.modules.values():
+        for region in module.regions:
+            name = unit_name(module, region)
+            units[name] = Unit(name, module.resources, _kind(analysis, module.name))
+    modes = [
+        UsedMode(mode.name, frozenset(unit_name(project.modules[m], r) for r, m in mode.modules.items()), mode.share)
+        for mode in project.modes.values()
+    ]
+    limit = float(platform_of(project.part).icap_rate_max * ICAP_BYTES)
+    part = part_of(device_of(project.part))
+    return Problem(part, units, modes, rate or limit, static or Resources(), budget)
+
+
+def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, dict[str, Path]]:
+    """`project` with the resources that Vivado's reports say, and which report was read for which module.
+
+    What stands under `resources:` goes first. A module's report is that of our flow,
+    ``synth_<module>.utilization.rpt``, or ``<module>.rpt``; of several folders the first that has one.
+    """
+    listed = list(folders)
+    modules, read = dict(project.modules), {}
+    for name, spec in project.modules.items():
+        names = (f"synth_{name}.utilization.rpt", f"{name}.utilization.rpt", f"{name}.rpt")
+        path = next((folder / file for folder in listed for file in names if (folder / file).is_file()), None)
+        if path is not None and not spec.resources:
+            modules[name], read[name] = replace(spec, resources=read_utilisation(path)), path
+    return replace(project, modules=modules), read
+
+
+def static_report(folders: Iterable[Path]) -> Path | None:
+    """The report of our flow on the static part, of several folders the first that has one."""
+    paths = (folder / "static_synth.utilization.rpt" for folder in folders)
+    return next((path for path in paths if path.is_file()), None)
+
+
+def todays_groups(project: Project, problem: Problem) -> list[Group]:
+    """The regions of the build schema."""
+    regions = [[unit_name(module, region) for module in project.modules_of(region)] for region in project.regions]
+    return [group_of(problem, names) for names in regions if names]
+
+
+def unit_name(module: ModuleSpec, region: str) -> str:
+    """The module, with the region where it may go to several."""
+    return module.name if len(module.regions) == 1 else f"{module.name}_{region}"
+
+
+def _kind(analysis: Analysis, module: str) -> str:
+    """Streams and memory ports of a module: only modules with the same ones share a region in a proposal."""
+    found = sorted(
+        f"{i.protocol} {i.mode.value} {i.data_width}"
+        for i in analysis.modules[module].interfaces
+        if i.protocol != "axi4lite"
+    )
+    return ", ".join(found)

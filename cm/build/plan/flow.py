@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of the vendor's flow: what each reads, what it needs before it, what it leaves behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cm.build.plan.system import Implementation, System
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One call of Vivado with ``tcl/step_<name>.tcl``."""
+
+    name: str
+    title: str
+    after: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """An implementation run: cell → checkpoint, and the regions that stay empty."""
+
+    name: str
+    number: int
+    modules: dict[str, str]  # region → implementation
+    cells: tuple[tuple[str, str], ...]
+    greybox: tuple[str, ...]
+    partials: tuple[Implementation, ...]  # whose bitstreams this run is the first to give
+
+    @property
+    def doc(self) -> str:
+        """The modules, for people."""
+        return ", ".join(f"{region}: {module}" for region, module in self.modules.items())
+
+
+def runs(system: System) -> tuple[Run, ...]:
+    """The implementation runs; the first fixes the static part."""
+    written: set[str] = set()
+    found = []
+    for number, modules in enumerate(system.runs, 1):
+        cells = tuple(
+            (region.cell, f"checkpoints/synth_{modules[region.name]}.dcp")
+            for region in system.regions
+            if region.name in modules
+        )
+        greybox = tuple(region.cell for region in system.regions if region.name not in modules)
+        chosen = {(region, name) for region, name in modules.items()}
+        fresh = [i for i in system.implementations if (i.region.name, i.name) in chosen and i.name not in written]
+        written |= {i.name for i in fresh}
+        found.append(Run(f"run_{number}", number, dict(modules), cells, greybox, tuple(fresh)))
+    return tuple(found)
+
+
+def steps(system: System) -> tuple[Step, ...]:
+    """All steps, each after those it needs."""
+    planned = runs(system)
+    found = [
+        Step("system", "block design", (), ()),
+        Step("static", "synthesis of the static part", ("system",), ("checkpoints/static_synth.dcp",)),
+    ]
+    for one in system.implementations:
+        title = f"synthesis of {one.module.name} for {one.region.name}"
+        found.append(Step(f"synth_{one.name}", title, (), (f"checkpoints/synth_{one.name}.dcp",)))
+    for run in planned:
+        needs = tuple(f"synth_{name}" for name in dict.fromkeys(run.modules.values()))
+        before = "static" if run.number == 1 else planned[0].name
+        outputs = [f"checkpoints/{run.name}.dcp"] + ["checkpoints/static_routed.dcp"] * (run.number == 1)
+        found.append(Step(run.name, f"place and route: {run.doc}", (before, *needs), tuple(outputs)))
+    found.append(Step("verify", "comparison of all runs", tuple(run.name for run in planned), ()))
+    for run in planned:
+        names = [one.name for one in run.partials] + [system.project.name] * (run.number == 1)
+        outputs = [f"bitstreams/{name}.{kind}" for name in names for kind in ("bit", "bin")]
+        title = f"bitstreams of {', '.join(names) or 'nothing new'}"
+        found.append(Step(f"bitstreams_{run.name}", title, ("verify", run.name), tuple(outputs)))
+    return tuple(found)

@@ -1,0 +1,285 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Project and boundaries → `cm.build.plan.system.System`: connections, addresses, interrupt lines, runs."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from cm.build.boundary.model import Boundary, BoundaryPort, Role
+from cm.build.errors import BuildError
+from cm.build.hdl.model import Interface, Mode, PortDirection
+from cm.build.plan.addresses import Allocator
+from cm.build.plan.cover import Cover, cover
+from cm.build.plan.system import (
+    Dma,
+    Domain,
+    Implementation,
+    Line,
+    MemoryBus,
+    RegionPlan,
+    RegisterBus,
+    StreamBus,
+    System,
+)
+from cm.build.platforms import Platform, device_of, platform_of
+from cm.build.project.model import ConnectionSpec, Project, RegionSpec
+from cm.build.project.where import fault
+from cm.schema.model import Direction, LoaderKind
+from cm.schema.problems import KeyPath, did_you_mean
+
+_CONNECTIONS = {
+    ("axis", Mode.SLAVE): ("dma", "external", "none"),
+    ("axis", Mode.MASTER): ("dma", "external", "none"),
+    ("axi4lite", Mode.SLAVE): ("interconnect", "none"),
+    ("axi4", Mode.SLAVE): ("interconnect", "none"),
+    ("axi4lite", Mode.MASTER): ("memory", "none"),
+    ("axi4", Mode.MASTER): ("memory", "none"),
+}
+_OTHER = ("external", "none")
+MAX_STREAM = 1024  # bits of TDATA that an AXI DMA takes
+
+
+def plan_system(project: Project, boundaries: Mapping[str, Boundary]) -> System:
+    """The system around `project`'s regions; BuildError where something cannot be connected."""
+    return _Planner(project).plan(boundaries)
+
+
+@dataclass(slots=True)
+class _Region:
+    """A region while its parts are collected."""
+
+    registers: list[RegisterBus] = field(default_factory=list)
+    streams: list[StreamBus] = field(default_factory=list)
+    memory: list[MemoryBus] = field(default_factory=list)
+    external: list[BoundaryPort] = field(default_factory=list)
+    unused: list[BoundaryPort] = field(default_factory=list)
+    undecided: list[str] = field(default_factory=list)  # single signals that the build schema says nothing of
+
+
+class _Planner:
+    def __init__(self, project: Project) -> None:
+        self._project = project
+        self._platform: Platform = platform_of(project.part)
+        self._addresses = Allocator(self._platform.base, self._platform.size, tuple(project.clocks))
+        self._lines = 1  # line 0 of the PL is the concentrator's
+        self._bits = 0
+        self._notes: list[str] = []
+
+    def plan(self, boundaries: Mapping[str, Boundary]) -> System:
+        project = self._project
+        main = next(iter(project.clocks))
+        control = self._addresses.control(main)
+        icap = self._icap(main)
+        regions = tuple(
+            self._region(index, region, boundaries[region.name])
+            for index, region in enumerate(project.regions.values())
+        )
+        self._check_lines()
+        covered = self._cover()
+        return System(
+            project=project,
+            platform=self._platform,
+            device=device_of(project.part),
+            regions=regions,
+            domains=self._domains(),
+            control=control,
+            icap=icap,
+            implementations=tuple(self._implementations(regions)),
+            runs=tuple(self._names(run) for run in covered.runs),
+            cover=covered,
+            notes=tuple(self._notes),
+        )
+
+    def _icap(self, clock: str) -> Dma | None:
+        if not any(region.loader is LoaderKind.ICAP for region in self._project.regions.values()):
+            return None
+        rate, limit = self._project.clocks[clock].rate, self._platform.icap_rate_max
+        if rate > limit:
+            message = f"the ICAP runs on {clock} at {rate} Hz; {self._platform.name} allows {limit} Hz"
+            hint = "list a slower clock first, or give regions another loader"
+            raise fault(self._project.source, ("clocks", clock, "rate"), message, hint)
+        return Dma("icap", Direction.MM2S, self._addresses.dma("icap"), self._line(), clock, 32)
+
+    def _line(self) -> int:
+        self._lines += 1
+        return self._lines - 1
+
+    def _check_lines(self) -> None:
+        if self._lines > self._platform.irq_count:
+            raise BuildError(
+                f"{self._lines} interrupt lines are needed (one per DMA and one for all modules), "
+                f"{self._platform.name} has {self._platform.irq_count} from the PL: connect some streams to `external`"
+            )
+        if self._bits > 32:
+            raise BuildError(f"the modules have {self._bits} interrupts, the concentrator holds 32")
+
+    def _region(self, index: int, spec: RegionSpec, boundary: Boundary) -> RegionPlan:
+        names = [interface.name for interface in boundary.interfaces]
+        names += [port.name for port in boundary.ports if port.role in (Role.INTERRUPT, Role.SIGNAL)]
+        for name in spec.interfaces:
+            if name not in names:
+                message = f"region {spec.name} has no interface {name!r}"
+                raise fault(self._project.source, _key(spec, name), message, did_you_mean(name, names))
+        parts = _Region()
+        for interface in boundary.interfaces:
+            self._interface(spec, interface, boundary, parts)
+        lines: list[Line] = []
+        for port in boundary.ports:
+            self._single(spec, port, boundary, lines, parts)
+        if parts.undecided:
+            self._notes.append(
+                f"{spec.name}: {', '.join(parts.undecided)} belong to no interface and are not connected "
+                "(inputs are 0); `connect: external` under the region's interfaces brings one to a port of the top"
+            )
+        return RegionPlan(
+            spec,
+            index,
+            boundary,
+            tuple(parts.registers),
+            tuple(parts.streams),
+            tuple(parts.memory),
+            tuple(lines),
+            tuple(parts.external),
+            tuple(parts.unused),
+        )
+
+    def _interface(self, region: RegionSpec, interface: Interface, boundary: Boundary, parts: _Region) -> None:
+        spec = region.interfaces.get(interface.name, ConnectionSpec())
+        if interface.protocol == "axi3":
+            message = f"{region.name}.{interface.name} is AXI3"
+            hint = "put an AXI3 to AXI4 converter into the module"
+            raise fault(self._project.source, _key(region, interface.name), message, hint)
+        allowed = _CONNECTIONS.get((interface.protocol, interface.mode), _OTHER)
+        connect = spec.connect or allowed[0]
+        if connect not in allowed:
+            kind = f"{interface.protocol} {interface.mode.value}"
+            message = f"{region.name}.{interface.name} ({kind}) cannot be connected to {connect}"
+            key = (*_key(region, interface.name), "connect")
+            raise fault(self._project.source, key, message, f"write {' or '.join(allowed)}")
+        if connect == "dma":
+            parts.streams.append(self._stream(region, interface, spec))
+        elif connect == "interconnect":
+            parts.registers.append(self._registers(region, interface))
+        elif connect == "memory":
+            parts.memory.append(MemoryBus(interface))
+        elif connect == "external" and interface.protocol == "axis":
+            parts.streams.append(StreamBus(interface, f"{region.name}_{interface.name}", None, spec))
+        else:
+            ports = [port for port in boundary.ports if port.interface == interface.name]
+            (parts.external if connect == "external" else parts.unused).extend(ports)
+
+    def _stream(self, region: RegionSpec, interface: Interface, spec: ConnectionSpec) -> StreamBus:
+        name = spec.stream or f"{region.name}_{interface.name}"
+        direction = Direction.MM2S if interface.mode is Mode.SLAVE else Direction.S2MM
+        width = interface.data_width
+        if width is None:
+            message = f"{region.name}.{interface.name} has no TDATA of known width: a DMA needs one"
+            raise fault(self._project.source, _key(region, interface.name), message, "write connect: external")
+        if direction is Direction.S2MM and "TLAST" not in interface.ports:
+            self._notes.append(
+                f"{region.name}.{interface.name} has no TLAST: its DMA ends a transfer only when the buffer is full"
+            )
+        bits = max(8, (spec.max_length or (1 << 26) - 1).bit_length())
+        if width > MAX_STREAM:
+            message = f"{region.name}.{interface.name} has {width} bits, more than the {MAX_STREAM} that a DMA takes"
+            raise fault(self._project.source, _key(region, interface.name), message, "write connect: external")
+        dma = Dma(name, direction, self._addresses.dma(name), self._line(), region.clock, dma_width(width), bits)
+        return StreamBus(interface, name, dma, spec)
+
+    def _registers(self, region: RegionSpec, interface: Interface) -> RegisterBus:
+        name = f"{region.name}_{interface.name}"
+        bits = interface.addr_width or 12
+        size = max(region.window, 1 << min(bits, 32)) if bits > 16 and interface.protocol == "axi4" else region.window
+        if bits < 32 and (1 << bits) > size:
+            self._notes.append(f"{name} decodes {bits} address bits; its window shows {size:#x} bytes of them")
+        if interface.protocol == "axi4" or interface.data_width != 32:
+            return RegisterBus(interface, self._addresses.wide(name, min(size, 1 << 24)), full=True)
+        return RegisterBus(interface, self._addresses.registers(name, size, region.clock))
+
+    def _single(
+        self, region: RegionSpec, port: BoundaryPort, boundary: Boundary, lines: list[Line], parts: _Region
+    ) -> None:
+        """Ports that belong to no bus."""
+        if port.role is Role.INTERRUPT and port.direction is PortDirection.OUT:
+            connect = region.interfaces.get(port.name, ConnectionSpec()).connect or "interrupt"
+            if connect == "interrupt":
+                lines.extend(self._interrupts(region, port, boundary))
+                return
+        elif port.role not in (Role.INTERRUPT, Role.SIGNAL) or port.interface:
+            return
+        else:
+            connect = region.interfaces.get(port.name, ConnectionSpec()).connect or "none"
+            if port.name not in region.interfaces:
+                parts.undecided.append(port.name)
+        (parts.external if connect == "external" else parts.unused).append(port)
+
+    def _interrupts(self, region: RegionSpec, port: BoundaryPort, boundary: Boundary) -> Iterator[Line]:
+        several = len(self._project.regions) > 1
+        own = _name_in_modules(port, boundary)
+        for index in range(port.width):
+            name = f"{region.name}_{own}" if several else own
+            if port.width > 1:
+                name += f"_{index}"
+            # one clock of a module must not be missed, so a rising edge is what counts
+            yield Line(name, port.name, index, self._bits, edge=True)
+            self._bits += 1
+
+    def _domains(self) -> tuple[Domain, ...]:
+        domains: list[Domain] = []
+        for name, windows in self._addresses.domains():
+            aperture = self._addresses.aperture(name)
+            domains.append(Domain(name, len(domains), self._project.clocks[name].rate, aperture, windows))
+        return tuple(domains)
+
+    def _cover(self) -> Cover:
+        project = self._project
+        regions = {name: [module.name for module in project.modules_of(name)] for name in project.regions}
+        modes = [mode.modules for mode in project.modes.values()]
+        first = project.modes[project.default_mode].modules
+        found = cover(regions, modes, not project.modes_given, first)
+        for region, module in found.left_out:
+            self._notes.append(f"{module} in {region} is in no mode: it is synthesised, but in no implementation run")
+        return found
+
+    def _implementations(self, regions: tuple[RegionPlan, ...]) -> Iterator[Implementation]:
+        for region in regions:
+            for module in self._project.modules_of(region.name):
+                yield Implementation(module, region, identity_of(self._project.name, region.name, module.name))
+
+    def _names(self, run: Mapping[str, str]) -> dict[str, str]:
+        """Region → name of the implementation."""
+        return {
+            region: module if len(self._project.modules[module].regions) == 1 else f"{module}_{region}"
+            for region, module in run.items()
+        }
+
+
+def _name_in_modules(port: BoundaryPort, boundary: Boundary) -> str:
+    """What the modules call `port` where they agree: the boundary may have given it a plainer name."""
+    names = {
+        connection.module
+        for adaptation in boundary.adaptations
+        for connection in adaptation.connections
+        if connection.boundary == port.name and connection.module
+    }
+    return names.pop() if len(names) == 1 else port.name
+
+
+def _key(region: RegionSpec, interface: str) -> KeyPath:
+    return ("regions", region.name, "interfaces", interface)
+
+
+def dma_width(bits: int) -> int:
+    """TDATA of the DMA for a stream of `bits` (at most `MAX_STREAM`): the next of 8, 16, 32 … 1024."""
+    width = 8
+    while width < bits:
+        width *= 2
+    return width
+
+
+def identity_of(project: str, region: str, module: str) -> int:
+    """What a module answers in the region's identity register: 31 bits of a hash of its name, never 0."""
+    digest = hashlib.sha256(f"{project}/{region}/{module}".encode()).digest()
+    return (int.from_bytes(digest[:4], "big") & 0x7FFF_FFFF) | 1

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The system that is generated, as frozen data: what is connected to what, at which address and interrupt.
+
+`cm.build.plan.planner.plan_system` makes it from a project and its regions' boundaries; the templates read it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cm.build.boundary.model import Boundary, BoundaryPort
+from cm.build.hdl.model import Interface
+from cm.build.plan.cover import Cover
+from cm.build.platforms import Platform
+from cm.build.project.model import ConnectionSpec, ModuleSpec, Project, RegionSpec
+from cm.schema.model import Direction
+
+CONTROL_SIZE = 0x1000
+DMA_SIZE = 0x10000
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A range of addresses: `base` physical, `size` a power of two."""
+
+    name: str
+    base: int
+    size: int
+    doc: str = ""
+
+    @property
+    def end(self) -> int:
+        """First address behind it."""
+        return self.base + self.size
+
+
+@dataclass(frozen=True, slots=True)
+class RegisterBus:
+    """An AXI4-Lite (`full`: AXI4) slave interface of a region and the window it answers in."""
+
+    interface: Interface
+    window: Window
+    full: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Dma:
+    """An AXI DMA engine (PG021) with one channel; `line` is its interrupt line of the PL."""
+
+    name: str
+    direction: Direction
+    window: Window
+    line: int
+    clock: str
+    width: int  # bits of TDATA on the static side: 8 << n
+    length_bits: int = 26
+
+
+@dataclass(frozen=True, slots=True)
+class StreamBus:
+    """An AXI4-Stream interface of a region; `dma` None: it goes to ports of the top."""
+
+    interface: Interface
+    name: str
+    dma: Dma | None
+    spec: ConnectionSpec
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryBus:
+    """An AXI4 or AXI4-Lite master of a region, connected to memory."""
+
+    interface: Interface
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """An interrupt line of a region: `bit` of the concentrator."""
+
+    name: str
+    port: str
+    index: int  # bit of the port
+    bit: int
+    edge: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RegionPlan:
+    """A region with everything around it; `index` is its bit in the control registers."""
+
+    spec: RegionSpec
+    index: int
+    boundary: Boundary
+    registers: tuple[RegisterBus, ...] = ()
+    streams: tuple[StreamBus, ...] = ()
+    memory: tuple[MemoryBus, ...] = ()
+    lines: tuple[Line, ...] = ()
+    external: tuple[BoundaryPort, ...] = ()  # to ports of the top
+    unused: tuple[BoundaryPort, ...] = ()  # not connected: inputs 0, outputs open
+
+    @property
+    def name(self) -> str:
+        """Name of the region."""
+        return self.spec.name
+
+    @property
+    def cell(self) -> str:
+        """The region's cell in the netlist."""
+        return f"static_part/{self.name}"
+
+    @property
+    def module(self) -> str:
+        """Name of the black box, and of every wrapper that goes there."""
+        return f"cm_region_{self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Domain:
+    """A clock and the register windows that are reached on it; `aperture` covers them all."""
+
+    clock: str
+    index: int
+    rate: int
+    aperture: Window
+    windows: tuple[Window, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Implementation:
+    """A module in a region: one wrapper, one synthesis, one partial bitstream."""
+
+    module: ModuleSpec
+    region: RegionPlan
+    identity: int
+
+    @property
+    def name(self) -> str:
+        """Module, or module and region where it may go to several."""
+        return self.module.name if len(self.module.regions) == 1 else f"{self.module.name}_{self.region.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """Everything that is generated; `control` is the window of the control registers."""
+
+    project: Project
+    platform: Platform
+    device: str
+    regions: tuple[RegionPlan, ...]
+    domains: tuple[Domain, ...]
+    control: Window
+    icap: Dma | None
+    implementations: tuple[Implementation, ...]
+    runs: tuple[Mapping[str, str], ...]  # region → implementation's name; the first is the initial one
+    cover: Cover
+    notes: tuple[str, ...] = ()
+
+    @property
+    def dmas(self) -> tuple[Dma, ...]:
+        """All DMA engines, the ICAP's first."""
+        streams = [bus.dma for region in self.regions for bus in region.streams if bus.dma]
+        return (*([self.icap] if self.icap else []), *streams)
+
+    @property
+    def lines(self) -> tuple[Line, ...]:
+        """All lines of the concentrator."""
+        return tuple(line for region in self.regions for line in region.lines)
+
+    def region(self, name: str) -> RegionPlan:
+        """The region of that name."""
+        return next(region for region in self.regions if region.name == name)
+
+    def implementation(self, module: str, region: str) -> Implementation:
+        """The implementation of a module in a region."""
+        return next(i for i in self.implementations if i.module.name == module and i.region.name == region)

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A build schema from its file: YAML → `cm.build.project.model.Project`, every problem with its position."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from cm.build.project import references
+from cm.build.project.model import (
+    ClockSpec,
+    ConnectionSpec,
+    FieldSpec,
+    ModeSpec,
+    ModeStreamSpec,
+    ModuleSpec,
+    Project,
+    RegionSpec,
+    RegisterSpec,
+    Resources,
+    StaticSpec,
+)
+from cm.build.project.paths import PathReader
+from cm.schema.model import Access, LoaderKind
+from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
+from cm.schema.reader import Refused, read
+from cm.schema.structure import Structure
+from cm.schema.tree import Mark, Node, Scalar, locate, plain
+
+SCHEMA_FILE = Path(__file__).parents[1] / "data" / "build.schema.json"
+DEFAULT_CLOCK = "fclk0"
+DEFAULT_RATE = 100_000_000
+
+
+class Reporter:
+    """Collects problems of one file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.root: Node = Scalar(None, Mark(1, 1), "")
+        self.problems: list[Problem] = []
+
+    def at(self, mark: Mark, code: str, message: str, hint: str = "", key: str = "") -> None:
+        """A problem at a position."""
+        self.problems.append(Problem(self.path, mark.line, mark.column, key, code, message, hint))
+
+    def key(self, path: KeyPath, code: str, message: str, hint: str = "") -> None:
+        """A problem with the key at `path`."""
+        self.at(locate(self.root, path), code, message, hint, key_path(path))
+
+    def fitted(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
+        """A problem that the walk along the schema found."""
+        self.at(mark, code, message, hint, key_path(path))
+
+    def stop(self) -> None:
+        """Raise what was found, in the order of the file."""
+        if self.problems:
+            raise SchemaError(sorted(self.problems, key=lambda problem: (problem.line, problem.column)))
+
+
+def load_project(path: Path | str) -> Project:
+    """The build schema in `path`; `SchemaError` lists everything that is wrong with it."""
+    path = Path(path).absolute()
+    report = Reporter(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        report.at(Mark(1, 1), "unreadable", f"cannot be read: {getattr(error, 'strerror', None) or error}")
+        report.stop()
+    data = _structure(text, report)
+    report.stop()
+    project = _Builder(path, data, report).project()
+    references.check(project, report.key)
+    report.stop()
+    return project
+
+
+def check_project(path: Path | str) -> list[Problem]:
+    """What is wrong with the build schema in `path`; empty where all is well."""
+    try:
+        load_project(path)
+    except SchemaError as error:
+        return list(error.problems)
+    return []
+
+
+def _structure(text: str, report: Reporter) -> dict[str, Any]:
+    """The file's data in normal form; problems are reported."""
+    structure = Structure(json.loads(SCHEMA_FILE.read_text(encoding="utf-8")))
+    try:
+        report.root = read(text, report.at)
+    except Refused as refused:
+        hint = refused.hint.replace("config:", "project: (or with cm build init)")  # of a runtime schema
+        report.at(refused.mark, refused.code, str(refused), hint)
+        return {}
+    tree = structure.fit(report.root, report.fitted)
+    for finding in structure.values(tree):
+        report.key(finding.path, finding.code, finding.message, finding.hint)
+    data = plain(tree)
+    return data if isinstance(data, dict) else {}
+
+
+class _Builder:
+    def __init__(self, path: Path, data: dict[str, Any], report: Reporter) -> None:
+        self._path, self._data, self._report = path, data, report
+        self._files = PathReader(path.parent, report.key)
+
+    def project(self) -> Project:
+        data = self._data
+        head = data["project"]
+        clocks = self._clocks()
+        regions = {name: self._region(name, spec or {}, next(iter(clocks))) for name, spec in data["regions"].items()}
+        modules = {name: self._module(name, spec or {}, tuple(regions)) for name, spec in data["modules"].items()}
+        modes = self._modes(modules)
+        return Project(
+            name=head["name"],
+            part=head["part"],
+            source=self._path,
+            board=head.get("board"),
+            vivado=head.get("vivado"),
+            doc=head.get("doc", ""),
+            clocks=clocks,
+            static=self._static(),
+            regions=regions,
+            modules=modules,
+            modes=modes,
+            modes_given=bool(data.get("modes")),
+            default_mode=data.get("default_mode", next(iter(modes), "")),
+            protocols=self._files.many(data.get("protocols"), ("protocols",)),
+        )
+
+    def _clocks(self) -> dict[str, ClockSpec]:
+        given = self._data.get("clocks") or {DEFAULT_CLOCK: {"rate": DEFAULT_RATE}}
+        return {name: ClockSpec(name, spec["rate"], spec.get("doc", "")) for name, spec in given.items()}
+
+    def _static(self) -> StaticSpec:
+        spec = self._data.get("static") or {}
+        files = {
+            key: self._files.many(spec.get(key), ("static", key))
+            for key in ("sources", "include_dirs", "block_design", "constraints")
+        }
+        return StaticSpec(**files, registers=_registers(spec))
+
+    def _region(self, name: str, spec: dict[str, Any], clock: str) -> RegionSpec:
+        pblock = tuple(spec.get("pblock", ()))
+        return RegionSpec(
+            name=name,
+            clock=spec.get("clock", clock),
+            pblock=() if pblock == ("auto",) else pblock,
+            resources=Resources(**spec.get("resources") or {}),
+            decoupling=spec.get("decoupling", True),
+            loader=LoaderKind(spec.get("loader", "icap")),
+            window=spec.get("window", 0x10000),
+            interfaces={key: _connection(value or {}) for key, value in (spec.get("interfaces") or {}).items()},
+            doc=spec.get("doc", ""),
+        )
+
+    def _module(self, name: str, spec: dict[str, Any], regions: tuple[str, ...]) -> ModuleSpec:
+        where: KeyPath = ("modules", name)
+        many = {
+            key: self._files.many(spec.get(key), (*where, key))
+            for key in ("sources", "include_dirs", "ip", "ip_repositories", "tcl", "constraints", "sim_sources")
+        }
+        return ModuleSpec(
+            name=name,
+            top=spec.get("top", name),
+            regions=tuple(spec.get("regions", regions if len(regions) == 1 else ())),
+            defines={key: _text(value) for key, value in (spec.get("defines") or {}).items()},
+            parameters=spec.get("parameters") or {},
+            component=self._files.one(spec.get("component"), (*where, "component")),
+            model=spec.get("model"),
+            registers=_registers(spec),
+            register_map=self._files.one(spec.get("register_map"), (*where, "register_map")),
+            interface=spec.get("interface"),
+            resources=Resources(**spec.get("resources") or {}),
+            doc=spec.get("doc", ""),
+            **many,
+        )
+
+    def _modes(self, modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
+        given = self._data.get("modes")
+        if not given:
+            return _implied_modes(modules)
+        return {name: self._mode(name, spec, modules) for name, spec in given.items()}
+
+    def _mode(self, name: str, spec: dict[str, Any], modules: dict[str, ModuleSpec]) -> ModeSpec:
+        chosen: dict[str, str] = {}
+        for key, value in spec["modules"].items():
+            region, module = (key, value) if value is not None else (self._only_region(name, key, modules), key)
+            if region in chosen:
+                message = f"{chosen[region]} and {module} both go to {region}"
+                self._report.key(("modes", name, "modules"), "region_conflict", message, "a region holds one module")
+            if region is not None:
+                chosen[region] = module
+        streams = {key: _mode_stream(value) for key, value in (spec.get("streams") or {}).items()}
+        return ModeSpec(name, chosen, spec.get("registers") or {}, streams, spec.get("share", 1.0), spec.get("doc", ""))
+
+    def _only_region(self, mode: str, module: str, modules: dict[str, ModuleSpec]) -> str | None:
+        if module not in modules:
+            references.unknown(self._report.key, ("modes", mode, "modules", module), "module", module, modules)
+            return None
+        regions = modules[module].regions
+        if len(regions) != 1:
+            message = f"{module} may go to {', '.join(regions) or 'no region'}"
+            self._report.key(("modes", mode, "modules"), "ambiguous", message, f"write region: {module}")
+            return None
+        return regions[0]
+
+
+def _implied_modes(modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
+    """Without modes in the file: each module by itself; with several possible regions, one mode for each."""
+    modes = {}
+    for module in modules.values():
+        for region in module.regions:
+            name = module.name if len(module.regions) == 1 else f"{module.name}_{region}"
+            modes[name] = ModeSpec(name, {region: module.name})
+    return modes
+
+
+def _connection(spec: dict[str, Any]) -> ConnectionSpec:
+    shape = spec.get("shape")
+    return ConnectionSpec(**{**spec, "shape": tuple(shape) if shape else None})
+
+
+def _mode_stream(spec: dict[str, Any]) -> ModeStreamSpec:
+    shape = spec.get("shape")
+    return ModeStreamSpec(tuple(shape) if shape else None, spec.get("dtype"))
+
+
+def _registers(spec: dict[str, Any]) -> dict[str, RegisterSpec]:
+    return {name: _register(name, value) for name, value in (spec.get("registers") or {}).items()}
+
+
+def _register(name: str, spec: dict[str, Any]) -> RegisterSpec:
+    fields = {key: FieldSpec(key, **value) for key, value in (spec.get("fields") or {}).items()}
+    rest = {key: value for key, value in spec.items() if key not in ("access", "fields", "min", "max")}
+    access = Access(spec.get("access", "rw"))
+    return RegisterSpec(name, access=access, fields=fields, minimum=spec.get("min"), maximum=spec.get("max"), **rest)
+
+
+def _text(value: object) -> str:
+    """A macro's value as the preprocessor takes it."""
+    if value is None or value is True:
+        return "1"
+    return "0" if value is False else str(value)

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The generated flow on disk: its steps, and which of them have to run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from cm.build.errors import BuildError
+from cm.build.plan.flow import Step
+
+
+class State(str, Enum):
+    """Whether a step has to run."""
+
+    DONE = "done"
+    NEW = "new"  # never finished
+    CHANGED = "changed"  # what it reads has changed
+    AFTER = "after"  # a step before it has to run
+    LOST = "lost"  # an output is gone
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A step and its state."""
+
+    step: Step
+    state: State
+
+
+class Flow:
+    """The flow in an output folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        path = folder / "steps.json"
+        if not path.exists():
+            raise BuildError(f"{folder} holds no generated flow: run cm build generate first")
+        data = json.loads(path.read_text(encoding="utf-8"))
+        self.steps = tuple(
+            Step(entry["name"], entry["title"], tuple(entry["after"]), tuple(entry["outputs"]))
+            for entry in data["steps"]
+        )
+
+    def plan(self) -> list[Planned]:
+        """All steps in order, each with its state; the same answer that make would come to."""
+        states: dict[str, State] = {}
+        for step in self.steps:
+            states[step.name] = self._state(step, states)
+        return [Planned(step, states[step.name]) for step in self.steps]
+
+    def unfinished(self) -> list[Planned]:
+        """The steps that have to run before the bitstreams are those of one flow; none where it ran elsewhere."""
+        if not (self.folder / "stamps").is_dir():
+            return []
+        return [entry for entry in self.plan() if entry.state is not State.DONE]
+
+    def forget(self, planned: list[Planned]) -> None:
+        """Remove the stamps of steps whose outputs are gone, so that make runs them again."""
+        for entry in planned:
+            if entry.state is State.LOST:
+                (self.folder / f"stamps/{entry.step.name}.done").unlink(missing_ok=True)
+
+    def _state(self, step: Step, states: dict[str, State]) -> State:
+        done = self.folder / f"stamps/{step.name}.done"
+        if not done.exists():
+            return State.NEW
+        if done.read_text(encoding="utf-8") != self.checksums(step):
+            return State.CHANGED
+        if any(states[name] is not State.DONE for name in step.after):
+            return State.AFTER
+        stamp = done.stat().st_mtime_ns
+        if any((self.folder / f"stamps/{name}.done").stat().st_mtime_ns > stamp for name in step.after):
+            return State.AFTER
+        if not all((self.folder / name).exists() for name in step.outputs):
+            return State.LOST
+        return State.DONE
+
+    def checksums(self, step: Step) -> str:
+        """What ``sha256sum`` says of the step's inputs; a file that is not there shows as missing."""
+        names = (self.folder / f"inputs/{step.name}.list").read_text(encoding="utf-8").splitlines()
+        return "".join(f"{self._digest(name)}  {name}\n" for name in names)
+
+    def _digest(self, name: str) -> str:
+        try:
+            return hashlib.sha256((self.folder / name).read_bytes()).hexdigest()
+        except OSError:
+            return "missing"

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A system → the runtime schema that the CM loads (`cm.schema.model.Config`)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from cm.build.plan.system import RegionPlan, System
+from cm.build.project.model import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
+from cm.build.project.where import fault
+from cm.build.runtime.answers import Answers
+from cm.schema.model import (
+    Access,
+    BitField,
+    Clock,
+    Config,
+    ConfigType,
+    Decoupler,
+    Direction,
+    Identity,
+    Interrupt,
+    Mode,
+    Module,
+    Overlay,
+    Region,
+    Register,
+    Stream,
+)
+from cm.schema.problems import did_you_mean
+
+REGION_BLOCK = 0x100  # of cm_control.v
+REGION_STRIDE = 0x10
+IDENTITY = 0xC
+IRQ_STATUS, IRQ_ENABLE = 0x08, 0x0C
+
+
+def runtime_config(system: System, answers: Answers) -> Config:
+    """The configuration that `system` is on the target."""
+    project = system.project
+    overlays = (Overlay(f"{project.name}_static"),) if answers.static_overlay else ()
+    streams = {stream.name: stream for stream in _streams(system, answers)}
+    return Config(
+        name=project.name,
+        type=ConfigType.PARTIAL,
+        device=system.device,
+        default_mode=answers.default_mode or project.default_mode,
+        regions={region.name: _region(system, region) for region in system.regions},
+        modules=dict(_module(project.source, module, answers) for module in _targets(system)),
+        modes={mode.name: _mode(system, mode, streams) for mode in project.modes.values()},
+        registers=_static_registers(system),
+        overlays=overlays,
+        streams=streams,
+        interrupts={line.name: _interrupt(system, line.name, line.bit) for line in system.lines},
+        clocks={clock.name: Clock(clock.name, clock.rate, clock.doc) for clock in project.clocks.values()},
+        doc=project.doc,
+    )
+
+
+def register_base(source: Path, region: RegionPlan, module: ModuleSpec) -> int:
+    """Address that the offsets of the module's registers count from; `source` is the build schema."""
+    buses = {bus.interface.name: bus for bus in region.registers}
+    if module.interface is not None:
+        if module.interface not in buses:
+            message = f"region {region.name} has no register interface {module.interface!r}"
+            hint = did_you_mean(module.interface, buses)
+            raise fault(source, ("modules", module.name, "interface"), message, hint)
+        return buses[module.interface].window.base
+    if len(buses) != 1:
+        have = f"{len(buses)} register interfaces ({', '.join(buses)})" if buses else "no register interface"
+        message = f"{module.name} has registers, and region {region.name} has {have}"
+        hint = "write interface: in the module" if buses else "none of its modules has an AXI4-Lite slave"
+        key = "registers" if module.register_map is None else "register_map"
+        raise fault(source, ("modules", module.name, key), message, hint)
+    return next(iter(buses.values())).window.base
+
+
+def _targets(system: System) -> list[tuple[str, ModuleSpec, RegionPlan, int]]:
+    return [(one.name, one.module, one.region, one.identity) for one in system.implementations]
+
+
+def _region(system: System, region: RegionPlan) -> Region:
+    block = REGION_BLOCK + REGION_STRIDE * region.index
+    decoupler = Decoupler(system.control.base, block) if region.spec.decoupling else None
+    identity = Identity(system.control.base, block + IDENTITY)
+    return Region(name=region.name, loader=region.spec.loader, decoupler=decoupler, identity=identity)
+
+
+def _module(source: Path, target: tuple[str, ModuleSpec, RegionPlan, int], answers: Answers) -> tuple[str, Module]:
+    name, module, region, identity = target
+    registers = {}
+    if module.registers:
+        base = register_base(source, region, module)
+        registers = {
+            key: _register(spec, base, region.name, answers.registers.get((name, key)))
+            for key, spec in module.registers.items()
+        }
+    file = Path(f"{name}.bin")
+    model = module.model or (module.name if module.name != name else None)
+    return name, Module(name, region.name, file, None, identity, model, registers, module.doc)
+
+
+def _register(spec: RegisterSpec, base: int, region: str | None, default: int | None = None) -> Register:
+    return Register(
+        name=spec.name,
+        base_address=base,
+        offset=spec.offset,
+        width=spec.width,
+        access=spec.access,
+        default=spec.default if default is None else default,
+        reset=spec.reset,
+        minimum=spec.minimum,
+        maximum=spec.maximum,
+        fields={key: _field(value) for key, value in spec.fields.items()},
+        region=region,
+        volatile=spec.volatile,
+        doc=spec.doc,
+    )
+
+
+def _field(spec: FieldSpec) -> BitField:
+    return BitField(spec.name, spec.lsb, spec.width, spec.doc, spec.values)
+
+
+def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode:
+    chosen = [system.implementation(module, region) for region, module in mode.modules.items()]
+    source, static = system.project.source, system.project.static.registers
+    registers = {key: _register(static[key], 0, None, value) for key, value in mode.registers.items() if key in static}
+    for one in chosen:
+        for key, value in mode.registers.items():
+            if key in one.module.registers:
+                base = register_base(source, one.region, one.module)
+                registers[key] = _register(one.module.registers[key], base, one.region.name, value)
+    overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
+    return Mode(
+        name=mode.name,
+        modules=tuple(one.name for one in chosen),
+        registers=registers,
+        overlays=overlays,
+        streams=dict(_mode_stream(source, mode, name, spec, streams) for name, spec in mode.streams.items()),
+        doc=mode.doc,
+    )
+
+
+def _mode_stream(
+    source: Path, mode: ModeSpec, name: str, spec: ModeStreamSpec, streams: Mapping[str, Stream]
+) -> tuple[str, Stream]:
+    if name not in streams:
+        message = f"mode {mode.name} names the stream {name!r}"
+        raise fault(source, ("modes", mode.name, "streams", name), message, did_you_mean(name, streams))
+    stream = streams[name]
+    return name, replace(stream, shape=spec.shape or stream.shape, dtype=spec.dtype or stream.dtype)
+
+
+def _static_registers(system: System) -> dict[str, Register]:
+    base = system.control.base
+    found = {
+        "cm_id": Register("cm_id", base, 0, access=Access.RO, doc="0x434D3031: the generated static part"),
+        "cm_shape": Register("cm_shape", base, 4, access=Access.RO, doc="regions, interrupt lines"),
+    }
+    if system.lines:
+        mask = (1 << len(system.lines)) - 1
+        doc = "interrupts that happened, write 1 to clear"
+        status = Register("irq_status", base, IRQ_STATUS, access=Access.W1C, volatile=True, doc=doc)
+        enable = Register("irq_enable", base, IRQ_ENABLE, default=mask, maximum=mask, doc="interrupts that are told")
+        found |= {"irq_status": status, "irq_enable": enable}
+    for name, spec in system.project.static.registers.items():
+        found[name] = _register(spec, 0, None)
+    return found
+
+
+def _streams(system: System, answers: Answers) -> list[Stream]:
+    found = []
+    for region in system.regions:
+        for bus in region.streams:
+            if bus.dma is None:
+                continue
+            own = answers.streams.get(bus.name)
+            shape, dtype, slots = bus.spec.shape, bus.spec.dtype, bus.spec.slots
+            if own is not None:
+                shape, dtype, slots = own.shape or shape, own.dtype or dtype, own.slots or slots
+            direction = Direction(bus.dma.direction.value)
+            found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region.name, rate=bus.spec.rate))
+    return found
+
+
+def _interrupt(system: System, name: str, bit: int) -> Interrupt:
+    return Interrupt(name, system.control.base, status="irq_status", bit=bit, acknowledge=True)

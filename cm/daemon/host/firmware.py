@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the kernel finds firmware, and files for it there.
+
+The kernel opens the file itself, by name, after it was checked here. So it is looked for where the kernel
+looks (drivers/base/firmware_loader/main.c: `fw_path`), and its content is compared before and after.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from cm.bitstream import Container, convert
+from cm.bitstream.errors import BitstreamError, Sha256Mismatch
+from cm.daemon.host.bitstreams import BitstreamReader
+from cm.errors import InvalidRequest
+from cm.manager.ports import Image
+
+_FIRMWARE = Path("lib/firmware")
+_CUSTOM = Path("sys/module/firmware_class/parameters/path")
+_CONVERTED = "cm-converted"
+_OURS = re.compile(r"[0-9a-f]{64}\.bin")
+_COPIES = 64
+
+
+class FirmwareFolder:
+    """The firmware below a root."""
+
+    def __init__(self, root: Path, reader: BitstreamReader) -> None:
+        self._root = root
+        self._folder = root / _FIRMWARE
+        self._reader = reader
+
+    def place(self, name: str) -> Path:
+        """The file that the kernel opens for a name. Raises InvalidRequest for one that leaves the folder."""
+        parts = PurePosixPath(name)
+        if not name or parts.is_absolute() or ".." in parts.parts:
+            raise InvalidRequest(f"firmware name {name!r}: a path below /lib/firmware is expected")
+        places = [folder / name for folder in self._searched()]
+        return next((place for place in places if place.exists()), places[-1])
+
+    def _searched(self) -> Iterator[Path]:
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            custom = (self._root / _CUSTOM).read_text(encoding="utf-8").strip()
+            if custom:
+                yield self._root / custom.lstrip("/")
+        release = os.uname().release
+        yield from (self._folder / "updates" / release, self._folder / "updates", self._folder / release)
+        yield self._folder
+
+    def name_of(self, image: Image) -> str:
+        """A name under which the kernel finds the image as a word-swapped .bin.
+
+        What does not lie there in that form is copied. Raises Sha256Mismatch if the file changed since.
+        """
+        name = self._own_name(image) or self._copied(image)
+        self.check(name, image)
+        return name
+
+    def check(self, name: str, image: Image) -> None:
+        """Raise Sha256Mismatch where the kernel finds other words under the name than were validated."""
+        place = self.place(name)
+        try:
+            same = self._reader.has_words_of(place, image)
+        except BitstreamError as error:
+            raise Sha256Mismatch(f"{place}: {error}; the kernel would load it for {image.path}") from error
+        if not same:
+            raise Sha256Mismatch(f"{place}: not the bitstream that was checked as {image.path}; ask again")
+
+    def _own_name(self, image: Image) -> str | None:
+        """The image's name below the folder, if the kernel can take it from there."""
+        path = image.path
+        if image.report.container is not Container.BIN_SWAPPED or not path.is_relative_to(self._folder):
+            return None
+        name = path.relative_to(self._folder)
+        return None if ".." in name.parts or self.place(str(name)) != path else str(name)
+
+    def _copied(self, image: Image) -> str:
+        """A copy under the hash of what was validated; one that is there and damaged is made again."""
+        folder = self._folder / _CONVERTED
+        if folder.is_symlink():
+            raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / f"{image.sha256}.bin"
+        if not self._is_good(target, image):
+            _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))
+        _prune(folder, target)
+        return str(target.relative_to(self._folder))
+
+    def _is_good(self, target: Path, image: Image) -> bool:
+        try:
+            return not target.is_symlink() and self._reader.has_words_of(target, image)
+        except (BitstreamError, FileNotFoundError):
+            return False
+
+
+def _write(target: Path, data: bytes) -> None:
+    """Whole or not at all, also after a loss of power; never through a link that somebody left."""
+    import tempfile  # 1 MiB, for who loads without the kernel's firmware loader
+
+    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".new")
+    new = Path(name)
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fchmod(descriptor, 0o644)
+            os.fsync(descriptor)
+        new.replace(target)
+    except BaseException:
+        new.unlink(missing_ok=True)
+        raise
+
+
+def _prune(folder: Path, used: Path) -> None:
+    """Keep the copies used last: others are made again when they are needed.
+
+    The times of files order them, whatever the clock says: a board without one begins in 1970.
+    """
+    others = [path for path in folder.iterdir() if _OURS.fullmatch(path.name) and path != used]
+    ages = {path: path.lstat().st_mtime_ns for path in others}
+    newest = max(ages.values(), default=0) + 1
+    if used.stat().st_mtime_ns < newest:
+        os.utime(used, ns=(newest, newest))
+    for old in sorted(others, key=ages.__getitem__, reverse=True)[_COPIES - 1 :]:
+        old.unlink(missing_ok=True)
+    for half in folder.glob(".*.new"):  # of a run that was killed
+        half.unlink(missing_ok=True)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers that are read again, by requests of the same bytes.
+
+A program that polls a register sends the same request again and again. What its bytes mean is found out
+once for each mode; after that only the access itself, and the values in a reply that is kept, are new.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from cm.errors import InvalidRequest
+from cm.manager.access.register_service import Prepared
+from cm.messages.requests import ReadReg
+from cm.wire.decode import Frame, decode_request
+from cm.wire.encode import RegisterReply
+
+_LONGEST, _KEPT = 256, 256  # bytes of a request that is kept, and how many are
+
+
+class Rereads:
+    """Answers what was asked before. For one thread."""
+
+    def __init__(self, prepare: Callable[[tuple[str, ...]], Prepared | None]) -> None:
+        self._prepare = prepare
+        self._kept: dict[bytes, tuple[Prepared, RegisterReply]] = {}
+
+    def learn(self, frames: Sequence[Frame]) -> None:
+        """A request (topic, message) that was answered at length: be ready for the next of its kind."""
+        prepared = self._understand(frames) if len(frames) == 2 and len(frames[1]) <= _LONGEST else None
+        if prepared is None:
+            return
+        if len(self._kept) >= _KEPT:
+            self._kept.clear()
+        reply = RegisterReply(prepared.names, prepared.fields, prepared.config_name, prepared.mode)
+        self._kept[bytes(frames[1])] = prepared, reply
+
+    def _understand(self, frames: Sequence[Frame]) -> Prepared | None:
+        try:
+            request = decode_request(frames)
+        except InvalidRequest:
+            return None
+        return self._prepare(request.names) if isinstance(request, ReadReg) else None
+
+    def answer(self, message: bytes, sequence: int) -> bytes | None:
+        """The Reply message, or None: it has to be answered at length. Raises what the device raises."""
+        kept = self._kept.get(message)
+        if kept is None:
+            return None
+        prepared, reply = kept
+        values = prepared.values()
+        if values is None:
+            del self._kept[message]
+            return None
+        return reply.encode(values, sequence)

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An open stream: its DMA channel and slots, handed to the data plane, which moves the frames.
+
+What each frame needs is done by the plane's C thread (`cm.device.plane`); here streams are opened,
+given memory, measured and closed, in the loop's thread.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cm.daemon.streams.settings import frame_bytes, setup
+from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo
+from cm.device.plane import Plane, StreamCounts
+from cm.errors import Busy, CmError
+from cm.manager.reporting.descriptions import stream_status
+from cm.messages.status import FrameInfo, StreamClient, StreamStatus
+from cm.schema.model import Direction, Stream
+from cm.wire.plane import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
+
+_RESERVE = 2  # slots that readers can never hold: the hardware fills one while the next waits
+DEPTH = 4  # frames that a local client may hold if it does not say
+
+
+class StreamStopped(Busy):
+    """The stream was stopped (its region is being changed) before the transfer ended."""
+
+    code = "stream_stopped"
+
+
+class NoSlots(Busy):
+    """There is no DMA memory for one more reader or writer."""
+
+    code = "no_slots"
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """A frame: its description and its bytes, which are valid during the call only."""
+
+    info: FrameInfo
+    data: memoryview
+
+
+Done = Callable[[Frame | CmError], None]
+
+_CREDENTIALS = struct.Struct("=iII")  # struct ucred
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """The process at the other end of a client's socket."""
+
+    pid: int
+    name: str
+
+    @staticmethod
+    def of(connection: socket.socket) -> Peer:
+        """Who made a connection; its name is what the kernel calls it now."""
+        raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        pid = _CREDENTIALS.unpack(raw)[0]
+        try:
+            return Peer(pid, Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip())
+        except OSError:  # it has gone, or is of another PID namespace (0)
+            return Peer(pid, "")
+
+    @staticmethod
+    def ourselves() -> Peer:
+        """The daemon's own taps."""
+        return Peer(os.getpid(), "cm (ZeroMQ)")
+
+
+class Pump:
+    """One open stream."""
+
+    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream) -> None:
+        """Take over an open channel; it is closed if this raises."""
+        self._plane = plane
+        self._dma = dma
+        self.stream = stream
+        self.writes = stream.direction is Direction.MM2S
+        self._names = ("", "")
+        self.slots: list[DmaBuffer] = []
+        self._shared: list[int] = []  # descriptors as clients get them
+        self._depths: dict[int, int] = {}
+        self._peers: dict[int, Peer] = {}
+        self.lost = False
+        try:
+            self.setup = setup(dma.info, stream)
+            self.id = plane.start(dma, self.setup)
+        except BaseException:
+            dma.close()
+            raise
+        self._started = self.writes
+        try:
+            if not self.writes:
+                self._grow(min(stream.slots, SLOTS_MAX))
+        except BaseException:
+            self.close()
+            raise
+
+    def start(self) -> None:
+        """Let frames come: who is attached by now misses none."""
+        self._started = True
+        self._hand_over()
+
+    # ---- memory ---------------------------------------------------------------------
+
+    def _grow(self, count: int) -> None:
+        while len(self.slots) < count:
+            self.slots.append(self._dma.allocate(self.setup.length))
+        if self._started:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        for slot in self.slots[len(self._shared) :]:
+            self._shared.append(os.dup(slot.fd) if self.writes else _read_only(slot.fd))
+            self._plane.add_slot(self.id, self._shared[-1], slot.handle)
+
+    def _make_room(self, depth: int) -> None:
+        """So many slots that readers who hold all they may still leave some to the hardware."""
+        wanted = sum(self._depths.values()) + depth + (0 if self.writes else _RESERVE)
+        if self.stream.backpressure and not self.writes:
+            return
+        name = self.stream.name
+        if wanted > SLOTS_MAX:
+            raise NoSlots(f"stream {name!r} has {len(self._depths)} clients; with one more it needs {wanted} slots")
+        try:
+            self._grow(wanted)
+        except OSError as error:
+            raise NoSlots(
+                f"stream {name!r}: no memory for a client of {depth} frames more ({error}); "
+                "close others, or ask for a smaller depth"
+            ) from error
+
+    # ---- clients --------------------------------------------------------------------
+
+    def attach(self, client: int, depth: int, peer: Peer | None = None) -> bool:
+        """Let a client of the plane read or write; False if it has gone. Raises NoSlots."""
+        depth = max(1, min(depth or DEPTH, SLOTS_MAX - _RESERVE))
+        self._make_room(depth)
+        if not self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth))):
+            return False
+        self._depths[client] = depth
+        self._peers[client] = peer or Peer.ourselves()
+        return True
+
+    def detached(self, client: int) -> None:
+        """A client has gone."""
+        self._depths.pop(client, None)
+        self._peers.pop(client, None)
+
+    @property
+    def channel(self) -> DmaInfo:
+        """What the channel can do."""
+        return self._dma.info
+
+    @property
+    def clients(self) -> int:
+        """How many are attached."""
+        return len(self._depths)
+
+    def _geometry(self, depth: int) -> Geometry:
+        s = self.stream
+        coherent = all(slot.coherent for slot in self.slots)
+        return Geometry(
+            slot_length=self.slots[0].length,
+            frame_length=frame_bytes(s),
+            coherent=coherent,
+            writable=self.writes,
+            cyclic=self.setup.cyclic,
+            depth=depth,
+            stride=self.setup.stride if self.setup.stride != self.setup.line_bytes else 0,
+            shape=s.shape,
+            dtype=s.dtype,
+            stream=s.name,
+            config_name=self._names[0],
+            mode=self._names[1],
+        )
+
+    def label(self, config: str, mode: str) -> None:
+        """Frames from here on belong to this mode."""
+        if (config, mode) != self._names:
+            self._names = (config, mode)
+            self._plane.tell(self.id, encode_label(self.stream.name, config, mode))
+
+    # ---- what is told -----------------------------------------------------------------
+
+    def info(self, frame: Descriptor) -> FrameInfo:
+        """A frame's description; one that is not whole is flat bytes."""
+        whole = frame.length == frame_bytes(self.stream) and self.stream.shape is not None
+        return FrameInfo(
+            stream=self.stream.name,
+            sequence=frame.sequence,
+            timestamp_ns=frame.timestamp_ns,
+            length=frame.length,
+            shape=self.stream.shape if whole and self.stream.shape else (frame.length,),
+            dtype=self.stream.dtype if whole else "uint8",
+            config_name=self._names[0],
+            mode=self._names[1],
+        )
+
+    def status(self) -> StreamStatus:
+        """The stream and its counters."""
+        counts = self._plane.counts(self.id)
+        return replace(
+            stream_status(self.stream),
+            slots=len(self.slots) or self.stream.slots,
+            open=True,
+            frames=counts.frames,
+            dropped=counts.dropped,
+            errors=counts.errors,
+            rate=_rate(counts),
+            latency_us=_median(counts.latency_ns) / 1000,
+            clients=tuple(self._clients()),
+        )
+
+    def _clients(self) -> Iterator[StreamClient]:
+        for client, peer in self._peers.items():
+            counts = self._plane.client_counts(client)
+            if counts is not None:
+                yield StreamClient(
+                    peer.pid, peer.name, self.writes, counts.depth, counts.held, counts.frames, counts.dropped
+                )
+
+    def close(self, error: int = 0) -> None:
+        """Stop the channel and release everything; clients are told, and keep what they have mapped."""
+        try:
+            self.release(error)
+        finally:
+            self._dma.close()
+
+    def release(self, error: int = 0) -> AxiDma:
+        """The same, but the channel stays open, and is the caller's from here on."""
+        self._plane.stop(self.id, error)
+        try:
+            with suppress(DeviceGone):
+                for slot in self.slots:
+                    slot.close()
+        finally:
+            for fd in self._shared:
+                os.close(fd)
+            self._shared.clear()
+        return self._dma
+
+
+def _median(values: Sequence[int]) -> int:
+    """0 without any; the module `statistics` is half a MiB."""
+    return sorted(values)[len(values) // 2] if values else 0
+
+
+def _read_only(fd: int) -> int:
+    """The same memory for readers, who then cannot map it writable; a dma-buf cannot be opened anew."""
+    try:
+        return os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return os.dup(fd)
+
+
+def _rate(counts: StreamCounts) -> float:
+    """Frames per second over the last second."""
+    now = time.monotonic_ns()
+    recent = [t for t in counts.at_ns if t > now - 1_000_000_000]
+    return (
+        (len(recent) - 1) * 1e9 / (recent[-1] - recent[0])
+        if len(recent) > 1 and recent[-1] > recent[0]
+        else float(len(recent))
+    )

@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The daemon's own clients of the data plane: for who reads and writes frames over ZeroMQ.
+
+A tap is a client like any other, at the end of a socket pair.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import socket
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+
+from cm.daemon.loop import Loop, Timer
+from cm.daemon.streams.settings import frame_bytes
+from cm.daemon.streams.stream import Done, Frame, Pump, StreamStopped
+from cm.device.plane import Plane, StreamSetup
+from cm.errors import Busy, CmError, InvalidRequest, Timeout
+from cm.wire import plane as packets
+from cm.wire.plane import DESCRIPTOR, Descriptor
+
+_READ_DEPTH = 2
+_WRITE_DEPTH = 4
+_WAITING = 32  # writes that may wait for a slot
+_WRITE_TIMEOUT = 5.0  # seconds for the hardware to take a written frame
+_LINGER = 2.0  # seconds that a stream stays open after a single read or write
+
+
+class TransferFailed(CmError):
+    """The DMA reported an error."""
+
+    code = "transfer_failed"
+
+
+class _Tap:
+    """A client of the plane in this process."""
+
+    def __init__(self, loop: Loop, plane: Plane, pump: Pump, depth: int) -> None:
+        self._loop, self._plane, self._pump = loop, plane, pump
+        self._used_at = 0.0
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        self._socket = ours
+        self.client = plane.adopt(theirs.detach())
+        try:
+            pump.attach(self.client, depth)
+        except BaseException:
+            plane.drop(self.client)
+            ours.close()
+            raise
+        loop.add(ours.fileno(), self._readable)
+
+    @property
+    def working(self) -> bool:
+        """Whether somebody waits for it now."""
+        raise NotImplementedError
+
+    @property
+    def busy(self) -> bool:
+        """Whether somebody waits for it, or did a moment ago."""
+        return self.working or time.monotonic() < self._used_at + _LINGER
+
+    def close(self) -> None:
+        """Hang up."""
+        self._loop.remove(self._socket.fileno())
+        self._plane.drop(self.client)
+        self._pump.detached(self.client)
+        self._socket.close()
+
+    def _readable(self) -> None:
+        try:
+            packet = self._socket.recv(packets.PACKET_MAX)  # descriptors of memory that come with it are closed
+        except BlockingIOError:
+            return
+        if len(packet) >= DESCRIPTOR.size:
+            self._take(Descriptor(*DESCRIPTOR.unpack_from(packet)))
+
+    def _take(self, packet: Descriptor) -> None:
+        raise NotImplementedError
+
+
+class ReadTap(_Tap):
+    """Frames to the sinks, and to single reads."""
+
+    def __init__(self, loop: Loop, plane: Plane, pump: Pump, deliver: Callable[[Frame], None]) -> None:
+        self._deliver = deliver
+        self._readers: deque[tuple[Done, Timer]] = deque()
+        super().__init__(loop, plane, pump, _READ_DEPTH)
+
+    @property
+    def working(self) -> bool:
+        """Whether somebody waits for a frame."""
+        return bool(self._readers)
+
+    def read_once(self, timeout: float, done: Done) -> None:
+        """Hand the next frame to `done`, or a Timeout after `timeout` seconds."""
+        entry: list[tuple[Done, Timer]] = []
+
+        def expired() -> None:
+            if entry[0] in self._readers:
+                self._readers.remove(entry[0])
+                done(Timeout(f"stream {self._pump.stream.name!r} gave no frame within {timeout:g} s"))
+
+        entry.append((done, self._loop.call_later(timeout, expired)))
+        self._readers.append(entry[0])
+        self._used_at = time.monotonic()
+
+    def _take(self, packet: Descriptor) -> None:
+        if packet.kind != packets.FRAME:
+            return
+        try:
+            self._hand_on(packet)
+        finally:
+            self._socket.send(packet._replace(kind=packets.RELEASE).pack())
+
+    def _hand_on(self, packet: Descriptor) -> None:
+        slot = self._pump.slots[packet.slot]
+        slot.sync_begin(write=False)
+        try:
+            frame = Frame(self._pump.info(packet), self._bytes(packet))
+            readers, self._readers = self._readers, deque()
+            for done, timer in readers:
+                timer.cancel()
+                done(frame)
+            self._deliver(frame)
+        finally:
+            slot.sync_end(write=False)
+
+    def _bytes(self, packet: Descriptor) -> memoryview:
+        """The frame's bytes, one after the other; copied only where lines are apart."""
+        setup, slot = self._pump.setup, self._pump.slots[packet.slot]
+        view = slot.memoryview(writable=False)
+        if setup.lines and setup.stride != setup.line_bytes:
+            return memoryview(b"".join(view[line] for line in _lines(setup)))[: packet.length]
+        return view[packet.offset : packet.offset + packet.length]
+
+    def close(self) -> None:
+        super().close()
+        for done, timer in self._readers:
+            timer.cancel()
+            done(StreamStopped(f"stream {self._pump.stream.name!r} was stopped before a frame came"))
+        self._readers.clear()
+
+
+class WriteTap(_Tap):
+    """Written frames to the hardware."""
+
+    def __init__(self, loop: Loop, plane: Plane, pump: Pump) -> None:
+        self._free: deque[Descriptor] = deque()
+        self._under_way: dict[int, tuple[Done, Timer]] = {}
+        self._waiting: deque[tuple[bytes | memoryview, Done]] = deque()
+        self._numbers = itertools.count()
+        super().__init__(loop, plane, pump, min(_WRITE_DEPTH, max(2, pump.stream.slots)))
+
+    @property
+    def working(self) -> bool:
+        """Whether a frame is under way."""
+        return bool(self._under_way or self._waiting)
+
+    def write(self, data: bytes | memoryview, done: Done) -> None:
+        """Send a frame. Raises InvalidRequest for a wrong size, Busy when too many wait."""
+        self._check_size(memoryview(data).nbytes)
+        if len(self._waiting) >= _WAITING:
+            name = self._pump.stream.name
+            raise Busy(f"stream {name!r}: {_WAITING} frames wait already; the hardware takes none")
+        self._used_at = time.monotonic()
+        self._waiting.append((data, done))
+        self._send()
+
+    def _check_size(self, size: int) -> None:
+        s, frame = self._pump.stream, frame_bytes(self._pump.stream)
+        if frame and size != frame:
+            text = f"{'×'.join(map(str, s.shape or ()))} {s.dtype}"
+            raise InvalidRequest(f"stream {s.name!r} takes frames of {text}, {frame} bytes; this one has {size}")
+        if not 0 < size <= self._pump.setup.length:
+            raise InvalidRequest(f"stream {s.name!r} takes 1 to {self._pump.setup.length} bytes; this frame has {size}")
+
+    def _send(self) -> None:
+        while self._free and self._waiting:
+            grant = self._free.popleft()
+            data, done = self._waiting.popleft()
+            length = self._fill(grant.slot, memoryview(data).cast("B"))
+            timer = self._loop.call_later(_WRITE_TIMEOUT, lambda number=grant.slot: self._stuck(number))  # type: ignore[misc]
+            self._under_way[grant.slot] = (done, timer)
+            submit = grant._replace(kind=packets.SUBMIT, offset=0, length=length, sequence=next(self._numbers))
+            self._socket.send(submit.pack())
+
+    def _fill(self, number: int, view: memoryview) -> int:
+        """Put a frame into a slot; the bytes that the transfer has."""
+        setup, slot = self._pump.setup, self._pump.slots[number]
+        slot.sync_begin(write=True)
+        try:
+            memory = slot.memoryview()
+            if setup.lines and setup.stride != setup.line_bytes:
+                for at, line in enumerate(_lines(setup)):
+                    memory[line] = view[at * setup.line_bytes : (at + 1) * setup.line_bytes]
+                return setup.length
+            memory[: view.nbytes] = view
+            return view.nbytes
+        finally:
+            slot.sync_end(write=True)
+
+    def _stuck(self, number: int) -> None:
+        """The slot stays with the hardware; only the caller is told."""
+        if number in self._under_way:
+            done, timer = self._under_way[number]
+            self._under_way[number] = (lambda _: None, timer)
+            done(
+                Timeout(
+                    f"stream {self._pump.stream.name!r}: the hardware took no data for {_WRITE_TIMEOUT:.0f} s; "
+                    "is somebody reading what comes out, and is the region coupled?"
+                )
+            )
+
+    def _take(self, packet: Descriptor) -> None:
+        if packet.kind == packets.DONE:
+            self._done(packet)
+        if packet.kind == packets.GRANT or (packet.kind == packets.DONE and not self._keeps(packet)):
+            self._free.append(packet)
+            self._send()
+
+    def _keeps(self, packet: Descriptor) -> bool:
+        """Whether the hardware repeats the frame, so that its slot is not free yet."""
+        return self._pump.setup.cyclic and packet.offset == 0
+
+    def _done(self, packet: Descriptor) -> None:
+        done, timer = self._under_way.pop(packet.slot)
+        timer.cancel()
+        self._used_at = time.monotonic()
+        if packet.offset:
+            done(_failure(self._pump.stream.name, packet.offset))
+        else:
+            done(Frame(self._pump.info(packet), memoryview(b"")))
+
+    def close(self) -> None:
+        super().close()
+        stopped = StreamStopped(f"stream {self._pump.stream.name!r} was stopped before the frame was taken")
+        for done, timer in self._under_way.values():
+            timer.cancel()
+            done(stopped)
+        for _, done in self._waiting:
+            done(stopped)
+        self._under_way.clear()
+        self._waiting.clear()
+
+
+def _lines(setup: StreamSetup) -> Iterator[slice]:
+    """Where the lines of a video frame lie in its slot."""
+    for begin in range(0, setup.lines * setup.stride, setup.stride):
+        yield slice(begin, begin + setup.line_bytes)
+
+
+def _failure(stream: str, number: int) -> CmError:
+    return TransferFailed(f"stream {stream!r}: the DMA reported {os.strerror(number)}")

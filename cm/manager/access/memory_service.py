@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memories by name for requests: what is visible now, who may write, and no access to what is being changed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from cm.errors import InvalidRequest
+from cm.manager.access import runtime_memories as blocks
+from cm.manager.access.leases import Leases
+from cm.manager.access.register_bus import RegisterAccess
+from cm.manager.access.register_service import RegisterDesk
+from cm.manager.errors import AccessDenied, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory
+from cm.manager.planning.resolve import hint, listed
+from cm.manager.reporting.descriptions import memory_info
+from cm.manager.state.board_state import Knowledge
+from cm.manager.state.table import RegionState
+from cm.messages.requests import DataConfig
+from cm.messages.status import MemoryInfo
+from cm.schema.model import Access, Config, Memory
+
+LENGTH_MAX = 4 << 20  # bytes of one request
+PIECE = 8 << 10  # bytes for which registers and changes wait
+_WORD = 4
+
+
+class MemoryDesk:
+    """Finds memories, defines them, and begins transfers. One lock with `RegisterDesk`, so that a change waits."""
+
+    def __init__(self, known: Knowledge, desk: RegisterDesk, access: RegisterAccess, leases: Leases) -> None:
+        self._known = known
+        self._desk = desk
+        self._access = access
+        self._leases = leases
+        self._modes: tuple[Config | None, Mapping[str, tuple[str, ...]]] = None, {}  # of each memory of a configuration
+
+    def visible(self) -> Mapping[str, Memory]:
+        """All that can be named now: the schema's in this mode, and those defined at run time. Raises NothingLoaded."""
+        with self._known.lock:
+            return {**self._loaded().visible_memories(self._known.state.mode), **self._known.blocks}
+
+    def find(self, name: str) -> Memory | None:
+        """The memory of that name; None where no memory has it. Raises UnknownMemory for one of other modes."""
+        state = self._known.state
+        config = self._known.configs.get(state.config or "")
+        if config is None:
+            return None
+        if name in self._known.blocks:
+            return self._known.blocks[name]
+        modes = self._modes_with(config).get(name)
+        if modes is None:
+            return None
+        memory = config.visible_memories(state.mode).get(name)
+        if memory is None:
+            raise UnknownMemory(f"no memory {name!r} in this mode ({state.mode}); modes {', '.join(modes)} have it")
+        return memory
+
+    def _modes_with(self, config: Config) -> Mapping[str, tuple[str, ...]]:
+        """The modes in which each memory can be named; asked for with every request for a frame."""
+        if self._modes[0] is not config:
+            found: dict[str, tuple[str, ...]] = {}
+            for mode in config.modes:
+                for name in config.visible_memories(mode):
+                    found[name] = (*found.get(name, ()), mode)
+            self._modes = config, found
+        return self._modes[1]
+
+    def named(self, name: str) -> Memory:
+        """The memory of that name. Raises UnknownMemory with what there is, NothingLoaded."""
+        memory = self.find(name)
+        if memory is None:
+            raise UnknownMemory(f"no memory {name!r}{hint(name, self.visible())}")
+        return memory
+
+    def listed(self) -> str:
+        """All names, for a sentence; empty where there are none."""
+        config = self._known.loaded_config()
+        names = self.visible() if config else ()
+        return f"; memories are {listed(names)}" if names else ""
+
+    def info(self, memory: Memory) -> MemoryInfo:
+        """What there is to know of a memory that can be named now."""
+        return memory_info(memory, defined=memory.name in self._known.blocks)
+
+    def blocks(self) -> tuple[MemoryInfo, ...]:
+        """Those that were defined at run time."""
+        return tuple(memory_info(memory, defined=True) for memory in self._known.blocks.values())
+
+    def define(self, request: DataConfig) -> Memory:
+        """Define a memory until the configuration changes, or again. Raises InvalidRequest, DeviceNotFound, HeldBy."""
+        config = self._loaded()
+        memory = blocks.requested(request, config)
+        window = self._access.place(memory.address, memory.size)
+        memory = blocks.placed(memory, request.region, config, window.uio.maps[window.map])
+        self._check_covered(memory)
+        self._leases.check(_scopes(memory), request.lease)
+        self._known.define(memory)
+        return memory
+
+    def begin_read(self, name: str, offset: int, length: int) -> Transfer:
+        """A read that moves nothing yet; length 0 is the rest. Raises UnknownMemory, AccessDenied, OutOfRange, …"""
+        memory = self.named(name)
+        if memory.access is Access.WO:
+            raise AccessDenied(f"memory {name!r} is write-only")
+        length = length or max(memory.size - offset, 0)
+        _check_range(memory, offset, length)
+        self._desk.check_region(memory.region, f"memory {name!r}")
+        return Transfer(self, memory, offset, length)
+
+    def begin_write(self, name: str, offset: int, data: bytes | memoryview, lease: str) -> Transfer:
+        """A write that moves nothing yet. Raises as `begin_read`, and HeldBy."""
+        memory = self.named(name)
+        if memory.access is Access.RO:
+            raise AccessDenied(f"memory {name!r} is read-only")
+        view = memoryview(data).cast("B")
+        _check_range(memory, offset, len(view))
+        self._check_covered(memory)
+        self._leases.check(_scopes(memory), lease)
+        self._desk.check_region(memory.region, f"memory {name!r}")
+        return Transfer(self, memory, offset, len(view), view)
+
+    def move(self, transfer: Transfer, start: int, end: int) -> None:
+        """Move a piece of a transfer. Raises RegionBusy, UnknownMemory where it is not there any more, DeviceError."""
+        memory, place = transfer.memory, transfer.offset + start
+        with self._known.lock:
+            if self.named(memory.name) != memory:
+                raise UnknownMemory(f"memory {memory.name!r} is another one now, in mode {self._known.state.mode!r}")
+            self._desk.check_region(memory.region, f"memory {memory.name!r}")
+            if self.holding(memory) is not transfer.holding:
+                done = f"{start} of {transfer.length} bytes had been moved"
+                raise RegionBusy(f"memory {memory.name!r}: region {memory.region} was changed meanwhile; {done}")
+            if transfer.write:
+                self._access.write_block(memory, place, transfer.data[start:end])
+            else:
+                transfer.data[start:end] = self._access.read_block(memory, place, end - start)
+
+    def holding(self, memory: Memory) -> RegionState | None:
+        """What a memory's region holds: another object after every change of it."""
+        return self._known.state.region(memory.region) if memory.region else None
+
+    def _loaded(self) -> Config:
+        config = self._known.loaded_config()
+        if config is None:
+            raise NothingLoaded("nothing is loaded, so there are no memories")
+        return config
+
+    def _check_covered(self, memory: Memory) -> None:
+        """A block that may be written must not cover what has rights and limits of its own, in this mode."""
+        if memory.name in self._loaded().visible_memories(self._known.state.mode):
+            return  # the schema's: checked when it was read
+        views = {name for name, block in self._known.blocks.items() if block.access is Access.RO}  # no rights to keep
+        others = [other for name, other in self.visible().items() if name != memory.name and name not in views]
+        blocks.check_covered(memory, self._loaded(), self._known.state.mode, others)
+
+
+class Transfer:
+    """A read or write under way; `data` is what was read so far, or what is written."""
+
+    __slots__ = ("_desk", "_done", "data", "holding", "length", "memory", "offset", "write")
+
+    def __init__(
+        self, desk: MemoryDesk, memory: Memory, offset: int, length: int, written: memoryview | None = None
+    ) -> None:
+        self._desk, self.memory, self.offset, self.length = desk, memory, offset, length
+        self.write = written is not None
+        self.data = memoryview(b"") if written is None else written
+        self.holding = desk.holding(memory)
+        self._done = 0
+
+    def step(self) -> bool:
+        """Move the next piece; whether that was the last. Raises as `MemoryDesk.move`."""
+        if not self.write and not self._done:
+            self.data = memoryview(bytearray(self.length))  # not before its turn
+        end = min(self._done + PIECE, self.length)
+        self._desk.move(self, self._done, end)
+        self._done = end
+        return end == self.length
+
+    @property
+    def form(self) -> tuple[tuple[int, ...], str]:
+        """Shape and dtype of the bytes; plain bytes where they are no whole elements."""
+        memory, length = self.memory, self.length
+        if self.offset % memory.item or length % memory.item:
+            return (length,), "uint8"
+        whole = length == memory.size and memory.shape
+        return whole or (length // memory.item,), memory.dtype
+
+
+def _check_range(memory: Memory, offset: int, length: int) -> None:
+    if offset % _WORD or length % _WORD:
+        raise InvalidRequest(
+            f"memory {memory.name!r}: {length} bytes at offset {offset} are no whole words: multiples of {_WORD} are"
+        )
+    if offset + length > memory.size or not length:
+        there = f"it has {memory.size}, and one word is the least"
+        raise OutOfRange(f"memory {memory.name!r}: {length} bytes at offset {offset}; {there}")
+    if length > LENGTH_MAX:
+        raise OutOfRange(
+            f"memory {memory.name!r}: {length} bytes in one request; {LENGTH_MAX} is the most, ask for parts by offset"
+        )
+
+
+def _scopes(memory: Memory) -> tuple[str, ...]:
+    region = (f"region:{memory.region}",) if memory.region else ()
+    return (f"memories:{memory.name}", *region)

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers by name for requests: what is visible now, who may write, and no access to what is being changed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from cm.errors import CmError
+from cm.manager.access.leases import Leases
+from cm.manager.access.register_bus import RegisterAccess, checked_write, find, split_name, value_of
+from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
+from cm.manager.planning import resolve
+from cm.manager.state.table import BoardState, RegionPhase
+from cm.messages.requests import RegWrite
+from cm.messages.status import RegValue, RegValues
+from cm.schema.model import Access, BitField, Config, Register
+
+
+class Holder(Protocol):
+    """Who has the state: values that are replaced, never changed."""
+
+    state: BoardState
+    configs: Mapping[str, Config]
+
+    def loaded_config(self) -> Config | None:
+        """The one that is loaded."""
+
+    def update(self, change: Callable[[BoardState], BoardState]) -> None:
+        """Replace the state in one piece."""
+
+
+@dataclass(frozen=True, slots=True)
+class Locked:
+    """What a running change has taken away: regions, or the whole device."""
+
+    regions: frozenset[str] = frozenset()
+    whole: bool = False
+
+    def __contains__(self, region: object) -> bool:
+        return self.whole or region in self.regions
+
+
+_WO, _RW, _READY = Access.WO, Access.RW, RegionPhase.READY  # a look into an enum's class is not free
+
+
+class _Place(NamedTuple):
+    """Where a name leads."""
+
+    register: Register
+    field: BitField | None
+    region: str | None
+    address: int
+    width: int
+
+
+class _View:
+    """What can be named in the state that the board is in, what was named in it before, and what is free."""
+
+    __slots__ = ("config", "configs", "free", "mode", "places", "registers", "state")
+
+    def __init__(self, config: Config, configs: Mapping[str, Config], state: BoardState) -> None:
+        self.config, self.configs, self.state, self.mode = config, configs, state, state.mode
+        self.registers: Mapping[str, Register] = config.visible_registers(state.mode)
+        self.places: dict[str, _Place] = {}
+        self.free: set[str | None] = set()  # regions, and None for the static part
+
+
+class Prepared:
+    """Registers that are read again and again: what their names led to, for as long as the mode stays.
+
+    `names` and `fields` say what belongs to the values: fields (name, lowest bit, mask) are to be taken out of them.
+    """
+
+    __slots__ = ("_desk", "_places", "_regions", "_view", "config_name", "fields", "mode", "names")
+
+    def __init__(self, desk: RegisterDesk, view: _View, places: Sequence[_Place]) -> None:
+        self._desk, self._view = desk, view
+        self._places = [(p.address, p.width, *((p.field.lsb, p.field.mask) if p.field else (0, -1))) for p in places]
+        self._regions = {p.region for p in places}
+        self.config_name, self.mode = view.config.name, view.mode or ""
+        self.names = tuple([p.register.name + (f".{p.field.name}" if p.field else "") for p in places])
+        self.fields = tuple([() if p.field else _fields(p.register) for p in places])
+
+    def values(self) -> list[int] | None:
+        """The values in the order of the names; None where they are no longer what they were, or cannot be read now."""
+        return self._desk.read_again(self._view, self._regions, self._places)
+
+
+def _fields(register: Register) -> tuple[tuple[str, int, int], ...]:
+    return tuple([(f.name, f.lsb, f.mask) for f in register.fields.values()])
+
+
+class RegisterDesk:
+    """Reads and writes for requests. `lock` is held over each access, so that a change waits for its end."""
+
+    def __init__(
+        self, holder: Holder, access: RegisterAccess, leases: Leases, lock: AbstractContextManager[object]
+    ) -> None:
+        self._holder = holder
+        self._access = access
+        self._leases = leases
+        self._lock = lock
+        self._locked = Locked()
+        self._view: _View | None = None
+
+    def keep_off(self, locked: Locked) -> None:
+        """Refuse what is locked from here on; waits for an access under way."""
+        with self._lock:
+            self._locked = locked
+            self._view = None
+
+    def read(self, names: tuple[str, ...]) -> RegValues:
+        """Values by name; of all that can be read if none is given."""
+        with self._lock:
+            view = self._look()
+            known = view.places
+            places = [known.get(n) or self._find(view, n) for n in names] if names else self._readable(view)
+            return RegValues(tuple([self._read(p, view) for p in places]), view.config.name, view.mode or "")
+
+    def prepare(self, names: tuple[str, ...]) -> Prepared | None:
+        """What `read` of these names will do again; None where it refuses, or where it reads all that there is."""
+        with self._lock:
+            try:
+                view = self._look()
+                places = [self._find(view, name) for name in names]
+            except CmError:
+                return None
+        readable = places and all(p.register.access is not _WO for p in places)
+        return Prepared(self, view, places) if readable else None
+
+    def read_again(
+        self, view: _View, regions: set[str | None], places: list[tuple[int, int, int, int]]
+    ) -> list[int] | None:
+        """For `Prepared`."""
+        with self._lock:
+            if self._look() is not view or not regions <= view.free:
+                return None
+            read = self._access.read_address
+            return [(read(address, width) & mask) >> lsb for address, width, lsb, mask in places]
+
+    def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
+        """Check all, then write in order; what the registers then hold."""
+        visible = self._look().registers
+        checked = [checked_write(visible, w, lambda n=w.name: self._elsewhere(n, visible)) for w in writes]  # type: ignore[misc]
+        self._check_leases([r for r, _, _ in checked], lease)
+        with self._lock:
+            for register, _, _ in checked:
+                self._check_free(register)
+            return self._values(tuple(self._write(register, value, mask) for register, value, mask in checked))
+
+    def _values(self, values: tuple[RegValue, ...]) -> RegValues:
+        state = self._holder.state
+        return RegValues(values, state.config or "", state.mode or "")
+
+    def _look(self) -> _View:
+        view, holder = self._view, self._holder
+        if view is None or view.state is not holder.state or view.configs is not holder.configs:
+            view = self._view = self._renewed(view)
+        return view
+
+    def _renewed(self, view: _View | None) -> _View:
+        holder, config = self._holder, self._holder.loaded_config()
+        if config is None:
+            there = resolve.listed(holder.configs)
+            raise NothingLoaded(f"nothing is loaded, so there are no registers; there are {there}")
+        if view is None or view.config is not config or view.mode != holder.state.mode:
+            view = _View(config, holder.configs, holder.state)
+        view.state, view.configs = holder.state, holder.configs
+        view.free = {r.region for r in view.registers.values() if self._is_free(r.region)}
+        return view
+
+    def _find(self, view: _View, name: str) -> _Place:
+        register, field = find(view.registers, name, lambda: self._elsewhere(name, view.registers))
+        place = view.places[name] = _Place(register, field, register.region, register.address, register.width)
+        return place
+
+    def _elsewhere(self, name: str, visible: Mapping[str, Register]) -> str:
+        """Says in which modes a register can be named, when it cannot be in this one."""
+        register, config = split_name(name)[0], self._holder.loaded_config()
+        if config is None or register in visible:
+            return ""
+        modes = [m for m in config.modes if register in config.visible_registers(m)]
+        return f" ({self._holder.state.mode}); modes {', '.join(modes)} have it" if modes else ""
+
+    def _readable(self, view: _View) -> list[_Place]:
+        readable = (r for r in view.registers.values() if r.access is not _WO and r.region in view.free)
+        return [view.places.get(r.name) or self._find(view, r.name) for r in readable]
+
+    def _read(self, place: _Place, view: _View) -> RegValue:
+        register, field, region, address, width = place
+        if region not in view.free:
+            self._check_free(register)
+        if register.access is _WO:
+            raise AccessDenied(f"register {register.name!r} is write-only")
+        value = self._access.read_address(address, width)
+        if field is None:
+            return value_of(register, value) if register.fields else RegValue(register.name, value)
+        return RegValue(f"{register.name}.{field.name}", (value & field.mask) >> field.lsb)
+
+    def _write(self, register: Register, value: int, mask: int) -> RegValue:
+        written = self._access.write(register, value, mask, self._holder.state.values.get(register.name))
+        self._holder.update(lambda state: state.with_value(register.name, written))
+        shown = written if register.access is not _RW else self._access.read(register)
+        return value_of(register, shown)
+
+    def check_region(self, region: str | None, what: str) -> None:
+        """Raise RegionBusy while `region` (None: the static part) is being changed, or stands cut off."""
+        if not self._is_free(region):
+            self._refuse(region, what)
+
+    def _is_free(self, region: str | None) -> bool:
+        if region is None:
+            return not self._locked.whole
+        return self._holder.state.region(region).phase is _READY and region not in self._locked
+
+    def _check_free(self, register: Register) -> None:
+        self.check_region(register.region, f"register {register.name!r}")
+
+    def _refuse(self, region: str | None, what: str) -> None:
+        where = f"region {region}" if region else "the static part"
+        locked = self._locked.whole or region in self._locked
+        how = "being reconfigured" if locked else self._holder.state.region(region or "").phase.value
+        raise RegionBusy(f"{what} lies in {where}, which is {how}")
+
+    def _check_leases(self, registers: list[Register], lease: str) -> None:
+        scopes = {f"registers:{r.name}" for r in registers} | {f"region:{r.region}" for r in registers if r.region}
+        self._leases.check(tuple(scopes), lease)

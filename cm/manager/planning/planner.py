@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From what the board holds and where it shall go to the steps in between; touches nothing.
+
+The order is that of the design: validate, quiesce, decouple, load, overlays, registers, verify,
+recouple, publish — with two deviations that the hardware asks for. Overlays that go are removed
+before their region is cut off (their drivers talk to it). A module's own registers and its identity
+lie behind the decoupler (PG375), so they are written and checked after recoupling, while the streams
+are still stopped.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from cm.manager.errors import StaticUnknown
+from cm.manager.loaders import loading_overlay
+from cm.manager.planning.overlays import OverlayChange, overlay_change
+from cm.manager.planning.plan import Goal, Plan
+from cm.manager.planning.registers import Writing
+from cm.manager.ports import Files, Image
+from cm.manager.state import steps as s
+from cm.manager.state.cost import Throughput
+from cm.manager.state.table import BoardState, RegionPhase
+from cm.schema.model import Config, LoaderKind, Module, Region
+
+_WHOLE = (RegionPhase.READY, RegionPhase.DECOUPLED, RegionPhase.LOADED)  # phases in which a content is known to be so
+
+
+def make_plan(goal: Goal, state: BoardState, old: Config | None, files: Files, throughput: Throughput) -> Plan:
+    """The steps to `goal`. Reads and validates every file that it needs; raises what is wrong with them.
+
+    `old` is the configuration the board is in, if it is known.
+    """
+    return _Planner(goal, state, old, files, throughput).plan()
+
+
+class _Planner:
+    def __init__(self, goal: Goal, state: BoardState, old: Config | None, files: Files, throughput: Throughput):
+        self._goal = goal
+        self._config = goal.config
+        self._mode = goal.config.modes[goal.mode]
+        self._state = state
+        self._old = old
+        self._files = files
+        self._throughput = throughput
+
+    def plan(self) -> Plan:
+        static = self._static_image()
+        modules = [self._config.modules[name] for name in (*self._mode.modules, *self._goal.also)]
+        images = {m.name: self._files.image(self._config, m) for m in modules}
+        changed = [m for m in modules if static or self._differs(m, images[m.name])]
+        cut = [m for m in modules if m not in changed and not self._is_ready(m)]
+        loads = [(m, images[m.name]) for m in changed]
+        overlays = overlay_change(
+            self._state, self._config, self._mode, self._files, {m.region for m in changed}, static is not None
+        )
+        writes = Writing(self._goal, self._state, {m.region for m in (*changed, *cut)}).steps()
+        if not (static or changed or cut or overlays or writes or self._elsewhere()):
+            return Plan(self._goal, ())
+        return Plan(self._goal, tuple(self._order(static, loads, cut, overlays, writes)), full=static is not None)
+
+    def _elsewhere(self) -> bool:
+        return (self._state.config, self._state.mode) != (self._config.name, self._goal.mode)
+
+    def _static_image(self) -> Image | None:
+        base = self._goal.base
+        if base is None:
+            self._check_static_known()
+            return None
+        image = self._files.static_image(base)
+        here = self._state.static_sha256 == image.sha256 and not self._state.static_lost
+        mine = base is not self._config or self._state.config == self._config.name
+        return None if here and mine and not self._goal.force else image
+
+    def _check_static_known(self) -> None:
+        if self._state.static_lost:
+            raise StaticUnknown(
+                f"the load of a full image did not end well, so nobody knows what the device holds; "
+                f"{self._config.name} is partial and needs its static part: load a full configuration, "
+                "or restart the board"
+            )
+
+    def _is_ready(self, module: Module) -> bool:
+        return self._state.region(module.region).phase is RegionPhase.READY
+
+    def _differs(self, module: Module, image: Image) -> bool:
+        """Whether the region has to be loaded; one that is only cut off holds what it held."""
+        held = self._state.region(module.region)
+        if self._goal.force or held.phase not in _WHOLE or held.sha256 != image.sha256:
+            return True
+        by_overlay = self._config.regions[module.region].loader is LoaderKind.OVERLAY
+        return by_overlay and loading_overlay(module.region) not in {o.name for o in self._state.overlays}
+
+    def _order(
+        self,
+        static: Image | None,
+        loads: list[tuple[Module, Image]],
+        cut: list[Module],
+        overlays: OverlayChange,
+        writes: list[s.SetRegister],
+    ) -> Iterator[s.Step]:
+        changed = [m for m, _ in loads]
+        joined = [*changed, *cut]
+        regions = {m.region for m in joined}
+        yield s.Validate((*((static,) if static else ()), *(image for _, image in loads)))
+        streams = self._streams(regions, everything=static is not None)
+        if streams:
+            yield s.Quiesce(streams)
+        yield from (s.RemoveOverlay(name) for name in overlays.removed)
+        if static:
+            yield self._load_static(static)
+        yield from (s.Decouple(self._region(m)) for m in changed)
+        yield from (self._load(m, image) for m, image in loads)
+        yield from overlays.applied
+        yield from (w for w in writes if w.register.region not in regions)
+        yield from (self._recouple(self._region(m)) for m in joined)
+        yield from (s.CheckIdentity(self._region(m), m) for m in joined if self._has_identity(m))
+        yield from (w for w in writes if w.register.region in regions)
+        yield s.Publish(self._config.name, self._goal.mode)
+
+    def _region(self, module: Module) -> Region:
+        return self._config.regions[module.region]
+
+    def _has_identity(self, module: Module) -> bool:
+        return module.identity is not None and self._region(module).identity is not None
+
+    def _load(self, module: Module, image: Image) -> s.Load:
+        region = self._region(module)
+        overlay = b""
+        if region.loader is LoaderKind.OVERLAY:
+            overlay = self._files.loading_overlay(self._config, module, image)
+        return s.Load(region, module, image, self._throughput.timeout(region, image.length), overlay)
+
+    def _load_static(self, image: Image) -> s.LoadStatic:
+        base = self._goal.base or self._config
+        whole = Region("(device)", loader=base.loader, timeout=base.timeout)
+        return s.LoadStatic(image, self._throughput.timeout(whole, image.length), base.name, base.loader)
+
+    def _recouple(self, region: Region) -> s.Recouple:
+        return s.Recouple(region, frozenset(self._registers_of(region.name)))
+
+    def _registers_of(self, region: str) -> Iterable[str]:
+        for config in (self._config, *((self._old,) if self._old else ())):
+            for mode in config.modes:
+                yield from (name for name, r in config.visible_registers(mode).items() if r.region == region)
+
+    def _streams(self, regions: set[str], everything: bool) -> tuple[str, ...]:
+        """Streams of today that pass through a changed region, or look different afterwards."""
+        mode = self._state.mode
+        if self._old is None or mode is None or mode not in self._old.modes:
+            return ()
+        now = self._old.modes[mode].streams
+        then = self._mode.streams if self._old.name == self._config.name else {}
+        return tuple(name for name, x in now.items() if everything or x.region in regions or then.get(name) != x)

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""At start: compare what the record says with what the board shows, and keep only what both say.
+
+Looks at the boot id, the overlays in configfs, the regions' identity registers and the step that was
+under way when the manager died. Touches nothing but leftover overlays of a step that was cut short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from cm.errors import CmError
+from cm.manager.access.decoupler import is_cut
+from cm.manager.access.register_bus import RegisterAccess
+from cm.manager.loaders import loading_overlay
+from cm.manager.ports import Devices
+from cm.manager.state.record import Pending, Record
+from cm.manager.state.table import BoardState, OverlayState, RegionEvent, RegionPhase, RegionState, all_lost
+from cm.schema.model import Config, LoaderKind, Module, Region
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What is known of the board, what was cut short, and what was found out (sentences)."""
+
+    state: BoardState
+    interrupted: Pending | None = None
+    notes: tuple[str, ...] = ()
+
+
+def reconcile(
+    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterAccess
+) -> Finding:
+    """What the board holds, as far as record and board agree. Raises DeviceError where the board cannot be asked."""
+    finding = _compare(record, configs, devices, registers)
+    notes = list(finding.notes)
+    return replace(finding, state=_adopted(finding.state, configs, devices, notes), notes=tuple(notes))
+
+
+def _compare(
+    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterAccess
+) -> Finding:
+    if record is None:
+        return Finding(BoardState())
+    boot_id = devices.boot_id()
+    if not boot_id:
+        return Finding(BoardState(), None, ("the boot id cannot be read, so the record may be of before a restart",))
+    if record.boot_id != boot_id:
+        held = f" ({record.state.config}/{record.state.mode})" if record.state.config else ""
+        return Finding(BoardState(), None, (f"the board was restarted; what it held{held} is gone",))
+    state = record.state
+    notes: list[str] = []
+    state = _distrust_pending(state, record.pending)
+    state = _overlays(state, record.pending, devices, notes)
+    state = _port(state, configs, devices, notes)
+    if state.static_lost:
+        notes.append("a load of a full image did not end well; nothing in the device is accessed")
+    else:
+        state = _regions(state, configs.get(state.config or ""), registers, notes)
+    if record.pending is not None:
+        notes.append(
+            f"the change to {record.pending.config}/{record.pending.mode} was cut short at {record.pending.step}"
+        )
+    return Finding(state, record.pending, tuple(notes))
+
+
+def _distrust_pending(state: BoardState, pending: Pending | None) -> BoardState:
+    """The step that was about to be taken may have been taken: what it touches is not known."""
+    if pending is None:
+        return state
+    if pending.step == "decouple":  # its circuit is what it was, whether or not it is cut off by now
+        region = state.region(pending.subject)
+        return state.with_region(pending.subject, region.after(RegionEvent.DECOUPLE))
+    if pending.step == "registers":
+        return state.without_values({pending.subject})
+    return state
+
+
+def _overlays(state: BoardState, pending: Pending | None, devices: Devices, notes: list[str]) -> BoardState:
+    overlays = devices.overlays()
+    present = set(overlays.list()) if overlays.available() else set()
+    kept = tuple(o for o in state.overlays if o.name in present)
+    known = {o.name for o in kept}
+    for left in (loading_overlay(r) for r in state.regions):
+        if left in present and left not in known:
+            overlays.remove(left)
+            notes.append(f"overlay {left}, left over from a load that was cut short, was removed")
+    for gone in (o.name for o in state.overlays if o.name not in present):
+        notes.append(f"overlay {gone} is no longer applied")
+    if pending is not None and pending.overlay in present and pending.overlay not in known:
+        overlays.remove(pending.overlay)
+        notes.append(f"overlay {pending.overlay}, left over from the change that was cut short, was removed")
+    return replace(state, overlays=kept)
+
+
+def _adopted(state: BoardState, configs: Mapping[str, Config], devices: Devices, notes: list[str]) -> BoardState:
+    """Overlays of ours that no record knows, of a run whose record was lost: the next change takes them off."""
+    overlays = devices.overlays()
+    known = {o.name for o in state.overlays}
+    ours = {name for config in configs.values() for name in _overlay_names(config)}
+    for name in overlays.list() if overlays.available() else ():
+        if name in ours and name not in known:
+            notes.append(f"overlay {name} is applied, but not recorded; the next change removes it")
+            state = replace(state, overlays=(*state.overlays, OverlayState(name, "")))
+    return state
+
+
+def _overlay_names(config: Config) -> Iterator[str]:
+    yield from (o.name for o in config.overlays)
+    yield from (o.name for mode in config.modes.values() for o in mode.overlays)
+    yield from (loading_overlay(name) for name in config.regions)
+
+
+def _port(state: BoardState, configs: Mapping[str, Config], devices: Devices, notes: list[str]) -> BoardState:
+    """An fpga_manager in an error says that its last load went wrong, whoever asked for it."""
+    by_kernel = (LoaderKind.FPGA_MANAGER, LoaderKind.OVERLAY)
+    static = configs.get(state.static_config or "")
+    if static is not None and static.loader in by_kernel and (said := _error_of(devices, None)):
+        notes.append(f"the fpga_manager says {said!r}, so what {static.name} loaded is not trusted")
+        return all_lost(state)
+    config = configs.get(state.config or "")
+    for name, region in config.regions.items() if config else ():
+        if region.loader in by_kernel and name in state.regions and (said := _error_of(devices, region.loader_name)):
+            notes.append(f"the fpga_manager says {said!r}, so the content of region {name} is not trusted")
+            state = state.with_region(name, state.region(name).after(RegionEvent.LOSE))
+    return state
+
+
+def _error_of(devices: Devices, name: str | None) -> str:
+    """The manager's state if it is an error; empty if it is none, or there is no manager."""
+    try:
+        said = devices.fpga_manager(name).state
+    except (CmError, OSError):
+        return ""
+    return said if "error" in said else ""
+
+
+def _regions(state: BoardState, config: Config | None, registers: RegisterAccess, notes: list[str]) -> BoardState:
+    used = _used(config, state.mode)
+    for name, region in state.regions.items():
+        if region.phase is RegionPhase.READY:
+            checked = _region(name, region, config, registers, notes)
+        else:
+            checked = _cut_short(name, region, name in used, notes)
+        if checked is not region:
+            state = state.with_region(name, checked)
+    return state
+
+
+def _region(
+    name: str, region: RegionState, config: Config | None, registers: RegisterAccess, notes: list[str]
+) -> RegionState:
+    module = config.modules.get(region.module or "") if config else None
+    if module is None or config is None or name not in config.regions:
+        return region
+    wrong = _cut_off(config.regions[name], registers) or _wrong_identity(config, module, registers)
+    if wrong is None:
+        return region
+    notes.append(f"region {name}: {wrong}; its content is not trusted")
+    return region.after(RegionEvent.LOSE)
+
+
+def _used(config: Config | None, mode: str | None) -> set[str]:
+    """The regions of a mode."""
+    found = config.modes.get(mode or "") if config else None
+    return {config.modules[m].region for m in found.modules} if config and found else set()
+
+
+def _cut_short(name: str, region: RegionState, used: bool, notes: list[str]) -> RegionState:
+    """Regions are cut off before a load begins and after it has ended; the record says so in between.
+
+    Those of the mode will be coupled again by the change that brings the board back to it.
+    """
+    if used and region.phase in (RegionPhase.DECOUPLED, RegionPhase.LOADED) and region.sha256 is not None:
+        notes.append(f"region {name} was {region.phase.value}, with {region.module} in it")
+        return region
+    notes.append(f"region {name} was {region.phase.value}; its content is not trusted")
+    return region.after(RegionEvent.LOSE)
+
+
+def _cut_off(region: Region, registers: RegisterAccess) -> str | None:
+    decoupler = region.decoupler
+    if decoupler is None:
+        return None
+    try:
+        return "it stands decoupled" if is_cut(registers, decoupler) else None
+    except (CmError, OSError) as error:
+        return f"its decoupler cannot be read ({error})"
+
+
+def _wrong_identity(config: Config, module: Module, registers: RegisterAccess) -> str | None:
+    identity = config.regions[module.region].identity
+    if identity is None or module.identity is None:
+        return None
+    try:
+        value = registers.read_address(identity.base_address + identity.offset, identity.width)
+    except (CmError, OSError) as error:
+        return f"its identity register cannot be read ({error})"
+    if value == module.identity:
+        return None
+    return f"its identity register reads {value:#x}, {module.name} is {module.identity:#x}"

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""At start: what the board holds, and where to take it if it is in no whole mode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from cm.manager.access.register_bus import RegisterAccess
+from cm.manager.ports import Devices
+from cm.manager.recovery.reconcile import Finding, reconcile
+from cm.manager.state.board_state import Knowledge
+from cm.manager.state.record import Pending
+from cm.manager.state.table import BoardState, RegionPhase
+from cm.schema.model import Config, ConfigType
+
+
+@dataclass(frozen=True, slots=True)
+class Destination:
+    """A mode, and the full configuration whose image it needs first."""
+
+    config: Config
+    mode: str
+    static: str | None = None
+
+
+def take_stock(known: Knowledge, devices: Devices, registers: RegisterAccess) -> Finding:
+    """Compare record and board, and begin with what both say. Raises DeviceError."""
+    record, lost = known.read_record()
+    finding = reconcile(record, known.configs, devices, registers)
+    if lost:
+        finding = replace(finding, notes=(lost, *finding.notes))
+    known.adopt(record, finding.state, devices.boot_id())
+    return finding
+
+
+def destination(state: BoardState, interrupted: Pending | None, configs: Mapping[str, Config]) -> Destination | None:
+    """The mode that the board is in or was in before the change that was cut short; None where there is none."""
+    config = configs.get(state.config or "")
+    if config is not None and state.mode is not None and state.mode in config.modes:
+        return Destination(config, state.mode)
+    if interrupted is not None and config is None:  # cut short after the device was given another image
+        return _way_back(interrupted, configs)
+    return None
+
+
+def _way_back(cut: Pending, configs: Mapping[str, Config]) -> Destination | None:
+    """Where the change came from; None where the image that this needs is not ours to load."""
+    config = configs.get(cut.from_config or "")
+    if config is None or cut.from_mode is None or cut.from_mode not in config.modes:
+        return None
+    if config.type is ConfigType.FULL:
+        return Destination(config, cut.from_mode)
+    return Destination(config, cut.from_mode, cut.from_static) if cut.from_static in configs else None
+
+
+def is_whole(state: BoardState, there: Destination) -> bool:
+    """Whether every region of a mode is ready."""
+    modules = there.config.modes[there.mode].modules
+    return all(state.region(there.config.modules[m].region).phase is RegionPhase.READY for m in modules)

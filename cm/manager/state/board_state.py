@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known: the configurations, and what the board holds, kept in memory and in the record.
+
+All of it are immutable values that are swapped. `lock` keeps register accesses of requests and the
+moments at which a change takes regions away from overlapping; both threads take it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+
+from cm.manager.errors import RecordFailed, StoreCorrupt
+from cm.manager.state.cost import Throughput
+from cm.manager.state.journal import Store
+from cm.manager.state.record import Pending, Record
+from cm.manager.state.steps import ApplyOverlay, RemoveOverlay, Step
+from cm.manager.state.table import BoardState
+from cm.messages.status import ErrorInfo
+from cm.schema.model import Config, LoaderKind, Memory
+
+
+class Knowledge:
+    """`cm.manager.access.register_service.Holder`, and the record of it."""
+
+    def __init__(self, configs: Mapping[str, Config], store: Store) -> None:
+        self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
+        self.state = BoardState()  # what the board holds, as far as is known; replaced by `update`
+        self.throughput = Throughput()
+        self.lock = threading.RLock()
+        self.pending: Pending | None = None  # the change under way
+        self.blocks: Mapping[str, Memory] = MappingProxyType({})  # defined at run time, for this configuration
+        self._store = store
+        self._boot_id = ""
+        self._number = 0
+        self._recorded: Pending | None = None  # as it stands in the record
+        self._dirty = False
+
+    def loaded_config(self) -> Config | None:
+        """The configuration that is loaded."""
+        state = self.state
+        return self.configs.get(state.config) if state.config else None
+
+    def add_config(self, config: Config) -> None:
+        """Make a configuration known, in place of one of its name."""
+        self.configs = MappingProxyType({**self.configs, config.name: config})
+        if config.name == self.state.config:
+            self.blocks = MappingProxyType({})
+
+    def next_number(self) -> int:
+        """The number of a new change."""
+        self._number += 1
+        return self._number
+
+    def update(self, change: Callable[[BoardState], BoardState]) -> None:
+        """Replace the state in one piece; both threads do."""
+        with self.lock:
+            before, self.state = self.state, change(self.state)
+            if self.state.config != before.config:
+                self.blocks = MappingProxyType({})
+
+    def define(self, memory: Memory) -> None:
+        """Make a memory known until the configuration changes, in place of one of its name."""
+        with self.lock:
+            self.blocks = MappingProxyType({**self.blocks, memory.name: memory})
+
+    def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
+        """Keep a measurement for plans and time-outs."""
+        self.throughput = self.throughput.observed(kind, length, seconds)
+
+    def took(self, step: str, seconds: float) -> None:
+        """Keep how long a kind of step took, for plans."""
+        self.throughput = self.throughput.took(step, seconds)
+
+    # ---- the record ----------------------------------------------------------------
+
+    def read_record(self) -> tuple[Record | None, str]:
+        """The record, and a sentence where it was not readable: then nothing is known, which is no reason to stop."""
+        try:
+            return self._store.read(), ""
+        except StoreCorrupt as error:
+            return None, str(error)
+
+    def adopt(self, record: Record | None, state: BoardState, boot_id: str) -> None:
+        """Begin with what was found at start: what the board holds, and what the record says beside it."""
+        self.state, self._boot_id = state, boot_id
+        self.blocks = MappingProxyType({})
+        if record is not None:
+            self.throughput, self._number = record.throughput, record.number
+
+    def record(self, step: Step | None) -> None:
+        """Write the state and the step about to be taken, or that no change is under way. Raises RecordFailed."""
+        with self.lock:
+            self._write(None if step is None or self.pending is None else _about_to(self.pending, step))
+
+    def _write(self, pending: Pending | None) -> None:
+        try:
+            self._store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
+        except OSError as error:
+            raise RecordFailed(f"the state record could not be written: {error}") from error
+        self._recorded, self._dirty = pending, False
+
+    def try_record(self) -> ErrorInfo | None:
+        """Write that no change is under way; what went wrong, if it could not be written."""
+        return self._tried(None)
+
+    def flush(self) -> ErrorInfo | None:
+        """Write values of registers that requests wrote; a change that runs meanwhile stays under way."""
+        return self._tried(self._recorded) if self._dirty else None
+
+    def _tried(self, pending: Pending | None) -> ErrorInfo | None:
+        try:
+            with self.lock:
+                self._write(pending)
+        except RecordFailed as problem:
+            return ErrorInfo(problem.code, str(problem))
+        return None
+
+    def registers_written(self) -> None:
+        """Register values differ from the record."""
+        self._dirty = True
+
+
+def _about_to(pending: Pending, step: Step) -> Pending:
+    return replace(pending, step=step.kind, subject=step.subject, overlay=_overlay_name(step))
+
+
+def _overlay_name(step: Step) -> str | None:
+    if isinstance(step, ApplyOverlay):
+        return step.overlay.name
+    return step.name if isinstance(step, RemoveOverlay) else None

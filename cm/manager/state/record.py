@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The record of what the hardware holds, as data and as a line of JSON with a CRC."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from cm.manager.state.cost import Throughput
+from cm.manager.state.table import BoardState, OverlayState, RegionPhase, RegionState
+from cm.schema.model import LoaderKind
+
+_VERSION = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Pending:
+    """A change under way: where it goes, where it came from, and the step it was about to take."""
+
+    number: int
+    config: str
+    mode: str
+    from_config: str | None
+    from_mode: str | None
+    step: str = ""
+    subject: str = ""
+    overlay: str | None = None  # being applied or removed
+    from_static: str | None = None  # the full configuration whose image the device held
+
+
+@dataclass(frozen=True, slots=True)
+class Record:
+    """One line of the journal."""
+
+    boot_id: str
+    state: BoardState
+    pending: Pending | None = None
+    throughput: Throughput = field(default_factory=Throughput)
+    number: int = 0  # of the last change
+
+
+class OtherVersion(ValueError):
+    """A whole line that another version of this program wrote."""
+
+
+def encode(record: Record) -> bytes:
+    """A line; it begins with a line's end, so that what was torn before it does no harm."""
+    body = json.dumps(_to_plain(record), separators=(",", ":")).encode()
+    return b"\n%08x %b\n" % (zlib.crc32(body), body)
+
+
+def newest(data: bytes) -> Record | None:
+    """The last whole line; None where there is none.
+
+    Raises OtherVersion: the newest whole line counts, or none, as those before it are no longer true.
+    """
+    for line in reversed(data.split(b"\n")):
+        body = _checked(line)
+        if body is not None:
+            return _understood(body)
+    return None
+
+
+def _checked(line: bytes) -> bytes | None:
+    """The body of a line whose CRC is right."""
+    crc, space, body = line.partition(b" ")
+    try:
+        return body if space and int(crc, 16) == zlib.crc32(body) else None
+    except ValueError:
+        return None
+
+
+def _understood(body: bytes) -> Record:
+    try:
+        return _from_plain(json.loads(body))
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+        raise OtherVersion(str(error)) from None
+
+
+def _to_plain(r: Record) -> dict[str, Any]:
+    return {
+        "version": _VERSION,
+        "boot_id": r.boot_id,
+        "number": r.number,
+        "state": {
+            "config": r.state.config,
+            "mode": r.state.mode,
+            "static": [r.state.static_sha256, r.state.static_config, r.state.static_lost],
+            "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in r.state.regions.items()},
+            "overlays": [[o.name, o.sha256] for o in r.state.overlays],
+            "values": dict(r.state.values),
+        },
+        "pending": None if r.pending is None else {n: getattr(r.pending, n) for n in Pending.__slots__},
+        "throughput": {kind.value: rate for kind, rate in r.throughput.measured.items()},
+        "seconds": dict(r.throughput.steps),
+    }
+
+
+def _from_plain(plain: Mapping[str, Any]) -> Record:
+    """Raises ValueError, KeyError, TypeError, IndexError or AttributeError for what is not of this version.
+
+    "seconds" came later; what an older program wrote has none.
+    """
+    if plain["version"] != _VERSION:
+        raise ValueError(plain["version"])
+    state = plain["state"]
+    return Record(
+        boot_id=plain["boot_id"],
+        number=plain["number"],
+        state=BoardState(
+            config=state["config"],
+            mode=state["mode"],
+            static_sha256=state["static"][0],
+            static_config=state["static"][1],
+            static_lost=state["static"][2],
+            regions=MappingProxyType(
+                {n: RegionState(RegionPhase(p), m, h) for n, (p, m, h) in state["regions"].items()}
+            ),
+            overlays=tuple(OverlayState(n, h) for n, h in state["overlays"]),
+            values=MappingProxyType(dict(state["values"])),
+        ),
+        pending=None if plain["pending"] is None else Pending(**plain["pending"]),
+        throughput=Throughput(
+            MappingProxyType({LoaderKind(k): float(v) for k, v in plain["throughput"].items()}),
+            MappingProxyType({str(k): float(v) for k, v in plain.get("seconds", {}).items()}),
+        ),
+    )

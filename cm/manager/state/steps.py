@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of a change, as data: `planning.plan` orders them, `execution.transaction` takes them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cm.manager.ports import Image
+from cm.schema.model import LoaderKind, Module, Overlay, Region, Register
+
+
+@dataclass(frozen=True, slots=True)
+class Validate:
+    """Everything this plan loads was read and found good before the first step touches anything."""
+
+    images: tuple[Image, ...]
+    kind = "validate"
+
+    @property
+    def subject(self) -> str:
+        return ", ".join(image.path.name for image in self.images)
+
+    @property
+    def text(self) -> str:
+        return f"check {self.subject or 'nothing to load'}"
+
+
+@dataclass(frozen=True, slots=True)
+class Quiesce:
+    """Stop streams whose region or shape changes."""
+
+    streams: tuple[str, ...]
+    kind = "quiesce"
+
+    @property
+    def subject(self) -> str:
+        return ", ".join(self.streams)
+
+    @property
+    def text(self) -> str:
+        return f"stop streams {self.subject}"
+
+
+@dataclass(frozen=True, slots=True)
+class RemoveOverlay:
+    """Take a device-tree overlay off."""
+
+    name: str
+    kind = "overlay_remove"
+
+    @property
+    def subject(self) -> str:
+        return self.name
+
+    @property
+    def text(self) -> str:
+        return f"remove overlay {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Decouple:
+    """Cut a region off from the static part."""
+
+    region: Region
+    kind = "decouple"
+
+    @property
+    def subject(self) -> str:
+        return self.region.name
+
+    @property
+    def text(self) -> str:
+        return f"decouple {self.region.name}" + ("" if self.region.decoupler else " (it has no decoupler)")
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Load a module's bitstream into its region."""
+
+    region: Region
+    module: Module
+    image: Image
+    timeout: float  # seconds
+    overlay: bytes = b""  # the .dtbo with `firmware-name`, for a region that is loaded by overlay
+    kind = "load"
+
+    @property
+    def port_kind(self) -> LoaderKind:
+        return self.region.loader
+
+    @property
+    def subject(self) -> str:
+        return self.region.name
+
+    @property
+    def text(self) -> str:
+        return f"load {self.module.name} into {self.region.name} by {self.region.loader.value}"
+
+
+@dataclass(frozen=True, slots=True)
+class LoadStatic:
+    """Load a whole image; every region's content is lost."""
+
+    image: Image
+    timeout: float
+    config: str  # whose image it is
+    loader: LoaderKind
+    kind = "load_full"
+
+    @property
+    def port_kind(self) -> LoaderKind:
+        return self.loader
+
+    @property
+    def subject(self) -> str:
+        return self.image.path.name
+
+    @property
+    def text(self) -> str:
+        return f"load the whole device from {self.image.path.name} by {self.loader.value}"
+
+
+@dataclass(frozen=True, slots=True)
+class ApplyOverlay:
+    """Put a device-tree overlay on."""
+
+    overlay: Overlay
+    data: bytes
+    sha256: str
+    kind = "overlay_apply"
+
+    @property
+    def subject(self) -> str:
+        return self.overlay.name
+
+    @property
+    def text(self) -> str:
+        return f"apply overlay {self.overlay.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Recouple:
+    """Connect a region again."""
+
+    region: Region
+    resets: frozenset[str]  # names of its registers: a load, or a reset while it was cut off, has put them back
+    kind = "recouple"
+
+    @property
+    def subject(self) -> str:
+        return self.region.name
+
+    @property
+    def text(self) -> str:
+        return f"recouple {self.region.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckIdentity:
+    """Ask a module who it is."""
+
+    region: Region
+    module: Module
+    kind = "verify"
+
+    @property
+    def subject(self) -> str:
+        return self.region.name
+
+    @property
+    def text(self) -> str:
+        return f"check that {self.region.name} holds {self.module.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class SetRegister:
+    """Write a register and, where it can be, read it back."""
+
+    register: Register
+    value: int
+    kind = "registers"
+
+    @property
+    def subject(self) -> str:
+        return self.register.name
+
+    @property
+    def text(self) -> str:
+        return f"set {self.register.name} = {self.value:#x}"
+
+
+@dataclass(frozen=True, slots=True)
+class Publish:
+    """The board is in the new mode: say so, and let the streams run."""
+
+    config: str
+    mode: str
+    kind = "publish"
+
+    @property
+    def subject(self) -> str:
+        return f"{self.config}/{self.mode}"
+
+    @property
+    def text(self) -> str:
+        return f"publish {self.config}/{self.mode} and start its streams"
+
+
+Step = (
+    Validate
+    | Quiesce
+    | RemoveOverlay
+    | Decouple
+    | Load
+    | LoadStatic
+    | ApplyOverlay
+    | Recouple
+    | CheckIdentity
+    | SetRegister
+    | Publish
+)

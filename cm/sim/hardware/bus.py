@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bus accesses to register windows, with the rules of each register and each region's state."""
+
+from __future__ import annotations
+
+import errno
+
+from cm.schema.model import Access
+from cm.sim.errors import NodeError
+from cm.sim.faults import Faults
+from cm.sim.hardware.cells import Area, Cell, Region, Window, answers, writable
+from cm.sim.hardware.fabric import EMPTY_WORD, Fabric
+from cm.sim.hardware.mirrored import Show
+from cm.sim.transport.protocol import BLOCK_MAX
+
+_WIDTHS = (8, 16, 32, 64)
+
+
+class Bus:
+    """Reads and writes as the processor makes them."""
+
+    def __init__(self, fabric: Fabric, faults: Faults) -> None:
+        self._fabric = fabric
+        self._faults = faults
+        self._show = Show(fabric)
+        self._decouplers = [
+            _DecouplerBit(fabric, region) for region in fabric.regions.values() if region.spec.decoupler
+        ]
+
+    def read(self, window: Window, offset: int, width: int) -> int:
+        """The value at an offset.
+
+        All ones while the region is loaded or decoupled, 0xDEADBEEF where no module is loaded,
+        0 from a write-only register.
+        """
+        length = _check(window, offset, width)
+        value = 0
+        for at, part in _pieces(window, offset, length):
+            value |= _read_piece(window, at, part) << 8 * (at - offset)
+        return value
+
+    def write(self, window: Window, offset: int, width: int, value: int) -> None:
+        """Write at an offset; lost where the register is read-only or no module answers."""
+        length = _check(window, offset, width)
+        for at, part in _pieces(window, offset, length):
+            bits = value >> 8 * (at - offset) & ((1 << 8 * part) - 1)
+            self._write_piece(window, at, part, bits)
+        for decoupler in self._decouplers:
+            decoupler.update(window)
+
+    def read_block(self, window: Window, offset: int, length: int) -> bytes:
+        """The bytes that accesses of 32 bits, one after the other, return."""
+        _check_block(window, offset, length)
+        alike, area = _alike(window, offset, length)
+        if alike and (area is None or (answers(area) and area.access is not Access.WO)):
+            return window.memory[offset : offset + length]
+        return b"".join(self.read(window, at, 32).to_bytes(4, "little") for at in range(offset, offset + length, 4))
+
+    def write_block(self, window: Window, offset: int, data: bytes) -> None:
+        """Accesses of 32 bits, one after the other."""
+        _check_block(window, offset, len(data))
+        alike, area = _alike(window, offset, len(data))
+        if not alike:
+            for at in range(0, len(data), 4):
+                self.write(window, offset + at, 32, int.from_bytes(data[at : at + 4], "little"))
+        elif area is None or (answers(area) and area.access is not Access.RO):
+            window.memory[offset : offset + len(data)] = data
+            for decoupler in self._decouplers:
+                decoupler.update(window)
+
+    def _write_piece(self, window: Window, at: int, part: int, bits: int) -> None:
+        cell = window.cell_at(at)
+        if cell is not None:
+            if not answers(cell) or not writable(cell.register):
+                return
+            if self._faults.take("register_stuck", cell.register.name):
+                return
+            if cell.register.access is Access.W1C:
+                bits = int.from_bytes(window.memory[at : at + part], "little") & ~bits
+        elif (area := window.area_at(at)) is not None and (not answers(area) or area.access is Access.RO):
+            return
+        window.memory[at : at + part] = bits.to_bytes(part, "little")
+
+
+class _DecouplerBit:
+    """Watches the bit that cuts a region off."""
+
+    def __init__(self, fabric: Fabric, region: Region) -> None:
+        decoupler = region.spec.decoupler
+        assert decoupler is not None
+        self._fabric, self._region = fabric, region
+        self._active = decoupler.active_high
+        address = decoupler.base_address + decoupler.offset + decoupler.bit // 8
+        self._window = fabric.window_at(address)
+        self._byte = address - self._window.spec.address if self._window else 0
+        self._mask = 1 << decoupler.bit % 8
+
+    def update(self, window: Window) -> None:
+        if window is self._window:
+            is_set = bool(window.memory[self._byte] & self._mask)
+            self._fabric.set_decoupled(self._region, is_set == self._active)
+
+
+def _check(window: Window, offset: int, width: int) -> int:
+    if width not in _WIDTHS:
+        raise NodeError(errno.EINVAL, f"width {width} is none of 8, 16, 32, 64")
+    if offset % (width // 8) or offset + width // 8 > window.spec.size:
+        raise NodeError(errno.EINVAL, f"offset {offset:#x} is misaligned or outside the window")
+    return width // 8
+
+
+def _check_block(window: Window, offset: int, length: int) -> None:
+    if not 0 < length <= BLOCK_MAX or offset % 4 or length % 4 or offset + length > window.spec.size:
+        raise NodeError(errno.EINVAL, f"{length} bytes at {offset:#x} are misaligned or outside the window")
+
+
+def _alike(window: Window, offset: int, length: int) -> tuple[bool, Area | None]:
+    """Whether one thing has all these bytes, and the memory that it is (None: bytes without a name)."""
+    over = [area for area in window.areas if area.offset < offset + length and offset < area.end]
+    if len(over) > 1 or any(offset <= byte < offset + length for byte in window.cells):
+        return False, None
+    area = over[0] if over else None
+    return area is None or (area.offset <= offset and offset + length <= area.end), area
+
+
+def _pieces(window: Window, offset: int, length: int) -> list[tuple[int, int]]:
+    """Split an access where one register ends and the next begins, and into words where memories are."""
+    if window.areas and length > 4:
+        return [piece for at in (offset, offset + 4) for piece in _pieces(window, at, 4)]
+    if not any(at in window.cells for at in range(offset, offset + length)):
+        return [(offset, length)]
+    pieces, at = [], offset
+    while at < offset + length:
+        cell = window.cell_at(at)
+        end = cell.offset + cell.width if cell is not None else at + 1
+        part = min(end, offset + length) - at
+        pieces.append((at, part))
+        at += part
+    return pieces
+
+
+def _read_piece(window: Window, at: int, part: int) -> int:
+    cell = window.cell_at(at)
+    if cell is not None:
+        if not answers(cell):
+            return _garbage(cell, at, part)
+        if cell.register.access is Access.WO:
+            return 0
+    elif (area := window.area_at(at)) is not None:
+        if not answers(area):
+            return _garbage(area, at, part)
+        if area.access is Access.WO:
+            return 0
+    return int.from_bytes(window.memory[at : at + part], "little")
+
+
+def _garbage(place: Cell | Area, at: int, part: int) -> int:
+    region = place.region
+    if region is not None and not region.loading and not region.decoupled:
+        word = EMPTY_WORD.to_bytes(4, "little") * 2
+        return int.from_bytes(word[at % 4 : at % 4 + part], "little")
+    return (1 << 8 * part) - 1

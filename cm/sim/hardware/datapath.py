@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A region as the data sees it that flows through."""
+
+from __future__ import annotations
+
+import logging
+import math
+from typing import TYPE_CHECKING
+
+from cm.sim.hardware.board import ModuleSpec
+from cm.sim.hardware.cells import Region
+from cm.sim.hardware.dma import Bytes
+from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.models import Models, default
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from cm.sim.lazy_numpy import np
+
+
+_log = logging.getLogger(__name__)
+
+
+class Datapath:
+    """A region as data sees it: its module's model, garbage without one, or nothing at all."""
+
+    def __init__(self, fabric: Fabric, models: Models, region: str | None, shape: tuple[int, ...] | None) -> None:
+        self._fabric, self._models = fabric, models
+        self._name = region if region in fabric.regions else None
+        self._failed: ModuleSpec | None = None  # said once
+        self._region: Region | None = fabric.regions.get(region) if region else None
+        self._width = shape[-1] if shape and len(shape) == 1 else math.prod(shape[1:]) if shape else 0
+
+    @property
+    def flows(self) -> bool:
+        """False while the region is decoupled."""
+        return self._region is None or not self._region.decoupled
+
+    @property
+    def plain(self) -> bool:
+        """Whether data leaves as it enters, and nothing is to be kept of it."""
+        if self._fabric.cell("frame_count", self._name) is not None:
+            return False
+        if self._region is None:
+            return True
+        module = self._region.module
+        return self._region.running and module is not None and self._models.get(module.model) is default
+
+    def register(self, name: str, default: int) -> int:
+        """A register that the source itself obeys, or `default` where the schema has none."""
+        cell = self._fabric.cell(name, self._name)
+        return default if cell is None else cell.value
+
+    def count_frame(self) -> None:
+        """Keep the register `frame_count`, where there is one."""
+        cell = self._fabric.cell("frame_count", self._name)
+        if cell is not None:
+            cell.value += 1
+
+    def frame(self, data: Bytes) -> Bytes:
+        """Bytes as lines of the stream's width; as one line where they are no whole number of lines."""
+        whole = self._width and len(data) % self._width == 0
+        return data.reshape(-1, self._width) if whole else data.reshape(1, -1)
+
+    def process(self, frame: Bytes) -> Bytes:
+        """The bytes that leave the region when a frame, (height, width), enters it."""
+        if self._region is None:
+            return frame.reshape(-1)
+        if not self._region.running or self._region.module is None:
+            return self._fabric.noise(frame.size)
+        frame = frame.view()
+        frame.flags.writeable = False
+        try:
+            result = self._models.get(self._region.module.model)(frame, self._fabric.registers(self._name))
+            return np.ascontiguousarray(result).reshape(-1).view(np.uint8)
+        except Exception:  # noqa: BLE001 - a user's model must not end the board
+            if self._failed is not self._region.module:
+                self._failed = self._region.module
+                _log.exception("the model of %s failed; garbage leaves the region", self._region.module.name)
+            return self._fabric.noise(frame.size)

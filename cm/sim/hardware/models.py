@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a module does to a frame, in numpy. Users add their own: see `Models.load`.
+
+A model is a function ``model(frame, registers) -> result``: `frame` is a read-only (height, width)
+array of bytes, `registers` maps the names of the module's registers to their present values, and
+`result` is an array whose bytes leave the region. It must not keep `frame`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import logging
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, TypeAlias
+
+from cm.sim.errors import SimError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+else:
+    from cm.sim.lazy_numpy import np
+
+
+Frame: TypeAlias = "NDArray[np.uint8]"
+Registers = Mapping[str, int]
+Model = Callable[[Frame, Registers], Frame]
+
+ENTRY_POINTS = "cm.sim.models"
+_log = logging.getLogger(__name__)
+_LINES = 64  # of a picture worked on at a time, so that what is in between stays in the cache
+
+
+def default(frame: Frame, registers: Registers) -> Frame:  # noqa: ARG001 - a model's signature
+    """The data as it is."""
+    return frame
+
+
+def edge(frame: Frame, registers: Registers) -> Frame:
+    """3×3 Sobel magnitude |Gx| + |Gy|, saturated to 255; values below `threshold` and borders are 0."""
+    result = np.zeros_like(frame)
+    if frame.shape[0] < 3 or frame.shape[1] < 3:
+        return result
+    threshold = min(registers.get("threshold", 0), 256)
+    for top in range(0, frame.shape[0] - 2, _LINES):
+        magnitude = _sobel(frame[top : top + _LINES + 2].astype(np.int16))
+        np.minimum(magnitude, 255, out=magnitude)
+        if threshold > 0:
+            magnitude *= magnitude >= threshold
+        result[top + 1 : top + 1 + len(magnitude), 1:-1] = magnitude
+    return result
+
+
+def _sobel(grey: NDArray[np.int16]) -> NDArray[np.int16]:
+    """|Gx| + |Gy| of the inner pixels, through the separable halves of the kernels."""
+    smooth = grey[:-2] + grey[2:]
+    smooth += grey[1:-1]
+    smooth += grey[1:-1]
+    gx = smooth[:, 2:] - smooth[:, :-2]
+    difference = grey[2:] - grey[:-2]
+    gy = difference[:, :-2] + difference[:, 2:]
+    gy += difference[:, 1:-1]
+    gy += difference[:, 1:-1]
+    np.abs(gx, out=gx)
+    np.abs(gy, out=gy)
+    gx += gy
+    return gx
+
+
+def palettes() -> Frame:
+    """The four palettes of `colorise`, (4, 256, 3): heat, cold, rainbow, grey.
+
+    With v the grey value: heat is (3v, 3v - 255, 3v - 510), cold the same from blue to white,
+    rainbow (255 - |4v - 765|, 255 - |4v - 510|, 255 - |4v - 255|), grey (v, v, v); each clipped to 0…255.
+    """
+    v = np.arange(256, dtype=np.int32)
+    heat = [3 * v, 3 * v - 255, 3 * v - 510]
+    rainbow = [255 - abs(4 * v - 765), 255 - abs(4 * v - 510), 255 - abs(4 * v - 255)]
+    table = np.array([heat, heat[::-1], rainbow, [v, v, v]])
+    return np.ascontiguousarray(table.clip(0, 255).astype(np.uint8).transpose(0, 2, 1))
+
+
+class Colorise:
+    """Grey to RGB, three bytes for one: the palette is chosen by the register `palette` (0…3)."""
+
+    @cached_property
+    def _palettes(self) -> Frame:
+        return palettes()
+
+    def __call__(self, frame: Frame, registers: Registers) -> Frame:
+        """The (height, width, 3) picture."""
+        table = self._palettes[registers.get("palette", 0) % len(self._palettes)]
+        return np.take(table, frame, axis=0)
+
+
+class Models:
+    """Models by name; a name nobody knows passes data as it is."""
+
+    def __init__(self, models: Mapping[str, Model] | None = None) -> None:
+        self._standard: dict[str, Model] = dict(models or {})
+        self._added: dict[str, Model] = {}
+        self._offered: dict[str, Model] | None = {}  # by installed packages; None: not looked for yet
+
+    @classmethod
+    def standard(cls) -> Models:
+        """`default`, `edge` and `colorise`."""
+        return cls({"default": default, "edge": edge, "colorise": Colorise()})
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all)
+
+    def get(self, name: str) -> Model:
+        """The model of that name, or `default`."""
+        return self._all.get(name, default)
+
+    def add(self, name: str, model: Model) -> None:
+        """Add or replace one."""
+        self._added[name] = model
+
+    def load(self, source: str) -> None:
+        """Add those of a Python file or importable module: what its mapping ``MODELS`` holds.
+
+        Raises:
+            SimError: there is no such module, or no ``MODELS`` in it.
+        """
+        found = getattr(_import(source), "MODELS", None)
+        if not isinstance(found, Mapping):
+            raise SimError(f"{source} has no MODELS: it should be a mapping of names to functions")
+        self._added.update(found)
+
+    def load_entry_points(self) -> None:
+        """Add what installed packages offer under the entry point group ``cm.sim.models``, when it is needed."""
+        self._offered = None
+
+    @property
+    def _all(self) -> Mapping[str, Model]:
+        if self._offered is None:
+            self._offered = _offered()
+        return {**self._standard, **self._offered, **self._added}
+
+
+def _offered() -> dict[str, Model]:
+    from importlib.metadata import entry_points
+
+    found: dict[str, Model] = {}
+    for point in entry_points(group=ENTRY_POINTS):
+        try:
+            found[point.name] = point.load()
+        except Exception:  # noqa: BLE001 - a package's model must not end the board
+            _log.exception("the model %s of an installed package could not be loaded", point.name)
+    return found
+
+
+def _import(source: str) -> ModuleType:
+    try:
+        if not source.endswith(".py"):
+            return importlib.import_module(source)
+        spec = importlib.util.spec_from_file_location(f"cm_sim_models_{Path(source).stem}", source)
+        if spec is None or spec.loader is None:
+            raise ImportError(f"{source} cannot be loaded")
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[spec.name] = module
+        spec.loader.exec_module(module)
+    except Exception as error:  # whatever a user's file raises
+        raise SimError(f"the models of {source} could not be loaded: {error}") from error
+    return module

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator's own attribute ``sim/control``: orders are JSON, and so is what is read."""
+
+from __future__ import annotations
+
+import errno
+import json
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from cm.sim.errors import NodeError
+from cm.sim.faults import KINDS
+from cm.sim.hardware.links import CameraLink
+from cm.sim.nodes.attributes import AttributeNode
+from cm.sim.process.control import PATH
+
+if TYPE_CHECKING:
+    from cm.sim.process.machine import Machine
+
+Order = dict[str, Any]
+
+
+class ControlNode:
+    """Fault injection, and what the hardware alone decides: frames, interrupts."""
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._orders: dict[str, Callable[[Order], None]] = {
+            "inject": self._inject,
+            "clear": self._clear,
+            "interrupt": self._interrupt,
+            "pause": self._pause,
+            "step": self._step,
+            "resume": self._resume,
+            "reset": self._reset,
+            "adopt": self._adopt,
+        }
+
+    def serve(self) -> None:
+        """Listen."""
+        node = AttributeNode(self._read, self._write)
+        self._machine.server.listen(self._machine.root.bind(PATH), node)
+
+    def _read(self) -> bytes:
+        return json.dumps(self._machine.state()).encode()
+
+    def _write(self, data: bytes) -> None:
+        try:
+            order = json.loads(data)
+            self._orders[order["do"]](order)
+        except (ValueError, KeyError, TypeError) as error:
+            raise NodeError(errno.EINVAL, str(error)) from error
+
+    def _inject(self, order: Order) -> None:
+        kind, target = str(order["kind"]), str(order.get("target") or "")
+        if kind not in KINDS:
+            raise NodeError(errno.EINVAL, f"no fault is called {kind}")
+        self._machine.faults.inject(kind, target, int(order.get("value", 0)), int(order.get("count", 1)))
+
+    def _clear(self, order: Order) -> None:
+        self._machine.faults.clear(str(order.get("kind") or ""), str(order.get("target") or ""))
+        self._machine.kick()
+
+    def _interrupt(self, order: Order) -> None:
+        if not self._machine.interrupts.fire(str(order["name"])):
+            raise NodeError(errno.ENOENT, f"no interrupt is called {order['name']}")
+
+    def _pause(self, order: Order) -> None:
+        self._camera(order).pause()
+
+    def _step(self, order: Order) -> None:
+        self._camera(order).step(int(order.get("frames", 1)))
+
+    def _resume(self, order: Order) -> None:
+        self._camera(order).resume()
+
+    def _reset(self, order: Order) -> None:  # noqa: ARG002 - an order like the others
+        self._machine.fabric.reset()
+        self._machine.kick()
+
+    def _adopt(self, order: Order) -> None:
+        if self._machine.parent is None:
+            raise NodeError(errno.EBUSY, "this simulator was started by hand, and ends by hand")
+        self._machine.parent.replace(int(order["pid"]))
+
+    def _camera(self, order: Order) -> CameraLink:
+        link = self._machine.links.get(str(order["channel"]))
+        if not isinstance(link, CameraLink):
+            raise NodeError(errno.ENOENT, f"no camera is called {order['channel']}")
+        return link

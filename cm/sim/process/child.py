@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Board`: a simulator as a child process, for tests and for `cm serve --sim`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from types import TracebackType
+
+from cm.sim.errors import SimError
+from cm.sim.process.control import Control
+from cm.sim.process.handle import Adopted, Child, Handle
+from cm.sim.transport.root import PREFIX, fresh_folder, remove
+
+LINGER = 5.0
+
+
+class Board:
+    """A simulated board; started by entering it, gone when it is left.
+
+    `configs` are schema files or folders of them. Without `root` a folder in memory is made, and
+    removed at the end whatever happened to the process. If this process dies, the board ends by
+    itself when nobody has used it for five seconds.
+    """
+
+    def __init__(
+        self,
+        configs: Iterable[Path | str] = (),
+        root: Path | str | None = None,
+        arguments: Iterable[str] = (),
+        timeout: float = 60.0,
+    ) -> None:
+        self._configs = [str(path) for path in configs]
+        self._arguments = list(arguments)
+        self._timeout = timeout
+        self._own_root = root is None
+        self.root = fresh_folder(PREFIX) if root is None else Path(root)
+        self.control = Control(self.root)
+        self._process: Handle | None = None
+
+    @property
+    def pid(self) -> int:
+        """Of the simulator's process."""
+        return self._running().pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process runs."""
+        return self._process is not None and self._process.alive
+
+    def start(self) -> Board:
+        """Start the process and wait until its nodes are there.
+
+        If one serves the root whose owner has died, started with the same arguments, it is taken over
+        with all that it holds; one with other arguments is stopped first.
+
+        Raises:
+            SimError: it ended instead, with what it said, or did not become ready in time.
+        """
+        self._process = self._take_over() or self._spawn()
+        return self
+
+    def stop(self, timeout: float = 10.0) -> int:
+        """End it as SIGTERM does; its exit status."""
+        return self._end(signal.SIGTERM, timeout)
+
+    def kill(self) -> None:
+        """End it as a crash does: nothing is cleaned up, the root stays."""
+        self._end(signal.SIGKILL, 10.0)
+
+    def restart(self) -> Board:
+        """Start it again on the same root."""
+        return self.start()
+
+    def close(self) -> None:
+        """Stop it if it runs, and remove a root that was made here."""
+        if self._process is not None:
+            try:
+                self.stop()
+            except subprocess.TimeoutExpired:
+                self.kill()
+        if self._own_root:
+            remove(self.root)
+
+    def __enter__(self) -> Board:
+        return self.start()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _running(self) -> Handle:
+        if self._process is None:
+            raise SimError("the board was not started, or has been stopped")
+        return self._process
+
+    def _end(self, number: int, timeout: float) -> int:
+        process = self._running()
+        process.send(number)
+        status = process.wait(timeout)
+        self._process = None
+        return status
+
+    @property
+    def _command(self) -> list[str]:
+        options = ["--root", str(self.root), "--linger", str(LINGER)]
+        for path in self._configs:
+            options += ["--config", path]
+        return [*options, *self._arguments]
+
+    def _take_over(self) -> Handle | None:
+        try:
+            self.control.adopt()
+            state = self.control.state()
+            found = Adopted(state["pid"])
+        except (SimError, OSError):
+            return None
+        if state["arguments"] == self._command:
+            return found
+        found.send(signal.SIGTERM)
+        found.wait(self._timeout)
+        return None
+
+    def _spawn(self) -> Handle:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "cm.sim", *self._command],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            env=_environment(),
+        )
+        try:
+            self._await_ready(process)
+        except BaseException:
+            process.kill()
+            Child(process).wait(10.0)
+            if self._own_root:
+                remove(self.root)
+            raise
+        return Child(process)
+
+    def _await_ready(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None
+        fd = process.stdout.fileno()
+        deadline = time.monotonic() + self._timeout
+        line = b""
+        while not line.endswith(b"\n"):
+            ready, _, _ = select.select([fd], [], [], max(0.0, deadline - time.monotonic()))
+            if not ready:
+                raise SimError(f"the simulator was not ready after {self._timeout:g} s")
+            piece = os.read(fd, 4096)
+            if not piece:
+                raise SimError(f"the simulator ended with status {process.wait(self._timeout)} before it was ready")
+            line += piece
+        with contextlib.suppress(ValueError):
+            if json.loads(line).get("ready"):
+                return
+        raise SimError(f"the simulator said {line!r} instead of being ready")
+
+
+def _environment() -> dict[str, str]:
+    """Ours, with the package importable as it is here."""
+    package = str(Path(__file__).resolve().parents[3])
+    paths = [package, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}

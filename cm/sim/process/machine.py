@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole board: hardware derived from a `BoardSpec`, served under a root."""
+
+from __future__ import annotations
+
+import os
+import sys
+import uuid
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+from cm.schema.model import Direction, LoaderKind
+from cm.sim.errors import SimError
+from cm.sim.faults import Faults
+from cm.sim.hardware.board import BoardSpec
+from cm.sim.hardware.bus import Bus
+from cm.sim.hardware.camera import Photo, PhotoReel
+from cm.sim.hardware.channels import ChannelSpec
+from cm.sim.hardware.configuration_memory import ConfigMemory
+from cm.sim.hardware.configuration_port import Engine
+from cm.sim.hardware.datapath import Datapath
+from cm.sim.hardware.dma import Channel
+from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.interrupts import Interrupts
+from cm.sim.hardware.links import CameraLink, Link, LoopLink, SinkLink
+from cm.sim.hardware.models import Models
+from cm.sim.loop import Loop
+from cm.sim.nodes import uio
+from cm.sim.nodes.control import ControlNode
+from cm.sim.nodes.dma import DmaNode
+from cm.sim.nodes.fpga_manager import FpgaManager
+from cm.sim.nodes.icap import IcapNode
+from cm.sim.nodes.overlays import Overlays
+from cm.sim.process.arguments import PCAP_RATE
+from cm.sim.process.firmware import Firmware
+from cm.sim.process.parent import Parent
+from cm.sim.transport.buffers import Memory
+from cm.sim.transport.root import Root
+from cm.sim.transport.server import Server
+
+ICAP_CLOCK = {"7series": 100_000_000, "ultrascale+": 200_000_000}
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What can be set about a board besides its hardware."""
+
+    photos: Sequence[Photo] | None  # None: those of the package
+    hold: int = 150  # frames for which a photo stays
+    rate: float | None = None  # frames per second of every camera; None: as the schema says; 0: as fast as possible
+    icap_rate: float | None = None  # bytes per second; None: word width times clock; 0: at once
+    pcap_rate: float = PCAP_RATE
+    memory: int = 512 << 20  # bytes of DMA memory
+    bitstream_size: int | None = None
+    seed: int = 1
+    vdma: Collection[str] = ()  # channels that are a VDMA's
+    coherent: bool = True  # memory: if not, every access of the processor has to be synchronised
+
+
+class Machine:
+    """A running board."""
+
+    def __init__(self, loop: Loop, root: Root, spec: BoardSpec, models: Models, options: Options) -> None:
+        self.loop, self.root, self.spec, self.options = loop, root, spec, options
+        self.models = models
+        self.parent: Parent | None = None  # if the board ends with its owner
+        self.server = Server(loop)
+        self.faults = Faults()
+        self.fabric = Fabric(spec, options.seed)
+        self.bus = Bus(self.fabric, self.faults)
+        self.interrupts = Interrupts(self.fabric, self.faults)
+        self.memory = Memory(options.memory, options.coherent)
+        self.engine = self._engine()
+        self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
+        self.overlays = Overlays(root, self.manager, self.faults)
+        self.channels = {name: Channel(channel) for name, channel in _with_vdma(spec, options.vdma).items()}
+        self.links = self._links()
+        self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
+        self.icap_node = self._icap_node()
+        self.fabric.changed = self.faults.ordered = self.kick
+
+    def serve(self) -> None:
+        """Make the nodes; from now on clients can come."""
+        self.root.write("proc/sys/kernel/random/boot_id", f"{uuid.uuid4()}\n")
+        for index, window in enumerate(self.fabric.windows):
+            uio.write_sysfs(self.root, index, window)
+            node = uio.UioNode(window, self.interrupts.lines[index], self.bus)
+            self.server.listen(self.root.bind(f"dev/uio{index}"), node)
+        for name, dma_node in self.dma_nodes.items():
+            self.server.listen(self.root.bind(f"dev/cm_dma/{name}"), dma_node)
+        for name in _icap_names(self.spec):
+            self.server.listen(self.root.bind(f"dev/{name}"), self.icap_node)
+        self.manager.serve(self.server)
+        self.overlays.serve(self.server)
+        ControlNode(self).serve()
+
+    def kick(self) -> None:
+        """Have every link look whether data can move."""
+        for link in self.links.values():
+            link.kick()
+
+    def close(self) -> None:
+        """End all connections."""
+        self.server.close()
+        for link in self.links.values():
+            link.close()
+
+    def state(self) -> dict[str, object]:
+        """What the board holds now, for tests and people."""
+        self.kick()  # nothing is lent while we look
+        return {
+            "pid": os.getpid(),
+            "arguments": sys.argv[1:],
+            "regions": {
+                name: {
+                    "module": region.module.name if region.module else None,
+                    "loading": region.loading,
+                    "decoupled": region.decoupled,
+                }
+                for name, region in self.fabric.regions.items()
+            },
+            "channels": {name: self._channel_state(name) for name in self.channels},
+            "interrupts": {f"uio{index}": line.count for index, line in enumerate(self.interrupts.lines)},
+            "connections": self.server.connections,
+            "buffers": self._buffers(),
+            "memory": self.memory.used,
+            "syncs": self._syncs(),
+            "loads": self.engine.loads,
+            "loading": self.engine.busy,
+            "outside_writes": self._config.outside,
+            "overlays": self.overlays.applied,
+            "faults": self.faults.listing(),
+        }
+
+    def _buffers(self) -> int:
+        channels = sum(len(session.buffers) for node in self.dma_nodes.values() for session in node.sessions)
+        return channels + sum(len(session.buffers) for session in self.icap_node.sessions)
+
+    def _syncs(self) -> dict[str, dict[str, int]]:
+        """What was synchronised, where it has to be."""
+        if self.memory.coherent:
+            return {}
+        channels = {name: node.syncs.totals() for name, node in self.dma_nodes.items()}
+        return {**channels, "icap": self.icap_node.syncs.totals()}
+
+    def _channel_state(self, name: str) -> dict[str, object]:
+        channel, link = self.channels[name], self.links[name]
+        state: dict[str, object] = {
+            "open": channel.completions is not None,
+            "queued": len(channel.queue),
+            "bytes": channel.moved,
+            "lent": link.lent,
+        }
+        if isinstance(link, CameraLink):
+            state |= {"frames": link.frames, "photo": link.photo}
+        return state
+
+    def _engine(self) -> Engine:
+        known = Firmware(self.root, self.spec, self.options.bitstream_size).install()
+        self._config = ConfigMemory(self.fabric, known)
+        rate = self.options.icap_rate
+        if rate is None:
+            rate = 4.0 * ICAP_CLOCK[self.spec.device.family.label]
+        return Engine(self.loop, self.fabric, self._config, self.faults, self.spec.device, rate)
+
+    def _icap_node(self) -> IcapNode:
+        device = self.spec.device
+        return IcapNode(self.engine, self.memory, device.idcode, ICAP_CLOCK[device.family.label])
+
+    def _links(self) -> dict[str, Link]:
+        links: dict[str, Link] = {}
+        for name, channel in self.channels.items():
+            spec = channel.spec
+            if name in links:
+                continue
+            path = Datapath(self.fabric, self.models, spec.region, spec.shape)
+            if spec.is_camera:
+                reel = PhotoReel(self.options.photos, self.options.hold)
+                rate = spec.rate if self.options.rate is None else self.options.rate
+                links[name] = CameraLink(self.loop, self.faults, self.interrupts, path, channel, reel, rate)
+            elif spec.partner is None:
+                links[name] = SinkLink(self.loop, self.faults, self.interrupts, path, channel)
+            else:
+                links |= self._loop_link(name, spec.partner)
+            channel.kick = links[name].kick
+        return links
+
+    def _loop_link(self, one: str, other: str) -> dict[str, Link]:
+        source, sink = self.channels[one], self.channels[other]
+        if source.spec.direction is Direction.S2MM:
+            source, sink = sink, source
+        path = Datapath(self.fabric, self.models, source.spec.region, source.spec.shape)
+        link = LoopLink(self.loop, self.faults, self.interrupts, path, source, sink)
+        source.kick = sink.kick = link.kick
+        return {one: link, other: link}
+
+
+def _with_vdma(spec: BoardSpec, names: Collection[str]) -> dict[str, ChannelSpec]:
+    for name in names:
+        if name not in spec.channels:
+            raise SimError(f"no channel is called {name}; there are {', '.join(sorted(spec.channels))}")
+    return {name: replace(channel, vdma=name in names) for name, channel in spec.channels.items()}
+
+
+def _icap_names(spec: BoardSpec) -> list[str]:
+    """The ports that regions name; all of them lead to the one configuration engine."""
+    regions = [region for config in spec.configs for region in config.regions.values()]
+    named = {r.loader_name for r in regions if r.loader is LoaderKind.ICAP and r.loader_name}
+    return sorted({"cm_icap0", *named})

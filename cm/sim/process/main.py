@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulator's process: arguments, signals, its end."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import logging
+import os
+import signal
+import socket
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from cm.errors import CmError
+from cm.schema.model import Config
+from cm.sim.errors import SimError
+from cm.sim.hardware.board import BoardSpec
+from cm.sim.hardware.camera import load_photos
+from cm.sim.hardware.models import Models
+from cm.sim.loop import Loop
+from cm.sim.process.arguments import add_arguments
+from cm.sim.process.machine import Machine, Options
+from cm.sim.process.parent import Linger, Parent
+from cm.sim.transport.root import Root
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """``python -m cm.sim``; the exit status."""
+    parser = argparse.ArgumentParser("python -m cm.sim", description="a simulated board under a folder")
+    add_arguments(parser)
+    logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
+    return run(parser.parse_args(argv))
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until a signal or the linger time ends it."""
+    parent = Parent() if args.linger is not None else None
+    try:
+        configs, models = _configs(args.config), _models(args.models)
+        spec, options = BoardSpec.from_configs(configs), _options(args)
+        root = Root(args.root)
+    except CmError as error:
+        print(f"cm sim: {error}", file=sys.stderr)
+        return 1
+    try:
+        _serve(args, root, spec, models, options, parent)
+    except (CmError, OSError) as error:
+        print(f"cm sim: {error}", file=sys.stderr)
+        return 1
+    finally:
+        root.close()
+    return 0
+
+
+def _serve(
+    args: argparse.Namespace, root: Root, spec: BoardSpec, models: Models, options: Options, parent: Parent | None
+) -> None:
+    loop = Loop()
+    with contextlib.ExitStack() as stack:
+        stack.callback(loop.close)
+        stack.enter_context(_Signals(loop))
+        machine = Machine(loop, root, spec, models, options)
+        stack.callback(machine.close)
+        machine.serve()
+        if parent is not None:
+            machine.parent = parent
+            Linger(loop, lambda: machine.server.connections, parent, args.linger).check()
+        _say_ready(args.ready_fd, root)
+        loop.run()
+
+
+def _say_ready(fd: int | None, root: Root) -> None:
+    line = json.dumps({"ready": True, "root": str(root.path), "pid": os.getpid()}) + "\n"
+    with contextlib.suppress(BrokenPipeError):
+        if fd is None:
+            sys.stdout.write(line)
+            sys.stdout.flush()
+        else:
+            os.write(fd, line.encode())
+            os.close(fd)
+
+
+def _options(args: argparse.Namespace) -> Options:
+    return Options(
+        photos=list(load_photos(args.images).values()) if args.images else None,
+        hold=max(0, args.hold),
+        rate=args.rate,
+        icap_rate=args.icap_rate,
+        pcap_rate=args.pcap_rate,
+        memory=args.memory << 20,
+        bitstream_size=args.bitstream_size,
+        seed=args.seed,
+        vdma=frozenset(args.vdma),
+        coherent=not args.non_coherent,
+    )
+
+
+def _models(sources: Sequence[str]) -> Models:
+    models = Models.standard()
+    models.load_entry_points()
+    for source in sources:
+        models.load(source)
+    return models
+
+
+def _configs(paths: Sequence[Path]) -> list[Config]:
+    from cm import schema
+
+    configs: list[Config] = []
+    for path in paths or [example_folder()]:
+        configs += schema.load_folder(path).values() if path.is_dir() else [schema.load(path)]
+    if not configs:
+        raise SimError(f"no runtime schema was found in {', '.join(map(str, paths))}")
+    return configs
+
+
+def example_folder() -> Path:
+    """The camera example that comes with the package."""
+    return Path(__file__).resolve().parents[2] / "data" / "camera"
+
+
+class _Signals:
+    """SIGTERM and SIGINT end the loop, through a wake-up socket."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._ours, self._theirs = socket.socketpair()
+
+    def __enter__(self) -> None:
+        self._ours.setblocking(False)
+        self._theirs.setblocking(False)
+        self._loop.add(self._ours.fileno(), self._loop.stop)
+        signal.set_wakeup_fd(self._theirs.fileno(), warn_on_full_buffer=False)
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, lambda *_: self._loop.stop())
+
+    def __exit__(self, *_: object) -> None:
+        signal.set_wakeup_fd(-1)
+        self._ours.close()
+        self._theirs.close()

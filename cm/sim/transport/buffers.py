@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DMA buffers of a simulated device: memfds by handle, as ``cm_buffer.h`` describes them."""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import mmap
+import os
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from cm.sim.errors import NodeError
+from cm.sim.transport import protocol
+from cm.sim.transport.session import Answer
+from cm.sim.transport.syncs import NAME, Counters, Syncs
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+else:
+    from cm.sim.lazy_numpy import np
+
+
+PAGE = mmap.PAGESIZE
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
+
+
+class Buffer:
+    """Memory that a client shares with the board; unmapped when nothing refers to it any more."""
+
+    __slots__ = ("allocated", "bytes", "counters", "inflight", "length", "writable")
+
+    def __init__(
+        self, fd: int, length: int, allocated: bool, writable: bool = True, counters: Counters | None = None
+    ) -> None:
+        """With `counters` (``syncs.py``) the device's view lies behind the processor's."""
+        protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
+        flags, offset = mmap.MAP_SHARED | mmap.MAP_POPULATE, length if counters else 0
+        mapping = mmap.mmap(fd, length, flags, protection, offset=offset)
+        self.bytes: NDArray[np.uint8] = np.frombuffer(mapping, np.uint8)
+        self.length = length
+        self.allocated = allocated
+        self.writable = writable
+        self.inflight = 0
+        self.counters = counters
+
+
+class Memory:
+    """The memory that all devices of the board may allocate, like a CMA area."""
+
+    def __init__(self, total: int, coherent: bool = True) -> None:
+        self.total = total
+        self.coherent = coherent
+        self.used = 0
+
+    def take(self, length: int) -> None:
+        """Account for an allocation (ENOMEM)."""
+        if self.used + length > self.total:
+            raise NodeError(errno.ENOMEM, f"the board's {self.total} bytes of DMA memory are used up")
+        self.used += length
+
+    def give(self, length: int) -> None:
+        """Account for a release."""
+        self.used -= length
+
+
+class Buffers:
+    """The handles of one open file."""
+
+    def __init__(self, memory: Memory, syncs: Syncs) -> None:
+        self._memory = memory
+        self.syncs = syncs
+        self._table: dict[int, Buffer] = {}
+        self._next = 1
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def __iter__(self) -> Iterator[tuple[int, Buffer]]:
+        return iter(self._table.items())
+
+    def get(self, handle: int) -> Buffer:
+        """The buffer of a handle (ENOENT)."""
+        try:
+            return self._table[handle]
+        except KeyError:
+            raise NodeError(errno.ENOENT, f"no buffer has the handle {handle}") from None
+
+    def allocate(self, payload: bytes) -> Answer:
+        """Answer a cm_buffer_alloc; the memfd travels with the reply."""
+        flags, length, handle, fd, coherent, reserved = protocol.unpack(protocol.BUFFER_ALLOC, payload)
+        protocol.require_zero(flags, reserved)
+        if length <= 0:
+            raise NodeError(errno.EINVAL, "a buffer has at least one byte")
+        length = -(-length // PAGE) * PAGE
+        self._memory.take(length)
+        try:
+            fd, buffer = self._make(length)
+        except (OSError, ValueError, OverflowError) as error:
+            self._memory.give(length)
+            raise NodeError(errno.ENOMEM, str(error)) from error
+        handle, coherent = self._add(buffer), int(buffer.counters is None)
+        reply = protocol.BUFFER_ALLOC.pack(len(payload), 0, length, handle, fd, coherent, 0)
+        return Answer(fit(reply, payload), [fd])
+
+    def _make(self, length: int) -> tuple[int, Buffer]:
+        if self._memory.coherent:
+            fd = _memfd("cm-sim-buffer", length)
+            return fd, Buffer(fd, length, allocated=True)
+        fd = _memfd(NAME, 2 * length + PAGE)
+        counters = Counters(fd, length)
+        self.syncs.add(counters)
+        return fd, Buffer(fd, length, allocated=True, counters=counters)
+
+    def import_fd(self, payload: bytes, fds: Sequence[int]) -> bytes:
+        """Answer a cm_buffer_import of the descriptor that came with the request."""
+        flags, _, _, _ = protocol.unpack(protocol.BUFFER_IMPORT, payload)
+        protocol.require_zero(flags)
+        if len(fds) != 1:
+            raise NodeError(errno.EBADF, "exactly one descriptor must travel with the request")
+        buffer = _map_foreign(fds[0])
+        handle = self._add(buffer)
+        return fit(protocol.BUFFER_IMPORT.pack(len(payload), 0, -1, handle, buffer.length), payload)
+
+    def free(self, payload: bytes) -> bytes:
+        """Answer a cm_buffer_free."""
+        flags, handle, reserved = protocol.unpack(protocol.BUFFER_FREE, payload)
+        protocol.require_zero(flags, reserved)
+        if self.get(handle).inflight:
+            raise NodeError(errno.EBUSY, "a transfer uses the buffer")
+        self._release(self._table.pop(handle))
+        return payload
+
+    def close(self) -> None:
+        """Give everything back; transfers that still run keep the memory until they end."""
+        for buffer in self._table.values():
+            self._release(buffer)
+        self._table.clear()
+
+    def _add(self, buffer: Buffer) -> int:
+        handle = self._next
+        self._next += 1
+        self._table[handle] = buffer
+        return handle
+
+    def _release(self, buffer: Buffer) -> None:
+        if buffer.allocated:
+            self._memory.give(buffer.length)
+        if buffer.counters is not None:
+            self.syncs.forget(buffer.counters)
+
+
+def fit(reply: bytes, request: bytes) -> bytes:
+    """A reply's structure in the length that the caller knows it with."""
+    return reply[: len(request)].ljust(len(request), b"\0")
+
+
+def _memfd(name: str, length: int) -> int:
+    fd = os.memfd_create(name, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    try:
+        os.ftruncate(fd, length)
+        fcntl.fcntl(fd, fcntl.F_ADD_SEALS, _SEALS)
+    except OSError:
+        os.close(fd)
+        raise
+    return fd
+
+
+def _map_foreign(fd: int) -> Buffer:
+    """Map a client's memfd. It must not shrink under us, so it gets the seal, or has it."""
+    try:
+        if not fcntl.fcntl(fd, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
+            fcntl.fcntl(fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK)
+        length = os.fstat(fd).st_size
+        writable = fcntl.fcntl(fd, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDWR
+        return Buffer(fd, length, allocated=False, writable=writable)
+    except (OSError, ValueError) as error:
+        raise NodeError(errno.EINVAL, f"not a memfd that can be sealed and mapped: {error}") from error
