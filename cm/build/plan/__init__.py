@@ -1,1 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Project and boundaries → the system that is generated."""

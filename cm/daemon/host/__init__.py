@@ -1,1 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
+"""The devices and files of this machine that the manager is given."""

@@ -1,1 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
+"""From a state and a goal to steps: data; touches nothing."""
