@@ -7,14 +7,14 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 LINT_STAMP := $(VENV)/.installed-lint
 BENCH_STAMP := $(VENV)/.installed-bench
-SOURCES := pyproject.toml setup.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h csrc/build_cffi.py csrc/cffi/* kmod/uapi/*.h)
+SOURCES := pyproject.toml setup.py release/backend.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h csrc/build_cffi.py csrc/cffi/* kmod/uapi/*.h)
 C_FILES := $(wildcard csrc/*.[ch] csrc/client/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h)
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_ARGS ?=
 JOBS ?= 2
 EXTRAS := demo,test,build
 COMMA := ,
-SUITES ?= tests/unit tests/integration tests/device tests/soak tests/vm
+SUITES ?= tests/unit tests/release tests/integration tests/device tests/soak tests/vm
 OUT ?= demo
 IMAGES ?=
 
@@ -80,11 +80,12 @@ $(BENCH_STAMP): $(STAMP)
 	$(call install,bench)
 	@touch $@
 
-lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict), clang-format
+lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict), clang-format, licences (reuse)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
+	$(BIN)/reuse lint --quiet || { $(BIN)/reuse lint; exit 1; }
 
 format: $(LINT_STAMP) ## format Python and C
 	$(BIN)/ruff format .

@@ -13,6 +13,7 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
+from setuptools import __version__ as setuptools_version
 from setuptools import setup
 from setuptools.command.build_ext import build_ext
 from setuptools.command.build_py import build_py
@@ -118,7 +119,11 @@ class BuildExt(build_ext):
 # Free-threaded Python has no stable ABI yet; cffi builds a version-specific module there.
 ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")
 
+# Core metadata 2.4 has a field for SPDX expressions, which setuptools writes from 77 on.
+LICENSE_FIELD = "license_expression" if int(setuptools_version.split(".")[0]) >= 77 else "license"
+
 setup(
+    **{LICENSE_FIELD: "Apache-2.0"},
     cffi_modules=["csrc/build_cffi.py:ffibuilder"],
     cmdclass={"build_py": BuildPy, "build_ext": BuildExt},
     options={"bdist_wheel": {"py_limited_api": "cp310"}} if ABI3 else {},

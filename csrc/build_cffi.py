@@ -35,7 +35,8 @@ def _builder() -> FFI:
         include_dirs=[_relative(HERE), _relative(UAPI)],
         depends=[_relative(path) for path in headers],
         define_macros=[("_GNU_SOURCE", None)],
-        extra_compile_args=["-std=gnu11", "-O2", "-fvisibility=hidden"],
+        # no path of the building machine in the module: it is the same from whatever folder it is built
+        extra_compile_args=["-std=gnu11", "-O2", "-fvisibility=hidden", f"-ffile-prefix-map={Path.cwd()}=."],
         extra_link_args=["-pthread"],
         py_limited_api=True,
     )

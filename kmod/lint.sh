@@ -33,7 +33,7 @@ checkpatch() {
 sparse_works() {
 	probe=$(mktemp -d)
 	cat >"$probe/probe.c" <<'C'
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 #include <linux/module.h>
 static int __init probe_init(void)
 {

@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 WITH Linux-syscall-note */
+/* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
  * The interface of /dev/axidma, as programs built for the xilinx_axidma driver
  * use it: numbers and structures in memory, described anew.

@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* /dev/axidma on top of cm_dma's channels: what the parts share. */
 #ifndef _CM_AXIDMA_H
 #define _CM_AXIDMA_H

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Which channels an open file has, and under which numbers. */
 #include <linux/kernel.h>
 #include <linux/module.h>

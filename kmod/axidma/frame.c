@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* A video frame's shape as a request. */
 #include <linux/errno.h>
 #include <linux/overflow.h>

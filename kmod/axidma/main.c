@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /*
  * cm_axidma_compat: /dev/axidma for programs built against libaxidma, on top
  * of cm_dma's channels.

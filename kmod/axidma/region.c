@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Memory, by the address that the program has it at. */
 #include <linux/mm.h>
 #include <linux/slab.h>

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Transfers in one or both directions, waited for or told by a signal. */
 #include <linux/completion.h>
 #include <linux/kref.h>

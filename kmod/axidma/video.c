@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Frames that are repeated until they are stopped. */
 #include <linux/slab.h>
 #include <linux/uaccess.h>

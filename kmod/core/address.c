@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Where a part of a buffer lies for the device. */
 #include <linux/errno.h>
 #include <linux/scatterlist.h>

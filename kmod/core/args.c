@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* ioctl structures that begin with their size and flags. */
 #include <linux/uaccess.h>
 

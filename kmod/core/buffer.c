@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Memory that a DMA device can reach: allocated here, or imported. */
 #include <linux/dma-buf.h>
 #include <linux/slab.h>

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* A DMA channel: one request is one descriptor, and they end in order. */
 #include <linux/debugfs.h>
 #include <linux/ktime.h>

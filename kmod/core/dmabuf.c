@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Allocated buffers as dma-buf. */
 #include <linux/dma-buf.h>
 #include <linux/fcntl.h>

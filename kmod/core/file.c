@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* What a process can do with /dev/cm_dma/<name>. */
 #include <linux/compat.h>
 #include <linux/fs.h>

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* The character devices, one for each channel, and the list of channels. */
 #include <linux/debugfs.h>
 #include <linux/fs.h>

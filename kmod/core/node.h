@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* /dev/cm_dma/<name> */
 #ifndef _CM_NODE_PRIVATE_H
 #define _CM_NODE_PRIVATE_H

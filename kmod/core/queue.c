@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Completions waiting to be read.  The callers hold a lock. */
 #include <linux/errno.h>
 #include <linux/kernel.h>

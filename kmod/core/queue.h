@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* Completions waiting to be read; no locks, no allocation after the start. */
 #ifndef _CM_QUEUE_H
 #define _CM_QUEUE_H

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Whether a channel can do what is asked of it; nothing here needs a device. */
 #include <linux/ctype.h>
 #include <linux/errno.h>

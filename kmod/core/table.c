@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Buffers of one open file, by handle, and the ioctls that make them. */
 #include <linux/dma-buf.h>
 #include <linux/fcntl.h>

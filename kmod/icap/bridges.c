@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Bridges of the port's own node, for loads that no fpga-region asked for. */
 #include <linux/of.h>
 

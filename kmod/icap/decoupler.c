@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* A decoupler: one register, bit 0 holds the region's outputs. */
 #include <linux/clk.h>
 #include <linux/io.h>

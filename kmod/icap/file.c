@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* What a process can do with /dev/cm_icap<N>. */
 #include <linux/compat.h>
 #include <linux/fs.h>

@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* A configuration port fed by DMA: what the parts of cm_icap share. */
 #ifndef _CM_ICAP_PRIVATE_H
 #define _CM_ICAP_PRIVATE_H

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /*
  * cm_icap: partial reconfiguration through a configuration port that a DMA
  * channel feeds.  Properties are in docs/kernel.md and the bindings.

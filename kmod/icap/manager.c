@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* The port as an FPGA manager, so that fpga-regions and overlays use it. */
 #include <linux/completion.h>
 #include <linux/scatterlist.h>

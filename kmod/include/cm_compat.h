@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /*
  * Everything that differs between the kernels this source is built against
  * (5.10 and later).  No other file asks for the kernel's version.

@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /*
  * What the module cm_dma offers the other modules: buffers by handle, and DMA
  * channels that take one request as one descriptor.

@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /*
  * Registering with the FPGA framework, which took one call less from 5.17 on.
  * Apart from cm_compat.h, because most modules do not need these headers.

@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* How cm_icap learns what its port did, beside the DMA engine's word. */
 #ifndef _CM_ICAP_PORT_H
 #define _CM_ICAP_PORT_H

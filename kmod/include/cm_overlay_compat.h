@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* Overlays took a base node from 6.6 on; NULL is the whole tree. */
 #ifndef _CM_OVERLAY_COMPAT_H
 #define _CM_OVERLAY_COMPAT_H

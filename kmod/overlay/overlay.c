@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /*
  * cm_overlay: device-tree overlays through configfs, for kernels that lack
  * the interface which the vendor's kernels have:

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* From a description to devices, and back. */
 #include <linux/err.h>
 #include <linux/slab.h>

@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* A simulated board as configfs describes it. */
 #ifndef _CM_PLSIM_BOARD_H
 #define _CM_PLSIM_BOARD_H

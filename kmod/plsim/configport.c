@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /*
  * The packet processor of a configuration port, as far as a load can fail in
  * it: sync word, packets, CRC and IDCODE (UG470, chapter 5).

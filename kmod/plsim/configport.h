@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* What a configuration port does with the words it is given. */
 #ifndef _CM_CONFIGPORT_H
 #define _CM_CONFIGPORT_H

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Faults to inject, and what the simulated logic saw. */
 #include <linux/debugfs.h>
 

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* A configuration port at the end of an MM2S channel. */
 #include <linux/io.h>
 #include <linux/module.h>

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* cm_plsim: simulated programmable logic. */
 #include <linux/debugfs.h>
 #include <linux/module.h>

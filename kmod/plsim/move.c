@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Data between memory and what is behind the channels. */
 #include <linux/bottom_half.h>
 #include <linux/crc32.h>

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* Frames that can be told apart and checked. */
 #include <linux/ktime.h>
 #include <linux/math64.h>

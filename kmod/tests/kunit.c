@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* KUnit suites of what needs no device: completions, verdicts, packets, pictures. */
 #include <linux/module.h>
 

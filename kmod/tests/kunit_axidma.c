@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* KUnit suites of /dev/axidma: shapes of frames, and frames in turn on an engine one can hold. */
 #include <linux/sched.h>
 #include <linux/slab.h>

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /* KUnit suites of requests and addresses: what a channel is asked, and where. */
 #include "cm_compat.h"
 #include "suites.h"

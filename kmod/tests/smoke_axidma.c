@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /*
  * A program in libaxidma's manner against /dev/axidma, in a virtual machine.
  * The structures are written as C programs have them, with bool, enum, int and

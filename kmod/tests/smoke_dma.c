@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /*
  * Exercises /dev/cm_dma against cm_plsim's loopback and source, in a virtual
  * machine.  Prints one line a check; exit status 0 where all hold.

@@ -1,4 +1,4 @@
-// SPDX-License-Identifier: GPL-2.0
+// SPDX-License-Identifier: GPL-2.0-only
 /*
  * Exercises cm_plsim's register window as a UIO device, in a virtual machine:
  * mapping, doorbell, interrupts and their mask, and its end under a reader.

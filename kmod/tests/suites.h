@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 */
+/* SPDX-License-Identifier: GPL-2.0-only */
 /* The KUnit suites of the module's files. */
 #ifndef _CM_TESTS_SUITES_H
 #define _CM_TESTS_SUITES_H

@@ -1,4 +1,4 @@
-/* SPDX-License-Identifier: GPL-2.0 WITH Linux-syscall-note */
+/* SPDX-License-Identifier: GPL-2.0-only WITH Linux-syscall-note */
 /*
  * /dev/cm_dma/<name>: one DMA channel, claimed by one open file at a time
  * (a second open fails with -EBUSY).
