@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interrupts by name: one UIO line each, or several names told apart by a status register."""
+"""Interrupts by name: one UIO line each, or several names told apart by a status register.
+
+The kernel masks a line when it fires (uio_pdrv_genirq), and it is unmasked here when its flags have been
+acknowledged. A level that still stands would fire again at once: a line that cannot be acknowledged now
+stays masked, and is tried again.
+"""
 
 from __future__ import annotations
 
 import logging
 import time
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from cm.daemon.loop import Loop
 from cm.device import Root, Uio, find_uio
 from cm.errors import CmError
 from cm.manager.manager import Manager
-from cm.messages.requests import RegWrite
-from cm.messages.status import Irq
+from cm.messages.status import ErrorInfo, Irq
 from cm.schema.model import Config, Interrupt
 
 _LOG = logging.getLogger(__name__)
+_RETRY = 0.25  # seconds until a masked line is tried again; the end of a change tries it at once
 
 
 @dataclass(slots=True)
@@ -26,19 +32,31 @@ class _Line:
     uio: Uio
     names: list[Interrupt]
     last: int | None = None
+    new: int = 0  # interrupts since the one before
+    waiting: deque[list[Interrupt]] = field(default_factory=deque)  # fired, not looked at yet: by status register
+    told: bool = False  # that it stays masked
 
 
 class Interrupts:
     """Waits on the lines of the loaded configuration and tells `on_irq`. The loop's thread."""
 
-    def __init__(self, loop: Loop, root: Root, manager: Manager, on_irq: Callable[[Irq], None]) -> None:
+    def __init__(
+        self,
+        loop: Loop,
+        root: Root,
+        manager: Manager,
+        on_irq: Callable[[Irq], None],
+        on_error: Callable[[ErrorInfo], None],
+    ) -> None:
         self._loop = loop
         self._root = root
         self._manager = manager
         self._on_irq = on_irq
+        self._on_error = on_error
         self._config: Config | None = None
         self._lines: dict[str, _Line] = {}
         self._last: dict[str, Irq] = {}
+        self._retrying = False
 
     @property
     def counts(self) -> dict[str, int]:
@@ -50,7 +68,7 @@ class Interrupts:
         return self._last.get(name, Irq(name, 0, 0))
 
     def watch(self, config: Config | None) -> None:
-        """Watch the lines of a configuration; those that cannot be opened are tried again next time."""
+        """Watch the lines of a configuration; what could not be opened or acknowledged before is tried again."""
         if config is not self._config:
             self.close()
             self._config, self._last = config, {}
@@ -59,6 +77,7 @@ class Interrupts:
                 self._watch(interrupt)
             except (CmError, OSError) as error:
                 _LOG.info("interrupt %s cannot be watched yet: %s", interrupt.name, error)
+        self._serve_masked()
 
     def _watch(self, interrupt: Interrupt) -> None:
         node = interrupt.uio or find_uio(interrupt.base_address or 0, 4, self._root)[0].node
@@ -75,35 +94,64 @@ class Interrupts:
         line = self._lines[node]
         try:
             count = line.uio.take()
-            if count is None:
-                return
-            new = 1 if line.last is None else (count - line.last) & 0xFFFFFFFF
-            line.last = count
-            self._tell(line, max(new, 1))
+        except OSError as error:
+            self._end(node, error)
+            return
+        if count is None:
+            return
+        line.new = 1 if line.last is None else max((count - line.last) & 0xFFFFFFFF, 1)
+        line.last = count
+        line.waiting = deque(_by_status(line.names))
+        self._serve(node, line)
+
+    def _serve(self, node: str, line: _Line) -> None:
+        """Tell who came, acknowledge, and unmask; what cannot be acknowledged stays masked."""
+        try:
+            while line.waiting:
+                self._tell(line.waiting[0], line.new)
+                line.waiting.popleft()
+        except (CmError, OSError) as error:
+            self._keep_masked(line, error)
+            return
+        line.told = False
+        try:
             line.uio.enable_interrupt()
         except OSError as error:
-            _LOG.warning("interrupt line %s ended: %s", node, error)
-            self._drop(node)
+            self._end(node, error)
 
-    def _tell(self, line: _Line, new: int) -> None:
-        now = time.monotonic_ns()
-        for interrupt in line.names:
-            if interrupt.status is None or self._is_set(interrupt):
+    def _tell(self, sharing: list[Interrupt], new: int) -> None:
+        """Those of one status register that came; acknowledged before they are told. Raises CmError, OSError."""
+        now, status = time.monotonic_ns(), sharing[0].status
+        value = self._manager.take_flags(status, _mask(sharing)) if status is not None else 0
+        for interrupt in sharing:
+            if status is None or value >> (interrupt.bit or 0) & 1:
                 irq = Irq(interrupt.name, self.latest(interrupt.name).count + new, now)
                 self._last[interrupt.name] = irq
                 self._on_irq(irq)
 
-    def _is_set(self, interrupt: Interrupt) -> bool:
-        """Read the status register; clear the bit if it is ours to clear."""
-        try:
-            value = self._manager.read_registers((interrupt.status or "",)).values[0].value
-            bit = 1 << (interrupt.bit or 0)
-            if value & bit and interrupt.acknowledge:
-                self._manager.write_registers((RegWrite(interrupt.status or "", bit, bit),))
-            return bool(value & bit)
-        except CmError as error:
-            _LOG.info("interrupt %s: its status cannot be read: %s", interrupt.name, error)
-            return False
+    def _keep_masked(self, line: _Line, error: Exception) -> None:
+        """Told once; not while a change runs, whose end is awaited as that of any access to its regions."""
+        names = ", ".join(interrupt.name for interrupt in line.waiting[0])
+        if not line.told and not self._manager.changing:
+            line.told = True
+            code = error.code if isinstance(error, CmError) else "device_error"
+            self._on_error(ErrorInfo(code, f"interrupt {names} is masked until it can be acknowledged: {error}"))
+        if not self._retrying:
+            self._retrying = True
+            self._loop.call_later(_RETRY, self._retry)
+
+    def _retry(self) -> None:
+        self._retrying = False
+        self._serve_masked()
+
+    def _serve_masked(self) -> None:
+        for node, line in list(self._lines.items()):
+            if line.waiting:
+                self._serve(node, line)
+
+    def _end(self, node: str, error: OSError) -> None:
+        _LOG.warning("interrupt line %s ended: %s", node, error)
+        self._drop(node)
 
     def _drop(self, node: str) -> None:
         line = self._lines.pop(node, None)
@@ -115,3 +163,16 @@ class Interrupts:
         """Stop watching."""
         for node in list(self._lines):
             self._drop(node)
+
+
+def _by_status(names: list[Interrupt]) -> list[list[Interrupt]]:
+    """Those that are told apart by the same register together: it is read and acknowledged once."""
+    found: dict[str | None, list[Interrupt]] = {}
+    for interrupt in names:
+        found.setdefault(interrupt.status, []).append(interrupt)
+    return list(found.values())
+
+
+def _mask(sharing: list[Interrupt]) -> int:
+    """The bits that are ours to clear."""
+    return sum({1 << (interrupt.bit or 0) for interrupt in sharing if interrupt.acknowledge})

@@ -82,7 +82,9 @@ class Server:
         waiting = mark(self._manager.configs.values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting)
         self._publisher = Publisher(self._loop, self._sockets.pub, self._status, self._streams.refresh)
-        self._interrupts = Interrupts(self._loop, options.root, self._manager, self._publisher.interrupt)
+        self._interrupts = Interrupts(
+            self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
+        )
         self._holders = Holders(self._loop, self._manager.leases)
         self._memories = Memories(self._loop, self._manager.memories)
         self._front_desk = self._make_front_desk()

@@ -48,6 +48,7 @@ class Manager:
         self._desk = RegisterDesk(known, self.registers, self.leases, known.lock)
         self.read_registers = self._desk.read
         self.prepare_read = self._desk.prepare
+        self.take_flags = self._desk.take_flags
         self.memories = MemoryDesk(known, self._desk, self.registers, self.leases)
         self._teller = Teller(known, env.observer)
         self.status: Callable[[], Status] = self._teller.status
@@ -182,6 +183,11 @@ class Manager:
     def _defect(self, problem: Exception) -> None:
         self._teller.set_error(ErrorInfo("internal", f"{type(problem).__name__}: {problem}"))
         self._teller.changed()
+
+    @property
+    def changing(self) -> bool:
+        """Whether a change runs or waits."""
+        return self._worker.busy
 
     def wait_idle(self) -> None:
         """Wait until no change runs or waits."""

@@ -138,6 +138,14 @@ def test_interrupts_are_counted_and_fanned_out(board: cm.Board, manager: Manager
         assert next(second).count > 0
 
 
+def test_interrupts_come_while_somebody_holds_the_board(board: cm.Board, manager: Manager) -> None:
+    board.configure_stream("camera", enable=True)
+    with manager.connected() as other, other.lease("board"):
+        events = board.interrupts["frame_done"].events(timeout=30)
+        counts = [next(events).count for _ in range(5)]
+    assert counts == sorted(set(counts))
+
+
 def test_an_interrupt_that_does_not_come_times_out(board: cm.Board) -> None:
     with pytest.raises(Timeout):
         board.interrupts["loop_done"].wait(timeout=0.2)

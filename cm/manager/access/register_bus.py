@@ -144,6 +144,19 @@ class RegisterAccess:
             window = self._devices.window(memory.address, 8 * memory.size)
             window.uio.write_block(window.offset + offset, data, window.map)
 
+    def take_flags(self, register: Register, clear: int, flags: int) -> int:
+        """Read a status register and write 1 to those bits of `clear` that stand; returns what was read.
+
+        `flags` are all its bits that a 1 clears: in a register whose other bits keep what is written, they are
+        written as read, and flags that came meanwhile, or are another's, as 0, which leaves them. Raises DeviceError.
+        """
+        value = self.read(register)
+        standing = value & clear
+        if standing:
+            kept = 0 if register.access is Access.W1C else value & ~flags
+            self.write_address(register.address, register.width, kept | standing)
+        return value
+
     def write(self, register: Register, value: int, mask: int, last: int | None) -> int:
         """Write the bits in `mask`; returns the whole value written.
 

@@ -93,6 +93,12 @@ def _fields(register: Register) -> tuple[tuple[str, int, int], ...]:
     return tuple([(f.name, f.lsb, f.mask) for f in register.fields.values()])
 
 
+def _flags(config: Config, status: str) -> int:
+    """The bits of a status register that a written 1 clears."""
+    bits = [i.bit for i in config.interrupts.values() if i.status == status and i.acknowledge and i.bit is not None]
+    return sum({1 << bit for bit in bits})
+
+
 class RegisterDesk:
     """Reads and writes for requests. `lock` is held over each access, so that a change waits for its end."""
 
@@ -150,6 +156,20 @@ class RegisterDesk:
             for register, _, _ in checked:
                 self._check_free(register)
             return self._values(tuple(self._write(register, value, mask) for register, value, mask in checked))
+
+    def take_flags(self, name: str, clear: int) -> int:
+        """Read a status register and acknowledge those interrupts of `clear` (bits) that stand; what was read.
+
+        Leases keep clients off what others set. A flag is the hardware's, and the daemon's to clear whoever holds
+        the register; nor is it a value to be published or recorded. But what a change has taken away is not
+        touched, and a region that is not ready would not answer. Raises RegionBusy, UnknownRegister,
+        NothingLoaded, DeviceError.
+        """
+        with self._lock:
+            view = self._look()
+            register = (view.places.get(name) or self._find(view, name)).register
+            self._check_free(register)
+            return self._access.take_flags(register, clear, _flags(view.config, name))
 
     def _values(self, values: tuple[RegValue, ...]) -> RegValues:
         state = self._holder.state

@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Interrupts with a status register: acknowledged whoever holds a lease, and masked where that cannot be done."""
+
+from __future__ import annotations
+
+import select
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+from manager_support import Rig, camera, rig
+
+from cm.daemon.interrupts import Interrupts
+from cm.device import Root
+from cm.manager.access.leases import Leases
+from cm.manager.access.register_bus import RegisterAccess
+from cm.manager.access.register_service import Locked, RegisterDesk
+from cm.manager.errors import HeldBy, RegionBusy
+from cm.manager.ports import Window
+from cm.manager.state.table import BoardState, RegionPhase, RegionState
+from cm.messages.requests import RegWrite, TakeLease, WriteConfig
+from cm.messages.status import ErrorInfo, Irq
+from cm.schema import loads
+from cm.schema.model import Config
+from cm.sim import Board as SimBoard
+
+NAME, STATUS = "frame_done", "irq_status"
+SCOPES = ("board", "config", "region:prr0", f"registers:{STATUS}")
+
+
+class HeldLoop:
+    """Makes the calls that a loop would make, when a test says so."""
+
+    def __init__(self) -> None:
+        self.watched: dict[int, Callable[[], None]] = {}
+        self.later: list[Callable[[], None]] = []
+
+    def add(self, descriptor: int, call: Callable[[], None]) -> None:
+        self.watched[descriptor] = call
+
+    def remove(self, descriptor: int) -> None:
+        self.watched.pop(descriptor, None)
+
+    def call_later(self, seconds: float, call: Callable[[], None]) -> None:
+        self.later.append(call)
+
+    def serve(self, timeout: float = 60.0) -> bool:
+        """Serve what is readable, after waiting for it; whether anything was."""
+        ready = select.select(list(self.watched), [], [], timeout)[0]
+        for descriptor in ready:
+            self.watched[descriptor]()
+        return bool(ready)
+
+    def pass_time(self) -> None:
+        """What was to be called later is called now."""
+        calls, self.later = self.later, []
+        for call in calls:
+            call()
+
+
+class Bench:
+    """The interrupts of a manager's board, and what they told."""
+
+    def __init__(self, made: Rig, root: Path) -> None:
+        self.made, self.loop = made, HeldLoop()
+        self.told: list[Irq] = []
+        self.errors: list[ErrorInfo] = []
+        manager: Any = made.manager
+        loop: Any = self.loop
+        self.interrupts = Interrupts(loop, Root.of(root), manager, self.told.append, self.errors.append)
+
+    def watch(self) -> None:
+        self.interrupts.watch(self.made.manager.loaded_config())
+
+
+@pytest.fixture(scope="module")
+def sim() -> Iterator[SimBoard]:
+    with SimBoard(arguments=["--icap-rate", "0"]) as board:
+        board.control.pause("camera")
+        yield board
+
+
+@pytest.fixture
+def bench(sim: SimBoard, tmp_path: Path) -> Iterator[Bench]:
+    with rig(sim.root, tmp_path / "state", camera()) as made:
+        assert made.go("default") is None
+        bench = Bench(made, sim.root)
+        bench.watch()
+        yield bench
+        bench.interrupts.close()
+        sim.control.clear()
+
+
+def status_of(bench: Bench) -> int:
+    return bench.made.manager.read_registers((STATUS,)).values[0].value
+
+
+@pytest.mark.parametrize("exclusive", [True, False], ids=["alone", "shared"])
+@pytest.mark.parametrize("scope", SCOPES)
+def test_an_interrupt_comes_while_a_client_holds_a_lease(
+    bench: Bench, sim: SimBoard, scope: str, exclusive: bool
+) -> None:
+    bench.made.manager.leases.request(TakeLease(scope, exclusive, holder="anna"))
+    for count in (1, 2, 3):
+        sim.control.interrupt(NAME)
+        assert bench.loop.serve()
+        assert [irq.count for irq in bench.told] == list(range(1, count + 1))
+        assert status_of(bench) == 0
+    assert not bench.errors
+    assert not bench.loop.serve(0)
+
+
+def test_an_acknowledgement_is_neither_published_nor_recorded(
+    bench: Bench, sim: SimBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    published: list[Any] = []
+    monkeypatch.setattr(bench.made.data_plane, "registers_changed", published.append)
+    bench.made.manager.flush()
+    before, bench.made.fault.names = bench.made.manager.state, []
+    sim.control.interrupt(NAME)
+    assert bench.loop.serve()
+    bench.made.manager.flush()
+    assert len(bench.told) == 1
+    assert bench.made.manager.state is before
+    assert not published
+    assert "store.write" not in bench.made.fault.names
+
+
+def test_during_a_change_the_line_stays_masked_and_the_interrupt_comes_after_it(bench: Bench, sim: SimBoard) -> None:
+    reached, go_on = threading.Event(), threading.Event()
+
+    def stop(name: str) -> None:
+        if name == "icap.load":
+            reached.set()
+            assert go_on.wait(60)
+
+    bench.made.fault.watch = stop
+    change = bench.made.manager.submit(WriteConfig(mode="edge_detection"))
+    assert reached.wait(60)
+    before = bench.made.fault.names.count("uio.read")
+    sim.control.interrupt(NAME)
+    assert bench.loop.serve()
+    for _ in range(3):
+        bench.loop.pass_time()
+    assert bench.made.fault.names.count("uio.read") == before, "what is being changed must not be accessed"
+    assert not bench.loop.serve(0)
+    assert not bench.told
+    assert not bench.errors, "a change that runs is no error"
+    go_on.set()
+    assert change.wait(60)
+    assert change.error is None
+    sim.control.interrupt(NAME)  # the load has reset the flag: the device raises it anew, on a line that is masked
+    bench.watch()
+    assert [irq.count for irq in bench.told] == [1]
+    assert status_of(bench) == 0
+
+
+def test_a_line_that_cannot_be_acknowledged_is_told_once_and_tried_again(bench: Bench, sim: SimBoard) -> None:
+    bench.made.arm(0, times=3)  # each attempt reads the register, and fails
+    sim.control.interrupt(NAME)
+    assert bench.loop.serve()
+    for _ in range(2):
+        assert not bench.loop.serve(0), "it is masked"
+        assert not bench.told
+        bench.loop.pass_time()
+    assert [error.code for error in bench.errors] == ["device_error"]
+    assert NAME in bench.errors[0].message
+    bench.loop.pass_time()
+    assert [irq.count for irq in bench.told] == [1]
+    assert status_of(bench) == 0
+    sim.control.interrupt(NAME)
+    assert bench.loop.serve()
+    assert [irq.count for irq in bench.told] == [1, 2]
+    assert len(bench.errors) == 1
+
+
+def test_the_next_trouble_of_a_line_is_told_again(bench: Bench, sim: SimBoard) -> None:
+    for times in (1, 2):
+        bench.made.arm(0)
+        sim.control.interrupt(NAME)
+        assert bench.loop.serve()
+        bench.loop.pass_time()
+        assert len(bench.told) == len(bench.errors) == times
+
+
+# ---- below the lines: the register itself ---------------------------------------------
+
+SHARED = """
+config:
+  name: shared
+  type: partial
+  modules: {a: {region: prr0}}
+  regions: {prr0: {}}
+  mmio:
+    - base_address: 0x1000
+      registers:
+        plain: {offset: 0}
+    - base_address: 0x2000
+      region: prr0
+      registers:
+        flags: {offset: 0}
+        cleared: {offset: 4, access: w1c}
+  interrupts:
+    one: {base_address: 0x2000, status: flags, bit: 0, acknowledge: true}
+    two: {base_address: 0x2000, status: flags, bit: 1, acknowledge: true}
+    three: {base_address: 0x2000, status: cleared, bit: 2, acknowledge: true}
+    four: {base_address: 0x1000, status: plain, bit: 0, acknowledge: true}
+  modes: {only: {modules: [a]}}
+"""
+
+
+class Cells:
+    """Registers by address, and which were written."""
+
+    def __init__(self, cells: Mapping[int, int]) -> None:
+        self.cells, self.reads, self.writes = dict(cells), 0, []  # type: ignore[var-annotated]
+
+    def window(self, address: int, width: int) -> Window:
+        uio: Any = self
+        return Window(uio, 0, address)
+
+    def read(self, offset: int, width: int = 32, number: int = 0) -> int:
+        self.reads += 1
+        return self.cells[offset]
+
+    def write(self, offset: int, value: int, width: int = 32, number: int = 0) -> None:
+        self.writes.append((offset, value))
+
+
+class Held:
+    """Holds a state that a test has made up."""
+
+    def __init__(self, phase: RegionPhase) -> None:
+        config = loads(SHARED)
+        self.configs: Mapping[str, Config] = {"shared": config}
+        self.state = BoardState("shared", "only", regions={"prr0": RegionState(phase)})
+
+    def loaded_config(self) -> Config:
+        return self.configs["shared"]
+
+    def update(self, change: Callable[[BoardState], BoardState]) -> None:
+        raise AssertionError("an acknowledgement is no value to be kept")
+
+
+class Clock:
+    def monotonic(self) -> float:
+        return 0.0
+
+
+def desk(cells: Cells, phase: RegionPhase = RegionPhase.READY) -> RegisterDesk:
+    devices: Any = cells
+    return RegisterDesk(Held(phase), RegisterAccess(devices), Leases(Clock()), nullcontext())
+
+
+@pytest.mark.parametrize("phase", list(RegionPhase))
+def test_a_flag_is_acknowledged_only_where_the_region_answers(phase: RegionPhase) -> None:
+    cells = Cells({0x2004: 4})
+    if phase is RegionPhase.READY:
+        assert desk(cells, phase).take_flags("cleared", 4) == 4
+        assert cells.writes == [(0x2004, 4)]
+        return
+    with pytest.raises(RegionBusy, match=phase.value):
+        desk(cells, phase).take_flags("cleared", 4)
+    assert (cells.reads, cells.writes) == (0, [])
+
+
+@pytest.mark.parametrize("phase", list(RegionPhase))
+def test_a_flag_of_the_static_part_is_acknowledged_whatever_a_region_is_in(phase: RegionPhase) -> None:
+    cells = Cells({0x1000: 1})
+    assert desk(cells, phase).take_flags("plain", 1) == 1
+    assert cells.writes == [(0x1000, 1)]
+
+
+def test_nothing_is_acknowledged_while_the_whole_device_is_loaded() -> None:
+    cells = Cells({0x1000: 1})
+    service = desk(cells)
+    service.keep_off(Locked(whole=True))
+    with pytest.raises(RegionBusy):
+        service.take_flags("plain", 1)
+    assert (cells.reads, cells.writes) == (0, [])
+
+
+def test_only_flags_that_stand_are_written_and_those_of_others_are_left() -> None:
+    cells = Cells({0x2000: 0b1011, 0x2004: 0b0011})
+    assert desk(cells).take_flags("flags", 0b01) == 0b1011
+    assert cells.writes == [(0x2000, 0b1001)], "bit 3 keeps what is written; bit 1 is another interrupt's flag"
+    assert desk(cells).take_flags("cleared", 0b100) == 0b0011
+    assert len(cells.writes) == 1
+
+
+def test_what_a_client_may_write_is_still_refused_beside_a_lease(bench: Bench) -> None:
+    bench.made.manager.leases.request(TakeLease(f"registers:{STATUS}", holder="anna"))
+    with pytest.raises(HeldBy, match="held by anna"):
+        bench.made.manager.write_registers((RegWrite(STATUS, 1),))
