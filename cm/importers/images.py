@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cm.bitstream import BitstreamError, Report, inspect
-from cm.importers.fdt import OverlayInfo, overlay_info
+from cm.importers.overlay_info import OverlayInfo, overlay_info
 
 _SUFFIXES = (".bin", ".bit")
 

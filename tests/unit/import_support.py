@@ -117,7 +117,8 @@ def dtbo(tree: Mapping[str, object]) -> bytes:
         return out + struct.pack(">I", 2)
 
     body = node("", tree) + struct.pack(">I", 9)
-    header = struct.pack(">10I", 0xD00DFEED, 56 + len(body) + len(strings), 56, 56 + len(body), 40, 17, 16, 0, 0, 0)
+    sizes = (56 + len(body), 40, 17, 16, 0, len(strings), len(body))
+    header = struct.pack(">10I", 0xD00DFEED, 56 + len(body) + len(strings), 56, *sizes)
     return header + bytes(16) + body + bytes(strings)
 
 

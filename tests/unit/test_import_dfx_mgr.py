@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from import_support import bitstream, dtbo, slot_overlay
+from import_support import bitstream, slot_overlay
 
 from cm.bitstream import to_dma_words
 from cm.cli.main import main
 from cm.importers import ImportRefused, import_dfx_mgr, write
-from cm.importers.fdt import nodes, overlay_info
+from cm.importers.overlay_info import overlay_info
 from cm.schema import load
 from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import ConfigType, Decoupler, Direction, FrameRange, LoaderKind
@@ -237,11 +237,6 @@ def test_overlay_says_what_it_does() -> None:
     assert info.partial
     assert not info.external
     assert info.devices == ("config@80000000",)
-
-
-def test_nodes_have_their_paths() -> None:
-    found = nodes(dtbo({"a": {"b": {"x": b"\1"}}}))
-    assert [node.path for node in found] == ["/a/b", "/a", "/"]
 
 
 @given(st.data())

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cm import fdt
 from cm.daemon.host.overlays import checked_overlay, firmware_names
 from cm.manager.errors import BadOverlay
-from cm.sim.nodes import fdt
 
 BLOB = fdt.pack(fdt.overlay("/fpga-region", fdt.FdtNode("", {"firmware-name": b"cm/x/a.bin\0", "empty": b""})))
 

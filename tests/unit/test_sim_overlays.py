@@ -3,20 +3,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 from collections.abc import Iterator
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from sim_support import Node, Uio, attribute
 
+from cm import fdt
 from cm.bitstream.assemble import FrameRun, assemble
 from cm.bitstream.convert import to_dma_words
 from cm.bitstream.far import FrameAddress
 from cm.sim import Board
-from cm.sim.nodes import fdt
 from cm.sim.transport import protocol as p
 
 OVERLAYS = "sys/kernel/config/device-tree/overlays"
@@ -165,28 +162,3 @@ def test_a_full_image_resets_registers_and_regions(board):
         attribute(board.root, f"{MANAGER}/firmware", b"cm/camera/static.bin")
         assert uio.read(0x14) == 0
     assert module(board) is None
-
-
-# --- blobs
-
-names = st.sampled_from(["compatible", "reg", "#address-cells", "status", "a,b-c"])
-properties = st.dictionaries(names, st.binary(max_size=9), max_size=3)
-leaves = st.builds(fdt.FdtNode, names, properties)
-trees = st.builds(fdt.FdtNode, names, properties, st.lists(st.builds(fdt.FdtNode, names, properties, st.lists(leaves))))
-QUICK = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])  # of a busy machine
-
-
-@given(trees)
-@QUICK
-def test_a_tree_is_the_same_after_packing_and_unpacking(tree):
-    assert fdt.unpack(fdt.pack(tree)) == tree
-
-
-@given(trees, st.data())
-@QUICK
-def test_a_damaged_blob_is_a_tree_or_an_error_and_nothing_else(tree, data):
-    packed = bytearray(fdt.pack(tree))
-    at = data.draw(st.integers(0, len(packed) - 1))
-    packed[at] = data.draw(st.integers(0, 255))
-    with contextlib.suppress(fdt.FdtError):
-        fdt.unpack(bytes(packed[: data.draw(st.integers(0, len(packed)))]))

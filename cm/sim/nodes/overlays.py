@@ -6,10 +6,10 @@ from __future__ import annotations
 import errno
 import socket
 
+from cm.fdt import FdtError, FdtNode, unpack
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.nodes.attributes import AttributeNode, FolderNode
-from cm.sim.nodes.fdt import FdtError, FdtNode, unpack
 from cm.sim.nodes.fpga_manager import PARTIAL, FpgaManager
 from cm.sim.transport.root import Root
 from cm.sim.transport.server import Server

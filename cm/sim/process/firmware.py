@@ -7,6 +7,7 @@ import logging
 from collections.abc import Iterator
 from pathlib import Path
 
+from cm import fdt
 from cm.bitstream.assemble import FrameRun, assemble
 from cm.bitstream.convert import to_dma_words
 from cm.bitstream.far import FrameAddress
@@ -15,7 +16,6 @@ from cm.schema.files import FileMissing, bitstream_path, overlay_path
 from cm.schema.model import Config, ConfigType, LoaderKind, Module, Overlay
 from cm.sim.hardware.board import BoardSpec, ModuleSpec
 from cm.sim.hardware.configuration_memory import digest
-from cm.sim.nodes import fdt
 from cm.sim.transport.root import Root
 
 _log = logging.getLogger(__name__)
