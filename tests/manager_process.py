@@ -8,7 +8,6 @@ import os
 import select
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import cm
+from cm import child
 from cm.sim import Board as SimBoard
 
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -50,7 +50,7 @@ class Manager:
         self.log = b""
 
     def start(self) -> Manager:
-        command = [sys.executable, "-m", "cm.cli.main", "serve", "--runtime-dir", str(self.runtime), *self.arguments]
+        command = child.command("cm.cli.main", "serve", "--runtime-dir", str(self.runtime), *self.arguments)
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=self.env, cwd="/")
         assert self.process.stderr is not None
         self.log = b""

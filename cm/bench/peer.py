@@ -14,6 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple, Protocol, cast
 
+from cm import child
 from cm.errors import CmError, Timeout
 
 INSTALL = "not available: pip install 'fpga-cm[bench]'"
@@ -81,8 +82,10 @@ class Peer:
     def __init__(self, kind: str, folder: Path, size: int) -> None:
         module = load(kind)
         folder.mkdir(parents=True, exist_ok=True)
-        command = [sys.executable, "-m", "cm.bench.peer", kind, str(folder), str(size)]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.PIPE)
+        command = child.command("cm.bench.peer", kind, str(folder), str(size))
+        self._process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stdin=subprocess.PIPE, env=child.environment()
+        )
         try:
             self._await_ready(kind)
             self._near = module.near(folder, size)

@@ -6,13 +6,13 @@ from __future__ import annotations
 import os
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from cm import child
 from cm.bench.run import Run
 from cm.client.board import Board
 from cm.errors import CmError, NotFound, Timeout
@@ -43,7 +43,7 @@ class Served:
 def serve(run: Run, *arguments: str, sim: bool = True) -> Iterator[Served]:
     """A manager while the context lasts; it has answered once."""
     folder = run.place("s")
-    words = [sys.executable, "-m", "cm", "serve", *(["--sim"] if sim else []), "--runtime-dir", str(folder)]
+    words = child.command("cm", "serve", *(["--sim"] if sim else []), "--runtime-dir", str(folder))
     words += ["--state-dir", str(folder / "state"), *arguments]
     started = time.monotonic()
     process = subprocess.Popen(
@@ -60,7 +60,7 @@ def serve(run: Run, *arguments: str, sim: bool = True) -> Iterator[Served]:
 
 def environment(run: Run) -> dict[str, str]:
     """Ours, with bytecode that is kept in the run's folder: an installed package comes with it."""
-    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    kept = {name: value for name, value in child.environment().items() if name != "PYTHONDONTWRITEBYTECODE"}
     return {**kept, "PYTHONPYCACHEPREFIX": str(run.bytecode)}
 
 

@@ -8,13 +8,13 @@ import os
 import select
 import signal
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from cm import child
 from cm.errors import CmError, Timeout
 
 _HOLD = 10  # frames for which the camera looks at one photograph
@@ -65,10 +65,10 @@ def _interrupt(*_: object) -> None:
 @contextlib.contextmanager
 def _manager(runtime: Path, images: Path | None) -> Iterator[None]:
     """A manager with its board, in a process group of its own: Ctrl-C reaches it through us, in order."""
-    command = [sys.executable, "-m", "cm.cli.main", "serve", "--sim", "--runtime-dir", str(runtime)]
+    command = child.command("cm.cli.main", "serve", "--sim", "--runtime-dir", str(runtime))
     command += ["--config", str(_SCHEMA), "--load", "camera"]
     command += ["--sim-hold", str(_HOLD), *(["--images", str(images)] if images else [])]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, env=_environment(), start_new_session=True)
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, env=child.environment(), start_new_session=True)
     try:
         _await_ready(process)
         yield
@@ -88,8 +88,8 @@ def _await_ready(process: subprocess.Popen[bytes]) -> None:
 
 
 def _application(runtime: Path, frames: Path) -> None:
-    command = [sys.executable, "-m", "cm.demo.application", str(runtime), str(frames)]
-    process = subprocess.Popen(command, env=_environment())
+    command = child.command("cm.demo.application", str(runtime), str(frames))
+    process = subprocess.Popen(command, env=child.environment())
     try:
         status = process.wait()
     finally:
@@ -120,10 +120,3 @@ def _rows(frames: Path) -> dict[str, list[np.ndarray]]:
             label = name.partition(" ")[2].rpartition(" ")[0]
             rows.setdefault(label, []).append(archive[name])
     return rows
-
-
-def _environment() -> dict[str, str]:
-    """Ours, with this package importable where it is not installed."""
-    package = str(Path(__file__).resolve().parents[2])
-    paths = [package, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}

@@ -19,6 +19,7 @@ MAY = {
     "messages": set(),
     "multipart": set(),
     "fdt": set(),
+    "child": set(),
     "native": BASE,
     "bitstream": BASE | {"native", "schema.model"},
     "device": BASE | {"native"},
@@ -28,7 +29,7 @@ MAY = {
     "wire": BASE | {"messages"},
     "daemon": BASE | {"fdt", "messages", "device", "bitstream", "schema", "manager", "wire", "native", "multipart"},
     "client": BASE | {"messages", "wire", "native", "multipart"},
-    "sim": BASE | {"fdt", "native", "schema", "bitstream", "hwh"},
+    "sim": BASE | {"child", "fdt", "native", "schema", "bitstream", "hwh"},
     "importers": BASE | {"fdt", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim"},
 }

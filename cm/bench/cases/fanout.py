@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import statistics
 import subprocess
-import sys
 from contextlib import ExitStack
 from importlib import resources
 from pathlib import Path
 
+from cm import child
 from cm.bench.machine import unpinned
 from cm.bench.result import Goal, Result
 from cm.bench.run import Run
@@ -51,8 +51,8 @@ def _fast_camera(bench: Run) -> Path:
 
 def _readers(folder: str, count: int, seconds: float) -> list[tuple[float, int]]:
     """Rate and losses of each of `count` readers at once."""
-    command = [sys.executable, "-m", "cm.bench.reader", folder, str(seconds)]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    command = child.command("cm.bench.reader", folder, str(seconds))
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "env": child.environment()}
     readers = [subprocess.Popen(command, **pipes, text=True) for _ in range(count)]  # type: ignore[call-overload]
     for reader in readers:
         reader.stdout.readline()  # it has had its first frame

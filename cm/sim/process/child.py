@@ -9,12 +9,12 @@ import os
 import select
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
 
+from cm import child
 from cm.sim.errors import SimError
 from cm.sim.process.control import Control
 from cm.sim.process.handle import Adopted, Child, Handle
@@ -132,10 +132,10 @@ class Board:
 
     def _spawn(self) -> Handle:
         process = subprocess.Popen(
-            [sys.executable, "-m", "cm.sim", *self._command],
+            child.command("cm.sim", *self._command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            env=_environment(),
+            env=child.environment(),
         )
         try:
             self._await_ready(process)
@@ -164,10 +164,3 @@ class Board:
             if json.loads(line).get("ready"):
                 return
         raise SimError(f"the simulator said {line!r} instead of being ready")
-
-
-def _environment() -> dict[str, str]:
-    """Ours, with the package importable as it is here."""
-    package = str(Path(__file__).resolve().parents[3])
-    paths = [package, *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in paths if path)}

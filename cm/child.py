@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Child processes that run modules of this package, and never what lies in the user's folder.
+
+`python -m` puts the folder it is started in before all others, so that a `cm/` or a `yaml.py` there
+would run instead of ours. `-P` needs Python 3.11, and `-I` drops PYTHONPATH, which users rely on.
+So the child drops that entry itself, before its first import.
+"""
+
+from __future__ import annotations
+
+import os
+import site
+import sys
+from pathlib import Path
+
+# `-c` puts "" first (PYTHONSAFEPATH, or -P, does not); `sys` is built in, so nothing is looked for before.
+_START = """\
+import sys
+if sys.path[:1] == [""]: del sys.path[0]
+from runpy import run_module
+del sys.argv[0]
+run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
+
+
+def command(module: str, *arguments: str) -> list[str]:
+    """The command line of ``python -m module arguments…`` without the current folder on its path.
+
+    The module's name is a word of it, so that process lists show what runs. Start it with `environment()`.
+    """
+    return [sys.executable, "-c", _START, module, *arguments]
+
+
+def environment() -> dict[str, str]:
+    """Ours; where the package is not installed (a work tree), it is importable in it as it is here.
+
+    An installed one is found without: on PYTHONPATH all that is installed would go before the standard library.
+    """
+    folder = str(Path(__file__).resolve().parents[1])
+    if folder in (*site.getsitepackages(), site.getusersitepackages()):
+        return dict(os.environ)
+    paths = [folder, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
