@@ -14,6 +14,7 @@ from cm.build.errors import BuildError, MissingTool
 from cm.build.hdl import UserProtocol
 from cm.build.hdl.model import ModuleInfo, Problem
 from cm.build.hdl.register_maps import read_register_map
+from cm.build.hdl.vhdl_units import missing_units
 from cm.build.project.model import ModuleSpec, Project
 from cm.build.project.where import fault
 
@@ -122,7 +123,8 @@ def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[Modu
         protocols=protocols,
     )
     found = reading.modules[0]
-    info = _with_missing(replace(found, problems=(*found.problems, *reading.problems)), spec, reading.outside)
+    units = () if spec.ip or spec.sim_sources else tuple(missing_units(spec.libraries, spec.sources))
+    info = _with_missing(replace(found, problems=(*found.problems, *reading.problems, *units)), spec, reading.outside)
     if spec.component is None:
         return info, ()
     return info, tuple(str(difference) for difference in hdl.compare(info, hdl.load_component_xml(spec.component)))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.build.errors import BuildError
@@ -23,6 +23,7 @@ class ClockPin:
     name: str
     pin: str
     rate: int
+    buses: tuple[str, ...] = ()  # interface ports of the block design that run on it
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,7 @@ class AxiPort:
     name: str
     mode: str
     doc: str
+    clock: str
     settings: tuple[tuple[str, object], ...]
 
 
@@ -93,7 +95,7 @@ def context(system: System) -> dict[str, object]:
     return {
         "platform": system.platform,
         "board": system.project.board,
-        "clocks": clocks,
+        "clocks": [_with_buses(clock, dmas, ports) for clock in clocks],
         "ps_settings": list(_ps_settings(system, clocks, memories)),
         "dmas": dmas,
         "axi_ports": ports,
@@ -109,6 +111,12 @@ def _clocks(system: System) -> list[ClockPin]:
     order = list(system.project.clocks)
     used = [name for name in order if name in used_clocks(system)]
     return [ClockPin(n, system.platform.clock_pins[order.index(n)], system.project.clocks[n].rate) for n in used]
+
+
+def _with_buses(clock: ClockPin, dmas: list[DmaCell], ports: list[AxiPort]) -> ClockPin:
+    buses = [f"axis_{dma.name}" for dma in dmas if dma.clock == clock.name]
+    buses += [port.name for port in ports if port.clock == clock.name]
+    return replace(clock, buses=tuple(buses))
 
 
 def _ps_settings(system: System, clocks: list[ClockPin], memories: list[Memory]) -> Iterator[tuple[str, object]]:
@@ -156,11 +164,10 @@ def _dma_cell(system: System, dma: Dma, clocks: list[ClockPin]) -> DmaCell:
         (f"c_m_axi_{kind}_data_width", max(dma.width, 32)),
         (f"c_include_{kind}_dre", 0),
     ]
-    rate = system.project.clocks[dma.clock].rate
-    port: list[tuple[str, object]] = [("FREQ_HZ", rate)]
+    port: list[tuple[str, object]] = []
     if not sends:
         keep = any("TKEEP" in b.interface.ports for r in system.regions for b in r.streams if b.dma is dma)
-        port = [("TDATA_NUM_BYTES", dma.width // 8), ("HAS_TLAST", 1), ("HAS_TKEEP", int(keep)), *port]
+        port = [("TDATA_NUM_BYTES", dma.width // 8), ("HAS_TLAST", 1), ("HAS_TKEEP", int(keep))]
     pin = next(clock.pin for clock in clocks if clock.name == dma.clock)
     return DmaCell(
         name=dma.name,
@@ -180,26 +187,22 @@ def _dma_cell(system: System, dma: Dma, clocks: list[ClockPin]) -> DmaCell:
 
 def _axi_ports(system: System) -> Iterator[AxiPort]:
     for domain in system.domains:
-        settings = (("PROTOCOL", "AXI4LITE"), ("DATA_WIDTH", 32), ("ADDR_WIDTH", 32), ("FREQ_HZ", domain.rate))
-        yield AxiPort(f"m_axi_{domain.clock}", "Master", f"register windows on {domain.clock}", settings)
+        settings = (("PROTOCOL", "AXI4LITE"), ("DATA_WIDTH", 32), ("ADDR_WIDTH", 32))
+        doc = f"register windows on {domain.clock}"
+        yield AxiPort(f"m_axi_{domain.clock}", "Master", doc, domain.clock, settings)
     for region in system.regions:
-        rate = system.project.clocks[region.spec.clock].rate
-        for bus in region.registers:
-            if bus.full:
-                name = f"m_axi_{region.name}_{bus.interface.name}"
-                yield AxiPort(name, "Master", f"{region.name}.{bus.interface.name}", _settings(bus.interface, rate))
-        for memory in region.memory:
-            name = f"s_axi_{region.name}_{memory.interface.name}"
-            yield AxiPort(name, "Slave", f"{region.name}.{memory.interface.name}", _settings(memory.interface, rate))
+        full = [("m_axi", "Master", bus.interface) for bus in region.registers if bus.full]
+        for prefix, mode, interface in (*full, *(("s_axi", "Slave", bus.interface) for bus in region.memory)):
+            name, doc = f"{prefix}_{region.name}_{interface.name}", f"{region.name}.{interface.name}"
+            yield AxiPort(name, mode, doc, region.spec.clock, _settings(interface))
 
 
-def _settings(interface: Interface, rate: int) -> tuple[tuple[str, object], ...]:
+def _settings(interface: Interface) -> tuple[tuple[str, object], ...]:
     lite = interface.protocol == "axi4lite"
     settings: list[tuple[str, object]] = [
         ("PROTOCOL", "AXI4LITE" if lite else "AXI4"),
         ("DATA_WIDTH", interface.data_width or 32),
         ("ADDR_WIDTH", interface.addr_width or 32),
-        ("FREQ_HZ", rate),
     ]
     if not lite:
         settings += [("ID_WIDTH", interface.id_width or 0), ("NUM_READ_OUTSTANDING", 8), ("NUM_WRITE_OUTSTANDING", 8)]

@@ -9,6 +9,7 @@ from typing import Any
 
 from cm.build.project import references
 from cm.build.project.model import (
+    BitstreamSpec,
     ClockSpec,
     ConnectionSpec,
     FieldSpec,
@@ -122,6 +123,7 @@ class _Builder:
             doc=head.get("doc", ""),
             clocks=clocks,
             static=self._static(),
+            bitstream=BitstreamSpec(**data.get("bitstream") or {}),
             regions=regions,
             modules=modules,
             modes=modes,
@@ -140,7 +142,11 @@ class _Builder:
             key: self._files.many(spec.get(key), ("static", key))
             for key in ("sources", "include_dirs", "block_design", "constraints")
         }
-        return StaticSpec(**files, registers=_registers(spec))
+        return StaticSpec(**files, libraries=self._libraries(spec, ("static",)), registers=_registers(spec))
+
+    def _libraries(self, spec: dict[str, Any], where: KeyPath) -> dict[str, tuple[Path, ...]]:
+        given = spec.get("libraries") or {}
+        return {name: self._files.many(paths, (*where, "libraries", name)) for name, paths in given.items()}
 
     def _region(self, name: str, spec: dict[str, Any], clock: str) -> RegionSpec:
         pblock = tuple(spec.get("pblock", ()))
@@ -165,6 +171,7 @@ class _Builder:
         return ModuleSpec(
             name=name,
             top=spec.get("top", name),
+            libraries=self._libraries(spec, where),
             regions=tuple(spec.get("regions", regions if len(regions) == 1 else ())),
             defines={key: _text(value) for key, value in (spec.get("defines") or {}).items()},
             parameters=spec.get("parameters") or {},

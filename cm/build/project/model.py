@@ -106,6 +106,11 @@ class RegionSpec:
     doc: str = ""
 
 
+def in_libraries(libraries: Mapping[str, tuple[Path, ...]]) -> tuple[Path, ...]:
+    """All files of all libraries, in order."""
+    return tuple(path for paths in libraries.values() for path in paths)
+
+
 @dataclass(frozen=True, slots=True)
 class ModuleSpec:
     """A module: HDL with `top`, and the regions it may go to."""
@@ -114,6 +119,7 @@ class ModuleSpec:
     top: str
     regions: tuple[str, ...]
     sources: tuple[Path, ...] = ()
+    libraries: Mapping[str, tuple[Path, ...]] = field(default_factory=empty)  # VHDL, by library
     include_dirs: tuple[Path, ...] = ()
     defines: Mapping[str, str] = field(default_factory=empty)
     parameters: Mapping[str, int | float | str | bool] = field(default_factory=empty)
@@ -133,7 +139,7 @@ class ModuleSpec:
     @property
     def readable(self) -> tuple[Path, ...]:
         """The files to find the interfaces in: vendor IP cannot be parsed, its stand-ins can."""
-        return self.sim_sources if self.ip and self.sim_sources else self.sources
+        return self.sim_sources if self.ip and self.sim_sources else (*in_libraries(self.libraries), *self.sources)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,10 +176,19 @@ class StaticSpec:
     """What the user adds to the static part."""
 
     sources: tuple[Path, ...] = ()
+    libraries: Mapping[str, tuple[Path, ...]] = field(default_factory=empty)
     include_dirs: tuple[Path, ...] = ()
     block_design: tuple[Path, ...] = ()
     constraints: tuple[Path, ...] = ()
     registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
+
+
+@dataclass(frozen=True, slots=True)
+class BitstreamSpec:
+    """How bitstreams are written."""
+
+    compress: bool = True
+    frame_crc: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,6 +203,7 @@ class Project:
     doc: str = ""
     clocks: Mapping[str, ClockSpec] = field(default_factory=empty)
     static: StaticSpec = StaticSpec()
+    bitstream: BitstreamSpec = BitstreamSpec()
     regions: Mapping[str, RegionSpec] = field(default_factory=empty)
     modules: Mapping[str, ModuleSpec] = field(default_factory=empty)
     modes: Mapping[str, ModeSpec] = field(default_factory=empty)

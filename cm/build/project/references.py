@@ -90,7 +90,7 @@ def _module(project: Project, module: ModuleSpec, report: Report) -> None:
     for index, region in enumerate(module.regions):
         if region not in project.regions:
             unknown(report, (*key, "regions", index), "region", region, project.regions)
-    if not (module.sources or module.ip or module.tcl):
+    if not (module.sources or module.libraries or module.ip or module.tcl):
         report(key, "missing_key", "nothing to build it from", "give sources, ip or tcl")
     if module.ip and not (module.sources or module.sim_sources or module.component):
         hint = "give component: (IP-XACT) or sim_sources: with a module of the same ports"

@@ -24,6 +24,10 @@ connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins reset_fclk0/slowest_sync
 connect_bd_net [get_bd_pins ps7/FCLK_RESET0_N] [get_bd_pins reset_fclk0/ext_reset_in]
 create_bd_port -dir O -type rst resetn_fclk0
 connect_bd_net [get_bd_pins reset_fclk0/peripheral_aresetn] [get_bd_ports resetn_fclk0]
+set_property CONFIG.ASSOCIATED_RESET {resetn_fclk0} [get_bd_ports clk_fclk0]
+set_property CONFIG.POLARITY {ACTIVE_LOW} [get_bd_ports resetn_fclk0]
+# the rate that the processing system really gives: its dividers seldom meet the one asked for
+set rate_fclk0 [cm_rate ps7/FCLK_CLK0 100000000]
 
 # registers: M_AXI_GP0 to 3 ports
 set control [cm_ip smartconnect control_interconnect]
@@ -51,7 +55,7 @@ connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins dma_icap/m_axi_sg_aclk]
 connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins dma_icap/m_axi_mm2s_aclk]
 connect_bd_net [get_bd_pins reset_fclk0/peripheral_aresetn] [get_bd_pins dma_icap/axi_resetn]
 create_bd_intf_port -mode Master -vlnv xilinx.com:interface:axis_rtl:1.0 axis_icap
-set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_icap]
+set_property CONFIG.FREQ_HZ $rate_fclk0 [get_bd_intf_ports axis_icap]
 connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXIS_MM2S] [get_bd_intf_ports axis_icap]
 
 # camera: stream to memory, registers at 0x44010000
@@ -73,7 +77,7 @@ create_bd_intf_port -mode Slave -vlnv xilinx.com:interface:axis_rtl:1.0 axis_cam
 set_property CONFIG.TDATA_NUM_BYTES {1} [get_bd_intf_ports axis_camera]
 set_property CONFIG.HAS_TLAST {1} [get_bd_intf_ports axis_camera]
 set_property CONFIG.HAS_TKEEP {0} [get_bd_intf_ports axis_camera]
-set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_camera]
+set_property CONFIG.FREQ_HZ $rate_fclk0 [get_bd_intf_ports axis_camera]
 connect_bd_intf_net [get_bd_intf_pins dma_camera/S_AXIS_S2MM] [get_bd_intf_ports axis_camera]
 
 # register windows on fclk0
@@ -81,7 +85,10 @@ create_bd_intf_port -mode Master -vlnv xilinx.com:interface:aximm_rtl:1.0 m_axi_
 set_property CONFIG.PROTOCOL {AXI4LITE} [get_bd_intf_ports m_axi_fclk0]
 set_property CONFIG.DATA_WIDTH {32} [get_bd_intf_ports m_axi_fclk0]
 set_property CONFIG.ADDR_WIDTH {32} [get_bd_intf_ports m_axi_fclk0]
-set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports m_axi_fclk0]
+set_property CONFIG.FREQ_HZ $rate_fclk0 [get_bd_intf_ports m_axi_fclk0]
+
+# which clock each bus runs on; without it Vivado takes 100 MHz for granted (BD 41-237, BD 41-967)
+set_property CONFIG.ASSOCIATED_BUSIF {axis_icap:axis_camera:m_axi_fclk0} [get_bd_ports clk_fclk0]
 
 # which port of the control interconnect is what
 connect_bd_intf_net [get_bd_intf_pins control_interconnect/M00_AXI] [get_bd_intf_ports m_axi_fclk0]

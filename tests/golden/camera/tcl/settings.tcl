@@ -38,17 +38,54 @@ proc cm_begin {step} {
     file mkdir checkpoints reports bitstreams
 }
 
-# A place and route run of the design in memory; a design that misses timing is an error.
+# The rate of a clock of the processing system, as Vivado has computed it from the dividers.
+proc cm_rate {pin wanted} {
+    set rate [get_property CONFIG.FREQ_HZ [get_bd_pins $pin]]
+    if {![string is double -strict $rate] || $rate <= 0} {
+        error "$pin has no rate: is its clock enabled?"
+    }
+    set rate [expr {round($rate)}]
+    if {$rate > $wanted * 1.01 || $rate < $wanted * 0.9} {
+        error "$pin runs at $rate Hz, the build schema asks for $wanted Hz: choose a rate that the dividers meet"
+    }
+    if {$rate != $wanted} {
+        puts "cm: $pin runs at $rate Hz where $wanted Hz were asked for"
+    }
+    return $rate
+}
+
+# The only file of some that Vivado may have written.
+proc cm_file {what args} {
+    set found [glob -nocomplain {*}$args]
+    if {[llength $found] == 0} {
+        error "no $what at [join $args { or }]: has the step before run to its end?"
+    }
+    return [lindex $found 0]
+}
+
+# A place and route run of the design in memory. A design that misses timing (setup, hold or pulse
+# width) is an error, and so is one that breaks a design rule: write_bitstream would refuse it later.
 proc cm_implement {name} {
     opt_design
     place_design
     phys_opt_design
     route_design
-    report_drc -file reports/$name.drc.rpt
+    report_drc -name cm_drc -file reports/$name.drc.rpt
     report_timing_summary -file reports/$name.timing.rpt
+    report_pulse_width -file reports/$name.pulse_width.rpt
     report_utilization -file reports/$name.utilization.rpt
-    set slack [get_property SLACK [get_timing_paths -max_paths 1 -nworst 1 -setup]]
-    if {$slack ne "" && $slack < 0} {
-        error "$name misses timing: worst setup slack $slack ns, see reports/$name.timing.rpt"
+    foreach {kind paths} [list setup [get_timing_paths -max_paths 1 -nworst 1 -setup] hold [get_timing_paths -max_paths 1 -nworst 1 -hold]] {
+        set slack [expr {[llength $paths] ? [get_property SLACK $paths] : ""}]
+        if {$slack ne "" && $slack < 0} {
+            error "$name misses timing: worst $kind slack $slack ns, see reports/$name.timing.rpt"
+        }
+    }
+    # pulse widths have no paths; the summary's own sentence covers them (UG906, "Report Timing Summary")
+    if {[string first "Timing constraints are not met" [report_timing_summary -return_string]] >= 0} {
+        error "$name misses timing: see reports/$name.timing.rpt and reports/$name.pulse_width.rpt"
+    }
+    set wrong [get_drc_violations -quiet -name cm_drc -filter {SEVERITY == "Error"}]
+    if {[llength $wrong] > 0} {
+        error "$name breaks [llength $wrong] design rules ($wrong), see reports/$name.drc.rpt"
     }
 }

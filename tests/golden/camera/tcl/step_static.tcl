@@ -10,9 +10,13 @@ create_project -in_memory -part $cm_part
 if {$cm_board ne ""} {
     set_property board_part $cm_board [current_project]
 }
-read_bd work/system/cm_system.srcs/sources_1/bd/cm_system/cm_system.bd
+set design work/system/cm_system.srcs/sources_1/bd/cm_system/cm_system.bd
+read_bd $design
+# of this project, not of the file: without it every IP would be a black box here
+set_property synth_checkpoint_mode None [get_files cm_system.bd]
+generate_target all [get_files cm_system.bd]
 # Vivado writes the wrapper below .gen or, before 2020.2, below .srcs
-read_verilog [lindex [glob -nocomplain work/system/cm_system.gen/sources_1/bd/cm_system/hdl/cm_system_wrapper.v work/system/cm_system.srcs/sources_1/bd/cm_system/hdl/cm_system_wrapper.v] 0]
+read_verilog [cm_file "wrapper of the block design" work/system/cm_system.gen/sources_1/bd/cm_system/hdl/cm_system_wrapper.v work/system/cm_system.srcs/sources_1/bd/cm_system/hdl/cm_system_wrapper.v]
 read_verilog hdl/cm_top.v
 read_verilog hdl/cm_static.v
 read_verilog hdl/cm_region_prr0.v

@@ -16,7 +16,6 @@ set_property synth_checkpoint_mode None $design
 generate_target all $design
 make_wrapper -top -files $design
 file mkdir bitstreams
-foreach handoff [glob -nocomplain work/system/cm_system.gen/sources_1/bd/cm_system/hw_handoff/*.hwh work/system/cm_system.srcs/sources_1/bd/cm_system/hw_handoff/*.hwh] {
-    file copy -force $handoff bitstreams/camera.hwh
-}
+set handoff [cm_file "hardware handoff" work/system/cm_system.gen/sources_1/bd/cm_system/hw_handoff/*.hwh work/system/cm_system.srcs/sources_1/bd/cm_system/hw_handoff/*.hwh]
+file copy -force $handoff bitstreams/camera.hwh
 close_project

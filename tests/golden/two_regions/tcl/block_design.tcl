@@ -27,6 +27,10 @@ connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins reset_pl_clk0/slowest_sync
 connect_bd_net [get_bd_pins ps8/pl_resetn0] [get_bd_pins reset_pl_clk0/ext_reset_in]
 create_bd_port -dir O -type rst resetn_pl_clk0
 connect_bd_net [get_bd_pins reset_pl_clk0/peripheral_aresetn] [get_bd_ports resetn_pl_clk0]
+set_property CONFIG.ASSOCIATED_RESET {resetn_pl_clk0} [get_bd_ports clk_pl_clk0]
+set_property CONFIG.POLARITY {ACTIVE_LOW} [get_bd_ports resetn_pl_clk0]
+# the rate that the processing system really gives: its dividers seldom meet the one asked for
+set rate_pl_clk0 [cm_rate ps8/pl_clk0 100000000]
 create_bd_port -dir O -type clk clk_pl_clk1
 connect_bd_net [get_bd_pins ps8/pl_clk1] [get_bd_ports clk_pl_clk1]
 set reset [cm_ip proc_sys_reset reset_pl_clk1]
@@ -34,6 +38,10 @@ connect_bd_net [get_bd_pins ps8/pl_clk1] [get_bd_pins reset_pl_clk1/slowest_sync
 connect_bd_net [get_bd_pins ps8/pl_resetn0] [get_bd_pins reset_pl_clk1/ext_reset_in]
 create_bd_port -dir O -type rst resetn_pl_clk1
 connect_bd_net [get_bd_pins reset_pl_clk1/peripheral_aresetn] [get_bd_ports resetn_pl_clk1]
+set_property CONFIG.ASSOCIATED_RESET {resetn_pl_clk1} [get_bd_ports clk_pl_clk1]
+set_property CONFIG.POLARITY {ACTIVE_LOW} [get_bd_ports resetn_pl_clk1]
+# the rate that the processing system really gives: its dividers seldom meet the one asked for
+set rate_pl_clk1 [cm_rate ps8/pl_clk1 150000000]
 
 # registers: M_AXI_HPM0_FPD to 7 ports
 set control [cm_ip smartconnect control_interconnect]
@@ -62,7 +70,7 @@ connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins dma_icap/m_axi_sg_aclk]
 connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins dma_icap/m_axi_mm2s_aclk]
 connect_bd_net [get_bd_pins reset_pl_clk0/peripheral_aresetn] [get_bd_pins dma_icap/axi_resetn]
 create_bd_intf_port -mode Master -vlnv xilinx.com:interface:axis_rtl:1.0 axis_icap
-set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_icap]
+set_property CONFIG.FREQ_HZ $rate_pl_clk0 [get_bd_intf_ports axis_icap]
 connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXIS_MM2S] [get_bd_intf_ports axis_icap]
 
 # to_filter: memory to stream, registers at 0xa4010000
@@ -81,7 +89,7 @@ connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins dma_to_filter/m_axi_sg_acl
 connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins dma_to_filter/m_axi_mm2s_aclk]
 connect_bd_net [get_bd_pins reset_pl_clk0/peripheral_aresetn] [get_bd_pins dma_to_filter/axi_resetn]
 create_bd_intf_port -mode Master -vlnv xilinx.com:interface:axis_rtl:1.0 axis_to_filter
-set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_to_filter]
+set_property CONFIG.FREQ_HZ $rate_pl_clk0 [get_bd_intf_ports axis_to_filter]
 connect_bd_intf_net [get_bd_intf_pins dma_to_filter/M_AXIS_MM2S] [get_bd_intf_ports axis_to_filter]
 
 # from_filter: stream to memory, registers at 0xa4020000
@@ -103,7 +111,7 @@ create_bd_intf_port -mode Slave -vlnv xilinx.com:interface:axis_rtl:1.0 axis_fro
 set_property CONFIG.TDATA_NUM_BYTES {1} [get_bd_intf_ports axis_from_filter]
 set_property CONFIG.HAS_TLAST {1} [get_bd_intf_ports axis_from_filter]
 set_property CONFIG.HAS_TKEEP {0} [get_bd_intf_ports axis_from_filter]
-set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports axis_from_filter]
+set_property CONFIG.FREQ_HZ $rate_pl_clk0 [get_bd_intf_ports axis_from_filter]
 connect_bd_intf_net [get_bd_intf_pins dma_from_filter/S_AXIS_S2MM] [get_bd_intf_ports axis_from_filter]
 
 # to_correction: memory to stream, registers at 0xa4030000
@@ -122,7 +130,7 @@ connect_bd_net [get_bd_pins ps8/pl_clk1] [get_bd_pins dma_to_correction/m_axi_sg
 connect_bd_net [get_bd_pins ps8/pl_clk1] [get_bd_pins dma_to_correction/m_axi_mm2s_aclk]
 connect_bd_net [get_bd_pins reset_pl_clk1/peripheral_aresetn] [get_bd_pins dma_to_correction/axi_resetn]
 create_bd_intf_port -mode Master -vlnv xilinx.com:interface:axis_rtl:1.0 axis_to_correction
-set_property CONFIG.FREQ_HZ {150000000} [get_bd_intf_ports axis_to_correction]
+set_property CONFIG.FREQ_HZ $rate_pl_clk1 [get_bd_intf_ports axis_to_correction]
 connect_bd_intf_net [get_bd_intf_pins dma_to_correction/M_AXIS_MM2S] [get_bd_intf_ports axis_to_correction]
 
 # from_correction: stream to memory, registers at 0xa4040000
@@ -144,7 +152,7 @@ create_bd_intf_port -mode Slave -vlnv xilinx.com:interface:axis_rtl:1.0 axis_fro
 set_property CONFIG.TDATA_NUM_BYTES {4} [get_bd_intf_ports axis_from_correction]
 set_property CONFIG.HAS_TLAST {1} [get_bd_intf_ports axis_from_correction]
 set_property CONFIG.HAS_TKEEP {0} [get_bd_intf_ports axis_from_correction]
-set_property CONFIG.FREQ_HZ {150000000} [get_bd_intf_ports axis_from_correction]
+set_property CONFIG.FREQ_HZ $rate_pl_clk1 [get_bd_intf_ports axis_from_correction]
 connect_bd_intf_net [get_bd_intf_pins dma_from_correction/S_AXIS_S2MM] [get_bd_intf_ports axis_from_correction]
 
 # register windows on pl_clk0
@@ -152,14 +160,18 @@ create_bd_intf_port -mode Master -vlnv xilinx.com:interface:aximm_rtl:1.0 m_axi_
 set_property CONFIG.PROTOCOL {AXI4LITE} [get_bd_intf_ports m_axi_pl_clk0]
 set_property CONFIG.DATA_WIDTH {32} [get_bd_intf_ports m_axi_pl_clk0]
 set_property CONFIG.ADDR_WIDTH {32} [get_bd_intf_ports m_axi_pl_clk0]
-set_property CONFIG.FREQ_HZ {100000000} [get_bd_intf_ports m_axi_pl_clk0]
+set_property CONFIG.FREQ_HZ $rate_pl_clk0 [get_bd_intf_ports m_axi_pl_clk0]
 
 # register windows on pl_clk1
 create_bd_intf_port -mode Master -vlnv xilinx.com:interface:aximm_rtl:1.0 m_axi_pl_clk1
 set_property CONFIG.PROTOCOL {AXI4LITE} [get_bd_intf_ports m_axi_pl_clk1]
 set_property CONFIG.DATA_WIDTH {32} [get_bd_intf_ports m_axi_pl_clk1]
 set_property CONFIG.ADDR_WIDTH {32} [get_bd_intf_ports m_axi_pl_clk1]
-set_property CONFIG.FREQ_HZ {150000000} [get_bd_intf_ports m_axi_pl_clk1]
+set_property CONFIG.FREQ_HZ $rate_pl_clk1 [get_bd_intf_ports m_axi_pl_clk1]
+
+# which clock each bus runs on; without it Vivado takes 100 MHz for granted (BD 41-237, BD 41-967)
+set_property CONFIG.ASSOCIATED_BUSIF {axis_icap:axis_to_filter:axis_from_filter:m_axi_pl_clk0} [get_bd_ports clk_pl_clk0]
+set_property CONFIG.ASSOCIATED_BUSIF {axis_to_correction:axis_from_correction:m_axi_pl_clk1} [get_bd_ports clk_pl_clk1]
 
 # which port of the control interconnect is what
 connect_bd_intf_net [get_bd_intf_pins control_interconnect/M00_AXI] [get_bd_intf_ports m_axi_pl_clk0]

@@ -7,7 +7,7 @@ source tcl/settings.tcl
 cm_begin bitstreams_run_3
 
 open_checkpoint checkpoints/run_3.dcp
-set_property BITSTREAM.GENERAL.COMPRESS FALSE [current_design]
+set_property BITSTREAM.GENERAL.COMPRESS TRUE [current_design]
 set_property BITSTREAM.GENERAL.CRC ENABLE [current_design]
 write_bitstream -force -cell static_part/filter bitstreams/edge.bit
 write_bitstream -force -cell static_part/correction bitstreams/invert.bit
