@@ -74,7 +74,7 @@ def _static(folder: Path, shell: Fields, notes: list[str]) -> Config | None:
         notes.append(f"{image.path.name}: a partial bitstream in the place of the base's, left out")
         return None
     if overlay is not None and overlay.info.firmware and not overlay.info.external:
-        notes.append(f"{overlay.path.name}: loads the image itself (firmware-name) when it is applied, a second time")
+        notes.append(f"{overlay.path.name}: names the image (firmware-name); the manager applies it without that")
     if shell.text("load_base_design") == "no":
         notes.append("load_base_design is no: dfx-mgr expects the boot loader to load the base")
     name = to_name(folder.name)

@@ -157,10 +157,6 @@ def _region(
             notes.append(
                 f"{item.name}: others of slot {slot} are loaded by their overlay, this one has none that loads it"
             )
-        elif by_overlay and item.overlay is not None:
-            notes.append(
-                f"{item.name}: its overlay loads {item.overlay.info.firmware[0]}, to be put below /lib/firmware"
-            )
     return Region(
         name=f"slot{slot}",
         loader=LoaderKind.OVERLAY if by_overlay else LoaderKind.FPGA_MANAGER,

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -71,16 +71,19 @@ class Files(Protocol):
         """The image as words in the order in which a DMA-fed port takes them from memory."""
 
     def firmware_name(self, image: Image) -> str:
-        """A name below /lib/firmware under which the kernel finds the image in .bin form."""
+        """A name below /lib/firmware under which the kernel finds our own copy of the image in .bin form."""
 
     def check_firmware(self, name: str, image: Image) -> None:
         """Raise Sha256Mismatch where the kernel finds something else under the name than the image."""
 
-    def overlay(self, config: Config, overlay: Overlay) -> bytes:
-        """The .dtbo's bytes."""
+    def overlay(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
+        """The .dtbo, without what would load one of `images`, which the device holds when it is applied.
+
+        Raises BadOverlay where it would load anything else.
+        """
 
     def loading_overlay(self, config: Config, module: Module, image: Image) -> bytes:
-        """The .dtbo with `firmware-name` by which a module is loaded: ``<module>.dtbo``.
+        """The .dtbo by which a module is loaded, ``<module>.dtbo``, with the `firmware_name` of its image.
 
         Raises BadOverlay where the firmware it names has not the content of `image`.
         """

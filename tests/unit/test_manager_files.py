@@ -4,13 +4,18 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
+import re
+import threading
 import zlib
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from manager_schemas import DUO, MANAGED, written
+from manager_schemas import DUO, MANAGED, TEXTS, written
 from manager_support import Rig, rig
 
 from cm.bitstream import Container, assemble_module, convert
@@ -24,6 +29,7 @@ from cm.manager.ports import Image
 from cm.schema import loads
 from cm.schema.model import Config, FrameRange, Overlay
 from cm.sim import Board as SimBoard
+from cm.sim.hardware.board import BoardSpec
 
 DEVICE = "xc7z020"
 
@@ -265,7 +271,7 @@ def test_a_huge_file_is_refused_before_it_is_read(duo: Config, tmp_path: Path) -
     with (duo.source.parent / "duo_base.dtbo").open("wb") as file:
         file.truncate(17 << 20)
     with pytest.raises(BadOverlay, match="at most 16 MiB"):
-        opened(tmp_path).overlay(duo, Overlay("duo_base"))
+        opened(tmp_path).overlay(duo, Overlay("duo_base"), [])
 
 
 # ---- replaced while a change runs ---------------------------------------------------------
@@ -289,47 +295,117 @@ def replaced(made: Rig, sim: SimBoard, config: str, victim: str, at: str) -> obj
     made.fault.watch = lambda _: None
     assert place.read_bytes() == other
     place.write_bytes(good)
-    status = made.manager.status()
-    assert (status.config_name, status.mode) == (config, "default")
-    state = sim.control.state()["regions"]
-    assert [state[r.name]["module"] for r in status.regions] == [r.module for r in status.regions]
-    assert {r.state for r in status.regions} == {"ready"}
+    assert_same(made, sim)
     assert made.go("both", config=config) is None
     return error
 
 
-@pytest.mark.parametrize(
-    ("config", "victim", "at", "code"),
-    [
-        ("duo", "b0.bit", "uio.write", "sha256_mismatch"),
-        ("kernel", "l0.bin", "uio.write", "bad_overlay"),
-        ("kernel", "l0.bin", "overlays.apply", "bad_overlay"),
-    ],
-)
-def test_a_file_that_is_replaced_during_the_change_is_noticed_and_undone(
-    sim: SimBoard, tmp_path: Path, config: str, victim: str, at: str, code: str
-) -> None:
-    configs = written(tmp_path)
-    with rig(sim.root, tmp_path / "state", configs[config]) as made:
-        error = replaced(made, sim, config, victim, at)
+def assert_same(made: Rig, sim: SimBoard) -> None:
+    """Board and status name the same modules, and all regions are whole."""
+    status, state = made.manager.status(), sim.control.state()["regions"]
+    assert [state[r.name]["module"] for r in status.regions] == [r.module for r in status.regions]
+    assert {r.state for r in status.regions} == {"ready"}
+
+
+def test_a_file_that_is_replaced_before_the_port_has_it_is_noticed_and_undone(sim: SimBoard, tmp_path: Path) -> None:
+    with rig(sim.root, tmp_path / "state", written(tmp_path)["duo"]) as made:
+        error = replaced(made, sim, "duo", "b0.bit", "uio.write")
     assert error is not None
-    assert error.code == code  # type: ignore[attr-defined]
+    assert error.code == "sha256_mismatch"  # type: ignore[attr-defined]
 
 
-def test_a_file_that_is_replaced_as_the_fpga_manager_reads_it_is_noticed_and_undone(
-    sim: SimBoard, tmp_path: Path
+@pytest.mark.parametrize("at", ["uio.write", "overlays.apply"])
+def test_a_file_that_is_replaced_after_the_check_is_not_what_an_overlay_loads(
+    sim: SimBoard, tmp_path: Path, at: str
 ) -> None:
-    """Below /lib/firmware, in the kernel's form: it is not copied, and the kernel opens it after the check."""
+    with rig(sim.root, tmp_path / "state", written(tmp_path)["kernel"]) as made:
+        assert replaced(made, sim, "kernel", "l0.bin", at) is None
+
+
+def test_a_file_that_the_kernel_could_take_as_it_is_is_copied_all_the_same(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    """Else the kernel opens, after the check, what others may write to."""
     text = MANAGED.replace("l0: {region: prr0,", "l0: {region: prr0, bitstream: direct.bin,")
     (tmp_path / "managed.yaml").write_text(text, encoding="utf-8")
     config = loads(text, source=tmp_path / "managed.yaml")
-    folder = sim.root / "lib/firmware/cm/managed"
-    files = BoardFiles(sim.root)
-    ready = sim.root / "lib/firmware" / files.firmware_name(image(files, written(tmp_path)["managed"], "l0"))
-    (folder / "direct.bin").write_bytes(ready.read_bytes())
-    assert files.firmware_name(image(files, config, "l0")) == "cm/managed/direct.bin"
+    direct = sim.root / "lib/firmware/cm/managed/direct.bin"
+    direct.write_bytes(convert(filling("l0", configs), Container.BIN_SWAPPED))
     with rig(sim.root, tmp_path / "state", config) as made:
-        error = replaced(made, sim, "managed", "direct.bin", "fpga_manager.load")
-    assert error is not None
-    assert error.code == "sha256_mismatch"  # type: ignore[attr-defined]
-    assert "not the bitstream that was checked" in error.message  # type: ignore[attr-defined]
+        assert replaced(made, sim, "managed", "direct.bin", "fpga_manager.load") is None
+    copy = sim.root / "lib/firmware" / BoardFiles(sim.root).firmware_name(image(BoardFiles(sim.root), config, "l0"))
+    assert copy.parent.name == "cm-converted"
+    assert copy.stem == hashlib.sha256(direct.read_bytes()).hexdigest()
+    assert copy.read_bytes() == direct.read_bytes()
+
+
+def filling(name: str, configs: dict[str, Config]) -> bytes:
+    """A module's bitstream that fills the board's first region."""
+    footprint = BoardSpec.from_configs(configs.values()).regions["prr0"].footprint
+    columns = sum(frames.column_last - frames.column_first + 1 for frames in footprint)
+    return assemble_module(name, device=DEVICE, footprint=footprint, size=columns * (16 << 10))
+
+
+class Replacer(threading.Thread):
+    """Puts one content after the other in a file's place until it is told to stop, by renaming and in place."""
+
+    def __init__(self, place: Path, contents: Sequence[bytes]) -> None:
+        super().__init__(daemon=True)
+        self.place, self.contents = place, contents
+        self.stopped = threading.Event()
+        self.times = 0
+
+    def run(self) -> None:
+        new = self.place.with_name(".new")
+        while not self.stopped.wait(0.001):
+            content = self.contents[self.times % len(self.contents)]
+            if self.times % 3:
+                new.write_bytes(content)
+                new.replace(self.place)
+            else:
+                self.place.write_bytes(content)
+            self.times += 1
+
+
+@pytest.mark.parametrize(
+    ("config", "victim", "changes"), [("duo", "b0.bit", 120), ("managed", "l0.bin", 120), ("kernel", "l0.bin", 60)]
+)
+def test_what_is_loaded_is_what_was_hashed_while_somebody_replaces_the_file(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, config: str, victim: str, changes: int
+) -> None:
+    """Two images take turns under the name; whichever is loaded, the record has its hash."""
+    text = re.sub(r"(, )?identity: (0x..|\{[^}]*\})", "", TEXTS[config])
+    if config == "managed":
+        text = text.replace("l0: {region: prr0", f"l0: {{region: prr0, bitstream: {victim}")
+    (tmp_path / "schema.yaml").write_text(text, encoding="utf-8")
+    schema = loads(text, source=tmp_path / "schema.yaml")
+    place = sim.root / "lib/firmware/cm" / config / victim
+    modules = (victim[:2], schema.modes["default"].modules[0])
+    contents = [filling(name, configs) for name in modules]
+    if victim.endswith(".bin"):
+        contents = [convert(each, Container.BIN_SWAPPED) for each in contents]
+    names = {hashlib.sha256(data).hexdigest(): name for data, name in zip(contents, modules, strict=True)}
+    place.write_bytes(contents[0])
+    replacer = Replacer(place, contents)
+    loaded: Counter[str] = Counter()
+    with rig(sim.root, tmp_path / "state", schema, prefetch=64 << 20) as made:
+        assert made.go("default", config=config) is None
+        replacer.start()
+        for _ in range(changes):
+            error = made.go("other", config=config)
+            assert error is None or error.code in _REFUSALS, error
+            held = made.manager.state.region("prr0")
+            there = sim.control.state()["regions"]["prr0"]
+            assert (there["module"], there["decoupled"]) == (names.get(held.sha256 or "", held.module), False)
+            loaded[there["module"] if error is None else "refused"] += 1
+            assert made.go("default", config=config) is None
+        replacer.stopped.set()
+        replacer.join()
+    place.write_bytes(contents[0])
+    assert modules[0] in loaded, loaded
+
+
+_REFUSALS = (  # of half a file, or of one that is not the one that was validated
+    "sha256_mismatch", "bad_overlay", "bitstream_container", "bitstream_truncated", "crc_mismatch", "no_sync",
+    "bitstream_packet", "frames_incomplete", "crc_missing", "not_partial",
+)  # fmt: skip

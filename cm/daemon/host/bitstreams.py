@@ -4,13 +4,19 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from cm.bitstream import Expectation, Report, ReportCache, to_dma_words, verify
+from cm.bitstream.cache import Inspected
 from cm.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
 from cm.manager.ports import Image
 
 MAX_BYTES = 512 << 20  # more than the largest device of the families that are read takes
+
+_Pair = tuple[str, str]
+_SYNC = b"\x66\x55\x99\xaa"
+_PADDING = (b"\x00\x00\x00\x20", bytes(4), b"\xff\xff\xff\xff")  # NOP; what fills up a file; dummy words
 
 
 class BitstreamReader:
@@ -19,7 +25,8 @@ class BitstreamReader:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._cache = ReportCache()
-        self._same: set[tuple[str, str]] = set()  # file and image with the same words, by their hashes
+        self._same: set[_Pair] = set()  # file and image with the same words, by their hashes
+        self._alike: set[_Pair] = set()  # file and image that differ in padding at most
 
     def validated(self, path: Path, expect: Expectation) -> Image:
         """The image in a file. Raises the refusals of `cm.bitstream`."""
@@ -38,9 +45,7 @@ class BitstreamReader:
 
     def read(self, image: Image) -> bytes:
         """The bytes that were validated. Raises Sha256Mismatch if the file has other ones by now."""
-        _check_size(image.path)
-        with self._lock:
-            found = self._cache.read(image.path)
+        found = self._read(image.path)
         if found.report.sha256 != image.sha256:
             raise Sha256Mismatch(f"{image.path}: the file was replaced after it had been checked; ask again")
         return found.data
@@ -50,14 +55,39 @@ class BitstreamReader:
 
         Raises OSError, and the refusals of `cm.bitstream` where it is no bitstream.
         """
+        return self._compared(path, image, self._same, bytes)
+
+    def configures_as(self, path: Path, image: Image) -> bool:
+        """Whether a file, in whatever container, makes of the device what the image makes of it.
+
+        Vivado's .bin has one NOP more than its .bit, bootgen's other padding. Raises as `has_words_of`.
+        """
+        return self._compared(path, image, self._alike, _effective)
+
+    def _compared(self, path: Path, image: Image, known: set[_Pair], part: Callable[[bytes], bytes]) -> bool:
         there = self.inspect(path).sha256
-        pair = (there, image.sha256)
-        if there == image.sha256 or pair in self._same:
+        if there == image.sha256 or (there, image.sha256) in known:
             return True
-        if path == image.path or to_dma_words(path) != to_dma_words(self.read(image)):
+        if path == image.path:
             return False
-        self._same.add(pair)
+        found = self._read(path)  # once: a second look may find another file
+        if part(to_dma_words(found.data)) != part(to_dma_words(self.read(image))):
+            return False
+        known.add((found.report.sha256, image.sha256))
         return True
+
+    def _read(self, path: Path) -> Inspected:
+        _check_size(path)
+        with self._lock:
+            return self._cache.read(path)
+
+
+def _effective(words: bytes) -> bytes:
+    """A stream in memory order from its sync word on, without the padding behind it."""
+    start, end = max(0, words.find(_SYNC)), len(words)
+    while end - start >= 4 and words[end - 4 : end] in _PADDING:
+        end -= 4
+    return words[start:end]
 
 
 def _check_size(path: Path) -> None:

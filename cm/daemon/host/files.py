@@ -9,14 +9,11 @@ from cm.bitstream import Expectation, footprint_of, to_dma_words
 from cm.daemon.host.bitstreams import BitstreamReader
 from cm.daemon.host.firmware import FirmwareFolder
 from cm.daemon.host.footprints import Footprints, Frames, Lesson
-from cm.daemon.host.overlays import checked_overlay, firmware_names
+from cm.daemon.host.overlay_files import OverlayFiles
 from cm.errors import CmError
-from cm.manager.errors import BadOverlay
 from cm.manager.ports import Image
-from cm.schema.files import bitstream_path, find_file, overlay_path
-from cm.schema.model import Config, Module, Overlay, Region
-
-_MAX_OVERLAY = 16 << 20  # bytes
+from cm.schema.files import bitstream_path
+from cm.schema.model import Config, Module, Region
 
 
 class BoardFiles:
@@ -27,7 +24,9 @@ class BoardFiles:
         self._reader = BitstreamReader()
         self._firmware = FirmwareFolder(root, self._reader)
         self._footprints = footprints or Footprints()
-        self._overlays: dict[Path, tuple[tuple[object, ...], bytes]] = {}
+        overlays = OverlayFiles(root, self._reader, self._firmware, self._read_overlay)
+        self.overlay = overlays.beside
+        self.loading_overlay = overlays.loading
         self.firmware_name = self._firmware.name_of
         self.check_firmware = self._firmware.check
         self.forget = self._footprints.forget
@@ -76,43 +75,5 @@ class BoardFiles:
 
     # ---- overlays -------------------------------------------------------------------
 
-    def overlay(self, config: Config, overlay: Overlay) -> bytes:
-        """The .dtbo's bytes. Raises FileMissing, BadOverlay."""
-        return self._overlay(overlay_path(config, overlay, self._root))
-
-    def loading_overlay(self, config: Config, module: Module, image: Image) -> bytes:
-        """The .dtbo by which a module is loaded through its fpga-region.
-
-        Raises FileMissing, and BadOverlay where the firmware it names has other words than the image that
-        was validated: the kernel would load that.
-        """
-        path = find_file(config, [f"{module.name}.dtbo"], self._root)
-        data = self._overlay(path)
-        names = firmware_names(str(path), data)
-        if len(names) != 1:
-            raise BadOverlay(f"{path}: one firmware-name is expected, there are {len(names)}")
-        self._check_named(path, names[0], image)
-        return data
-
-    def _overlay(self, path: Path) -> bytes:
-        state = path.stat()
-        key = (path, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
-        found = self._overlays.get(path)
-        if found is not None and found[0] == key:
-            return found[1]
-        if state.st_size > _MAX_OVERLAY:
-            raise BadOverlay(f"{path}: {state.st_size} bytes are no overlay; at most {_MAX_OVERLAY >> 20} MiB are read")
-        data = checked_overlay(str(path), self._read_overlay(path))
-        self._overlays[path] = (key, data)
-        return data
-
     def _read_overlay(self, path: Path) -> bytes:
         return path.read_bytes()
-
-    def _check_named(self, overlay: Path, name: str, image: Image) -> None:
-        try:
-            same = self._reader.has_words_of(self._firmware.place(name), image)
-        except (CmError, OSError) as error:
-            raise BadOverlay(f"{overlay}: its firmware-name {name!r} cannot be used ({error})") from error
-        if not same:
-            raise BadOverlay(f"{overlay}: its firmware-name {name!r} is another bitstream than {image.path}")

@@ -2,7 +2,8 @@
 """Where the kernel finds firmware, and files for it there.
 
 The kernel opens the file itself, by name, after it was checked here. So it is looked for where the kernel
-looks (drivers/base/firmware_loader/main.c: `fw_path`), and its content is compared before and after.
+looks (drivers/base/firmware_loader/main.c: `fw_path`), and it is given nothing but copies of our own, each
+under the hash of what was validated, compared before and after.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ class FirmwareFolder:
 
     def __init__(self, root: Path, reader: BitstreamReader) -> None:
         self._root = root
-        self._folder = root / _FIRMWARE
+        self.folder = root / _FIRMWARE
         self._reader = reader
 
     def place(self, name: str) -> Path:
@@ -48,15 +49,21 @@ class FirmwareFolder:
             if custom:
                 yield self._root / custom.lstrip("/")
         release = os.uname().release
-        yield from (self._folder / "updates" / release, self._folder / "updates", self._folder / release)
-        yield self._folder
+        yield from (self.folder / "updates" / release, self.folder / "updates", self.folder / release)
+        yield self.folder
+
+    def private_name(self, image: Image) -> str:
+        """The name of our own copy of an image, whether or not it is there yet."""
+        return f"{_CONVERTED}/{image.sha256}.bin"
 
     def name_of(self, image: Image) -> str:
-        """A name under which the kernel finds the image as a word-swapped .bin.
+        """A name under which the kernel finds the image as a word-swapped .bin: always our own copy of it.
 
-        What does not lie there in that form is copied. Raises Sha256Mismatch if the file changed since.
+        Others may write to the file that was validated, between the check and the kernel's reading it.
+        Raises Sha256Mismatch if that file changed since and the copy has to be made yet.
         """
-        name = self._own_name(image) or self._copied(image)
+        self._copy(image)
+        name = self.private_name(image)
         self.check(name, image)
         return name
 
@@ -70,25 +77,16 @@ class FirmwareFolder:
         if not same:
             raise Sha256Mismatch(f"{place}: not the bitstream that was checked as {image.path}; ask again")
 
-    def _own_name(self, image: Image) -> str | None:
-        """The image's name below the folder, if the kernel can take it from there."""
-        path = image.path
-        if image.report.container is not Container.BIN_SWAPPED or not path.is_relative_to(self._folder):
-            return None
-        name = path.relative_to(self._folder)
-        return None if ".." in name.parts or self.place(str(name)) != path else str(name)
-
-    def _copied(self, image: Image) -> str:
-        """A copy under the hash of what was validated; one that is there and damaged is made again."""
-        folder = self._folder / _CONVERTED
+    def _copy(self, image: Image) -> None:
+        """Have a copy under the hash of what was validated; one that is there and damaged is made again."""
+        folder = self.folder / _CONVERTED
         if folder.is_symlink():
             raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
         folder.mkdir(parents=True, exist_ok=True)
-        target = folder / f"{image.sha256}.bin"
+        target = self.folder / self.private_name(image)
         if not self._is_good(target, image):
             _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))
         _prune(folder, target)
-        return str(target.relative_to(self._folder))
 
     def _is_good(self, target: Path, image: Image) -> bool:
         try:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from cm.device import Overlays
-from cm.manager.errors import BadOverlay, LoadFailed
+from cm.manager.errors import LoadFailed
 from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.ports import Devices, Files
 from cm.schema.model import Region
@@ -27,26 +27,23 @@ class OverlayLoader:
     def check(self, job: Job) -> None:
         """A whole image cannot be loaded so: the node of its region would go with it."""
         _region_of(job)
+        self._files.firmware_name(job.image)
 
     @contextmanager
     def prepared(self, job: Job, timeout: float) -> Iterator[Start]:  # noqa: ARG002 (the kernel has its own)
         """The region's node without an overlay that an earlier run left."""
-        self._check_unchanged(job)
+        firmware = self._files.firmware_name(job.image)
         overlays = self._devices.overlays()
         name = loading_overlay(_region_of(job).name)
         if name in overlays.list():
             overlays.remove(name)
-        yield lambda on_bytes: self._load(overlays, name, job, on_bytes)
+        yield lambda on_bytes: self._load(overlays, name, firmware, job, on_bytes)
 
-    def _load(self, overlays: Overlays, name: str, job: Job, on_bytes: OnBytes) -> None:
-        """The kernel reads the firmware itself: what was replaced meanwhile may be what it loaded."""
+    def _load(self, overlays: Overlays, name: str, firmware: str, job: Job, on_bytes: OnBytes) -> None:
+        """The kernel reads our copy itself: should somebody have written there, that may be what it loaded."""
         overlays.apply(name, job.overlay)
-        self._check_unchanged(job)
+        self._files.check_firmware(firmware, job.image)
         on_bytes(job.image.length)
-
-    def _check_unchanged(self, job: Job) -> None:
-        if job.module is None or self._files.loading_overlay(job.config, job.module, job.image) != job.overlay:
-            raise BadOverlay(f"{job.image.path.name}: its overlay was replaced after it had been checked; ask again")
 
     def forget(self) -> None:
         """Nothing is kept."""

@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from cm.manager.loaders import loading_overlay
-from cm.manager.ports import Files
+from cm.manager.ports import Files, Image
 from cm.manager.state.steps import ApplyOverlay
 from cm.manager.state.table import BoardState, OverlayState
 from cm.schema.model import Config, Mode
@@ -26,14 +26,12 @@ class OverlayChange:
 
 
 def overlay_change(
-    state: BoardState, config: Config, mode: Mode, files: Files, changed: Collection[str], everything: bool
+    state: BoardState, wanted: Sequence[ApplyOverlay], changed: Collection[str], everything: bool
 ) -> OverlayChange:
-    """From the overlays that are applied to those of the mode.
+    """From the overlays that are applied to those that are wanted.
 
-    `changed` are the regions that are loaded; with `everything` (a whole image) no overlay stays. Raises
-    what is wrong with the files.
+    `changed` are the regions that are loaded; with `everything` (a whole image) no overlay stays.
     """
-    wanted = _wanted(config, mode, files)
     hashes = {step.overlay.name: step.sha256 for step in wanted}
     loading = {loading_overlay(name): name in changed for name in {*state.regions, *changed}}
     kept = set() if everything else _kept(state.overlays, hashes, loading)
@@ -41,9 +39,10 @@ def overlay_change(
     return OverlayChange(removed, tuple(w for w in wanted if w.overlay.name not in kept))
 
 
-def _wanted(config: Config, mode: Mode, files: Files) -> list[ApplyOverlay]:
+def wanted_overlays(config: Config, mode: Mode, files: Files, images: Sequence[Image]) -> list[ApplyOverlay]:
+    """Those of a mode, in whose device `images` are. Raises what is wrong with the files."""
     named = {overlay.name: overlay for overlay in (*config.overlays, *mode.overlays)}
-    data = [(overlay, files.overlay(config, overlay)) for overlay in named.values()]
+    data = [(overlay, files.overlay(config, overlay, images)) for overlay in named.values()]
     return [ApplyOverlay(overlay, blob, hashlib.sha256(blob).hexdigest()) for overlay, blob in data]
 
 

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 
 from cm.manager.errors import StaticUnknown
 from cm.manager.loaders import loading_overlay
-from cm.manager.planning.overlays import OverlayChange, overlay_change
+from cm.manager.planning.overlays import OverlayChange, overlay_change, wanted_overlays
 from cm.manager.planning.plan import Goal, Plan
 from cm.manager.planning.registers import Writing
 from cm.manager.ports import Files, Image
@@ -45,15 +45,15 @@ class _Planner:
         self._throughput = throughput
 
     def plan(self) -> Plan:
-        static = self._static_image()
+        whole = self._whole_images()
+        static = whole[0] if whole and self._is_to_be_loaded(whole[0]) else None
         modules = [self._config.modules[name] for name in (*self._mode.modules, *self._goal.also)]
         images = {m.name: self._files.image(self._config, m) for m in modules}
         changed = [m for m in modules if static or self._differs(m, images[m.name])]
         cut = [m for m in modules if m not in changed and not self._is_ready(m)]
         loads = [(m, images[m.name]) for m in changed]
-        overlays = overlay_change(
-            self._state, self._config, self._mode, self._files, {m.region for m in changed}, static is not None
-        )
+        wanted = wanted_overlays(self._config, self._mode, self._files, [*whole, *images.values()])
+        overlays = overlay_change(self._state, wanted, {m.region for m in changed}, static is not None)
         writes = Writing(self._goal, self._state, {m.region for m in (*changed, *cut)}).steps()
         if not (static or changed or cut or overlays or writes or self._elsewhere()):
             return Plan(self._goal, ())
@@ -62,15 +62,18 @@ class _Planner:
     def _elsewhere(self) -> bool:
         return (self._state.config, self._state.mode) != (self._config.name, self._goal.mode)
 
-    def _static_image(self) -> Image | None:
+    def _whole_images(self) -> list[Image]:
+        """The image that has to be in the device, if it is known which."""
         base = self._goal.base
         if base is None:
             self._check_static_known()
-            return None
-        image = self._files.static_image(base)
+            return []
+        return [self._files.static_image(base)]
+
+    def _is_to_be_loaded(self, image: Image) -> bool:
         here = self._state.static_sha256 == image.sha256 and not self._state.static_lost
-        mine = base is not self._config or self._state.config == self._config.name
-        return None if here and mine and not self._goal.force else image
+        mine = self._goal.base is not self._config or self._state.config == self._config.name
+        return not (here and mine) or self._goal.force
 
     def _check_static_known(self) -> None:
         if self._state.static_lost:
