@@ -14,7 +14,7 @@ from zmq.utils import z85
 _ADDRESS = "inproc://zeromq.zap.01"
 
 
-class Doorkeeper:
+class CurveAuthenticator:
     """Lets in the clients whose public keys are known. The loop's thread."""
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], clients: Collection[bytes]) -> None:

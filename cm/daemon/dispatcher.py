@@ -11,7 +11,7 @@ from cm.daemon.endpoints import Sockets
 from cm.daemon.handlers import Handlers, Respond, error_info
 from cm.daemon.loop import Loop
 from cm.daemon.publisher import Publisher
-from cm.daemon.read_cache import Rereads
+from cm.daemon.read_cache import ReadCache
 from cm.errors import InvalidRequest
 from cm.messages.requests import Request
 from cm.messages.status import ErrorInfo, Reply
@@ -20,7 +20,7 @@ from cm.wire.encode import encode_reply
 from cm.wire.topics import READ_REG
 
 
-class FrontDesk:
+class Dispatcher:
     """Decodes what arrives at the two sockets for requests."""
 
     def __init__(
@@ -28,7 +28,7 @@ class FrontDesk:
         loop: Loop,
         sockets: Sockets,
         handlers: Handlers,
-        rereads: Rereads,
+        rereads: ReadCache,
         publisher: Publisher,
         note_error: Callable[[ErrorInfo], None],
     ) -> None:

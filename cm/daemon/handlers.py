@@ -19,8 +19,8 @@ from cm.daemon.streams.stream import Frame
 from cm.device import DeviceGone
 from cm.errors import CmError
 from cm.manager.access.memory_service import Transfer
-from cm.manager.change import Change
 from cm.manager.errors import UnknownInterrupt, UnknownStream
+from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.manager.planning.resolve import hint
 from cm.messages import requests as rq
@@ -165,7 +165,7 @@ class Handlers:
         self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(lambda: respond(_ended(c))))
 
     def _read_reg(self, request: rq.ReadReg, respond: Respond) -> None:
-        respond(Reply(self._s.manager.read_registers(request.names)))
+        respond(Reply(self._s.manager.registers.read(request.names)))
 
     def _write_reg(self, request: rq.WriteReg, respond: Respond) -> None:
         values: RegValues = self._s.manager.write_registers(request.writes, request.lease)

@@ -122,7 +122,7 @@ class Interrupts:
     def _tell(self, sharing: list[Interrupt], new: int) -> None:
         """Those of one status register that came; acknowledged before they are told. Raises CmError, OSError."""
         now, status = time.monotonic_ns(), sharing[0].status
-        value = self._manager.take_flags(status, _mask(sharing)) if status is not None else 0
+        value = self._manager.registers.take_flags(status, _mask(sharing)) if status is not None else 0
         for interrupt in sharing:
             if status is None or value >> (interrupt.bit or 0) & 1:
                 irq = Irq(interrupt.name, self.latest(interrupt.name).count + new, now)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from cm.daemon.loop import Loop
 from cm.errors import Busy, InvalidRequest
-from cm.manager.access.memory_service import MemoryDesk, Transfer
+from cm.manager.access.memory_service import MemoryService, Transfer
 from cm.messages.requests import DataConfig
 from cm.messages.status import ConfigInfo, FrameInfo, MemoryInfo
 
@@ -28,7 +28,7 @@ class _Job:
 class Memories:
     """Transfers one after the other, in the order of their requests. Everything in the loop's thread."""
 
-    def __init__(self, loop: Loop, desk: MemoryDesk) -> None:
+    def __init__(self, loop: Loop, desk: MemoryService) -> None:
         self._loop = loop
         self._desk = desk
         self._waiting: deque[_Job] = deque()
@@ -51,7 +51,7 @@ class Memories:
 
     def described(self, info: ConfigInfo) -> ConfigInfo:
         """A configuration with the memories that were defined for it, if it is the loaded one."""
-        blocks = self._desk.blocks() if info.mode else ()
+        blocks = self._desk.defined() if info.mode else ()
         return replace(info, memories=(*info.memories, *blocks)) if blocks else info
 
     def start(self, transfer: Transfer, done: Done) -> None:

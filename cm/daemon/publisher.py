@@ -16,7 +16,7 @@ from cm._version import __version__
 from cm.daemon.loop import Loop
 from cm.daemon.streams.compression import Compressor, compressions
 from cm.daemon.streams.stream import Frame
-from cm.daemon.xpub import Outbox
+from cm.daemon.xpub import XpubSender
 from cm.messages.status import FrameInfo, Irq, RegValues, Status
 from cm.wire import encode, topics
 
@@ -34,7 +34,7 @@ class Publisher:
         changed: Callable[[], None],
     ) -> None:
         self._socket = socket
-        self._outbox = Outbox(loop, socket)
+        self._outbox = XpubSender(loop, socket)
         self._compressor = Compressor(loop, self._compressed)
         self._status = status
         self._changed = changed  # subscriptions changed: streams may be wanted or not

@@ -18,7 +18,7 @@ from cm.wire.encode import RegisterReply
 _LONGEST, _KEPT = 256, 256  # bytes of a request that is kept, and how many are
 
 
-class Rereads:
+class ReadCache:
     """Answers what was asked before. For one thread."""
 
     def __init__(self, prepare: Callable[[tuple[str, ...]], Prepared | None]) -> None:

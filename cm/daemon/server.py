@@ -13,8 +13,8 @@ from pathlib import Path
 
 import zmq
 
-from cm.daemon.curve import Doorkeeper
-from cm.daemon.dispatcher import FrontDesk
+from cm.daemon.curve import CurveAuthenticator
+from cm.daemon.dispatcher import Dispatcher
 from cm.daemon.endpoints import FolderLock, Security, Sockets
 from cm.daemon.handlers import Handlers, Services
 from cm.daemon.host.devices import BoardDevices
@@ -27,8 +27,8 @@ from cm.daemon.lease_watch import Holders
 from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import Memories
 from cm.daemon.publisher import Publisher
-from cm.daemon.read_cache import Rereads
-from cm.daemon.streams.acceptor import Door
+from cm.daemon.read_cache import ReadCache
+from cm.daemon.streams.acceptor import Acceptor
 from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
 from cm.daemon.xpub import BYTES, mark
@@ -74,7 +74,7 @@ class Server:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         self._streams = Streams(self._loop, self._devices, self._note_error)
-        self._door = Door(self._loop, options.runtime_dir, self._streams.open_local, self._streams.echoes)
+        self._door = Acceptor(self._loop, options.runtime_dir, self._streams.open_local, self._streams.echoes)
         self._provisioner = Provisioner(options.state_dir / "configs")
         self._store = Store(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
@@ -89,7 +89,7 @@ class Server:
         self._memories = Memories(self._loop, self._manager.memories)
         self._front_desk = self._make_front_desk()
         self._statuses: deque[Status] = deque()
-        self._doorkeeper: Doorkeeper | None = None
+        self._doorkeeper: CurveAuthenticator | None = None
         self._boot_id = ""
         self._last_logged = ""
 
@@ -102,9 +102,9 @@ class Server:
         env = Environment(self._devices, files, self._store, self._streams, _Clock(), self, o.settings)
         return Manager(configs, env)
 
-    def _make_front_desk(self) -> FrontDesk:
-        handlers, rereads = Handlers(self._services()), Rereads(self._manager.prepare_read)
-        return FrontDesk(self._loop, self._sockets, handlers, rereads, self._publisher, self._note_error)
+    def _make_front_desk(self) -> Dispatcher:
+        handlers, rereads = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
+        return Dispatcher(self._loop, self._sockets, handlers, rereads, self._publisher, self._note_error)
 
     def _services(self) -> Services:
         return Services(
@@ -148,7 +148,7 @@ class Server:
         self._door.open()
         security = self._options.security
         if security is not None:
-            self._doorkeeper = Doorkeeper(self._context, security.clients)
+            self._doorkeeper = CurveAuthenticator(self._context, security.clients)
             self._loop.add_socket(self._doorkeeper.socket, self._doorkeeper.answer)
         for address in self._options.listen:
             bound = self._sockets.bind_tcp(address, security)

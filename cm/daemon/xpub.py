@@ -48,7 +48,7 @@ def _frame_bytes(stream: Stream) -> int:
     return math.prod(stream.shape) * ITEM_BYTES.get(stream.dtype, 16) if stream.shape else 0
 
 
-class Outbox:
+class XpubSender:
     """Sends what is published. The loop's thread."""
 
     def __init__(self, loop: Loop, socket: zmq.Socket[bytes]) -> None:

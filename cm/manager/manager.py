@@ -11,22 +11,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from cm.manager.access.leases import Leases, leases_concerned
-from cm.manager.access.memory_service import MemoryDesk
-from cm.manager.access.register_bus import RegisterAccess
-from cm.manager.access.register_service import RegisterDesk
-from cm.manager.change import Change
+from cm.manager.access.memory_service import MemoryService
+from cm.manager.access.register_bus import RegisterBus
+from cm.manager.access.register_service import RegisterService
 from cm.manager.environment import Environment, Settings
 from cm.manager.errors import ChangeBusy, NothingLoaded
-from cm.manager.execution.board import Tools
-from cm.manager.execution.executor import Executor, LiveBoard
-from cm.manager.execution.worker import Worker
+from cm.manager.execution.context import Tools
+from cm.manager.execution.transaction import plan_to
+from cm.manager.execution.worker import Change, Worker
 from cm.manager.loaders import Loaders
 from cm.manager.planning import resolve
 from cm.manager.planning.plan import Goal
 from cm.manager.recovery.startup import destination, is_whole, take_stock
 from cm.manager.reporting.descriptions import config_info
-from cm.manager.reporting.status import Teller
-from cm.manager.state.board_state import Knowledge
+from cm.manager.reporting.status import StatusReporter
+from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending
 from cm.manager.state.table import BoardState
 from cm.messages.requests import RegWrite, WriteConfig
@@ -41,30 +40,27 @@ class Manager:
 
     def __init__(self, configs: Mapping[str, Config], env: Environment) -> None:
         self._env = env
-        self._known = known = Knowledge(configs, env.store)
-        self.registers = RegisterAccess(env.devices)
+        self._state = state = ManagerState(configs, env.store)
+        self._bus = RegisterBus(env.devices)
         self.leases = Leases(env.clock)
         self._loaders = Loaders(env.devices, env.files, env.clock, env.settings.prefetch_bytes)
-        self._desk = RegisterDesk(known, self.registers, self.leases, known.lock)
-        self.read_registers = self._desk.read
-        self.prepare_read = self._desk.prepare
-        self.take_flags = self._desk.take_flags
-        self.memories = MemoryDesk(known, self._desk, self.registers, self.leases)
-        self._teller = Teller(known, env.observer)
-        self.status: Callable[[], Status] = self._teller.status
-        tools = Tools(env.devices, self.registers, self._loaders, env.data_plane, env.clock)
-        self._executor = Executor(LiveBoard(known, self._desk, self._teller), tools, env, self.leases)
-        self._worker = Worker(self._run, self._defect)
+        self.registers = RegisterService(state, self._bus, self.leases)
+        self.memories = MemoryService(state, self.registers, self._bus, self.leases)
+        self._reporter = StatusReporter(state, env.observer)
+        self._tools = Tools(
+            state, self._reporter, env.devices, self._bus, self._loaders, env.files, env.data_plane, env.clock
+        )
+        self._worker = Worker(self._tools, self.leases, prefetches=env.settings.prefetch_bytes > 0)
 
     @property
     def state(self) -> BoardState:
         """What the board holds, as far as is known."""
-        return self._known.state
+        return self._state.board
 
     @property
     def configs(self) -> Mapping[str, Config]:
         """All that can be loaded."""
-        return self._known.configs
+        return self._state.configs
 
     # ---- life -------------------------------------------------------------------
 
@@ -80,22 +76,22 @@ class Manager:
 
     def reconcile(self) -> tuple[str, ...]:
         """Compare record and board (again). Called before the worker starts, or when it is idle."""
-        finding = take_stock(self._known, self._env.devices, self.registers)
+        finding = take_stock(self._state, self._env.devices, self._bus)
         if finding.notes:
-            self._teller.set_error(ErrorInfo("reconciled", "; ".join(finding.notes)))
+            self._reporter.set_error(ErrorInfo("reconciled", "; ".join(finding.notes)))
         self._repair(finding.interrupted)
         self._env.data_plane.resume(self.loaded_config(), self.state.mode)
-        self._teller.note(self._known.try_record())  # a disk that is full is no reason not to serve
-        self._teller.changed()
+        self._reporter.note(self._state.try_record())  # a disk that is full is no reason not to serve
+        self._reporter.changed()
         return finding.notes
 
     def _repair(self, interrupted: Pending | None) -> None:
         """Queue what brings the board back to a whole mode, where it is not in one."""
         there = destination(self.state, interrupted, self.configs)
         if there is None:
-            self._known.update(lambda state: replace(state, config=None, mode=None))
+            self._state.update(lambda state: replace(state, config=None, mode=None))
         elif interrupted is not None or not is_whole(self.state, there):
-            self._worker.add(Change(self._known.next_number(), there.config.name, there.mode, static=there.static))
+            self._worker.add(Change(self._state.next_number(), there.config.name, there.mode, static=there.static))
 
     def board_restarted(self) -> None:
         """The board was started anew: nothing that is recorded is true any more.
@@ -105,16 +101,16 @@ class Manager:
         if self._worker.busy:
             raise ChangeBusy("the board was restarted while a change runs; its end is awaited")
         self._loaders.forget()
-        self.registers.forget(lost=True)
+        self._bus.forget(lost=True)
         self.reconcile()
 
     def board_lost(self, error: Exception) -> None:
         """The board does not answer any more: nothing is known of it."""
-        with self._known.lock:
+        with self._state.lock:
             self._loaders.forget()
-            self.registers.forget(lost=True)
-            self._teller.set_error(ErrorInfo("device_gone", f"the board does not answer: {error}"), failed=True)
-        self._teller.changed()
+            self._bus.forget(lost=True)
+            self._reporter.set_error(ErrorInfo("device_gone", f"the board does not answer: {error}"), failed=True)
+        self._reporter.changed()
 
     def stop(self) -> None:
         """End after the running change; queued ones are refused as cancelled."""
@@ -128,22 +124,26 @@ class Manager:
         """Make a configuration known (again). Raises ChangeBusy while it is being changed to."""
         self.check_replaceable(config.name)
         self._env.files.forget(config.name)
-        self._known.add_config(config)
+        self._state.add_config(config)
         if self.state.config == config.name and self.state.mode not in config.modes:
-            self._known.update(lambda state: replace(state, mode=None))  # it is in none of the modes that there are now
+            self._state.update(lambda state: replace(state, mode=None))  # it is in none of the modes that there are now
         if self.state.config == config.name and not self._worker.busy:
             self._env.data_plane.resume(config, self.state.mode)
-        self._teller.changed()
+        self._reporter.changed()
 
     def check_replaceable(self, name: str) -> None:
         """Raise ChangeBusy while a configuration is being changed to: its files are in use."""
-        running = self._teller.running
+        running = self._worker.running
         if running is not None and running.config == name:
             raise ChangeBusy(f"configuration {name!r} is being loaded; provision it when the change has ended")
 
     def loaded_config(self) -> Config | None:
         """The configuration that is loaded."""
-        return self._known.loaded_config()
+        return self._state.loaded_config()
+
+    def status(self) -> Status:
+        """As it is told; streams, sequence and version are the daemon's to add."""
+        return self._reporter.status()
 
     def describe(self, name: str, counts: Mapping[str, int]) -> ConfigInfo:
         """A configuration, with its schema's text; the loaded one if `name` is empty."""
@@ -167,22 +167,13 @@ class Manager:
         self.leases.check(scopes, request.lease)
         if request.no_queue and self._worker.busy:
             raise ChangeBusy(f"a change to {self._target_text()} is running")
-        number = self._known.next_number()
+        number = self._state.next_number()
         change = Change(number, config.name, mode, request.force, None, scopes, request.lease, on_done=on_done)
         return self._worker.add(change)
 
     def _target_text(self) -> str:
-        running = self._teller.running
+        running = self._worker.running
         return f"{running.config}/{running.mode}" if running else "another mode"
-
-    def _run(self, change: Change) -> None:
-        self._executor.run(change, self._worker.done)
-        if change.error is None and self._worker.nothing_waits:
-            self._executor.prefetch(lambda: self._worker.nothing_waits)
-
-    def _defect(self, problem: Exception) -> None:
-        self._teller.set_error(ErrorInfo("internal", f"{type(problem).__name__}: {problem}"))
-        self._teller.changed()
 
     @property
     def changing(self) -> bool:
@@ -195,7 +186,7 @@ class Manager:
 
     def cancel(self) -> bool:
         """Cancel the running change, if there is one."""
-        running = self._teller.running
+        running = self._worker.running
         if running is not None:
             running.cancel()
         return running is not None
@@ -203,24 +194,21 @@ class Manager:
     def plan(self, request: WriteConfig) -> PlanInfo:
         """What a change would do; touches nothing, but reads and validates all files."""
         config, mode = resolve.target(request, self.configs, self.state.config)
-        return self._executor.plan(Goal(config, mode, request.force)).info(self._known.throughput)
+        return plan_to(Goal(config, mode, request.force), self._tools).info(self._state.throughput)
 
     # ---- registers and errors of requests -------------------------------------------
 
     def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "") -> RegValues:
         """Check all, then write in order; returns and publishes what the registers then hold."""
-        try:
-            result = self._desk.write(writes, lease)
-        finally:
-            self._known.registers_written()
+        result = self.registers.write(writes, lease)
         self._env.observer.registers_changed(result)
         return result
 
     def flush(self) -> None:
         """Record register values that were written since the last record."""
-        self._teller.note(self._known.flush())
+        self._reporter.note(self._state.flush())
 
     def note_error(self, error: ErrorInfo) -> None:
         """Tell an error of a request that has no reply."""
-        self._teller.set_error(error)
-        self._teller.changed()
+        self._reporter.set_error(error)
+        self._reporter.changed()

@@ -6,7 +6,6 @@ from __future__ import annotations
 import select
 import threading
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +15,15 @@ from manager_support import Rig, camera, rig
 from cm.daemon.interrupts import Interrupts
 from cm.device import Root
 from cm.manager.access.leases import Leases
-from cm.manager.access.register_bus import RegisterAccess
-from cm.manager.access.register_service import Locked, RegisterDesk
+from cm.manager.access.register_bus import RegisterBus
+from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import HeldBy, RegionBusy
 from cm.manager.ports import Window
+from cm.manager.state.board_state import ManagerState
 from cm.manager.state.table import BoardState, RegionPhase, RegionState
 from cm.messages.requests import RegWrite, TakeLease, WriteConfig
 from cm.messages.status import ErrorInfo, Irq
 from cm.schema import loads
-from cm.schema.model import Config
 from cm.sim import Board as SimBoard
 
 NAME, STATUS = "frame_done", "irq_status"
@@ -95,7 +94,7 @@ def bench(sim: SimBoard, tmp_path: Path) -> Iterator[Bench]:
 
 
 def status_of(bench: Bench) -> int:
-    return bench.made.manager.read_registers((STATUS,)).values[0].value
+    return bench.made.manager.registers.read((STATUS,)).values[0].value
 
 
 @pytest.mark.parametrize("exclusive", [True, False], ids=["alone", "shared"])
@@ -230,19 +229,12 @@ class Cells:
         self.writes.append((offset, value))
 
 
-class Held:
-    """Holds a state that a test has made up."""
-
-    def __init__(self, phase: RegionPhase) -> None:
-        config = loads(SHARED)
-        self.configs: Mapping[str, Config] = {"shared": config}
-        self.state = BoardState("shared", "only", regions={"prr0": RegionState(phase)})
-
-    def loaded_config(self) -> Config:
-        return self.configs["shared"]
-
-    def update(self, change: Callable[[BoardState], BoardState]) -> None:
-        raise AssertionError("an acknowledgement is no value to be kept")
+def held(phase: RegionPhase) -> ManagerState:
+    """A state with a region in a phase of the test's choice."""
+    store: Any = None  # nothing is recorded here: an acknowledgement that were would fail
+    state = ManagerState({"shared": loads(SHARED)}, store)
+    state.update(lambda _: BoardState("shared", "only", regions={"prr0": RegionState(phase)}))
+    return state
 
 
 class Clock:
@@ -250,34 +242,39 @@ class Clock:
         return 0.0
 
 
-def desk(cells: Cells, phase: RegionPhase = RegionPhase.READY) -> RegisterDesk:
+def registers(cells: Cells, state: ManagerState) -> RegisterService:
     devices: Any = cells
-    return RegisterDesk(Held(phase), RegisterAccess(devices), Leases(Clock()), nullcontext())
+    return RegisterService(state, RegisterBus(devices), Leases(Clock()))
+
+
+def service_of(cells: Cells, phase: RegionPhase = RegionPhase.READY) -> RegisterService:
+    return registers(cells, held(phase))
 
 
 @pytest.mark.parametrize("phase", list(RegionPhase))
 def test_a_flag_is_acknowledged_only_where_the_region_answers(phase: RegionPhase) -> None:
     cells = Cells({0x2004: 4})
     if phase is RegionPhase.READY:
-        assert desk(cells, phase).take_flags("cleared", 4) == 4
+        assert service_of(cells, phase).take_flags("cleared", 4) == 4
         assert cells.writes == [(0x2004, 4)]
         return
     with pytest.raises(RegionBusy, match=phase.value):
-        desk(cells, phase).take_flags("cleared", 4)
+        service_of(cells, phase).take_flags("cleared", 4)
     assert (cells.reads, cells.writes) == (0, [])
 
 
 @pytest.mark.parametrize("phase", list(RegionPhase))
 def test_a_flag_of_the_static_part_is_acknowledged_whatever_a_region_is_in(phase: RegionPhase) -> None:
     cells = Cells({0x1000: 1})
-    assert desk(cells, phase).take_flags("plain", 1) == 1
+    assert service_of(cells, phase).take_flags("plain", 1) == 1
     assert cells.writes == [(0x1000, 1)]
 
 
 def test_nothing_is_acknowledged_while_the_whole_device_is_loaded() -> None:
     cells = Cells({0x1000: 1})
-    service = desk(cells)
-    service.keep_off(Locked(whole=True))
+    state = held(RegionPhase.READY)
+    service = registers(cells, state)
+    state.lock_regions(frozenset(), whole=True)
     with pytest.raises(RegionBusy):
         service.take_flags("plain", 1)
     assert (cells.reads, cells.writes) == (0, [])
@@ -285,9 +282,9 @@ def test_nothing_is_acknowledged_while_the_whole_device_is_loaded() -> None:
 
 def test_only_flags_that_stand_are_written_and_those_of_others_are_left() -> None:
     cells = Cells({0x2000: 0b1011, 0x2004: 0b0011})
-    assert desk(cells).take_flags("flags", 0b01) == 0b1011
+    assert service_of(cells).take_flags("flags", 0b01) == 0b1011
     assert cells.writes == [(0x2000, 0b1001)], "bit 3 keeps what is written; bit 1 is another interrupt's flag"
-    assert desk(cells).take_flags("cleared", 0b100) == 0b0011
+    assert service_of(cells).take_flags("cleared", 0b100) == 0b0011
     assert len(cells.writes) == 1
 
 

@@ -17,8 +17,8 @@ from manager_support import Rig, rig
 from cm.bitstream import assemble_module
 from cm.daemon.host.files import BoardFiles
 from cm.errors import CmError
-from cm.manager.change import Change
 from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
+from cm.manager.execution.worker import Change
 from cm.manager.loaders import Job, Loaders
 from cm.manager.ports import Image
 from cm.messages.requests import RegWrite, WriteConfig
@@ -79,7 +79,7 @@ def test_from_partial_to_full_and_back_over_both_ports(made: Rig, sim: SimBoard,
     state = sim.control.state()
     assert [state["regions"][n]["module"] for n in ("prr0", "prr1")] == ["w0", "w1"]
     assert state["overlays"] == ["whole_base", "whole_extra"]
-    assert made.manager.read_registers(("led",)).values[0].value == 7
+    assert made.manager.registers.read(("led",)).values[0].value == 7
 
 
 def test_within_a_full_configuration_the_image_stays(made: Rig) -> None:
@@ -109,7 +109,7 @@ def test_nobody_reads_a_register_while_the_whole_device_is_loaded(made: Rig) -> 
 
     def read(name: str) -> None:
         try:
-            made.manager.read_registers(("led",))
+            made.manager.registers.read(("led",))
         except CmError as error:
             seen[name] = type(error)
 
@@ -456,7 +456,7 @@ def test_values_come_back_with_the_mode_before_even_from_another_configuration(m
     made.manager.write_registers((RegWrite("gain", 5), RegWrite("depth", 6), RegWrite("led", 3)))
     sim.control.inject("overlay_error", "whole_extra")
     assert error_of(made, "whole/full") == "device_invalid"
-    values = {v.name: v.value for v in made.manager.read_registers(("gain", "depth", "led")).values}
+    values = {v.name: v.value for v in made.manager.registers.read(("gain", "depth", "led")).values}
     assert values == {"gain": 5, "depth": 6, "led": 3}
 
 
@@ -472,7 +472,7 @@ def test_a_value_that_nobody_had_recorded_comes_back_too(made: Rig, sim: SimBoar
     )
     assert error_of(made, "duo/lit") == "identity_mismatch"
     assert set(seen) == {3, 5}  # 5 was written, and stood while the way back loaded
-    assert made.manager.read_registers(("lamp",)).values[0].value == 3
+    assert made.manager.registers.read(("lamp",)).values[0].value == 3
 
 
 def test_what_the_kernel_failed_to_load_is_not_trusted_after_a_restart(
@@ -510,7 +510,7 @@ def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
     made.manager.add_config(replace(configs["duo"], modes=modes))
     status = made.manager.status()
     assert (status.config_name, status.mode) == ("duo", "")
-    assert made.manager.read_registers(("led",)).values
+    assert made.manager.registers.read(("led",)).values
     assert made.manager.describe("", {}).mode == ""
     at(made, "duo/default")
 

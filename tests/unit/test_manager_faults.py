@@ -146,7 +146,7 @@ def test_the_way_back_restores_registers_that_somebody_wrote(made: Rig, sim: Sim
     made.manager.write_registers((_write("focus", 3),))
     sim.control.inject("icap_crc")
     assert made.go("edge_detection") is not None
-    assert made.manager.read_registers(("focus",)).values[0].value == 3
+    assert made.manager.registers.read(("focus",)).values[0].value == 3
 
 
 def test_nothing_leaks_over_failed_changes(made: Rig, sim: SimBoard) -> None:

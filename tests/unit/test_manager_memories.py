@@ -314,7 +314,7 @@ def test_a_block_is_forgotten_with_a_schema_that_takes_its_place_and_with_the_bo
     assert made.manager.memories.find("block") is None
     define(made, "block", 0x60100, 64)
     made.manager.board_restarted()
-    assert not made.manager.memories.blocks()
+    assert not made.manager.memories.defined()
 
 
 def test_a_block_may_be_defined_anew(made: Rig) -> None:
@@ -322,7 +322,7 @@ def test_a_block_may_be_defined_anew(made: Rig) -> None:
     define(made, "block", 0x60200, 128, dtype="uint8", shape=(2, 64))
     memory = made.manager.memories.named("block")
     assert (memory.address, memory.size, memory.access, memory.shape) == (0x60200, 128, Access.RW, (2, 64))
-    assert [info.defined for info in made.manager.memories.blocks()] == [True]
+    assert [info.defined for info in made.manager.memories.defined()] == [True]
 
 
 @pytest.mark.parametrize(
@@ -367,7 +367,7 @@ def test_a_block_that_cannot_be_is_refused(
 ) -> None:
     with pytest.raises(error, match=words):
         made.manager.memories.define(DataConfig("block", **given))  # type: ignore[arg-type]
-    assert not made.manager.memories.blocks()
+    assert not made.manager.memories.defined()
 
 
 @pytest.mark.parametrize("name", ["taps", "twiddle", "samples", "a.b", "", "7up", "x" * 65])

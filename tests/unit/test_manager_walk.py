@@ -245,7 +245,7 @@ def test_a_region_that_was_only_cut_off_is_written_its_registers_again(made: Rig
     assert go(made, TWO_REGIONS.goal) is not None
     assert reset == ["uio.read"]  # behind the last decoupler, before the registers
     assert loads(made.fault.names) == 0
-    assert [v.value for v in made.manager.read_registers(("gain", "depth")).values] == [9, 8]
+    assert [v.value for v in made.manager.registers.read(("gain", "depth")).values] == [9, 8]
 
 
 def test_register_values_that_are_recorded_during_a_change_do_not_hide_it(made: Rig, tmp_path: Path) -> None:

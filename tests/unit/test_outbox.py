@@ -11,7 +11,7 @@ import pytest
 import zmq
 
 from cm.daemon.loop import Loop
-from cm.daemon.xpub import Outbox, mark
+from cm.daemon.xpub import XpubSender, mark
 from cm.schema.model import Config, Direction, Mode, Stream
 
 MIB = 1 << 20
@@ -71,9 +71,9 @@ class _Socket:
         self.nodrop = value
 
 
-def outbox(times: int) -> tuple[Outbox, _Full]:
+def outbox(times: int) -> tuple[XpubSender, _Full]:
     loop = _Full(times)
-    return Outbox(loop, _Socket()), loop  # type: ignore[arg-type]
+    return XpubSender(loop, _Socket()), loop  # type: ignore[arg-type]
 
 
 def test_a_short_message_waits_for_a_queue_that_is_full_for_a_moment() -> None:

@@ -20,7 +20,7 @@ from cm.bitstream.module import assemble_module
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles
 from cm.device import Icap, Root
-from cm.manager.change import Change
+from cm.manager.execution.worker import Change
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.state.journal import Store
 from cm.messages.requests import WriteConfig

@@ -19,7 +19,7 @@ _BACKLOG = 64
 _WAITING = 64  # connections that have not said yet what they want; the oldest makes room
 
 
-class Door:
+class Acceptor:
     """Listens; every connection says once what it wants. The loop's thread."""
 
     def __init__(self, loop: Loop, folder: Path, enter: Callable[[socket.socket, Open], None], echoes: Echoes) -> None:

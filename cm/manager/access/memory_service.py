@@ -6,14 +6,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from cm.errors import InvalidRequest
-from cm.manager.access import runtime_memories as blocks
+from cm.manager.access import runtime_memories
 from cm.manager.access.leases import Leases
-from cm.manager.access.register_bus import RegisterAccess
-from cm.manager.access.register_service import RegisterDesk
+from cm.manager.access.register_bus import RegisterBus
+from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import AccessDenied, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory
 from cm.manager.planning.resolve import hint, listed
 from cm.manager.reporting.descriptions import memory_info
-from cm.manager.state.board_state import Knowledge
+from cm.manager.state.board_state import ManagerState
 from cm.manager.state.table import RegionState
 from cm.messages.requests import DataConfig
 from cm.messages.status import MemoryInfo
@@ -24,29 +24,29 @@ PIECE = 8 << 10  # bytes for which registers and changes wait
 _WORD = 4
 
 
-class MemoryDesk:
-    """Finds memories, defines them, and begins transfers. One lock with `RegisterDesk`, so that a change waits."""
+class MemoryService:
+    """Finds memories, defines them, and begins transfers. One lock with `RegisterService`, so that a change waits."""
 
-    def __init__(self, known: Knowledge, desk: RegisterDesk, access: RegisterAccess, leases: Leases) -> None:
-        self._known = known
-        self._desk = desk
-        self._access = access
+    def __init__(self, state: ManagerState, registers: RegisterService, bus: RegisterBus, leases: Leases) -> None:
+        self._state = state
+        self._registers = registers
+        self._bus = bus
         self._leases = leases
         self._modes: tuple[Config | None, Mapping[str, tuple[str, ...]]] = None, {}  # of each memory of a configuration
 
     def visible(self) -> Mapping[str, Memory]:
         """All that can be named now: the schema's in this mode, and those defined at run time. Raises NothingLoaded."""
-        with self._known.lock:
-            return {**self._loaded().visible_memories(self._known.state.mode), **self._known.blocks}
+        with self._state.lock:
+            return {**self._loaded().visible_memories(self._state.latest.mode), **self._state.runtime_memories}
 
     def find(self, name: str) -> Memory | None:
         """The memory of that name; None where no memory has it. Raises UnknownMemory for one of other modes."""
-        state = self._known.state
-        config = self._known.configs.get(state.config or "")
+        state = self._state.latest
+        config = self._state.configs.get(state.config or "")
         if config is None:
             return None
-        if name in self._known.blocks:
-            return self._known.blocks[name]
+        if name in self._state.runtime_memories:
+            return self._state.runtime_memories[name]
         modes = self._modes_with(config).get(name)
         if modes is None:
             return None
@@ -74,27 +74,27 @@ class MemoryDesk:
 
     def listed(self) -> str:
         """All names, for a sentence; empty where there are none."""
-        config = self._known.loaded_config()
+        config = self._state.loaded_config()
         names = self.visible() if config else ()
         return f"; memories are {listed(names)}" if names else ""
 
     def info(self, memory: Memory) -> MemoryInfo:
         """What there is to know of a memory that can be named now."""
-        return memory_info(memory, defined=memory.name in self._known.blocks)
+        return memory_info(memory, defined=memory.name in self._state.runtime_memories)
 
-    def blocks(self) -> tuple[MemoryInfo, ...]:
+    def defined(self) -> tuple[MemoryInfo, ...]:
         """Those that were defined at run time."""
-        return tuple(memory_info(memory, defined=True) for memory in self._known.blocks.values())
+        return tuple(memory_info(memory, defined=True) for memory in self._state.runtime_memories.values())
 
     def define(self, request: DataConfig) -> Memory:
         """Define a memory until the configuration changes, or again. Raises InvalidRequest, DeviceNotFound, HeldBy."""
         config = self._loaded()
-        memory = blocks.requested(request, config)
-        window = self._access.place(memory.address, memory.size)
-        memory = blocks.placed(memory, request.region, config, window.uio.maps[window.map])
+        memory = runtime_memories.requested(request, config)
+        window = self._bus.place(memory.address, memory.size)
+        memory = runtime_memories.placed(memory, request.region, config, window.uio.maps[window.map])
         self._check_covered(memory)
         self._leases.check(_scopes(memory), request.lease)
-        self._known.define(memory)
+        self._state.define(memory)
         return memory
 
     def begin_read(self, name: str, offset: int, length: int) -> Transfer:
@@ -104,7 +104,7 @@ class MemoryDesk:
             raise AccessDenied(f"memory {name!r} is write-only")
         length = length or max(memory.size - offset, 0)
         _check_range(memory, offset, length)
-        self._desk.check_region(memory.region, f"memory {name!r}")
+        self._registers.check_region(memory.region, f"memory {name!r}")
         return Transfer(self, memory, offset, length)
 
     def begin_write(self, name: str, offset: int, data: bytes | memoryview, lease: str) -> Transfer:
@@ -116,63 +116,65 @@ class MemoryDesk:
         _check_range(memory, offset, len(view))
         self._check_covered(memory)
         self._leases.check(_scopes(memory), lease)
-        self._desk.check_region(memory.region, f"memory {name!r}")
+        self._registers.check_region(memory.region, f"memory {name!r}")
         return Transfer(self, memory, offset, len(view), view)
 
     def move(self, transfer: Transfer, start: int, end: int) -> None:
         """Move a piece of a transfer. Raises RegionBusy, UnknownMemory where it is not there any more, DeviceError."""
         memory, place = transfer.memory, transfer.offset + start
-        with self._known.lock:
+        with self._state.lock:
             if self.named(memory.name) != memory:
-                raise UnknownMemory(f"memory {memory.name!r} is another one now, in mode {self._known.state.mode!r}")
-            self._desk.check_region(memory.region, f"memory {memory.name!r}")
+                raise UnknownMemory(f"memory {memory.name!r} is another one now, in mode {self._state.latest.mode!r}")
+            self._registers.check_region(memory.region, f"memory {memory.name!r}")
             if self.holding(memory) is not transfer.holding:
                 done = f"{start} of {transfer.length} bytes had been moved"
                 raise RegionBusy(f"memory {memory.name!r}: region {memory.region} was changed meanwhile; {done}")
             if transfer.write:
-                self._access.write_block(memory, place, transfer.data[start:end])
+                self._bus.write_block(memory, place, transfer.data[start:end])
             else:
-                transfer.data[start:end] = self._access.read_block(memory, place, end - start)
+                transfer.data[start:end] = self._bus.read_block(memory, place, end - start)
 
     def holding(self, memory: Memory) -> RegionState | None:
         """What a memory's region holds: another object after every change of it."""
-        return self._known.state.region(memory.region) if memory.region else None
+        return self._state.latest.region(memory.region) if memory.region else None
 
     def _loaded(self) -> Config:
-        config = self._known.loaded_config()
+        config = self._state.loaded_config()
         if config is None:
             raise NothingLoaded("nothing is loaded, so there are no memories")
         return config
 
     def _check_covered(self, memory: Memory) -> None:
         """A block that may be written must not cover what has rights and limits of its own, in this mode."""
-        if memory.name in self._loaded().visible_memories(self._known.state.mode):
+        if memory.name in self._loaded().visible_memories(self._state.latest.mode):
             return  # the schema's: checked when it was read
-        views = {name for name, block in self._known.blocks.items() if block.access is Access.RO}  # no rights to keep
+        views = {
+            name for name, block in self._state.runtime_memories.items() if block.access is Access.RO
+        }  # no rights to keep
         others = [other for name, other in self.visible().items() if name != memory.name and name not in views]
-        blocks.check_covered(memory, self._loaded(), self._known.state.mode, others)
+        runtime_memories.check_covered(memory, self._loaded(), self._state.latest.mode, others)
 
 
 class Transfer:
     """A read or write under way; `data` is what was read so far, or what is written."""
 
-    __slots__ = ("_desk", "_done", "data", "holding", "length", "memory", "offset", "write")
+    __slots__ = ("_done", "_service", "data", "holding", "length", "memory", "offset", "write")
 
     def __init__(
-        self, desk: MemoryDesk, memory: Memory, offset: int, length: int, written: memoryview | None = None
+        self, service: MemoryService, memory: Memory, offset: int, length: int, written: memoryview | None = None
     ) -> None:
-        self._desk, self.memory, self.offset, self.length = desk, memory, offset, length
+        self._service, self.memory, self.offset, self.length = service, memory, offset, length
         self.write = written is not None
         self.data = memoryview(b"") if written is None else written
-        self.holding = desk.holding(memory)
+        self.holding = service.holding(memory)
         self._done = 0
 
     def step(self) -> bool:
-        """Move the next piece; whether that was the last. Raises as `MemoryDesk.move`."""
+        """Move the next piece; whether that was the last. Raises as `MemoryService.move`."""
         if not self.write and not self._done:
             self.data = memoryview(bytearray(self.length))  # not before its turn
         end = min(self._done + PIECE, self.length)
-        self._desk.move(self, self._done, end)
+        self._service.move(self, self._done, end)
         self._done = end
         return end == self.length
 

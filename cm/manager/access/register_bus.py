@@ -7,11 +7,11 @@ import difflib
 import threading
 from collections.abc import Callable, Mapping
 
-from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
+from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister, VerifyFailed
 from cm.manager.ports import Devices, Window
 from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue
-from cm.schema.model import Access, BitField, Memory, Register
+from cm.schema.model import Access, BitField, Decoupler, Memory, Register
 
 _WO = Access.WO
 
@@ -89,12 +89,7 @@ def _in_range(name: str, value: int, low: int, high: int) -> None:
         raise OutOfRange(f"register {name!r}: {value} ({value:#x}) is outside {low} to {high} ({low:#x} to {high:#x})")
 
 
-def _in_limits(register: Register, value: int) -> None:
-    high = (1 << register.width) - 1 if register.maximum is None else register.maximum
-    _in_range(register.name, value, register.minimum or 0, high)
-
-
-class RegisterAccess:
+class RegisterBus:
     """Reads and writes registers of the board; its lock keeps handles from being closed under an access."""
 
     def __init__(self, devices: Devices) -> None:
@@ -186,3 +181,27 @@ def value_of(register: Register, value: int) -> RegValue:
     return RegValue(
         register.name, value, tuple([(f.name, (value & f.mask) >> f.lsb) for f in register.fields.values()])
     )
+
+
+# ---- decouplers: the bit by which a region is cut off from the static part --------------
+
+
+def drive(registers: RegisterBus, decoupler: Decoupler, cut: bool) -> None:
+    """Set a decoupler's bit and read it back: a region believed cut off must be. Raises VerifyFailed, DeviceError."""
+    address, bit = _address(decoupler), 1 << decoupler.bit
+    before = registers.read_address(address, decoupler.width)
+    wanted = before | bit if cut == decoupler.active_high else before & ~bit
+    registers.write_address(address, decoupler.width, wanted)
+    after = registers.read_address(address, decoupler.width)
+    if (after ^ wanted) & bit:
+        raise VerifyFailed(f"the decoupler at {address:#x} bit {decoupler.bit} reads {after:#x} after {wanted:#x}")
+
+
+def is_cut(registers: RegisterBus, decoupler: Decoupler) -> bool:
+    """Whether the region is cut off now. Raises DeviceError."""
+    value = registers.read_address(_address(decoupler), decoupler.width)
+    return bool(value >> decoupler.bit & 1) == decoupler.active_high
+
+
+def _address(decoupler: Decoupler) -> int:
+    return decoupler.base_address + decoupler.offset

@@ -3,45 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 from cm.errors import CmError
 from cm.manager.access.leases import Leases
-from cm.manager.access.register_bus import RegisterAccess, checked_write, find, split_name, value_of
+from cm.manager.access.register_bus import RegisterBus, checked_write, find, split_name, value_of
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
 from cm.manager.planning import resolve
+from cm.manager.state.board_state import LockedRegions, ManagerState
 from cm.manager.state.table import BoardState, RegionPhase
 from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue, RegValues
 from cm.schema.model import Access, BitField, Config, Register
-
-
-class Holder(Protocol):
-    """Who has the state: values that are replaced, never changed."""
-
-    state: BoardState
-    configs: Mapping[str, Config]
-
-    def loaded_config(self) -> Config | None:
-        """The one that is loaded."""
-
-    def update(self, change: Callable[[BoardState], BoardState]) -> None:
-        """Replace the state in one piece."""
-
-
-@dataclass(frozen=True, slots=True)
-class Locked:
-    """What a running change has taken away: regions, or the whole device."""
-
-    regions: frozenset[str] = frozenset()
-    whole: bool = False
-
-    def __contains__(self, region: object) -> bool:
-        return self.whole or region in self.regions
-
 
 _WO, _RW, _READY = Access.WO, Access.RW, RegionPhase.READY  # a look into an enum's class is not free
 
@@ -57,15 +31,35 @@ class _Place(NamedTuple):
 
 
 class _View:
-    """What can be named in the state that the board is in, what was named in it before, and what is free."""
+    """What can be named in the mode that the board is in, what was named in it before, and what is free.
 
-    __slots__ = ("config", "configs", "free", "mode", "places", "registers", "state")
+    It is made anew where the board holds something else, not with each value that is written.
+    """
 
-    def __init__(self, config: Config, configs: Mapping[str, Config], state: BoardState) -> None:
-        self.config, self.configs, self.state, self.mode = config, configs, state, state.mode
-        self.registers: Mapping[str, Register] = config.visible_registers(state.mode)
+    __slots__ = ("board", "config", "configs", "free", "locked", "mode", "places", "registers")
+
+    def __init__(self, state: ManagerState, config: Config) -> None:
+        self.configs, self.config, self.board, self.locked = state.configs, config, state.latest, state.locked
+        self.mode = self.board.mode
+        self.registers: Mapping[str, Register] = config.visible_registers(self.mode)
         self.places: dict[str, _Place] = {}
-        self.free: set[str | None] = set()  # regions, and None for the static part
+        regions = {register.region for register in self.registers.values()}  # and None for the static part
+        self.free = {region for region in regions if _is_free(self.board, self.locked, region)}
+
+    def still_holds(self, state: ManagerState) -> bool:
+        """Whether it is true of what the board holds now."""
+        then, now = self.board, state.latest
+        return (
+            (then is now or (then.regions is now.regions and then.mode == now.mode and then.config == now.config))
+            and self.configs is state.configs
+            and self.locked is state.locked
+        )
+
+
+def _is_free(board: BoardState, locked: LockedRegions, region: str | None) -> bool:
+    if region is None:
+        return not locked.whole
+    return board.region(region).phase is _READY and region not in locked
 
 
 class Prepared:
@@ -74,10 +68,10 @@ class Prepared:
     `names` and `fields` say what belongs to the values: fields (name, lowest bit, mask) are to be taken out of them.
     """
 
-    __slots__ = ("_desk", "_places", "_regions", "_view", "config_name", "fields", "mode", "names")
+    __slots__ = ("_places", "_regions", "_service", "_view", "config_name", "fields", "mode", "names")
 
-    def __init__(self, desk: RegisterDesk, view: _View, places: Sequence[_Place]) -> None:
-        self._desk, self._view = desk, view
+    def __init__(self, service: RegisterService, view: _View, places: Sequence[_Place]) -> None:
+        self._service, self._view = service, view
         self._places = [(p.address, p.width, *((p.field.lsb, p.field.mask) if p.field else (0, -1))) for p in places]
         self._regions = {p.region for p in places}
         self.config_name, self.mode = view.config.name, view.mode or ""
@@ -86,7 +80,7 @@ class Prepared:
 
     def values(self) -> list[int] | None:
         """The values in the order of the names; None where they are no longer what they were, or cannot be read now."""
-        return self._desk.read_again(self._view, self._regions, self._places)
+        return self._service.read_again(self._view, self._regions, self._places)
 
 
 def _fields(register: Register) -> tuple[tuple[str, int, int], ...]:
@@ -99,24 +93,15 @@ def _flags(config: Config, status: str) -> int:
     return sum({1 << bit for bit in bits})
 
 
-class RegisterDesk:
-    """Reads and writes for requests. `lock` is held over each access, so that a change waits for its end."""
+class RegisterService:
+    """Reads and writes for requests. The state's lock is held over each access, so that a change waits for its end."""
 
-    def __init__(
-        self, holder: Holder, access: RegisterAccess, leases: Leases, lock: AbstractContextManager[object]
-    ) -> None:
-        self._holder = holder
-        self._access = access
+    def __init__(self, state: ManagerState, bus: RegisterBus, leases: Leases) -> None:
+        self._state = state
+        self._bus = bus
         self._leases = leases
-        self._lock = lock
-        self._locked = Locked()
+        self._lock = state.lock
         self._view: _View | None = None
-
-    def keep_off(self, locked: Locked) -> None:
-        """Refuse what is locked from here on; waits for an access under way."""
-        with self._lock:
-            self._locked = locked
-            self._view = None
 
     def read(self, names: tuple[str, ...]) -> RegValues:
         """Values by name; of all that can be read if none is given."""
@@ -144,7 +129,7 @@ class RegisterDesk:
         with self._lock:
             if self._look() is not view or not regions <= view.free:
                 return None
-            read = self._access.read_address
+            read = self._bus.read_address
             return [(read(address, width) & mask) >> lsb for address, width, lsb, mask in places]
 
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
@@ -153,9 +138,11 @@ class RegisterDesk:
         checked = [checked_write(visible, w, lambda n=w.name: self._elsewhere(n, visible)) for w in writes]  # type: ignore[misc]
         self._check_leases([r for r, _, _ in checked], lease)
         with self._lock:
+            view = self._look()
             for register, _, _ in checked:
                 self._check_free(register)
-            return self._values(tuple(self._write(register, value, mask) for register, value, mask in checked))
+            values = tuple([self._write(register, value, mask) for register, value, mask in checked])
+            return RegValues(values, view.config.name, view.mode or "")
 
     def take_flags(self, name: str, clear: int) -> int:
         """Read a status register and acknowledge those interrupts of `clear` (bits) that stand; what was read.
@@ -169,27 +156,22 @@ class RegisterDesk:
             view = self._look()
             register = (view.places.get(name) or self._find(view, name)).register
             self._check_free(register)
-            return self._access.take_flags(register, clear, _flags(view.config, name))
-
-    def _values(self, values: tuple[RegValue, ...]) -> RegValues:
-        state = self._holder.state
-        return RegValues(values, state.config or "", state.mode or "")
+            return self._bus.take_flags(register, clear, _flags(view.config, name))
 
     def _look(self) -> _View:
-        view, holder = self._view, self._holder
-        if view is None or view.state is not holder.state or view.configs is not holder.configs:
+        view = self._view
+        if view is None or not view.still_holds(self._state):
             view = self._view = self._renewed(view)
         return view
 
-    def _renewed(self, view: _View | None) -> _View:
-        holder, config = self._holder, self._holder.loaded_config()
+    def _renewed(self, before: _View | None) -> _View:
+        config = self._state.loaded_config()
         if config is None:
-            there = resolve.listed(holder.configs)
+            there = resolve.listed(self._state.configs)
             raise NothingLoaded(f"nothing is loaded, so there are no registers; there are {there}")
-        if view is None or view.config is not config or view.mode != holder.state.mode:
-            view = _View(config, holder.configs, holder.state)
-        view.state, view.configs = holder.state, holder.configs
-        view.free = {r.region for r in view.registers.values() if self._is_free(r.region)}
+        view = _View(self._state, config)
+        if before is not None and before.config is config and before.mode == view.mode:
+            view.places = before.places
         return view
 
     def _find(self, view: _View, name: str) -> _Place:
@@ -199,11 +181,11 @@ class RegisterDesk:
 
     def _elsewhere(self, name: str, visible: Mapping[str, Register]) -> str:
         """Says in which modes a register can be named, when it cannot be in this one."""
-        register, config = split_name(name)[0], self._holder.loaded_config()
+        register, config = split_name(name)[0], self._state.loaded_config()
         if config is None or register in visible:
             return ""
         modes = [m for m in config.modes if register in config.visible_registers(m)]
-        return f" ({self._holder.state.mode}); modes {', '.join(modes)} have it" if modes else ""
+        return f" ({self._state.latest.mode}); modes {', '.join(modes)} have it" if modes else ""
 
     def _readable(self, view: _View) -> list[_Place]:
         readable = (r for r in view.registers.values() if r.access is not _WO and r.region in view.free)
@@ -215,34 +197,29 @@ class RegisterDesk:
             self._check_free(register)
         if register.access is _WO:
             raise AccessDenied(f"register {register.name!r} is write-only")
-        value = self._access.read_address(address, width)
+        value = self._bus.read_address(address, width)
         if field is None:
             return value_of(register, value) if register.fields else RegValue(register.name, value)
         return RegValue(f"{register.name}.{field.name}", (value & field.mask) >> field.lsb)
 
     def _write(self, register: Register, value: int, mask: int) -> RegValue:
-        written = self._access.write(register, value, mask, self._holder.state.values.get(register.name))
-        self._holder.update(lambda state: state.with_value(register.name, written))
-        shown = written if register.access is not _RW else self._access.read(register)
+        written = self._bus.write(register, value, mask, self._state.written_value(register.name))
+        self._state.note_written(register.name, written)
+        shown = written if register.access is not _RW else self._bus.read(register)
         return value_of(register, shown)
 
     def check_region(self, region: str | None, what: str) -> None:
         """Raise RegionBusy while `region` (None: the static part) is being changed, or stands cut off."""
-        if not self._is_free(region):
+        if not _is_free(self._state.latest, self._state.locked, region):
             self._refuse(region, what)
-
-    def _is_free(self, region: str | None) -> bool:
-        if region is None:
-            return not self._locked.whole
-        return self._holder.state.region(region).phase is _READY and region not in self._locked
 
     def _check_free(self, register: Register) -> None:
         self.check_region(register.region, f"register {register.name!r}")
 
     def _refuse(self, region: str | None, what: str) -> None:
         where = f"region {region}" if region else "the static part"
-        locked = self._locked.whole or region in self._locked
-        how = "being reconfigured" if locked else self._holder.state.region(region or "").phase.value
+        locked = region in self._state.locked
+        how = "being reconfigured" if locked else self._state.latest.region(region or "").phase.value
         raise RegionBusy(f"{what} lies in {where}, which is {how}")
 
     def _check_leases(self, registers: list[Register], lease: str) -> None:

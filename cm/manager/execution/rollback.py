@@ -6,19 +6,16 @@ Going back is a plan from wherever the board is now, like any other change.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from cm.errors import CmError
-from cm.manager.access.decoupler import drive
+from cm.manager.access.register_bus import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
-from cm.manager.execution.best_effort import BestEffort
-from cm.manager.execution.board import Board, Tools
-from cm.manager.execution.isolate import abandon
-from cm.manager.execution.transaction import Transaction
-from cm.manager.planning.plan import Goal, Plan
+from cm.manager.execution.context import Tools
+from cm.manager.planning.plan import Goal
 from cm.manager.state.steps import Step
-from cm.manager.state.table import BoardState, RegionPhase
+from cm.manager.state.table import BoardState, RegionEvent, RegionPhase
 from cm.schema.model import Config, ConfigType, Region
 
 _CUT = (RegionPhase.DECOUPLED, RegionPhase.LOADED)
@@ -51,26 +48,18 @@ def sentence(error: Exception) -> str:
     return str(error) if isinstance(error, (CmError, OSError)) else f"{type(error).__name__}: {error}"
 
 
-class WayBack:
+class Rollback:
     """From where a failed change left the board to where it was `before`."""
 
-    def __init__(
-        self,
-        board: Board,
-        tools: Tools,
-        plan: Callable[[Goal], Plan],
-        configs: Mapping[str, Config],
-        before: BoardState,
-        number: int,
-    ) -> None:
-        self._board = board
+    def __init__(self, tools: Tools, before: BoardState, go_to: Callable[[Goal], None]) -> None:
+        """`go_to` plans and takes the steps to a goal, as well as that can be done."""
         self._tools = tools
-        self._plan = plan
-        self._configs = configs
+        self._state = tools.state
+        self._configs = tools.state.configs
         self._before = before
-        self._number = number
+        self._go_to = go_to
 
-    def go(self, failure: Failure) -> CmError:
+    def run(self, failure: Failure) -> CmError:
         """Go back, or cut off; returns the error that tells how it ended."""
         before, old = self._before, self._old
         try:
@@ -84,7 +73,7 @@ class WayBack:
             end = self._give_up(failure.goal)
             return UndoFailed(f"{failure.text}; going back failed too: {sentence(second)}; {end}")
         finally:
-            self._board.lock_regions(frozenset())
+            self._state.release_regions()
 
     @property
     def _old(self) -> Config | None:
@@ -92,14 +81,12 @@ class WayBack:
 
     def _restore(self, old: Config, mode: str, values: Mapping[str, int]) -> None:
         static = self._static_to_load(old)
-        back = self._plan(Goal(old, mode, values=values, also=self._beside(old, mode), static=static))
-        board = BestEffort(self._board)
-        Transaction(back, board, self._tools, self._number, lambda: False).run()
+        self._go_to(Goal(old, mode, values=values, also=self._beside(old, mode), static=static))
         self._tools.data_plane.resume(old, mode)
 
     def _beside(self, old: Config, mode: str) -> tuple[str, ...]:
         """Modules of regions that the mode leaves alone, but that the failed change did not."""
-        now, named = self._board.state, {old.modules[m].region for m in old.modes[mode].modules}
+        now, named = self._state.board, {old.modules[m].region for m in old.modes[mode].modules}
         lost = {
             held.module: name
             for name, held in self._before.regions.items()
@@ -113,13 +100,13 @@ class WayBack:
         What another configuration had loaded there, and is there still, is coupled again; the rest stays
         cut off. Returns sentences on what is not as it was.
         """
-        cut = [r for r in goal.regions.values() if self._board.state.region(r.name).phase in _CUT]
+        cut = [r for r in goal.regions.values() if self._state.board.region(r.name).phase in _CUT]
         lost = [r for r in cut if not self._coupled_again(r)]
-        problems = abandon(self._board, self._tools.registers, lost)
+        problems = isolate(self._tools, lost)
         return [*([f"regions left decoupled: {', '.join(r.name for r in lost)}"] if lost else []), *problems]
 
     def _coupled_again(self, region: Region) -> bool:
-        held, now = self._before.region(region.name), self._board.state.region(region.name)
+        held, now = self._before.region(region.name), self._state.board.region(region.name)
         if held.phase is not RegionPhase.READY or held.sha256 is None or now.sha256 != held.sha256:
             return False
         try:
@@ -127,7 +114,7 @@ class WayBack:
                 drive(self._tools.registers, region.decoupler, cut=False)
         except (CmError, OSError):
             return False
-        self._board.update(lambda state: state.with_region(region.name, held))
+        self._state.update(lambda state: state.with_region(region.name, held))
         return True
 
     def _static_to_load(self, old: Config) -> Config | None:
@@ -148,12 +135,12 @@ class WayBack:
     def _give_up(self, goal: Config) -> str:
         """Leave what is not ready cut off; says what is where."""
         before, same = self._before, self._same_static()
-        touched = [r for name, r in self._regions(goal).items() if name in self._board.state.regions]
-        problems = abandon(self._board, self._tools.registers, touched)
+        touched = [r for name, r in self._regions(goal).items() if name in self._state.board.regions]
+        problems = isolate(self._tools, touched)
         mode = before.mode if self._holds_as_before() else None
-        self._board.update(lambda state: replace(state, config=before.config if same else None, mode=mode))
+        self._state.update(lambda state: replace(state, config=before.config if same else None, mode=mode))
         try:
-            self._board.record(None)
+            self._state.record(None)
         except RecordFailed as error:
             problems.append(str(error))
         self._tools.data_plane.resume(self._old, mode)
@@ -165,7 +152,7 @@ class WayBack:
         return {**(old.regions if old is not None and self._same_static() else {}), **goal.regions}
 
     def _left(self) -> str:
-        state = self._board.state
+        state = self._state.board
         if state.static_lost:
             return "what the device holds is not known, so nothing in it is accessed"
         cut = [name for name, region in state.regions.items() if region.phase is RegionPhase.FAILED]
@@ -176,12 +163,35 @@ class WayBack:
         return "no region was touched" if self._holds_as_before() else "what was loaded stays, in no mode"
 
     def _same_static(self) -> bool:
-        now, before = self._board.state, self._before
+        now, before = self._state.board, self._before
         return (now.static_sha256, now.static_lost) == (before.static_sha256, before.static_lost)
 
     def _holds_as_before(self) -> bool:
         """Whether the regions still hold what they held before."""
-        now, before = self._board.state, self._before
+        now, before = self._state.board, self._before
         return self._same_static() and all(
             now.region(name) == before.region(name) for name in {*before.regions, *now.regions}
         )
+
+
+def isolate(tools: Tools, regions: Iterable[Region]) -> list[str]:
+    """After a failed way back: cut off every region that is not ready.
+
+    Returns a sentence for each that could not be cut off. A device that may not be configured is not
+    accessed at all: its bus would not answer, and the processor would hang.
+    """
+    problems = []
+    for region in regions:
+        if tools.state.board.region(region.name).phase is RegionPhase.READY:
+            continue
+        try:
+            if region.decoupler and not tools.state.board.static_lost:
+                drive(tools.registers, region.decoupler, cut=True)
+        except (CmError, OSError) as error:
+            problems.append(f"{region.name} could not be decoupled: {error}")
+        _mark_failed(tools, region.name)
+    return problems
+
+
+def _mark_failed(tools: Tools, name: str) -> None:
+    tools.state.update(lambda board: board.with_region(name, board.region(name).after(RegionEvent.ABANDON)))

@@ -1,43 +1,67 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Takes the steps of a plan, recording each before it is taken.
+"""A change of mode: planned, its steps taken with each recorded before, and back where one fails.
 
-A step that fails leaves the board where the record says; going back is another plan, made from that
-state (`cm.manager.execution.rollback`), not a list of inverses: so the way back copes with whatever was reached.
+A step that fails leaves the board where the record says. Going back is another plan, made from that state
+(`cm.manager.execution.rollback`), not a list of inverses: so the way back copes with whatever was reached.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
-from cm.manager.execution.actions import ACTIONS, Execution
-from cm.manager.execution.board import Board, Tools
-from cm.manager.planning.plan import Plan
+from cm.manager.execution.actions import ACTIONS
+from cm.manager.execution.context import StepContext, Tools
+from cm.manager.execution.rollback import Failure, Rollback
+from cm.manager.planning.plan import Goal, Plan
+from cm.manager.planning.planner import make_plan
 from cm.manager.state.steps import Step
 
 
+def plan_to(goal: Goal, tools: Tools) -> Plan:
+    """What going there would do from here; touches nothing. Raises what is wrong with the files."""
+    state = tools.state
+    old = state.configs.get(state.board.config or "")
+    return make_plan(goal, state.board, old, tools.files, state.throughput)
+
+
 class Transaction:
-    """One run through a plan."""
+    """Takes the board to a goal, or back to where it was."""
 
-    def __init__(self, plan: Plan, board: Board, tools: Tools, number: int, cancelled: Callable[[], bool]) -> None:
-        self._run = Execution(plan, board, tools, number, cancelled)
-        self.current: Step | None = None
+    def __init__(self, tools: Tools, number: int, cancelled: Callable[[], bool]) -> None:
+        self._tools = tools
+        self._number = number
+        self._cancelled = cancelled
 
-    @property
-    def found(self) -> Mapping[str, int]:
-        """Values that registers had before they were written, for the way back."""
-        return self._run.found
+    def run(self, goal: Goal) -> None:
+        """Go there, or back.
 
-    def run(self) -> None:
-        """Take all steps. Raises what the failing step raised; `current` is that step."""
-        for at, step in enumerate(self._run.plan.steps):
-            self._run.at, self.current = at, step
-            self._take(step)
-        self.current = None
+        Raises what the plan says is wrong (nothing was touched then), StepFailed (the board went back)
+        or UndoFailed (regions stay decoupled).
+        """
+        before = self._tools.state.board
+        run = StepContext(plan_to(goal, self._tools), self._tools, self._number, self._cancelled)
+        try:
+            _take_steps(run)
+        except Exception as error:
+            rollback = Rollback(self._tools, before, self._go_back)
+            raise rollback.run(Failure(goal.config, run.step, error, run.found)) from error
 
-    def _take(self, step: Step) -> None:
-        run, clock = self._run, self._run.tools.clock
-        started, run.port_seconds = clock.monotonic(), 0.0
-        run.board.record(step)
-        run.tell(0)
-        ACTIONS[type(step)](run, step)
-        run.board.took(step, clock.monotonic() - started - run.port_seconds)
+    def _go_back(self, goal: Goal) -> None:
+        plan = plan_to(goal, self._tools)
+        _take_steps(StepContext(plan, self._tools, self._number, lambda: False, best_effort=True))
+
+
+def _take_steps(run: StepContext) -> None:
+    """Raises what the failing step raised; `run.step` is that step."""
+    for at, step in enumerate(run.plan.steps):
+        run.at = at
+        _take(run, step)
+
+
+def _take(run: StepContext, step: Step) -> None:
+    clock = run.tools.clock
+    started, run.port_seconds = clock.monotonic(), 0.0
+    run.record(step)
+    run.tell(0)
+    ACTIONS[type(step)](run, step)
+    run.tools.state.took(step.kind, clock.monotonic() - started - run.port_seconds)

@@ -1,32 +1,85 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thread that runs changes, one after the other."""
+"""Changes wait for their turn; a thread runs one after the other, and each ends once, whatever happens."""
 
 from __future__ import annotations
 
 import queue
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
-from cm.manager.change import Change
-from cm.manager.errors import ChangeBusy
+from cm.errors import CmError
+from cm.manager.access.leases import Leases
+from cm.manager.errors import Cancelled, ChangeBusy
+from cm.manager.execution.context import Tools
+from cm.manager.execution.transaction import Transaction
+from cm.manager.planning import resolve
+from cm.manager.planning.plan import Goal
+from cm.manager.state.record import Pending
 from cm.messages.status import ErrorInfo
+from cm.schema.model import ConfigType
 
 QUEUE_LENGTH = 8
 
 
-class Worker:
-    """Changes wait here for their turn; `run` is called with each.
+@dataclass(eq=False)
+class Change:
+    """A requested change; waited for, cancelled, and called back at its end from the worker's thread."""
 
-    What it raises, or whoever waits for a change raises when told of its end, is a `defect` that those
-    that come after must not suffer from.
+    number: int
+    config: str
+    mode: str
+    force: bool = False
+    static: str | None = None  # the full configuration to load first, on the way back to a partial one
+    scopes: tuple[str, ...] = ()  # what leases of others must not cover
+    lease: str = ""  # the requester's own
+    error: ErrorInfo | None = None
+    seconds: float = 0.0
+    on_done: Callable[[Change], None] | None = None
+    _cancel: threading.Event = field(default_factory=threading.Event)
+    _done: threading.Event = field(default_factory=threading.Event)
+
+    def cancel(self) -> None:
+        """Ask it to stop before its next load; it goes back to the mode before."""
+        self._cancel.set()
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether `cancel` was called."""
+        return self._cancel.is_set()
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended, well or not."""
+        return self._done.is_set()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for its end; False if it did not come in time."""
+        return self._done.wait(timeout)
+
+    def finish(self, error: ErrorInfo | None, seconds: float) -> None:
+        """Its end."""
+        self.error, self.seconds = error, seconds
+        self._done.set()
+        if self.on_done is not None:
+            self.on_done(self)
+
+
+class Worker:
+    """The queue of changes and its thread.
+
+    A defect of one change, or of whoever is told of its end, must not be suffered from by those that come after.
     """
 
-    def __init__(self, run: Callable[[Change], None], defect: Callable[[Exception], None]) -> None:
-        self._run = run
-        self._defect = defect
+    def __init__(self, tools: Tools, leases: Leases, prefetches: bool) -> None:
+        """`prefetches`: between changes, images of the loaded configuration are held ready."""
+        self._tools = tools
+        self._leases = leases
+        self._prefetches = prefetches
         self._queue: queue.Queue[Change | None] = queue.Queue(QUEUE_LENGTH)
         self._thread = threading.Thread(target=self._work, name="cm-changes", daemon=True)
         self._stopping = threading.Event()
+        self.running: Change | None = None
 
     def start(self) -> None:
         """Begin with what waits."""
@@ -47,35 +100,81 @@ class Worker:
             raise ChangeBusy(f"{QUEUE_LENGTH} changes wait already; try again when one has ended") from None
         return change
 
-    def done(self) -> None:
-        """The running change has ended as far as others can see; called by `run`."""
-        self._queue.task_done()
-
     @property
     def busy(self) -> bool:
         """Whether a change runs or waits."""
         return self._queue.unfinished_tasks > 0
 
-    @property
-    def nothing_waits(self) -> bool:
-        """Whether no change waits."""
-        return self._queue.empty()
-
     def wait_idle(self) -> None:
         """Wait until no change runs or waits."""
         self._queue.join()
+
+    # ---- the worker's thread ------------------------------------------------------------
 
     def _work(self) -> None:
         while (change := self._queue.get()) is not None:
             try:
                 self._turn(change)
             except Exception as problem:  # noqa: BLE001 (the thread has to live)
-                self._defect(problem)
-        self.done()
+                self._tools.reporter.set_error(_internal(problem))
+                self._tools.reporter.changed()
+        self._queue.task_done()
 
     def _turn(self, change: Change) -> None:
         if self._stopping.is_set():
-            self.done()
+            self._queue.task_done()
             change.finish(ErrorInfo("cancelled", "the configuration manager is stopping"), 0.0)
-        else:
-            self._run(change)
+            return
+        self._run(change)
+        if change.error is None and self._prefetches and self._queue.empty():
+            self._tools.loaders.prefetch_modules(self._tools.state.loaded_config(), self._queue.empty)
+
+    def _run(self, change: Change) -> None:
+        """Run a change and finish it; the next may be asked for before the end of this one is told."""
+        state, reporter, clock = self._tools.state, self._tools.reporter, self._tools.clock
+        started = clock.monotonic()
+        self._begin(change)
+        error = self._outcome(change)
+        seconds = clock.monotonic() - started
+        state.pending, self.running = None, None
+        reporter.ended(change.number, error, seconds)
+        state.release_regions()
+        reporter.note(state.try_record())
+        self._queue.task_done()
+        reporter.changed()
+        change.finish(error, seconds)
+
+    def _begin(self, change: Change) -> None:
+        state, self.running = self._tools.state, change
+        board = state.board
+        whole = state.configs[change.config].type is ConfigType.FULL
+        there = board.config == change.config and not change.force
+        self._tools.reporter.begun(
+            change.number, change.config, change.mode, (whole and not there) or change.static is not None
+        )
+        state.pending = Pending(
+            change.number, change.config, change.mode, board.config, board.mode, from_static=board.static_config
+        )
+
+    def _outcome(self, change: Change) -> ErrorInfo | None:
+        try:
+            self._take(change)
+        except CmError as problem:
+            return ErrorInfo(getattr(problem, "cause_code", problem.code), str(problem))
+        except Exception as problem:  # noqa: BLE001 (a defect of ours must not end the worker)
+            return _internal(problem)
+        return None
+
+    def _take(self, change: Change) -> None:
+        if change.cancelled:
+            raise Cancelled("the change was cancelled before it began")
+        self._leases.check(change.scopes, change.lease)  # one may have been given while this change waited
+        configs = self._tools.state.configs
+        config = configs[change.config]
+        mode = resolve.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
+        goal = Goal(config, mode, change.force, static=configs.get(change.static or ""))
+        Transaction(self._tools, change.number, lambda: change.cancelled).run(goal)
+
+
+def _internal(problem: Exception) -> ErrorInfo:
+    return ErrorInfo("internal", f"{type(problem).__name__}: {problem}")

@@ -10,6 +10,7 @@ from cm.device import Overlays
 from cm.manager.errors import LoadFailed
 from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.ports import Devices, Files
+from cm.manager.state.table import loading_overlay
 from cm.schema.model import Region
 
 
@@ -53,8 +54,3 @@ def _region_of(job: Job) -> Region:
     if job.region is None:
         raise LoadFailed(f"{job.image.path.name}: a whole image is loaded by fpga_manager or icap, not by overlay")
     return job.region
-
-
-def loading_overlay(region: str) -> str:
-    """Name in configfs of the overlay by which a region's module was loaded."""
-    return f"cm-{region}"

@@ -7,10 +7,9 @@ import hashlib
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
-from cm.manager.loaders import loading_overlay
 from cm.manager.ports import Files, Image
 from cm.manager.state.steps import ApplyOverlay
-from cm.manager.state.table import BoardState, OverlayState
+from cm.manager.state.table import BoardState, OverlayState, loading_overlay
 from cm.schema.model import Config, Mode
 
 

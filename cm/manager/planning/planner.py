@@ -13,14 +13,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from cm.manager.errors import StaticUnknown
-from cm.manager.loaders import loading_overlay
 from cm.manager.planning.overlays import OverlayChange, overlay_change, wanted_overlays
 from cm.manager.planning.plan import Goal, Plan
 from cm.manager.planning.registers import Writing
 from cm.manager.ports import Files, Image
 from cm.manager.state import steps as s
 from cm.manager.state.cost import Throughput
-from cm.manager.state.table import BoardState, RegionPhase
+from cm.manager.state.table import BoardState, RegionPhase, loading_overlay
 from cm.schema.model import Config, LoaderKind, Module, Region
 
 _WHOLE = (RegionPhase.READY, RegionPhase.DECOUPLED, RegionPhase.LOADED)  # phases in which a content is known to be so

@@ -11,12 +11,18 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from cm.errors import CmError
-from cm.manager.access.decoupler import is_cut
-from cm.manager.access.register_bus import RegisterAccess
-from cm.manager.loaders import loading_overlay
+from cm.manager.access.register_bus import RegisterBus, is_cut
 from cm.manager.ports import Devices
 from cm.manager.state.record import Pending, Record
-from cm.manager.state.table import BoardState, OverlayState, RegionEvent, RegionPhase, RegionState, all_lost
+from cm.manager.state.table import (
+    BoardState,
+    OverlayState,
+    RegionEvent,
+    RegionPhase,
+    RegionState,
+    all_lost,
+    loading_overlay,
+)
 from cm.schema.model import Config, LoaderKind, Module, Region
 
 
@@ -30,7 +36,7 @@ class Finding:
 
 
 def reconcile(
-    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterAccess
+    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterBus
 ) -> Finding:
     """What the board holds, as far as record and board agree. Raises DeviceError where the board cannot be asked."""
     finding = _compare(record, configs, devices, registers)
@@ -38,9 +44,7 @@ def reconcile(
     return replace(finding, state=_adopted(finding.state, configs, devices, notes), notes=tuple(notes))
 
 
-def _compare(
-    record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterAccess
-) -> Finding:
+def _compare(record: Record | None, configs: Mapping[str, Config], devices: Devices, registers: RegisterBus) -> Finding:
     if record is None:
         return Finding(BoardState())
     boot_id = devices.boot_id()
@@ -136,7 +140,7 @@ def _error_of(devices: Devices, name: str | None) -> str:
     return said if "error" in said else ""
 
 
-def _regions(state: BoardState, config: Config | None, registers: RegisterAccess, notes: list[str]) -> BoardState:
+def _regions(state: BoardState, config: Config | None, registers: RegisterBus, notes: list[str]) -> BoardState:
     used = _used(config, state.mode)
     for name, region in state.regions.items():
         if region.phase is RegionPhase.READY:
@@ -149,7 +153,7 @@ def _regions(state: BoardState, config: Config | None, registers: RegisterAccess
 
 
 def _region(
-    name: str, region: RegionState, config: Config | None, registers: RegisterAccess, notes: list[str]
+    name: str, region: RegionState, config: Config | None, registers: RegisterBus, notes: list[str]
 ) -> RegionState:
     module = config.modules.get(region.module or "") if config else None
     if module is None or config is None or name not in config.regions:
@@ -179,7 +183,7 @@ def _cut_short(name: str, region: RegionState, used: bool, notes: list[str]) -> 
     return region.after(RegionEvent.LOSE)
 
 
-def _cut_off(region: Region, registers: RegisterAccess) -> str | None:
+def _cut_off(region: Region, registers: RegisterBus) -> str | None:
     decoupler = region.decoupler
     if decoupler is None:
         return None
@@ -189,7 +193,7 @@ def _cut_off(region: Region, registers: RegisterAccess) -> str | None:
         return f"its decoupler cannot be read ({error})"
 
 
-def _wrong_identity(config: Config, module: Module, registers: RegisterAccess) -> str | None:
+def _wrong_identity(config: Config, module: Module, registers: RegisterBus) -> str | None:
     identity = config.regions[module.region].identity
     if identity is None or module.identity is None:
         return None

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from cm.manager.access.register_bus import RegisterAccess
+from cm.manager.access.register_bus import RegisterBus
 from cm.manager.ports import Devices
 from cm.manager.recovery.reconcile import Finding, reconcile
-from cm.manager.state.board_state import Knowledge
+from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending
 from cm.manager.state.table import BoardState, RegionPhase
 from cm.schema.model import Config, ConfigType
@@ -24,13 +24,13 @@ class Destination:
     static: str | None = None
 
 
-def take_stock(known: Knowledge, devices: Devices, registers: RegisterAccess) -> Finding:
+def take_stock(state: ManagerState, devices: Devices, registers: RegisterBus) -> Finding:
     """Compare record and board, and begin with what both say. Raises DeviceError."""
-    record, lost = known.read_record()
-    finding = reconcile(record, known.configs, devices, registers)
+    record, lost = state.read_record()
+    finding = reconcile(record, state.configs, devices, registers)
     if lost:
         finding = replace(finding, notes=(lost, *finding.notes))
-    known.adopt(record, finding.state, devices.boot_id())
+    state.adopt(record, finding.state, devices.boot_id())
     return finding
 
 

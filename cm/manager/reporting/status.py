@@ -3,40 +3,39 @@
 
 from __future__ import annotations
 
-from cm.manager.change import Change
 from cm.manager.ports import Observer
 from cm.manager.reporting.descriptions import region_states
-from cm.manager.state.board_state import Knowledge
+from cm.manager.state.board_state import ManagerState
 from cm.messages.status import ErrorInfo, PrMode, Progress, Status
 
 
-class Teller:
+class StatusReporter:
     """Puts the status together, and tells the observer when it differs."""
 
-    def __init__(self, known: Knowledge, observer: Observer) -> None:
-        self._known = known
+    def __init__(self, state: ManagerState, observer: Observer) -> None:
+        self._state = state
         self._observer = observer
-        self.running: Change | None = None
+        self._running = False
         self._full = False  # the running change loads a whole image
         self._progress: Progress | None = None
         self._error: ErrorInfo | None = None
         self._failed = False
         self._last: tuple[int, float] = (0, 0.0)  # number and seconds of the last change
 
-    def begun(self, change: Change, full: bool) -> None:
-        """A change runs from now on."""
-        self.running, self._full, self._failed = change, full, False
-        self.progress(Progress(change.number, change.config, change.mode, "validate"))
+    def begun(self, number: int, config: str, mode: str, full: bool) -> None:
+        """A change runs from now on; `full` if it loads a whole image."""
+        self._running, self._full, self._failed = True, full, False
+        self.progress(Progress(number, config, mode, "validate"))
 
     def progress(self, progress: Progress) -> None:
         """How far the running change is."""
         self._progress = progress
         self._observer.status_changed()
 
-    def ended(self, change: Change, error: ErrorInfo | None, seconds: float) -> None:
+    def ended(self, number: int, error: ErrorInfo | None, seconds: float) -> None:
         """No change runs any more; `changed` tells it."""
-        self._progress, self.running = None, None
-        self._last = (change.number, seconds)
+        self._progress, self._running = None, False
+        self._last = (number, seconds)
         self._error, self._failed = error, error is not None and error.code != "cancelled"
 
     def note(self, error: ErrorInfo | None) -> None:
@@ -54,21 +53,21 @@ class Teller:
 
     def status(self) -> Status:
         """The state as it is told; streams, sequence and version are the daemon's to add."""
-        running, progress, state = self.running, self._progress, self._known.state
+        running, progress, board = self._running, self._progress, self._state.board
         return Status(
-            config_name=state.config or "",
-            mode=state.mode or "",
-            fpga_busy=running is not None,
+            config_name=board.config or "",
+            mode=board.mode or "",
+            fpga_busy=running,
             pr_mode=self._pr_mode(running),
             progress=progress,
             last_error=self._error,
-            regions=region_states(self._known.loaded_config(), state),
-            configs=tuple(sorted(self._known.configs)),
+            regions=region_states(self._state.loaded_config(), board),
+            configs=tuple(sorted(self._state.configs)),
             last_change=self._last[0],
             last_change_seconds=self._last[1],
         )
 
-    def _pr_mode(self, running: Change | None) -> PrMode:
-        if running is not None:
+    def _pr_mode(self, running: bool) -> PrMode:
+        if running:
             return PrMode.FULL if self._full else PrMode.PARTIAL
         return PrMode.ERROR if self._failed else PrMode.IDLE

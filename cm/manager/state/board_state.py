@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from cm.manager.errors import RecordFailed, StoreCorrupt
@@ -22,32 +22,68 @@ from cm.messages.status import ErrorInfo
 from cm.schema.model import Config, LoaderKind, Memory
 
 
-class Knowledge:
-    """`cm.manager.access.register_service.Holder`, and the record of it."""
+@dataclass(frozen=True, slots=True)
+class LockedRegions:
+    """What a running change has taken away from requests: regions, or the whole device."""
+
+    regions: frozenset[str] = frozenset()
+    whole: bool = False
+
+    def __contains__(self, region: object) -> bool:
+        return self.whole or region in self.regions
+
+
+class ManagerState:
+    """What the manager knows, and the record of it."""
 
     def __init__(self, configs: Mapping[str, Config], store: Store) -> None:
         self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
-        self.state = BoardState()  # what the board holds, as far as is known; replaced by `update`
+        self.latest = BoardState()  # what the board holds, but for `_written`
         self.throughput = Throughput()
         self.lock = threading.RLock()
         self.pending: Pending | None = None  # the change under way
-        self.blocks: Mapping[str, Memory] = MappingProxyType({})  # defined at run time, for this configuration
+        self.locked = LockedRegions()
+        self.runtime_memories: Mapping[str, Memory] = MappingProxyType(
+            {}
+        )  # defined at run time, for this configuration
         self._store = store
         self._boot_id = ""
         self._number = 0
         self._recorded: Pending | None = None  # as it stands in the record
         self._dirty = False
+        self._written: dict[str, int] = {}  # registers that were written since `latest` was made
+
+    @property
+    def board(self) -> BoardState:
+        """What the board holds, as far as is known; replaced by `update`."""
+        if self._written:
+            with self.lock:
+                values = MappingProxyType({**self.latest.values, **self._written})
+                self.latest, self._written = replace(self.latest, values=values), {}
+        return self.latest
+
+    def note_written(self, register: str, value: int) -> None:
+        """Remember a register's written value; its cost does not grow with what is remembered."""
+        with self.lock:
+            self._written[register] = value
+            self._dirty = True
+
+    def written_value(self, register: str) -> int | None:
+        """What was last written to a register since its region was loaded."""
+        with self.lock:
+            value = self._written.get(register)
+            return self.latest.values.get(register) if value is None else value
 
     def loaded_config(self) -> Config | None:
         """The configuration that is loaded."""
-        state = self.state
-        return self.configs.get(state.config) if state.config else None
+        name = self.latest.config
+        return self.configs.get(name) if name else None
 
     def add_config(self, config: Config) -> None:
         """Make a configuration known, in place of one of its name."""
         self.configs = MappingProxyType({**self.configs, config.name: config})
-        if config.name == self.state.config:
-            self.blocks = MappingProxyType({})
+        if config.name == self.latest.config:
+            self.runtime_memories = MappingProxyType({})
 
     def next_number(self) -> int:
         """The number of a new change."""
@@ -57,14 +93,24 @@ class Knowledge:
     def update(self, change: Callable[[BoardState], BoardState]) -> None:
         """Replace the state in one piece; both threads do."""
         with self.lock:
-            before, self.state = self.state, change(self.state)
-            if self.state.config != before.config:
-                self.blocks = MappingProxyType({})
+            before = self.board
+            self.latest = change(before)
+            if self.latest.config != before.config:
+                self.runtime_memories = MappingProxyType({})
+
+    def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:
+        """Keep requests off these regions' registers, or off all; waits for an access under way."""
+        with self.lock:
+            self.locked = LockedRegions(regions, whole)
+
+    def release_regions(self) -> None:
+        """Requests may access what they could before."""
+        self.lock_regions(frozenset())
 
     def define(self, memory: Memory) -> None:
         """Make a memory known until the configuration changes, in place of one of its name."""
         with self.lock:
-            self.blocks = MappingProxyType({**self.blocks, memory.name: memory})
+            self.runtime_memories = MappingProxyType({**self.runtime_memories, memory.name: memory})
 
     def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
         """Keep a measurement for plans and time-outs."""
@@ -83,10 +129,10 @@ class Knowledge:
         except StoreCorrupt as error:
             return None, str(error)
 
-    def adopt(self, record: Record | None, state: BoardState, boot_id: str) -> None:
+    def adopt(self, record: Record | None, board: BoardState, boot_id: str) -> None:
         """Begin with what was found at start: what the board holds, and what the record says beside it."""
-        self.state, self._boot_id = state, boot_id
-        self.blocks = MappingProxyType({})
+        self.latest, self._written, self._boot_id = board, {}, boot_id
+        self.runtime_memories = MappingProxyType({})
         if record is not None:
             self.throughput, self._number = record.throughput, record.number
 
@@ -97,7 +143,7 @@ class Knowledge:
 
     def _write(self, pending: Pending | None) -> None:
         try:
-            self._store.write(Record(self._boot_id, self.state, pending, self.throughput, self._number))
+            self._store.write(Record(self._boot_id, self.board, pending, self.throughput, self._number))
         except OSError as error:
             raise RecordFailed(f"the state record could not be written: {error}") from error
         self._recorded, self._dirty = pending, False
@@ -117,10 +163,6 @@ class Knowledge:
         except RecordFailed as problem:
             return ErrorInfo(problem.code, str(problem))
         return None
-
-    def registers_written(self) -> None:
-        """Register values differ from the record."""
-        self._dirty = True
 
 
 def _about_to(pending: Pending, step: Step) -> Pending:

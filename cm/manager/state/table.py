@@ -105,6 +105,11 @@ class OverlayState:
     sha256: str
 
 
+def loading_overlay(region: str) -> str:
+    """Name in configfs of the overlay by which a region's module was loaded."""
+    return f"cm-{region}"
+
+
 _UNKNOWN = RegionState()
 
 

@@ -7,13 +7,11 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from cm.manager.execution.actions import mode, overlays, regions, registers
-from cm.manager.execution.actions.execution import Execution
+from cm.manager.execution.actions import mode, overlays, regions
+from cm.manager.execution.context import StepContext
 from cm.manager.state import steps as s
 
-__all__ = ["ACTIONS", "Execution"]
-
-ACTIONS: Mapping[type, Callable[[Execution, Any], None]] = MappingProxyType(
+ACTIONS: Mapping[type, Callable[[StepContext, Any], None]] = MappingProxyType(
     {
         s.Validate: mode.validate,
         s.Quiesce: mode.quiesce,
@@ -24,7 +22,7 @@ ACTIONS: Mapping[type, Callable[[Execution, Any], None]] = MappingProxyType(
         s.ApplyOverlay: overlays.apply,
         s.Recouple: regions.recouple,
         s.CheckIdentity: regions.check_identity,
-        s.SetRegister: registers.write,
+        s.SetRegister: mode.set_register,
         s.Publish: mode.publish,
     }
 )

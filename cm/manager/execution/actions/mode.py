@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The beginning and the end of a change: ask the ports, stop the streams, publish the mode."""
+"""What a mode is beside its modules: streams are stopped at the beginning, registers set, and the end is published."""
 
 from __future__ import annotations
 
@@ -7,39 +7,66 @@ import contextlib
 from dataclasses import replace
 from types import MappingProxyType
 
-from cm.manager.errors import RecordFailed
-from cm.manager.execution.actions.execution import Execution
+from cm.manager.errors import RecordFailed, VerifyFailed
 from cm.manager.execution.actions.regions import job_of
+from cm.manager.execution.context import StepContext
 from cm.manager.planning.plan import Goal
 from cm.manager.state import steps as s
 from cm.manager.state.table import BoardState
+from cm.schema.model import Access, Register
 
 
-def validate(run: Execution, _: s.Validate) -> None:
+def validate(run: StepContext, _: s.Validate) -> None:
     """The planner has read and checked every image; what is left is to ask the ports, and to keep readers off."""
     for step in run.plan.steps:
         if isinstance(step, s.Load | s.LoadStatic):
             run.tools.loaders.kind(step.port_kind).check(job_of(run, step))
-    run.board.lock_regions(run.plan.regions, whole=run.plan.full)
+    run.tools.state.lock_regions(run.plan.regions, whole=run.plan.full)
     run.check_cancelled()
 
 
-def quiesce(run: Execution, step: s.Quiesce) -> None:
+def quiesce(run: StepContext, step: s.Quiesce) -> None:
     """When this returns no transfer of these streams is under way."""
     run.tools.data_plane.quiesce(step.streams)
 
 
-def publish(run: Execution, step: s.Publish) -> None:
+def set_register(run: StepContext, step: s.SetRegister) -> None:
+    """Write a register and, where it can be, read it back. Raises VerifyFailed."""
+    register = step.register
+    _remember(run, register)
+    run.tools.registers.write_address(register.address, register.width, step.value)
+    run.tools.state.note_written(register.name, step.value)
+    run.written[register.name] = step.value
+    if not _keeps_its_value(register):
+        return
+    value = run.tools.registers.read(register)
+    if value != step.value:
+        raise VerifyFailed(f"register {register.name} reads {value:#x} after {step.value:#x} was written")
+
+
+def _remember(run: StepContext, register: Register) -> None:
+    """What a register of the static part or of a region that stays held, where nobody wrote it yet."""
+    reset = register.region in run.plan.regions or run.plan.full
+    known = reset or run.tools.state.written_value(register.name) is not None
+    if not known and _keeps_its_value(register):
+        run.found[register.name] = run.tools.registers.read(register)
+
+
+def _keeps_its_value(register: Register) -> bool:
+    return register.access is Access.RW and not register.volatile
+
+
+def publish(run: StepContext, step: s.Publish) -> None:
     """The board is in the mode: record it, let readers and streams in.
 
     A record that cannot be written now undoes nothing: the one before says that this change was nearly
     done, and after a crash the board goes back to the mode before. It is tried once more, and told, when
     the change has ended.
     """
-    run.board.update(lambda state: _entered(state, run.plan.goal, run.written))
+    run.update(lambda state: _entered(state, run.plan.goal, run.written))
     with contextlib.suppress(RecordFailed):
-        run.board.record(None)
-    run.board.lock_regions(frozenset())
+        run.record(None)
+    run.tools.state.release_regions()
     run.tools.data_plane.resume(run.plan.goal.config, step.mode)
 
 

@@ -5,21 +5,21 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cm.manager.execution.actions.execution import Execution
+from cm.manager.execution.context import StepContext
 from cm.manager.state import steps as s
 from cm.manager.state.table import BoardState, OverlayState
 
 
-def remove(run: Execution, step: s.RemoveOverlay) -> None:
+def remove(run: StepContext, step: s.RemoveOverlay) -> None:
     """Take an overlay off, if it is still there."""
     overlays = run.tools.devices.overlays()
     if step.name in overlays.list():
         overlays.remove(step.name)
-    run.board.update(lambda state: _without(state, step.name))
+    run.update(lambda state: _without(state, step.name))
     run.tools.registers.forget()
 
 
-def apply(run: Execution, step: s.ApplyOverlay) -> None:
+def apply(run: StepContext, step: s.ApplyOverlay) -> None:
     """Put an overlay on, in place of one of its name that is left over."""
     overlays = run.tools.devices.overlays()
     if step.overlay.name in overlays.list():
@@ -28,13 +28,13 @@ def apply(run: Execution, step: s.ApplyOverlay) -> None:
     note_applied(run, OverlayState(step.overlay.name, step.sha256))
 
 
-def note_applied(run: Execution, overlay: OverlayState) -> None:
+def note_applied(run: StepContext, overlay: OverlayState) -> None:
     """An overlay is on, the newest of all."""
 
     def on_top(state: BoardState) -> BoardState:
         return replace(state, overlays=(*_without(state, overlay.name).overlays, overlay))
 
-    run.board.update(on_top)
+    run.update(on_top)
     run.tools.registers.forget()
 
 

@@ -5,39 +5,39 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cm.manager.access.decoupler import drive
+from cm.manager.access.register_bus import drive
 from cm.manager.errors import IdentityMismatch
-from cm.manager.execution.actions.execution import Execution
 from cm.manager.execution.actions.overlays import note_applied
-from cm.manager.loaders import Job, Start, loading_overlay
+from cm.manager.execution.context import StepContext
+from cm.manager.loaders import Job, Start
 from cm.manager.state import steps as s
-from cm.manager.state.table import OverlayState, RegionEvent, all_lost
+from cm.manager.state.table import OverlayState, RegionEvent, all_lost, loading_overlay
 from cm.schema.model import LoaderKind
 
 
-def job_of(run: Execution, step: s.Load | s.LoadStatic) -> Job:
+def job_of(run: StepContext, step: s.Load | s.LoadStatic) -> Job:
     """What a loader is given for a step."""
     if isinstance(step, s.LoadStatic):
         return Job(run.plan.goal.config, step.image)
     return Job(run.plan.goal.config, step.image, step.region, step.module, step.overlay)
 
 
-def decouple(run: Execution, step: s.Decouple) -> None:
+def decouple(run: StepContext, step: s.Decouple) -> None:
     """Cut off; the state says so first: if it fails, the region may be cut off."""
     run.region_event(step.region.name, RegionEvent.DECOUPLE)
     if step.region.decoupler:
         drive(run.tools.registers, step.region.decoupler, cut=True)
 
 
-def recouple(run: Execution, step: s.Recouple) -> None:
+def recouple(run: StepContext, step: s.Recouple) -> None:
     """Connect; only then does the state say so. Its registers were reset: nothing is known of them."""
-    run.board.update(lambda state: state.without_values(set(step.resets)))
+    run.update(lambda state: state.without_values(set(step.resets)))
     if step.region.decoupler:
         drive(run.tools.registers, step.region.decoupler, cut=False)
     run.region_event(step.region.name, RegionEvent.RECOUPLE)
 
 
-def load(run: Execution, step: s.Load) -> None:
+def load(run: StepContext, step: s.Load) -> None:
     """Load one region; what it held is forgotten, and that recorded, before the port is touched."""
     run.check_cancelled()
     name = step.region.name
@@ -48,53 +48,51 @@ def load(run: Execution, step: s.Load) -> None:
         except BaseException:
             run.region_event(name, RegionEvent.LOAD_FAILED)
             raise
-    held = run.board.state.region(name).after(RegionEvent.LOAD_DONE)
+    held = run.board.region(name).after(RegionEvent.LOAD_DONE)
     run.set_region(name, held.holding(step.module.name, step.image.sha256))
     if step.region.loader is LoaderKind.OVERLAY:
         note_applied(run, OverlayState(loading_overlay(name), step.image.sha256))
 
 
-def _forget_content(run: Execution, step: s.Load) -> None:
+def _forget_content(run: StepContext, step: s.Load) -> None:
     name = step.region.name
-    before = run.board.state.region(name)
+    before = run.board.region(name)
     run.region_event(name, RegionEvent.LOAD)
     try:
-        run.board.record(step)
+        run.record(step)
     except BaseException:
         run.set_region(name, before)  # nothing was loaded
         raise
 
 
-def load_static(run: Execution, step: s.LoadStatic) -> None:
+def load_static(run: StepContext, step: s.LoadStatic) -> None:
     """Load the whole device; everything that it held is forgotten first."""
     run.check_cancelled()
     with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
         _forget_device(run, step)
         run.tools.registers.forget()
         _timed(run, step, start)
-    run.board.update(
-        lambda x: replace(x, static_sha256=step.image.sha256, static_config=step.config, static_lost=False)
-    )
+    run.update(lambda x: replace(x, static_sha256=step.image.sha256, static_config=step.config, static_lost=False))
 
 
-def _forget_device(run: Execution, step: s.LoadStatic) -> None:
-    before = run.board.state
-    run.board.update(all_lost)
+def _forget_device(run: StepContext, step: s.LoadStatic) -> None:
+    before = run.board
+    run.update(all_lost)
     try:
-        run.board.record(step)
+        run.record(step)
     except BaseException:
-        run.board.update(lambda _: before)  # nothing was loaded
+        run.update(lambda _: before)  # nothing was loaded
         raise
 
 
-def _timed(run: Execution, step: s.Load | s.LoadStatic, start: Start) -> None:
+def _timed(run: StepContext, step: s.Load | s.LoadStatic, start: Start) -> None:
     started = run.tools.clock.monotonic()
     start(run.tell)
     run.port_seconds = run.tools.clock.monotonic() - started
-    run.board.observed(step.port_kind, step.image.length, run.port_seconds)
+    run.tools.state.observed(step.port_kind, step.image.length, run.port_seconds)
 
 
-def check_identity(run: Execution, step: s.CheckIdentity) -> None:
+def check_identity(run: StepContext, step: s.CheckIdentity) -> None:
     """The region's identity register has to read what the schema says of the module."""
     identity = step.region.identity
     if identity is None or step.module.identity is None:

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What steps work with, and one run through a plan as the actions of its steps see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from cm.manager.access.register_bus import RegisterBus
+from cm.manager.errors import Cancelled, RecordFailed
+from cm.manager.loaders import Loaders
+from cm.manager.planning.plan import Plan, image_bytes
+from cm.manager.ports import Clock, DataPlane, Devices, Files
+from cm.manager.reporting.status import StatusReporter
+from cm.manager.state import steps as s
+from cm.manager.state.board_state import ManagerState
+from cm.manager.state.table import BoardState, RegionEvent, RegionState
+from cm.messages.status import Progress
+
+
+@dataclass(frozen=True, slots=True)
+class Tools:
+    """What the steps of a change work with."""
+
+    state: ManagerState
+    reporter: StatusReporter
+    devices: Devices
+    registers: RegisterBus
+    loaders: Loaders
+    files: Files
+    data_plane: DataPlane
+    clock: Clock
+
+
+@dataclass(slots=True)
+class StepContext:
+    """A plan that is carried out: with what, and how far it is.
+
+    `best_effort` is for the way back, which a record that cannot be written does not keep from the mode before.
+    Whatever was touched, the last good record is of this change and says so: after a crash the board goes to
+    the same mode, by loading what that record does not say is there. Only a whole image is not begun
+    without a record: registers of a device that is half loaded must not be accessed.
+    """
+
+    plan: Plan
+    tools: Tools
+    number: int
+    cancelled: Callable[[], bool]
+    best_effort: bool = False
+    at: int = -1  # index of the step that is being taken
+    port_seconds: float = 0.0  # that a port has taken for that step's image
+    written: dict[str, int] = field(default_factory=dict)  # registers, by name
+    found: dict[str, int] = field(default_factory=dict)  # what registers held before, for the way back
+
+    @property
+    def step(self) -> s.Step | None:
+        """The step that is being taken; None before the first."""
+        return self.plan.steps[self.at] if self.at >= 0 else None
+
+    @property
+    def board(self) -> BoardState:
+        """What the board holds now."""
+        return self.tools.state.board
+
+    def update(self, change: Callable[[BoardState], BoardState]) -> None:
+        """Replace what the board holds by what `change` makes of it, in one piece."""
+        self.tools.state.update(change)
+
+    def set_region(self, name: str, region: RegionState) -> None:
+        """Put a region's state in place of the one before."""
+        self.update(lambda board: board.with_region(name, region))
+
+    def region_event(self, name: str, event: RegionEvent) -> None:
+        """Something happened to a region. Raises IllegalTransition."""
+        self.set_region(name, self.board.region(name).after(event))
+
+    def record(self, step: s.Step | None) -> None:
+        """Write what the board holds, and the step about to be taken. Raises RecordFailed."""
+        try:
+            self.tools.state.record(step)
+        except RecordFailed:
+            if not self.best_effort or isinstance(step, s.LoadStatic):
+                raise
+
+    def check_cancelled(self) -> None:
+        """Raise Cancelled if a client asked for it."""
+        if self.cancelled():
+            raise Cancelled("the change was cancelled")
+
+    def tell(self, done: int) -> None:
+        """Publish the step under way, of whose image `done` bytes have gone through the port."""
+        step, goal = self.plan.steps[self.at], self.plan.goal
+        fraction = min(self._fraction(done), 1.0)
+        length = image_bytes(step)
+        self.tools.reporter.progress(
+            Progress(self.number, goal.config.name, goal.mode, step.kind, step.subject, done, length, fraction)
+        )
+
+    def _fraction(self, done: int) -> float:
+        before, whole = self.plan.steps[: self.at], self.plan.bytes
+        return (sum(map(image_bytes, before)) + done) / whole if whole else self.at / len(self.plan.steps)
