@@ -37,7 +37,8 @@ class Platform:
     control_clock: str
     memory_slaves: tuple[str, ...]  # high-performance slaves of the PS
     memory_clocks: tuple[str, ...]
-    memory_segment: str
+    coherent_slaves: tuple[str, ...]  # the same, coherent with the processors' caches
+    coherent_clocks: tuple[str, ...]
     clock_pins: tuple[str, ...]
     reset_pin: str
     irq_pins: tuple[tuple[str, int, int], ...]  # pin, lines, first GIC SPI
@@ -80,7 +81,8 @@ ZYNQ7000 = Platform(
     control_clock="M_AXI_GP0_ACLK",
     memory_slaves=("S_AXI_HP0", "S_AXI_HP1", "S_AXI_HP2", "S_AXI_HP3"),
     memory_clocks=("S_AXI_HP0_ACLK", "S_AXI_HP1_ACLK", "S_AXI_HP2_ACLK", "S_AXI_HP3_ACLK"),
-    memory_segment="{slave}/HP{index}_DDR_LOWOCM",
+    coherent_slaves=(),
+    coherent_clocks=(),
     clock_pins=("FCLK_CLK0", "FCLK_CLK1", "FCLK_CLK2", "FCLK_CLK3"),
     reset_pin="FCLK_RESET0_N",
     # IRQ_F2P[7:0] are IRQ 61..68, [15:8] are 84..91; SPI is 32 less
@@ -101,7 +103,8 @@ ZYNQMP = Platform(
     control_clock="maxihpm0_fpd_aclk",
     memory_slaves=("S_AXI_HP0_FPD", "S_AXI_HP1_FPD", "S_AXI_HP2_FPD", "S_AXI_HP3_FPD"),
     memory_clocks=("saxihp0_fpd_aclk", "saxihp1_fpd_aclk", "saxihp2_fpd_aclk", "saxihp3_fpd_aclk"),
-    memory_segment="SAXIGP{gp}/HP{index}_DDR_LOW",
+    coherent_slaves=("S_AXI_HPC0_FPD", "S_AXI_HPC1_FPD"),
+    coherent_clocks=("saxihpc0_fpd_aclk", "saxihpc1_fpd_aclk"),
     clock_pins=("pl_clk0", "pl_clk1", "pl_clk2", "pl_clk3"),
     reset_pin="pl_resetn0",
     irq_pins=(("pl_ps_irq0", 8, 89), ("pl_ps_irq1", 8, 104)),

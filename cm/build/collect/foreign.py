@@ -12,15 +12,15 @@ from typing import Any
 from cm import hwh
 from cm.build.collect import handoff
 from cm.build.collect.collected import Collected, Inputs
-from cm.build.collect.foreign_dma import Engines, engines
-from cm.build.collect.foreign_interrupts import Interrupts, interrupts
+from cm.build.collect.foreign_dma import engines
+from cm.build.collect.foreign_interrupts import interrupts
+from cm.build.collect.foreign_overlay import overlay
 from cm.build.collect.handoff import Handoff
 from cm.build.collect.images import Image, by_region, check_regions, footprint, to_bin
 from cm.build.collect.overlays import compile_overlays
 from cm.build.errors import BuildError
 from cm.build.hdl.register_maps import identifier
-from cm.build.platforms import Platform, platform_of
-from cm.build.render import Renderer
+from cm.build.platforms import platform_of
 from cm.schema import dump
 from cm.schema.model import Config, ConfigType, Decoupler, Mode, Module, Overlay, Region, Register
 
@@ -177,34 +177,8 @@ def _finish(inputs: Inputs, config: Config, files: dict[str, bytes], notes: list
     if inputs.whole is not None and config.overlays:
         platform = platform_of(config.device or inputs.whole.device)
         dma, lines = engines(inputs.whole.design, platform), interrupts(inputs.whole.design, platform)
-        sources[f"{config.name}_static"] = _overlay(inputs.whole.design, config.name, platform, dma, lines)
+        sources[f"{config.name}_static"] = overlay(inputs.whole.design, config, platform, dma, lines)
         notes = [*notes, *dma.notes, *lines.notes]
     overlays, more = compile_overlays(sources)
     text = (_HEAD + dump(config)).encode()
     return Collected(config, {**files, **overlays, f"{config.name}.yaml": text}, (*notes, *more))
-
-
-def _overlay(design: hwh.Hwh, name: str, platform: Platform, dma: Engines, lines: Interrupts) -> str:
-    """The source of the static overlay: UIO devices for windows, engines and channels for DMA."""
-    zynq = platform.name == "zynq7000"
-    taken = {channel.instance for channel in hwh.dma_channels(design)}
-    found: dict[int, Any] = {window.base: window for window in hwh.windows(design) if window.instance not in taken}
-    windows = [
-        {
-            "name": identifier(design.modules[window.instance].name).replace("_", "-"),
-            "base": window.base,
-            "size": window.size,
-            "spi": lines.spis.get(window.instance),
-        }
-        for window in found.values()
-        if window.instance in design.modules
-    ]
-    context = {
-        "name": name,
-        "cells": 1 if zynq else 2,
-        "intc": "intc" if zynq else "gic",
-        "windows": windows,
-        "dma": dma,
-        "channels": [(engine, channel) for engine in dma.found for channel in engine.channels],
-    }
-    return Renderer(Path("/"), Path("/"), "Written by cm build collect.").render("collected.dtso.j2", context)

@@ -19,7 +19,7 @@ _CLOCK_PINS = {
     "axi_dma": ("s_axi_lite_aclk", "m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk"),
     "axi_vdma": ("s_axi_lite_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk", "m_axis_mm2s_aclk", "s_axis_s2mm_aclk"),
 }
-_PS_CLOCKS = {f"FCLK_CLK{i}": f"&clkc {15 + i}" for i in range(4)} | {
+PS_CLOCKS = {f"FCLK_CLK{i}": f"&clkc {15 + i}" for i in range(4)} | {
     f"pl_clk{i}": f"&zynqmp_clk {71 + i}" for i in range(4)
 }
 _LENGTH_BITS = 14  # of an axi_dma that does not say (PG021)
@@ -180,7 +180,7 @@ def _clocks(module: hwh.ModuleInstance, design: hwh.Hwh) -> Iterator[Clock]:
         drivers = [end for end in port.connections if _drives(design, end)] if port else []
         if port is None or not (drivers or port.rate):
             continue
-        known = next((_PS_CLOCKS[end.port] for end in drivers if end.port in _PS_CLOCKS), None)
+        known = next((PS_CLOCKS[end.port] for end in drivers if end.port in PS_CLOCKS), None)
         if known is not None:
             yield Clock(pin, known)
         elif port.rate:

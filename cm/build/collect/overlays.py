@@ -17,6 +17,8 @@ QUIET = (
     "-Wno-interrupts_property",
     # a DMA channel's address is that of its registers in the engine's window, which has the reg
     "-Wno-unit_address_vs_reg",
+    # a window that user space reads may be a bridge of the kernel's as well
+    "-Wno-unique_unit_address",
 )
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.build.errors import BuildError
+from cm.build.generate.ports import HPM_WIDTH, MAX_SLAVES, WIDTH, MemoryPort, memory_ports
 from cm.build.generate.static_part.module import used_clocks
 from cm.build.hdl.model import Interface
 from cm.build.plan.system import Dma, System, Window
 from cm.schema.model import Direction
 
-MAX_SLAVES = 16  # of one SmartConnect (PG247)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +60,7 @@ class Memory:
     """A high-performance port of the processing system and the masters that share it."""
 
     cell: str
-    slave: str
-    clock: str
+    port: MemoryPort
     sources: tuple[str, ...]
 
 
@@ -124,8 +123,9 @@ def _ps_settings(system: System, clocks: list[ClockPin], memories: list[Memory])
     groups = len(system.dmas) + 1
     if system.platform.name == "zynq7000":
         yield "PCW_USE_M_AXI_GP0", 1
-        for index in range(len(memories)):
-            yield f"PCW_USE_S_AXI_HP{index}", 1
+        for memory in memories:
+            yield f"PCW_USE_S_AXI_HP{memory.port.setting}", 1
+            yield f"PCW_S_AXI_HP{memory.port.setting}_DATA_WIDTH", WIDTH[False]
         yield "PCW_USE_FABRIC_INTERRUPT", 1
         yield "PCW_IRQ_F2P_INTR", 1
         for clock in clocks:
@@ -136,8 +136,10 @@ def _ps_settings(system: System, clocks: list[ClockPin], memories: list[Memory])
     yield "PSU__USE__M_AXI_GP0", 1
     yield "PSU__USE__M_AXI_GP1", 0
     yield "PSU__USE__M_AXI_GP2", 0
-    for index in range(len(memories)):
-        yield f"PSU__USE__S_AXI_GP{index + 2}", 1
+    yield "PSU__MAXIGP0__DATA_WIDTH", HPM_WIDTH
+    for memory in memories:
+        yield f"PSU__USE__S_AXI_GP{memory.port.setting}", 1
+        yield f"PSU__SAXIGP{memory.port.setting}__DATA_WIDTH", WIDTH[True]
     yield "PSU__USE__IRQ0", 1
     yield "PSU__USE__IRQ1", int(groups > 8)
     for clock in clocks:
@@ -222,11 +224,9 @@ def _memories(system: System, dmas: list[DmaCell]) -> Iterator[Memory]:
         sources += [f"[get_bd_intf_pins {dma.cell}/M_AXI_SG]", f"[get_bd_intf_pins {dma.cell}/{dma.memory_pin}]"]
     for region in system.regions:
         sources += [f"[get_bd_intf_ports s_axi_{region.name}_{bus.interface.name}]" for bus in region.memory]
-    for index, start in enumerate(range(0, len(sources), MAX_SLAVES)):
-        if index >= len(system.platform.memory_slaves):
-            raise BuildError(f"{len(sources)} masters to memory are more than the processing system's ports can take")
-        slave, clock = system.platform.memory_slaves[index], system.platform.memory_clocks[index]
-        yield Memory(f"memory_interconnect_{index}", slave, clock, tuple(sources[start : start + MAX_SLAVES]))
+    for index, port in enumerate(memory_ports(system)):
+        share = sources[index * MAX_SLAVES : (index + 1) * MAX_SLAVES]
+        yield Memory(f"memory_interconnect_{index}", port, tuple(share))
 
 
 def _interrupts(system: System, dmas: list[DmaCell]) -> Iterator[Interrupts]:

@@ -7,7 +7,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cm.bitstream import device_by_name
-from cm.build.plan.system import Implementation, System
+from cm.build.generate import afi
+from cm.build.generate.static_part.module import used_clocks
+from cm.build.plan.system import Implementation, RegionPlan, System
 from cm.build.runtime.answers import Answers
 from cm.build.runtime.schema import REGION_BLOCK, REGION_STRIDE, runtime_config
 from cm.build.runtime.text import runtime_text
@@ -70,6 +72,26 @@ class _DeviceTree:
         """A PL clock: clock number 15 and up of Zynq's ``clkc``, 71 and up of ``zynqmp_clk``."""
         index = list(self._system.project.clocks).index(name)
         return f"<&clkc {15 + index}>" if self.cells == 1 else f"<&zynqmp_clk {71 + index}>"
+
+    @property
+    def clocks(self) -> list[tuple[str, str]]:
+        """The PL clocks in use: phandle with its argument, and name."""
+        return [(self.clock(name), name) for name in used_clocks(self._system)]
+
+    @property
+    def rates(self) -> str:
+        """Their rates, as ``assigned-clock-rates`` has them."""
+        rates = [self._system.project.clocks[name].rate for name in used_clocks(self._system)]
+        return f"<{' '.join(map(str, rates))}>"
+
+    @property
+    def afi(self) -> list[afi.Node]:
+        """Nodes that set the widths of the ports between PS and PL."""
+        return afi.nodes(self._system)
+
+    def region(self, region: RegionPlan) -> str:
+        """Name of a region's node: the kernel's binding allows ``fpga-region-<number>``."""
+        return f"fpga-region-{region.index}"
 
     def interrupt(self, line: int) -> str:
         """An interrupt of the PL, level high."""

@@ -70,6 +70,7 @@ class _Planner:
     def plan(self, boundaries: Mapping[str, Boundary]) -> System:
         project = self._project
         main = next(iter(project.clocks))
+        self._check_coherence()
         control = self._addresses.control(main)
         icap = self._icap(main)
         regions = tuple(
@@ -91,6 +92,18 @@ class _Planner:
             cover=covered,
             notes=tuple(self._notes),
         )
+
+    def _check_coherence(self) -> None:
+        """Only UltraScale+ has coherent ports as wide as those that the block design uses."""
+        if self._project.static.coherent and not self._platform.coherent_slaves:
+            message = f"{self._platform.name} has no coherent port that the generated block design uses"
+            hint = "leave it away: the DMA goes through HP ports then, and the runtime syncs each frame"
+            raise fault(self._project.source, ("static", "coherent"), message, hint)
+        if self._project.static.coherent:
+            self._notes.append(
+                "HPC ports snoop only with broadcasting on: the boot loader has to write 3 to LPD_SLCR.lpd_apu "
+                "(0xff41a040) before the processors start, a [init] file of bootgen does (UG1085)"
+            )
 
     def _icap(self, clock: str) -> Dma | None:
         if not any(region.loader is LoaderKind.ICAP for region in self._project.regions.values()):

@@ -142,7 +142,12 @@ class _Builder:
             key: self._files.many(spec.get(key), ("static", key))
             for key in ("sources", "include_dirs", "block_design", "constraints")
         }
-        return StaticSpec(**files, libraries=self._libraries(spec, ("static",)), registers=_registers(spec))
+        return StaticSpec(
+            **files,
+            libraries=self._libraries(spec, ("static",)),
+            registers=_registers(spec),
+            coherent=bool(spec.get("coherent")),
+        )
 
     def _libraries(self, spec: dict[str, Any], where: KeyPath) -> dict[str, tuple[Path, ...]]:
         given = spec.get("libraries") or {}

@@ -173,7 +173,7 @@ class ClockSpec:
 
 @dataclass(frozen=True, slots=True)
 class StaticSpec:
-    """What the user adds to the static part."""
+    """What the user adds to the static part; `coherent`: its masters see the processors' caches."""
 
     sources: tuple[Path, ...] = ()
     libraries: Mapping[str, tuple[Path, ...]] = field(default_factory=empty)
@@ -181,6 +181,7 @@ class StaticSpec:
     block_design: tuple[Path, ...] = ()
     constraints: tuple[Path, ...] = ()
     registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
+    coherent: bool = False
 
 
 @dataclass(frozen=True, slots=True)

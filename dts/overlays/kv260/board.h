@@ -4,6 +4,7 @@
 #define TARGET fpga_full
 #define CELLS 2
 #define REG(address, size) 0x0 address 0x0 size
+#define INTC gic
 #define IRQ(number) 0 (89 + number) 4
 #define CLOCK &zynqmp_clk 71
 #define ICAP_CLOCK &zynqmp_clk 72

@@ -4,6 +4,7 @@
 #define TARGET fpga_full
 #define CELLS 1
 #define REG(address, size) address size
+#define INTC intc
 #define IRQ(number) 0 (29 + number) 4
 #define CLOCK &clkc 15
 #define ICAP_CLOCK &clkc 16

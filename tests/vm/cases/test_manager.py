@@ -171,7 +171,7 @@ def test_a_module_in_use_cannot_be_unloaded(board: cm.Board) -> None:
 
 @pytest.mark.needs("overlay")
 def test_overlays_of_a_mode_are_in_the_live_tree_and_their_drivers_bound(board: cm.Board) -> None:
-    camera = Path("/proc/device-tree/pl-bus/fpga-region-prr0/camera@58002000")
+    camera = Path("/proc/device-tree/pl-bus/fpga-region-0/camera@58002000")
     leds = Path("/proc/device-tree/pl-bus/leds@58004000")
     assert (camera.exists(), leds.exists()) == (True, False)
     assert (driver("58002000.camera"), driver("58004000.leds")) == ("uio_pdrv_genirq", None)

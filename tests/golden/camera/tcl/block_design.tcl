@@ -11,6 +11,7 @@ set ps [cm_ip processing_system7 ps7]
 apply_bd_automation -rule xilinx.com:bd_rule:processing_system7 -config {make_external "FIXED_IO, DDR" Master "Disable" Slave "Disable"} $ps
 set_property CONFIG.PCW_USE_M_AXI_GP0 {1} $ps
 set_property CONFIG.PCW_USE_S_AXI_HP0 {1} $ps
+set_property CONFIG.PCW_S_AXI_HP0_DATA_WIDTH {64} $ps
 set_property CONFIG.PCW_USE_FABRIC_INTERRUPT {1} $ps
 set_property CONFIG.PCW_IRQ_F2P_INTR {1} $ps
 set_property CONFIG.PCW_EN_CLK0_PORT {1} $ps

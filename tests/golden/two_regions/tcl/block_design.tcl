@@ -11,7 +11,9 @@ set ps [cm_ip zynq_ultra_ps_e ps8]
 set_property CONFIG.PSU__USE__M_AXI_GP0 {1} $ps
 set_property CONFIG.PSU__USE__M_AXI_GP1 {0} $ps
 set_property CONFIG.PSU__USE__M_AXI_GP2 {0} $ps
+set_property CONFIG.PSU__MAXIGP0__DATA_WIDTH {128} $ps
 set_property CONFIG.PSU__USE__S_AXI_GP2 {1} $ps
+set_property CONFIG.PSU__SAXIGP2__DATA_WIDTH {128} $ps
 set_property CONFIG.PSU__USE__IRQ0 {1} $ps
 set_property CONFIG.PSU__USE__IRQ1 {0} $ps
 set_property CONFIG.PSU__FPGA_PL0_ENABLE {1} $ps
