@@ -65,6 +65,11 @@ def run_list(args: argparse.Namespace) -> int:
             print(
                 f"  {s.name}: {c.name or '?'} (pid {c.pid}) {does}: {c.frames} frames, {c.dropped} lost, holds {c.held}"
             )
+        if s.exact:
+            print(
+                f"  {s.name}: its DMA has no scatter/gather, so it cannot tell how much arrived: a frame that ends "
+                "early is handed on as a whole one"
+            )
         if s.overruns:
             print(f"  {s.name}: subscribers over ZeroMQ fell behind {s.overruns} times")
     return 0

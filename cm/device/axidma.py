@@ -34,12 +34,16 @@ class DmaType(enum.Enum):
 
 
 class DmaCaps(enum.Flag):
-    """What a channel's driver can do; RESIDUE: short packets report their length."""
+    """What a channel can do; RESIDUE: short packets report their length; SIMPLE: its engine has no scatter/gather."""
 
     NONE = 0
     CYCLIC = native.CAP_CYCLIC
     VIDEO = native.CAP_VIDEO
     RESIDUE = native.CAP_RESIDUE
+    SIMPLE = native.CAP_SIMPLE
+
+
+_KNOWN_CAPS = native.CAP_CYCLIC | native.CAP_VIDEO | native.CAP_RESIDUE | native.CAP_SIMPLE
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +59,18 @@ class DmaInfo:
     alignment: int
     frame_length: int
 
+    @property
+    def tells_length(self) -> bool:
+        """Whether a completion says how many bytes arrived, and not only how many were asked for."""
+        return bool(self.caps & DmaCaps.RESIDUE)
+
 
 @dataclass(frozen=True, slots=True)
 class Completion:
     """A finished transfer.
 
-    ``length`` is the bytes that moved, with S2MM perhaps fewer than asked for; ``status`` 0 or a
+    ``length`` is the bytes that moved, with S2MM perhaps fewer than asked for (but see
+    ``DmaInfo.tells_length``); ``status`` 0 or a
     negative errno (-EIO, -ECANCELED); ``timestamp_ns`` of CLOCK_MONOTONIC; ``overrun``: cyclic
     periods were lost before this one.
     """
@@ -120,7 +130,7 @@ class AxiDma(Device):
                 raw = native.info(self._handle)
             except OSError as error:
                 raise self._error(error, "describe") from error
-            kind, caps = DmaType(raw.type), DmaCaps(raw.caps & 7)
+            kind, caps = DmaType(raw.type), DmaCaps(raw.caps & _KNOWN_CAPS)
             depth = raw.queue_depth, raw.max_length, raw.alignment, raw.frame_length
             self._info = DmaInfo(raw.name, Direction(raw.direction), kind, caps, *depth)
         return self._info

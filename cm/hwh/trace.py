@@ -33,13 +33,33 @@ class InterruptLine:
 
 @dataclass(frozen=True, slots=True)
 class DmaChannel:
-    """One direction of a DMA engine; `base` is that of the engine's registers, `width` bits of its stream."""
+    """One direction of a DMA engine; `base` is that of the engine's registers, `width` bits of its stream.
+
+    Of an axi_dma: `scatter_gather` (Enable Scatter Gather Engine), and `length_bits` of its length register (PG021).
+    """
 
     instance: str
     kind: str  # axi_dma, axi_vdma or axi_mcdma
     direction: str  # mm2s or s2mm
     base: int | None
     width: int
+    scatter_gather: bool = True
+    length_bits: int = 26
+
+    @property
+    def longest(self) -> int:
+        """Bytes of one transfer at most."""
+        return (1 << self.length_bits) - 1
+
+    @property
+    def limits(self) -> str:
+        """What an engine without scatter/gather cannot do; empty where it has that."""
+        if self.scatter_gather:
+            return ""
+        text = f"no scatter/gather (c_include_sg=0): one transfer of at most {self.longest} bytes at a time"
+        if self.direction == "s2mm":
+            text += ", and nothing tells how many bytes arrived: give it a shape whose frames end with TLAST"
+        return text
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,8 +157,19 @@ def dma_channels(hwh: Hwh) -> tuple[DmaChannel, ...]:
                     width = module.parameters.get(f"C_{stream}_TDATA_WIDTH", "")
                     base = _base(hwh, module.instance)
                     bits = int(width) if width.isdecimal() else 0
-                    found.append(DmaChannel(module.instance, module.type, direction, base, bits))
+                    engine = _engine(module) if module.type == "axi_dma" else (True, 26)
+                    found.append(DmaChannel(module.instance, module.type, direction, base, bits, *engine))
     return tuple(found)
+
+
+def _engine(module: ModuleInstance) -> tuple[bool, int]:
+    """Whether there is scatter/gather, and bits of the length register; both as the core, or its customisation, says.
+
+    What is not written has the core's default: scatter/gather, and 14 bits (PG021).
+    """
+    values = {key.lower(): value for key, value in module.parameters.items()}
+    bits = values.get("c_sg_length_width", "")
+    return values.get("c_include_sg", "1") != "0", min(max(int(bits), 8), 26) if bits.isdecimal() else 14
 
 
 def decouplers(hwh: Hwh) -> tuple[DecouplerInfo, ...]:

@@ -109,6 +109,9 @@ def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
             continue
         name = names.take(f"{channel.instance}_{channel.direction}".lower())
         doc = f"{channel.kind} {channel.instance}, {channel.width} bits wide"
+        if channel.limits:
+            doc += f"; {channel.limits}"
+            notes.append(f"stream {name}: {channel.instance} has {channel.limits}")
         found[name] = Stream(name, channel=name, direction=Direction(channel.direction), doc=doc)
     if found:
         notes.append(

@@ -89,6 +89,8 @@ class StreamStatus:
     backpressure: bool = False
     stride: int = 0  # bytes from line to line in memory; 0: lines follow each other
     limit: float = 0.0  # frames handed on per second at most; 0: all
+    exact: bool = False  # the channel cannot tell how many bytes arrived: each frame must end with TLAST; while open
+    max_length: int = 0  # bytes of one transfer at most; 0 while the stream is closed
 
 
 @dataclass(frozen=True, slots=True)

@@ -97,6 +97,8 @@ def stream_to_pb(s: st.StreamStatus) -> pb.StreamState:
         backpressure=s.backpressure,
         stride=s.stride,
         limit=s.limit,
+        exact=s.exact,
+        max_length=s.max_length,
     )
 
 
@@ -126,6 +128,8 @@ def stream_from_pb(m: pb.StreamState) -> st.StreamStatus:
         m.backpressure,
         m.stride,
         m.limit,
+        m.exact,
+        m.max_length,
     )
 
 

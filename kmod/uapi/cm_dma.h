@@ -28,6 +28,7 @@
 #define CM_DMA_CAP_CYCLIC (1u << 0)
 #define CM_DMA_CAP_VIDEO (1u << 1)   /* interleaved frames */
 #define CM_DMA_CAP_RESIDUE (1u << 2) /* short packets report their length */
+#define CM_DMA_CAP_SIMPLE (1u << 3)  /* no scatter/gather: one transfer runs at a time */
 
 /**
  * struct cm_dma_info - what this channel is
@@ -125,7 +126,8 @@ struct cm_dma_cancel {
 /**
  * struct cm_dma_completion - one finished transfer, as read() returns it
  * @cookie: as submitted
- * @length: bytes moved; with S2MM the bytes that arrived, may be fewer
+ * @length: bytes moved; with S2MM the bytes that arrived, may be fewer; what
+ *          was asked for where the channel lacks CM_DMA_CAP_RESIDUE
  * @timestamp_ns: CLOCK_MONOTONIC at the completion
  * @sequence: number of the completion on this file, from 0; lost ones of a
  *            cyclic transfer have numbers too, so a gap is how many were lost

@@ -147,6 +147,19 @@ def test_addresses_of_an_engine_have_the_width_that_it_was_customised_with() -> 
     assert [engine.address_bits for engine in engines(handoff.parse(wide.encode()), ZYNQ7000).found] == [40, 32]
 
 
+def test_an_engine_without_scatter_gather_says_what_it_cannot_do(theirs: Path) -> None:
+    text = (theirs / "top.hwh").read_text("utf-8-sig")
+    simple = text.replace('NAME="C_SG_LENGTH_WIDTH" VALUE="23"/>', 'NAME="c_include_sg" VALUE="0"/>')
+    assert simple != text
+    (theirs / "top.hwh").write_text(simple)
+    found = collect([theirs])
+    why = "has no scatter/gather (c_include_sg=0): one transfer of at most 16383 bytes at a time"
+    assert f"stream axi_dma_0_mm2s: axi_dma_0 {why}" in found.notes
+    assert any(note.startswith(f"stream axi_dma_0_s2mm: axi_dma_0 {why}, and nothing tells") for note in found.notes)
+    assert "no scatter/gather" in found.config.streams["axi_dma_0_s2mm"].doc
+    assert "scatter/gather" not in found.config.streams["axi_vdma_0"].doc
+
+
 # parts of boards, as their board files in Xilinx/XilinxBoardStore 20bbb12 have them
 BOARDS = {
     "Ultra96 v2": ("xczu3eg-sbva484-1-i", "zynqmp"),

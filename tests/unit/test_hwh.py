@@ -122,6 +122,21 @@ def test_dma_channels_are_those_that_are_switched_on() -> None:
     assert (channel.instance, channel.direction, channel.base, channel.width) == ("dma", "s2mm", 0x40400000, 64)
 
 
+@pytest.mark.parametrize(
+    ("parameters", "expected"),
+    [
+        ({}, (True, 14)),
+        ({"C_INCLUDE_SG": "1", "C_SG_LENGTH_WIDTH": "26"}, (True, 26)),
+        ({"c_include_sg": "0", "c_sg_length_width": "16"}, (False, 16)),
+    ],
+)
+def test_scatter_gather_and_the_length_register_are_read_as_the_core_or_its_customisation_has_them(
+    parameters: dict[str, str], expected: tuple[bool, int]
+) -> None:
+    found = handoff.parse(hwh(module("dma", "axi_dma", parameters=parameters)))
+    assert {(c.scatter_gather, c.length_bits) for c in handoff.dma_channels(found)} == {expected}
+
+
 def decoupled_by(driver: str, output: str, *more: str) -> Hwh:
     return handoff.parse(
         hwh(

@@ -178,7 +178,7 @@ def _finish(inputs: Inputs, config: Config, files: dict[str, bytes], notes: list
         platform = platform_of(config.device or inputs.whole.device)
         dma, lines = engines(inputs.whole.design, platform), interrupts(inputs.whole.design, platform)
         sources[f"{config.name}_static"] = overlay(inputs.whole.design, config, platform, dma, lines)
-        notes = [*notes, *dma.notes, *lines.notes]
+        notes = [*notes, *dma.notes, *handoff.limits(inputs.whole.design), *lines.notes]
     overlays, more = compile_overlays(sources)
     text = (_HEAD + dump(config)).encode()
     return Collected(config, {**files, **overlays, f"{config.name}.yaml": text}, (*notes, *more))

@@ -55,13 +55,13 @@ def bridges(design: hwh.Hwh) -> Iterator[Bridge]:
     for found in hwh.decouplers(design):
         if found.base is None or found.driver != found.instance or found.instance not in sizes:
             continue
-        clock = _clock_of(design.modules[found.instance], design)
+        clock = _clock_of(design.modules[found.instance])
         if clock is not None:
             label = f"{identifier(found.instance)}_bridge"
             yield Bridge(label, found.base, sizes[found.instance], clock)
 
 
-def _clock_of(module: hwh.ModuleInstance, design: hwh.Hwh) -> str | None:
+def _clock_of(module: hwh.ModuleInstance) -> str | None:
     port = module.ports.get("aclk") or module.ports.get("s_axi_aclk")
     ends = [end.port for end in port.connections] if port else []
     return next((PS_CLOCKS[name] for name in ends if name in PS_CLOCKS), None)

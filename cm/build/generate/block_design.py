@@ -15,7 +15,6 @@ from cm.build.plan.system import Dma, System, Window
 from cm.schema.model import Direction
 
 
-
 @dataclass(frozen=True, slots=True)
 class ClockPin:
     """A clock of the processing system in use."""

@@ -16,6 +16,7 @@ from cm.wire.plane import DIMENSIONS, SLOTS_MAX
 _MAX_FRAME = 1 << 30
 _NUMBERS = "biufc"  # kinds of numpy's dtypes that a frame may be made of
 _DTYPE_NAME = 15  # bytes that a packet has for it
+_LENGTH_BITS = 26  # of an AXI DMA's length register at most
 _FLAT = 1 << 20  # bytes of a slot where neither schema nor channel says how long a frame is
 
 
@@ -78,16 +79,31 @@ def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
     cyclic = stream.cyclic and write
     if cyclic and not video and not info.caps & DmaCaps.CYCLIC:
         raise InvalidRequest(f"{name} cannot be cyclic: channel {info.name} cannot repeat a transfer")
+    if not (write or frame or info.frame_length or info.tells_length):
+        raise InvalidRequest(
+            f"{name} has no shape, and channel {info.name} cannot tell how many bytes arrived (its DMA has no "
+            "scatter/gather): give the stream the shape of its frames, each of which must end with TLAST"
+        )
     length = frame or info.frame_length or min(_FLAT, info.max_length)
     one, what = (line_bytes, "a line") if video else (length, "a frame")
     if one > info.max_length:
-        raise InvalidRequest(f"{name}: {what} has {one} bytes, channel {info.name} moves {info.max_length} at most")
+        raise InvalidRequest(
+            f"{name}: {what} has {one} bytes, channel {info.name} moves {info.max_length} at most{_wider(info, one)}"
+        )
     if video:
         length = (lines - 1) * stride + line_bytes
     _check_alignment(info, stream, one, stride if video else 0)
     period = round(1e9 / stream.limit) if stream.limit else 0
     shape = (lines, line_bytes, stride) if video else (0, 0, 0)
     return StreamSetup(write, length, stream.backpressure, cyclic, *shape, period)
+
+
+def _wider(info: DmaInfo, length: int) -> str:
+    """What would let an AXI DMA move more at once: its length register has 8 to 26 bits (PG021)."""
+    bits = length.bit_length()
+    if info.type is not DmaType.AXIDMA or bits > _LENGTH_BITS:
+        return ""
+    return f"; its design would need a 'Width of Buffer Length Register' of {bits} bits or more"
 
 
 def _check_alignment(info: DmaInfo, stream: Stream, one: int, stride: int) -> None:

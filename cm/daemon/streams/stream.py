@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.daemon.streams.settings import frame_bytes, setup
-from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo
+from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
 from cm.device.plane import Plane, StreamCounts
 from cm.errors import Busy, CmError
 from cm.manager.reporting.descriptions import stream_status
@@ -220,6 +220,8 @@ class Pump:
             rate=_rate(counts),
             latency_us=_median(counts.latency_ns) / 1000,
             clients=tuple(self._clients()),
+            exact=not (self.writes or self.channel.tells_length or self.channel.type is DmaType.VDMA),
+            max_length=self.channel.max_length,
         )
 
     def _clients(self) -> Iterator[StreamClient]:

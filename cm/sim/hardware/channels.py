@@ -35,6 +35,7 @@ class ChannelSpec:
     rate: float
     partner: str | None = None
     vdma: bool = False  # moves lines only
+    simple: int = 0  # bits of the length register of an engine without scatter/gather; 0: it has that
 
     @property
     def frame_length(self) -> int:

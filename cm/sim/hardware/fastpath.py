@@ -57,7 +57,7 @@ class FastPath:
 
 
 def _lendable(channel: Channel) -> bool:
-    if channel.spec.vdma or not channel.coherent:  # each of their transfers is looked at
+    if channel.spec.vdma or channel.spec.simple or not channel.coherent:  # each of their transfers is looked at
         return False
     completions = channel.completions
     if completions is None or completions.events.line is None or not completions.events.line.lendable:

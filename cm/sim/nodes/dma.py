@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from cm.schema.model import Direction
 from cm.sim.errors import NodeError
+from cm.sim.hardware.channels import ChannelSpec
 from cm.sim.hardware.dma import MAX_LENGTH, MAX_LINE, QUEUE_DEPTH, Channel, Completions, Transfer
 from cm.sim.transport import protocol
 from cm.sim.transport.buffers import Buffer, Buffers, Memory, fit
@@ -84,9 +85,7 @@ class DmaSession:
         spec = self._channel.spec
         direction = protocol.MM2S if spec.direction is Direction.MM2S else protocol.S2MM
         frame = spec.frame_length if spec.is_camera else 0
-        kind, caps, longest = (
-            (protocol.TYPE_VDMA, _VDMA_CAPS, MAX_LINE) if spec.vdma else (protocol.TYPE_AXIDMA, _CAPS, MAX_LENGTH)
-        )
+        kind, caps, longest = _kind(spec)
         name = spec.name.encode()
         info = protocol.DMA_INFO.pack(
             len(payload), 0, direction, kind, caps, QUEUE_DEPTH, longest, _ALIGNMENT, frame, name
@@ -100,8 +99,10 @@ class DmaSession:
         if self._channel.spec.vdma:
             raise NodeError(errno.EOPNOTSUPP, "a VDMA moves frames of lines")
         cyclic = bool(flags & protocol.SUBMIT_CYCLIC)
+        if cyclic and self._channel.spec.simple:
+            raise NodeError(errno.EOPNOTSUPP, "without scatter/gather nothing repeats by itself")
         buffer = self._buffer(handle)
-        _check_range(buffer, offset, length)
+        _check_range(buffer, offset, length, _kind(self._channel.spec)[2])
         if cyclic != bool(period) or (cyclic and length % period):
             raise NodeError(errno.EINVAL, "a cyclic transfer, and no other, has a period that divides its length")
         view = buffer.bytes[offset : offset + length]
@@ -112,6 +113,8 @@ class DmaSession:
         fields = protocol.unpack(protocol.DMA_SUBMIT_VIDEO, payload)
         flags, handle, lines, offset, line_bytes, stride, cookie = fields
         protocol.require_zero(flags & ~protocol.SUBMIT_CYCLIC)
+        if self._channel.spec.simple:
+            raise NodeError(errno.EOPNOTSUPP, "without scatter/gather lines cannot lie apart")
         buffer = self._buffer(handle)
         if not lines or not line_bytes or stride < line_bytes:
             raise NodeError(errno.EINVAL, "a frame has lines of at least one byte, and strides that hold them")
@@ -138,8 +141,17 @@ class DmaSession:
         return buffer
 
 
-def _check_range(buffer: Buffer, offset: int, length: int) -> None:
-    if length > MAX_LENGTH:
+def _kind(spec: ChannelSpec) -> tuple[int, int, int]:
+    """Type, capabilities and longest transfer."""
+    if spec.vdma:
+        return protocol.TYPE_VDMA, _VDMA_CAPS, MAX_LINE
+    if spec.simple:
+        return protocol.TYPE_AXIDMA, protocol.CAP_SIMPLE, (1 << spec.simple) - 1
+    return protocol.TYPE_AXIDMA, _CAPS, MAX_LENGTH
+
+
+def _check_range(buffer: Buffer, offset: int, length: int, longest: int) -> None:
+    if length > longest:
         raise NodeError(errno.EMSGSIZE, f"{length} bytes are more than one transfer may move")
     if length <= 0 or offset + length > buffer.length:
         raise NodeError(errno.EINVAL, "the range is empty or not inside the buffer")

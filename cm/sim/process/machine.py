@@ -6,8 +6,8 @@ from __future__ import annotations
 import os
 import sys
 import uuid
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from cm.schema.model import Direction, LoaderKind
 from cm.sim.errors import SimError
@@ -54,6 +54,7 @@ class Options:
     bitstream_size: int | None = None
     seed: int = 1
     vdma: Collection[str] = ()  # channels that are a VDMA's
+    simple: Mapping[str, int] = field(default_factory=dict)  # without scatter/gather: bits of their length register
     coherent: bool = True  # memory: if not, every access of the processor has to be synchronised
 
 
@@ -73,7 +74,7 @@ class Machine:
         self.engine = self._engine()
         self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
         self.overlays = Overlays(root, self.manager, self.faults)
-        self.channels = {name: Channel(channel) for name, channel in _with_vdma(spec, options.vdma).items()}
+        self.channels = {name: Channel(channel) for name, channel in _with_engines(spec, options).items()}
         self.links = self._links()
         self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
         self.icap_node = self._icap_node()
@@ -195,11 +196,16 @@ class Machine:
         return {one: link, other: link}
 
 
-def _with_vdma(spec: BoardSpec, names: Collection[str]) -> dict[str, ChannelSpec]:
-    for name in names:
+def _with_engines(spec: BoardSpec, options: Options) -> dict[str, ChannelSpec]:
+    for name in (*options.vdma, *options.simple):
         if name not in spec.channels:
             raise SimError(f"no channel is called {name}; there are {', '.join(sorted(spec.channels))}")
-    return {name: replace(channel, vdma=name in names) for name, channel in spec.channels.items()}
+        if name in options.vdma and name in options.simple:
+            raise SimError(f"channel {name} is a VDMA's or has a length register, not both")
+    return {
+        name: replace(channel, vdma=name in options.vdma, simple=options.simple.get(name, 0))
+        for name, channel in spec.channels.items()
+    }
 
 
 def _icap_names(spec: BoardSpec) -> list[str]:

@@ -94,6 +94,7 @@ def _options(args: argparse.Namespace) -> Options:
         bitstream_size=args.bitstream_size,
         seed=args.seed,
         vdma=frozenset(args.vdma),
+        simple=dict(args.simple_dma),
         coherent=not args.non_coherent,
     )
 

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Streams over an AXI DMA without scatter/gather: one transfer at a time, no received length, a short length register.
+
+It is what most designs of PYNQ have (`c_include_sg` 0, 14 bits by default).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from manager_process import Manager, served
+
+import cm
+from cm.cli.main import main
+from cm.daemon.streams.settings import setup
+from cm.device import AxiDma, DeviceError, DmaCaps
+from cm.errors import InvalidRequest
+from cm.messages.status import StreamStatus
+from cm.schema.model import Direction, Stream
+from cm.sim import Board as SimBoard
+
+LONGEST = (1 << 14) - 1
+
+
+@pytest.fixture(scope="module")
+def both() -> Iterator[tuple[Manager, SimBoard]]:
+    with served(["--simple-dma", "to_pl", "--simple-dma", "from_pl:14"]) as found:
+        yield found
+
+
+@pytest.fixture
+def board(both: tuple[Manager, SimBoard]) -> Iterator[cm.Board]:
+    with both[0].connected() as board:
+        board.load("camera", "default", force=True)
+        board.load("camera", "loopback")
+        yield board
+
+
+def state(board: cm.Board, name: str) -> StreamStatus:
+    return next(s for s in board.status.streams if s.name == name)
+
+
+def test_a_stream_without_a_shape_is_refused_and_told_why(both: tuple[Manager, SimBoard]) -> None:
+    with AxiDma.open("from_pl", both[1].root) as channel:
+        info = channel.info
+    stream = Stream("packets", "from_pl", Direction.S2MM)
+    with pytest.raises(InvalidRequest, match=r"cannot tell how many bytes arrived.*each of which must end with TLAST"):
+        setup(info, stream)
+    assert setup(replace(info, caps=DmaCaps.RESIDUE), stream).length == LONGEST
+
+
+def test_frames_of_a_known_shape_come_one_after_the_other(board: cm.Board) -> None:
+    for name in ("to_pl", "from_pl"):
+        board.configure_stream(name, shape=(100, 100))
+    with board.stream("from_pl", timeout=20) as stream, board.writer("to_pl", timeout=20) as writer:
+        for value in range(10):
+            writer.write(np.full((100, 100), value, dtype=np.uint8))
+            frame = stream.read()
+            assert frame.shape == (100, 100)
+            assert (np.asarray(frame) == value).all()
+            del frame
+
+
+def test_a_frame_longer_than_the_length_register_is_refused_with_the_width_that_it_takes(board: cm.Board) -> None:
+    with pytest.raises(InvalidRequest, match=f"moves {LONGEST} at most.*of 15 bits or more"):
+        board.configure_stream("from_pl", shape=(128, 128))
+
+
+def test_a_frame_that_repeats_by_itself_is_refused(board: cm.Board) -> None:
+    with pytest.raises(InvalidRequest, match="cannot repeat a transfer"):
+        board.configure_stream("to_pl", shape=(100, 100), cyclic=True)
+
+
+def test_the_list_of_streams_says_that_lengths_are_not_known(
+    board: cm.Board, both: tuple[Manager, SimBoard], capsys: pytest.CaptureFixture[str]
+) -> None:
+    board.configure_stream("from_pl", shape=(100, 100), enable=True)
+    found = state(board, "from_pl")
+    assert (found.exact, found.max_length) == (True, LONGEST)
+    assert main(["stream", "list", "--runtime-dir", str(both[0].runtime)]) == 0
+    assert "from_pl: its DMA has no scatter/gather" in capsys.readouterr().out
+
+
+def test_a_stream_of_an_engine_with_scatter_gather_tells_lengths(board: cm.Board) -> None:
+    board.configure_stream("camera", enable=True)
+    assert not state(board, "camera").exact
+
+
+def test_a_short_packet_completes_as_long_as_was_asked_for(both: tuple[Manager, SimBoard]) -> None:
+    root = both[1].root
+    with AxiDma.open("from_pl", root) as receiver, AxiDma.open("to_pl", root) as sender:
+        assert receiver.info.caps == DmaCaps.SIMPLE
+        assert not receiver.info.tells_length
+        into, out = receiver.allocate(4096), sender.allocate(4096)
+        receiver.submit(into, length=4096)
+        sender.submit(out, length=100)
+        assert sender.wait(timeout=10).length == 100
+        assert receiver.wait(timeout=10).length == 4096
+
+
+def test_a_transfer_above_the_length_register_is_refused_by_the_channel(both: tuple[Manager, SimBoard]) -> None:
+    with AxiDma.open("from_pl", both[1].root) as receiver:
+        buffer = receiver.allocate(LONGEST + 1)
+        with pytest.raises(DeviceError, match=r"(?i)message too long"):
+            receiver.submit(buffer, length=LONGEST + 1)
