@@ -19,7 +19,7 @@ from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.ports import Window
 from cm.manager.state.journal import Store
 from cm.messages.requests import WriteConfig
-from cm.messages.status import Irq, RegValues
+from cm.messages.status import RegValues
 from cm.schema import loads
 from cm.schema.model import Config
 
@@ -45,8 +45,6 @@ class Nobody:
     def status_changed(self) -> None: ...
 
     def registers_changed(self, values: RegValues) -> None: ...
-
-    def interrupt(self, irq: Irq) -> None: ...
 
     def quiesce(self, streams: Collection[str]) -> None:
         self.calls.append(("quiesce", tuple(streams)))
@@ -102,7 +100,7 @@ class FaultyDevices:
 
     def window(self, address: int, width: int) -> Window:
         found = self._inner.window(address, width)
-        watched = Watched(found.uio, self._fault, "uio", ("read", "write", "read_block", "write_block"))
+        watched = Watched(found.device, self._fault, "uio", ("read", "write", "read_block", "write_block"))
         return Window(watched, found.map, found.offset)  # type: ignore[arg-type]
 
     def icap(self, name: str | None) -> Any:

@@ -37,7 +37,7 @@ from cm.errors import CmError
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.state.journal import Store
 from cm.messages.requests import WriteConfig
-from cm.messages.status import ErrorInfo, Irq, RegValues, Status
+from cm.messages.status import ErrorInfo, RegValues, Status
 from cm.schema.model import Config
 
 _LOG = logging.getLogger("cm")
@@ -197,10 +197,6 @@ class Server:
     def registers_changed(self, values: RegValues) -> None:
         """Registers are written in the loop's thread only."""
         self._publisher.registers(values)
-
-    def interrupt(self, irq: Irq) -> None:
-        """Told by `Interrupts`."""
-        self._publisher.interrupt(irq)
 
     def _flush_statuses(self) -> None:
         while self._statuses:

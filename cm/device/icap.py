@@ -65,6 +65,11 @@ class IcapStatus:
     bytes_total: int
     loads: int
 
+    @property
+    def loading(self) -> bool:
+        """Whether a load runs, whoever began it."""
+        return self.state is IcapState.LOADING
+
 
 @dataclass(frozen=True, slots=True)
 class IcapCompletion:

@@ -106,6 +106,18 @@ class LoadFailed(CmError):
     code = "load_failed"
 
 
+class LoadUnsupported(CmError):
+    """This kernel cannot load that way."""
+
+    code = "device_unsupported"
+
+
+class WrongDevice(CmError):
+    """The port belongs to another device than the one that the bitstream was built for."""
+
+    code = "wrong_device"
+
+
 class IdentityMismatch(CmError):
     """The region's identity register does not read what the module's schema says."""
 

@@ -1,26 +1,173 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the manager is given: devices, files, a data plane, a clock and somebody who listens."""
+"""What the manager is given: devices, files, a data plane, a clock and an observer. Protocols alone.
+
+`cm.device` has all that is asked for here, and `cm.daemon.host` puts it together; nothing of either is imported, so
+the manager runs, and is tested, where no shim was compiled.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from cm.bitstream import Report
-from cm.device import FpgaManager, Icap, Overlays, Uio
-from cm.messages.status import Irq, RegValues
+from cm.messages.status import RegValues
 from cm.schema.model import Config, Module, Overlay
+
+
+class AddressRange(Protocol):
+    """A run of physical addresses."""
+
+    @property
+    def address(self) -> int:
+        """The first one."""
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+
+
+class RegisterDevice(Protocol):
+    """Maps of registers, read and written by accesses of 8 to 64 bits. All raise DeviceError."""
+
+    @property
+    def maps(self) -> Sequence[AddressRange]:
+        """What is mapped, in order."""
+
+    def read(self, offset: int, width: int = 32, map: int = 0) -> int:  # noqa: A002 (as in `cm.device.Uio`)
+        """The value at an offset (bytes) of a map; `width` in bits."""
+
+    def write(self, offset: int, value: int, width: int = 32, map: int = 0) -> None:  # noqa: A002
+        """Write to an offset of a map."""
+
+    def read_block(self, offset: int, length: int, map: int = 0) -> bytearray:  # noqa: A002
+        """`length` bytes by accesses of 32 bits."""
+
+    def write_block(self, offset: int, data: memoryview, map: int = 0) -> None:  # noqa: A002
+        """Write bytes by accesses of 32 bits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A register's place: a UIO device, the number of its map and the offset in it (bytes)."""
+    """A register's place: a device, the number of its map and the offset in it (bytes)."""
 
-    uio: Uio
+    device: RegisterDevice
     map: int
     offset: int
+
+
+class PortBuffer(Protocol):
+    """Memory from which a configuration port can load."""
+
+    @property
+    def length(self) -> int:
+        """Bytes."""
+
+    def memoryview(self) -> memoryview:
+        """Its bytes, to be written between `sync_begin` and `sync_end`."""
+
+    def sync_begin(self, write: bool) -> None:
+        """The processor accesses it from here on."""
+
+    def sync_end(self, write: bool) -> None:
+        """The processor has accessed it."""
+
+    def close(self) -> None:
+        """Give it back. Raises Busy while a load uses it."""
+
+
+class PortInfo(Protocol):
+    """A configuration port."""
+
+    @property
+    def idcode(self) -> int:
+        """Of its device; 0 where the driver does not know it."""
+
+
+class PortStatus(Protocol):
+    """What a configuration port does."""
+
+    @property
+    def loading(self) -> bool:
+        """Whether a load runs, whoever began it."""
+
+    @property
+    def bytes_done(self) -> int:
+        """Of the running or the last load."""
+
+
+class PortCompletion(Protocol):
+    """The end of a load."""
+
+    @property
+    def cookie(self) -> int:
+        """What the load was begun with."""
+
+    @property
+    def status(self) -> int:
+        """0, or a negative errno."""
+
+    @property
+    def reason(self) -> str:
+        """A sentence for why it failed."""
+
+
+class ConfigPort(Protocol):
+    """A configuration access port that loads from memory by itself. All raise DeviceError."""
+
+    @property
+    def info(self) -> PortInfo:
+        """What it is."""
+
+    def allocate(self, length: int) -> PortBuffer:
+        """At least `length` bytes."""
+
+    def load(
+        self, buffer: Any, length: int | None = None, *, cookie: int = 0, full: bool = False, encrypted: bool = False
+    ) -> None:
+        """Start a load of a buffer of its own, and return at once."""
+
+    def wait(self, timeout: float | None = None) -> PortCompletion:
+        """The next end of a load. Raises TimeoutError after `timeout` seconds."""
+
+    def status(self) -> PortStatus:
+        """What it does now."""
+
+
+class KernelLoader(Protocol):
+    """The kernel's FPGA manager."""
+
+    @property
+    def name(self) -> str:
+        """As the kernel calls it."""
+
+    @property
+    def state(self) -> str:
+        """``operating`` after a load that went well."""
+
+    @property
+    def can_load(self) -> bool:
+        """Whether it can be told to load through sysfs."""
+
+    def load(self, firmware_name: str, partial: bool = False, encrypted: bool = False) -> None:
+        """Load a file below /lib/firmware; returns when the kernel is done. Raises DeviceError."""
+
+
+class OverlayFolder(Protocol):
+    """Device-tree overlays, by name. All but `available` raise DeviceError."""
+
+    def available(self) -> bool:
+        """Whether this kernel can apply any."""
+
+    def list(self) -> Collection[str]:
+        """Those that are applied."""
+
+    def apply(self, name: str, dtbo: bytes) -> None:
+        """Put one on."""
+
+    def remove(self, name: str) -> None:
+        """Take one off."""
 
 
 class Devices(Protocol):
@@ -32,13 +179,13 @@ class Devices(Protocol):
     def window(self, address: int, width: int) -> Window:
         """Where `width` bits at a physical address are mapped. Raises DeviceNotFound."""
 
-    def icap(self, name: str | None) -> Icap:
+    def icap(self, name: str | None) -> ConfigPort:
         """A configuration access port; the only one if no name is given."""
 
-    def fpga_manager(self, name: str | None) -> FpgaManager:
+    def fpga_manager(self, name: str | None) -> KernelLoader:
         """The kernel's FPGA manager."""
 
-    def overlays(self) -> Overlays:
+    def overlays(self) -> OverlayFolder:
         """The device-tree overlays."""
 
     def forget(self) -> None:
@@ -50,12 +197,14 @@ class Devices(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """A validated bitstream: where it lies, its hash, and what was found in it."""
+    """A validated bitstream: where it lies, its hash, and what is asked of it before a load."""
 
     path: Path
     sha256: str
     length: int  # bytes of the stream, as the port takes it
-    report: Report
+    idcode: int | None  # of the device that it was made for, where it says so
+    partial: bool
+    encrypted: bool
 
 
 class Files(Protocol):
@@ -117,6 +266,3 @@ class Observer(Protocol):
 
     def registers_changed(self, values: RegValues) -> None:
         """Registers were written."""
-
-    def interrupt(self, irq: Irq) -> None:
-        """An interrupt came."""

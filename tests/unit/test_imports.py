@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -25,7 +27,7 @@ MAY = {
     "device": BASE | {"native"},
     "hwh": BASE,
     "schema": BASE,
-    "manager": BASE | {"fdt", "messages", "device", "bitstream", "schema.model"},
+    "manager": BASE | {"messages", "schema.model"},
     "wire": BASE | {"messages"},
     "daemon": BASE | {"fdt", "messages", "device", "bitstream", "schema", "manager", "wire", "native", "multipart"},
     "client": BASE | {"messages", "wire", "native", "multipart"},
@@ -94,3 +96,24 @@ def test_only_the_codec_knows_protobuf() -> None:
 def test_the_manager_knows_no_sockets() -> None:
     users = {p.relative_to(PACKAGE).parts[0] for p in PACKAGE.rglob("*.py") if "import zmq" in p.read_text("utf-8")}
     assert not users & {"manager", "schema", "bitstream", "device", "native", "messages", "sim", "wire"}
+
+
+_WITHOUT_SHIMS = """
+import importlib, pkgutil, sys
+
+for compiled in ("cm.native", "cm.device", "cm.bitstream", "cffi", "zmq", "google"):
+    sys.modules[compiled] = None  # importing it raises ImportError
+import cm.manager
+
+for module in pkgutil.walk_packages(cm.manager.__path__, "cm.manager."):
+    importlib.import_module(module.name)
+print(len([name for name in sys.modules if name.startswith("cm.manager.")]))
+"""
+
+
+def test_the_manager_imports_where_no_shim_was_compiled() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _WITHOUT_SHIMS], capture_output=True, text=True, check=False, cwd=PACKAGE.parent
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) > 30

@@ -465,10 +465,10 @@ def test_a_value_that_nobody_had_recorded_comes_back_too(made: Rig, sim: SimBoar
     made.manager.add_config(replace(configs["duo"], modules=wrong))
     at(made, "duo/default")
     lamp = made.devices.window(0x101C, 32)
-    lamp.uio.write(lamp.offset, 3, 32, lamp.map)  # as the boot loader may have
+    lamp.device.write(lamp.offset, 3, 32, lamp.map)  # as the boot loader may have
     seen: list[int] = []
     made.fault.watch = lambda name: (
-        seen.append(lamp.uio.read(lamp.offset, 32, lamp.map)) if name[:4] == "icap" else None
+        seen.append(lamp.device.read(lamp.offset, 32, lamp.map)) if name[:4] == "icap" else None
     )
     assert error_of(made, "duo/lit") == "identity_mismatch"
     assert set(seen) == {3, 5}  # 5 was written, and stood while the way back loaded

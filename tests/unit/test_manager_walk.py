@@ -238,7 +238,7 @@ def test_a_region_that_was_only_cut_off_is_written_its_registers_again(made: Rig
             reset.append(name)
             for register in ("gain", "depth"):
                 window = made.devices.window(REGISTERS[register], 32)
-                window.uio.write(window.offset, 0, 32, window.map)
+                window.device.write(window.offset, 0, 32, window.map)
 
     made.arm(-1)
     made.fault.watch = watch

@@ -19,6 +19,11 @@ _SYNC = b"\x66\x55\x99\xaa"
 _PADDING = (b"\x00\x00\x00\x20", bytes(4), b"\xff\xff\xff\xff")  # NOP; what fills up a file; dummy words
 
 
+def image_of(path: Path, report: Report) -> Image:
+    """A validated bitstream as the manager has it."""
+    return Image(path, report.sha256, report.length, report.idcode, report.partial, report.encrypted)
+
+
 class BitstreamReader:
     """Used by the worker and by plans that are made beside it, so the cache has a lock."""
 
@@ -28,14 +33,14 @@ class BitstreamReader:
         self._same: set[_Pair] = set()  # file and image with the same words, by their hashes
         self._alike: set[_Pair] = set()  # file and image that differ in padding at most
 
-    def validated(self, path: Path, expect: Expectation) -> Image:
-        """The image in a file. Raises the refusals of `cm.bitstream`."""
+    def validated(self, path: Path, expect: Expectation) -> Report:
+        """What is in a file that is as expected. Raises the refusals of `cm.bitstream`."""
         report = self.inspect(path)
         try:
             verify(report, expect)
         except BitstreamError as error:
             raise type(error)(f"{path}: {error}") from error
-        return Image(path, report.sha256, report.length, report)
+        return report
 
     def inspect(self, path: Path) -> Report:
         """What is in a file, from the cache where it is the same file still."""

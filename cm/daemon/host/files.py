@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from cm.bitstream import Expectation, footprint_of, to_dma_words
-from cm.daemon.host.bitstreams import BitstreamReader
+from cm.daemon.host.bitstreams import BitstreamReader, image_of
 from cm.daemon.host.firmware import FirmwareFolder
 from cm.daemon.host.footprints import Footprints, Frames, Lesson
 from cm.daemon.host.overlay_files import OverlayFiles
@@ -47,11 +47,12 @@ class BoardFiles:
             allow_encrypted=region.allow_encrypted,
             sha256=module.sha256,
         )
-        image = self._reader.validated(bitstream_path(config, module, self._root), expect)
+        path = bitstream_path(config, module, self._root)
+        report = self._reader.validated(path, expect)
         if not region.footprint:
-            lesson = Lesson(module.name, image.sha256, footprint_of(image.report))
+            lesson = Lesson(module.name, report.sha256, footprint_of(report))
             self._footprints.learn(config.name, region.name, lesson)
-        return image
+        return image_of(path, report)
 
     def _learned(self, config: Config, region: Region) -> Frames:
         def sha256_of(module: str) -> str | None:
@@ -67,7 +68,8 @@ class BoardFiles:
         expect = Expectation(
             device=config.device, partial=False, allow_encrypted=config.allow_encrypted, sha256=config.sha256
         )
-        return self._reader.validated(bitstream_path(config, None, self._root), expect)
+        path = bitstream_path(config, None, self._root)
+        return image_of(path, self._reader.validated(path, expect))
 
     def port_bytes(self, image: Image) -> bytes:
         """Words in the order a DMA-fed port takes them. Raises Sha256Mismatch if the file changed since."""

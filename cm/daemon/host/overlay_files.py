@@ -117,7 +117,7 @@ def _expected(images: Sequence[Image]) -> str:
 
 
 def _check_flags(what: str, load: FirmwareLoad, image: Image) -> None:
-    partial, encrypted = image.report.partial, image.report.encrypted
+    partial, encrypted = image.partial, image.encrypted
     if load.partial != partial:
         kinds = ("whole image", "partial one")
         raise BadOverlay(

@@ -91,7 +91,7 @@ class MemoryService:
         config = self._loaded()
         memory = runtime_memories.requested(request, config)
         window = self._bus.place(memory.address, memory.size)
-        memory = runtime_memories.placed(memory, request.region, config, window.uio.maps[window.map])
+        memory = runtime_memories.placed(memory, request.region, config, window.device.maps[window.map])
         self._check_covered(memory)
         self._leases.check(_scopes(memory), request.lease)
         self._state.define(memory)

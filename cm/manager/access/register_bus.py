@@ -114,13 +114,13 @@ class RegisterBus:
         """The value at a physical address. Raises DeviceError."""
         with self._lock:
             window = self._devices.window(address, width)
-            return window.uio.read(window.offset, width, window.map)
+            return window.device.read(window.offset, width, window.map)
 
     def write_address(self, address: int, width: int, value: int) -> None:
         """Write to a physical address. Raises DeviceError."""
         with self._lock:
             window = self._devices.window(address, width)
-            window.uio.write(window.offset, value, width, window.map)
+            window.device.write(window.offset, value, width, window.map)
 
     def place(self, address: int, length: int) -> Window:
         """The window that has `length` bytes at a physical address. Raises DeviceNotFound."""
@@ -131,13 +131,13 @@ class RegisterBus:
         """Bytes of a memory, by accesses of 32 bits. Raises DeviceError."""
         with self._lock:
             window = self._devices.window(memory.address, 8 * memory.size)
-            return window.uio.read_block(window.offset + offset, length, window.map)
+            return window.device.read_block(window.offset + offset, length, window.map)
 
     def write_block(self, memory: Memory, offset: int, data: memoryview) -> None:
         """Write bytes to a memory, by accesses of 32 bits. Raises DeviceError, part may be written then."""
         with self._lock:
             window = self._devices.window(memory.address, 8 * memory.size)
-            window.uio.write_block(window.offset + offset, data, window.map)
+            window.device.write_block(window.offset + offset, data, window.map)
 
     def take_flags(self, register: Register, clear: int, flags: int) -> int:
         """Read a status register and write 1 to those bits of `clear` that stand; returns what was read.

@@ -8,9 +8,9 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from cm.device import UioMap
 from cm.errors import InvalidRequest
 from cm.manager.planning.resolve import listed
+from cm.manager.ports import AddressRange
 from cm.messages.requests import DataConfig
 from cm.schema.model import ITEM_BYTES, Access, Config, Memory
 
@@ -42,7 +42,7 @@ def requested(request: DataConfig, config: Config) -> Memory:
     return memory
 
 
-def placed(memory: Memory, region: str, config: Config, window: UioMap) -> Memory:
+def placed(memory: Memory, region: str, config: Config, window: AddressRange) -> Memory:
     """`memory` in the region that is named, or in that of what else has a name there. Raises InvalidRequest."""
     if region:
         if region != "static" and region not in config.regions:

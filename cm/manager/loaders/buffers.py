@@ -7,9 +7,8 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from cm.device import DmaBuffer, Icap
 from cm.manager.loaders.job import Job
-from cm.manager.ports import Image
+from cm.manager.ports import ConfigPort, Image, PortBuffer
 
 _PAGE = 4096
 _Key = tuple[str | None, str]
@@ -19,7 +18,7 @@ _Key = tuple[str | None, str]
 class Held:
     """A DMA buffer with an image's words; it may be longer than they are."""
 
-    buffer: DmaBuffer
+    buffer: PortBuffer
     length: int
 
 
@@ -34,7 +33,7 @@ class BufferCache:
         self._close = close
         self._held: OrderedDict[_Key, Held] = OrderedDict()
 
-    def get(self, job: Job, icap: Icap, read: Callable[[Image], bytes]) -> tuple[Held, bool]:
+    def get(self, job: Job, icap: ConfigPort, read: Callable[[Image], bytes]) -> tuple[Held, bool]:
         """A buffer with the image's words, and whether it stays here (else the caller closes it)."""
         key, image = _key(job), job.image
         held = self._held.get(key)
@@ -79,7 +78,7 @@ def _key(job: Job) -> _Key:
     return job.port, job.image.sha256
 
 
-def _filled(icap: Icap, data: bytes) -> Held:
+def _filled(icap: ConfigPort, data: bytes) -> Held:
     buffer = icap.allocate(len(data))
     try:
         buffer.sync_begin(write=True)

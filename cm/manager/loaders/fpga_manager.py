@@ -3,14 +3,12 @@
 
 from __future__ import annotations
 
-import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from cm.device import DeviceUnsupported, FpgaManager
-from cm.manager.errors import LoadFailed
+from cm.manager.errors import LoadFailed, LoadUnsupported
 from cm.manager.loaders.job import Job, OnBytes, Start
-from cm.manager.ports import Devices, Files, Image
+from cm.manager.ports import Devices, Files, Image, KernelLoader
 
 
 class FpgaManagerLoader:
@@ -22,10 +20,9 @@ class FpgaManagerLoader:
 
     def check(self, job: Job) -> None:
         """Mainline kernels have no attribute to load by; the image has to lie where the kernel looks."""
-        manager: FpgaManager = self._devices.fpga_manager(job.port)
+        manager: KernelLoader = self._devices.fpga_manager(job.port)
         if not manager.can_load:
-            raise DeviceUnsupported(
-                errno.EOPNOTSUPP,
+            raise LoadUnsupported(
                 f"{job.image.path.name}: this kernel's fpga_manager cannot load through sysfs (linux-xlnx can); "
                 "use loader: overlay with firmware-name, or loader: icap",
             )
@@ -34,13 +31,13 @@ class FpgaManagerLoader:
     @contextmanager
     def prepared(self, job: Job, timeout: float) -> Iterator[Start]:  # noqa: ARG002 (the kernel has its own)
         """The image where the kernel looks for it."""
-        manager: FpgaManager = self._devices.fpga_manager(job.port)
+        manager: KernelLoader = self._devices.fpga_manager(job.port)
         name = self._files.firmware_name(job.image)
         yield lambda on_bytes: self._load(manager, name, job, on_bytes)
 
-    def _load(self, manager: FpgaManager, name: str, job: Job, on_bytes: OnBytes) -> None:
+    def _load(self, manager: KernelLoader, name: str, job: Job, on_bytes: OnBytes) -> None:
         """The kernel reads the file itself: what was replaced meanwhile may be what it loaded."""
-        manager.load(name, partial=job.region is not None, encrypted=job.image.report.encrypted)
+        manager.load(name, partial=job.region is not None, encrypted=job.image.encrypted)
         _raise_not_operating(manager, job.image)
         self._files.check_firmware(name, job.image)
         on_bytes(job.image.length)
@@ -49,7 +46,7 @@ class FpgaManagerLoader:
         """Nothing is kept."""
 
 
-def _raise_not_operating(manager: FpgaManager, image: Image) -> None:
+def _raise_not_operating(manager: KernelLoader, image: Image) -> None:
     state = manager.state
     if state != "operating":
         raise LoadFailed(f"{image.path.name}: fpga_manager {manager.name} says {state!r} after the load")

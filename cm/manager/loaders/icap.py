@@ -8,12 +8,11 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
-from cm.bitstream.errors import WrongDevice
-from cm.device import DeviceBusy, Icap, IcapCompletion, IcapState
-from cm.manager.errors import LoadFailed, StepTimeout
+from cm.errors import Busy
+from cm.manager.errors import LoadFailed, StepTimeout, WrongDevice
 from cm.manager.loaders.buffers import BufferCache, Held
 from cm.manager.loaders.job import Job, OnBytes, Start
-from cm.manager.ports import Clock, Devices, Files, Image
+from cm.manager.ports import Clock, ConfigPort, Devices, Files, Image, PortCompletion
 
 _POLL = 0.05  # seconds between two looks at how far a load is; most loads are shorter, and none is slowed by a look
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
@@ -43,7 +42,7 @@ class IcapLoader:
 
     def check(self, job: Job) -> None:
         """The port knows its device: a bitstream for another one never reaches it."""
-        there, wanted = self._devices.icap(job.port).info.idcode, job.image.report.idcode
+        there, wanted = self._devices.icap(job.port).info.idcode, job.image.idcode
         if there and wanted is not None and (there ^ wanted) & ~_REVISION:
             raise WrongDevice(
                 f"{job.image.path}: made for IDCODE {wanted:#010x}, but the port is that of {there:#010x}"
@@ -61,10 +60,10 @@ class IcapLoader:
             if not kept:
                 self._dispose(held)
 
-    def _load(self, icap: Icap, held: Held, job: Job, timeout: float, on_bytes: OnBytes) -> None:
+    def _load(self, icap: ConfigPort, held: Held, job: Job, timeout: float, on_bytes: OnBytes) -> None:
         image, cookie = job.image, next(self._cookies)
         whole = job.region is None
-        icap.load(held.buffer, held.length, cookie=cookie, full=whole, encrypted=image.report.encrypted)
+        icap.load(held.buffer, held.length, cookie=cookie, full=whole, encrypted=image.encrypted)
         _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
 
     def _dispose(self, held: Held) -> None:
@@ -74,20 +73,20 @@ class IcapLoader:
         for each in left:
             try:
                 each.buffer.close()
-            except DeviceBusy:
+            except Busy:
                 self._in_use.append(each)
 
-    def _await_idle(self, icap: Icap, image: Image, timeout: float) -> None:
+    def _await_idle(self, icap: ConfigPort, image: Image, timeout: float) -> None:
         """A load that was given up as hung may still hold the port; the driver ends it in its own time."""
         until = self._clock.monotonic() + timeout
-        while icap.status().state is IcapState.LOADING:
+        while icap.status().loading:
             if self._clock.monotonic() >= until:
                 raise StepTimeout(
                     f"the port was busy with an earlier load for {timeout:.1f} s; {image.path.name} waits"
                 )
             time.sleep(_POLL)
 
-    def _wait(self, icap: Icap, cookie: int, image: Image, timeout: float, on_bytes: OnBytes) -> IcapCompletion:
+    def _wait(self, icap: ConfigPort, cookie: int, image: Image, timeout: float, on_bytes: OnBytes) -> PortCompletion:
         """The end of our load; that of an earlier one, given up as hung, is passed over."""
         until = self._clock.monotonic() + timeout
         while self._clock.monotonic() < until:
@@ -104,6 +103,6 @@ class IcapLoader:
         self._cache.clear()
 
 
-def _raise_failed(completion: IcapCompletion, image: Image) -> None:
+def _raise_failed(completion: PortCompletion, image: Image) -> None:
     if completion.status != 0:
         raise LoadFailed(f"{image.path.name}: the configuration port reported {completion.reason}")

@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from cm.device import Overlays
 from cm.manager.errors import LoadFailed
 from cm.manager.loaders.job import Job, OnBytes, Start
-from cm.manager.ports import Devices, Files
+from cm.manager.ports import Devices, Files, OverlayFolder
 from cm.manager.state.table import loading_overlay
 from cm.schema.model import Region
 
@@ -40,7 +39,7 @@ class OverlayLoader:
             overlays.remove(name)
         yield lambda on_bytes: self._load(overlays, name, firmware, job, on_bytes)
 
-    def _load(self, overlays: Overlays, name: str, firmware: str, job: Job, on_bytes: OnBytes) -> None:
+    def _load(self, overlays: OverlayFolder, name: str, firmware: str, job: Job, on_bytes: OnBytes) -> None:
         """The kernel reads our copy itself: should somebody have written there, that may be what it loaded."""
         overlays.apply(name, job.overlay)
         self._files.check_firmware(firmware, job.image)
