@@ -14,6 +14,8 @@ from cm.cli.common import add_json_option, print_json
 from cm.errors import NotFound
 from cm.schema import Problem, SchemaError, json_schema, load, loads, schema_files
 from cm.schema.model import Config
+from cm.settings import Settings, SettingsError, SettingsMissing, load_settings, parse_settings, settings_schema
+from cm.settings.model import FILE as SETTINGS_FILE
 
 _STDIN = Path("-")
 
@@ -27,6 +29,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         " files that have a config:, and - for what is on stdin.",
     )
     parser.add_argument("paths", nargs="*", type=Path, metavar="FILE", help="a runtime schema, a folder of them, or -")
+    parser.add_argument("--settings", action="store_true", help="the files are settings of the service, as cm.yaml is")
     parser.add_argument("--print-schema", action="store_true", help="print the JSON Schema, for editors, and end")
     add_json_option(parser)
     parser.set_defaults(run=run, usage_error=parser.error)
@@ -39,16 +42,20 @@ class Checked:
     path: Path
     config: Config | None
     problems: tuple[Problem, ...]
+    settings: Settings | None = None
 
 
 def run(args: argparse.Namespace) -> int:
     """Check; 0 if all is good, 1 otherwise."""
     if args.print_schema:
-        print_json(json_schema())
+        print_json(settings_schema() if args.settings else json_schema())
         return 0
-    if not args.paths:
+    if args.settings:
+        results = [_check_settings(path) for path in args.paths or [SETTINGS_FILE]]
+    elif args.paths:
+        results = check_files(args.paths)
+    else:
         args.usage_error("which FILE?")
-    results = check_files(args.paths)
     if args.json:
         print_json(_report(results))
     else:
@@ -71,6 +78,17 @@ def _check_file(path: Path) -> Checked:
         return Checked(path, None, error.problems)
     except NotFound:
         return Checked(path, None, (_problem(path, "not_found", "no such file"),))
+
+
+def _check_settings(path: Path) -> Checked:
+    """A settings file; what the files in it are for is not looked at here."""
+    try:
+        good = parse_settings(sys.stdin.read(), path) if path == _STDIN else load_settings(path)
+    except SettingsError as error:
+        return Checked(path, None, error.problems)
+    except SettingsMissing as error:
+        return Checked(path, None, (_problem(path, "not_found", str(error).removeprefix(f"{path}: ")),))
+    return Checked(path, None, (), good)
 
 
 def _check_folder(folder: Path) -> list[Checked]:
@@ -104,6 +122,8 @@ def _print(results: list[Checked]) -> None:
         if result.config is not None and not result.problems:
             config = result.config
             print(f"{result.path}: good: configuration {config.name}, {_count(config.modes)}")
+        if result.settings is not None:
+            print(f"{result.path}: good: settings")
 
 
 def _count(modes: Any) -> str:

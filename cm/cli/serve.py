@@ -9,24 +9,29 @@ import os
 import signal
 import sys
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.errors import CmError, InvalidRequest
+from cm.cli.serve_options import (
+    configs_of,
+    default_runtime_dir,
+    default_state_dir,
+    read_again,
+    secure_as,
+    security_of,
+    settings_of,
+)
+from cm.settings.model import FILE as SETTINGS_FILE
+from cm.settings.model import Settings as Defaults
 
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
-    from cm.daemon.endpoints import Security
-    from cm.daemon.server import Options, Server
+    from cm.daemon.options import Options
+    from cm.daemon.server import Server
     from cm.device import Root
-    from cm.schema.model import Config
-
-
-class InsecureListen(CmError):
-    """Listening for everybody without keys was not asked for in so many words."""
-
-    code = "insecure_listen"
+    from cm.settings import Settings
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -36,6 +41,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="run the configuration manager",
         description="Run the configuration manager until it is interrupted. With --sim it brings a simulated board "
         "of its own, and without --config the camera example, loaded in its default mode.",
+    )
+    parser.add_argument(
+        "--settings", type=Path, metavar="FILE", help=f"settings (default: {SETTINGS_FILE} where it is); flags override"
     )
     parser.add_argument("--sim", action="store_true", help="on a simulated board (no hardware, no root)")
     parser.add_argument(
@@ -50,8 +58,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--keys", type=Path, metavar="FILE", help="server key file of 'cm keygen', for TCP")
     parser.add_argument("--insecure", action="store_true", help="allow TCP beyond this machine without keys")
-    parser.add_argument("--prefetch", type=int, default=64, metavar="MIB", help="DMA memory for images held ready")
-    parser.add_argument("--stream-queue", type=_mebibytes, default=32 << 20, metavar="MIB",
+    parser.add_argument("--prefetch", type=int, metavar="MIB", help="DMA memory for images held ready (default: 64)")
+    parser.add_argument("--stream-queue", type=_mebibytes, metavar="MIB",
         help="frames that may wait for each subscriber over ZeroMQ, by the schemas' longest (default: 32)")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
     parser.add_argument("--sim-icap-rate", type=float, metavar="BYTES", help="with --sim: bytes per second of its ICAP")
@@ -72,67 +80,87 @@ def _mebibytes(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Serve; the exit status."""
-    logging.basicConfig(
-        level=logging.INFO if args.verbose else logging.WARNING, format="cm serve: %(message)s", stream=sys.stderr
-    )
+    settings = settings_of(args)
+    _log_to(_level(args, settings))
     with ExitStack() as stack:
-        options = _options(args, stack)
+        options = _options(args, settings, stack)
         from cm.daemon.server import Server
 
         server = Server(options)
-        _stop_on_signals(server)
+        _obey_signals(server)
         where = [f"{options.runtime_dir}", *options.listen]
         server.serve(lambda: print(f"cm serve: ready at {', '.join(where)}", file=sys.stderr, flush=True))
     return 0
 
 
-def _stop_on_signals(server: Server) -> None:
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+def _level(args: argparse.Namespace, settings: Settings | None) -> int:
+    if args.verbose:
+        return logging.INFO
+    return logging.WARNING if settings is None else int(getattr(logging, settings.log.upper()))
+
+
+def _log_to(level: int) -> None:
+    """The journal with its fields where it listens, else lines on stderr."""
+    from cm.daemon.host.journal import journal_handler
+
+    handler = journal_handler() or logging.StreamHandler(sys.stderr)
+    if isinstance(handler, logging.StreamHandler):
+        handler.setFormatter(logging.Formatter("cm serve: %(message)s"))
+    logging.basicConfig(level=level, handlers=[handler])
+
+
+def _obey_signals(server: Server) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: server.stop())
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # of nohup(1)
+        action = server.stop if _has_terminal() else server.reload
+        signal.signal(signal.SIGHUP, lambda *_: action())
 
 
-def _options(args: argparse.Namespace, stack: ExitStack) -> Options:
-    from cm.client.address import default_runtime_dir
+def _has_terminal() -> bool:
+    """Whether SIGHUP means that our terminal went away; a service has none, and is asked to reload."""
+    try:
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY | os.O_CLOEXEC))
+    except OSError:
+        return False
+    return True
 
-    runtime = args.runtime_dir or default_runtime_dir()
+
+def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitStack) -> Options:
+    runtime = args.runtime_dir or (settings and settings.runtime_dir) or default_runtime_dir()
     paths = args.config or ([_camera()] if args.sim else [])
     board = _simulated_root(args, runtime, paths, stack) if args.sim else None
     # While the simulator starts, in a process of its own, this one gets on with its imports.
-    from cm.daemon.server import Options
+    from cm.daemon.options import Options
     from cm.device import Root
-    from cm.manager.manager import Settings
+    from cm.manager.manager import Settings as ManagerSettings
 
-    configs = _load_configs(paths)
+    configs, left_out = configs_of(paths, settings)
+    for sentence in left_out:
+        logging.getLogger("cm").error("left out: %s", sentence)
     root = Root.of(args.root) if board is None else board.result()
+    listen, keys, insecure = secure_as(args, settings)
     example = args.sim and not args.config
+    said = settings or Defaults()
+    queue = args.stream_queue if args.stream_queue is not None else int(said.streams.queue_mib * (1 << 20))
+    prefetch = args.prefetch if args.prefetch is not None else said.dma.prefetch_mib
     return Options(
         runtime_dir=runtime,
-        state_dir=args.state_dir or _default_state_dir(runtime, args.sim),
+        state_dir=args.state_dir or said.state_dir or default_state_dir(runtime, args.sim),
         root=root,
         configs=configs,
-        listen=tuple(args.listen),
-        security=_security(args),
-        load=args.load or ("camera" if example else ""),
-        settings=Settings(prefetch_bytes=args.prefetch << 20),
-        queue_bytes=args.stream_queue,
+        listen=tuple(listen),
+        security=security_of(listen, keys, insecure),
+        load=args.load or said.load or ("camera" if example else ""),
+        settings=ManagerSettings(prefetch_bytes=prefetch << 20),
+        queue_bytes=queue,
+        firmware_dir=said.firmware_dir,
+        reload=partial(read_again, args, paths, settings),
     )
 
 
 def _camera() -> Path:
     return Path(__file__).parents[1] / "data/camera"  # importlib.resources is 1.3 MiB
-
-
-def _load_configs(paths: list[Path]) -> dict[str, Config]:
-    from cm.schema import load, load_folder
-
-    found: dict[str, Config] = {}
-    for path in paths:
-        new = load_folder(path) if path.is_dir() else {c.name: c for c in [load(path)]}
-        twice = found.keys() & new.keys()
-        if twice:
-            raise InvalidRequest(f"configuration {min(twice)!r} comes twice, the second time from {path}")
-        found.update(new)
-    return found
 
 
 def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], stack: ExitStack) -> Future[Root]:
@@ -146,27 +174,3 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
     root = Path(args.root) if args.root else runtime / "board"
     starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
     return starter.submit(stack.enter_context, simulated_board(runtime, root, paths, arguments))
-
-
-def _default_state_dir(runtime: Path, sim: bool) -> Path:
-    if sim:
-        return runtime / "state"
-    if os.geteuid() == 0:
-        return Path("/var/lib/cm")
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(home) / "cm"
-
-
-def _security(args: argparse.Namespace) -> Security | None:
-    if args.keys:
-        from cm.cli.keys import load_server_keys
-
-        return load_server_keys(args.keys)
-    for address in args.listen:
-        host = address.removeprefix("tcp://").rpartition(":")[0] or address
-        if not args.insecure and host not in ("127.0.0.1", "localhost", "[::1]"):
-            raise InsecureListen(
-                f"{address}: anybody who reaches it could change the hardware; "
-                "make keys ('cm keygen') and give --keys, or say --insecure"
-            )
-    return None

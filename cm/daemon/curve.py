@@ -23,6 +23,10 @@ class CurveAuthenticator:
         self.socket.bind(_ADDRESS)
         self._clients = frozenset(clients)
 
+    def let_in(self, clients: Collection[bytes]) -> None:
+        """Know these clients, and no others, from now on; connections that are there stay."""
+        self._clients = frozenset(clients)
+
     def answer(self) -> None:
         """Answer one request, if there is one."""
         try:

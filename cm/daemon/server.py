@@ -6,35 +6,35 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import zmq
 
 from cm.daemon.curve import CurveAuthenticator
 from cm.daemon.dispatcher import Dispatcher
-from cm.daemon.endpoints import FolderLock, Security, Sockets
+from cm.daemon.endpoints import FolderLock, Sockets
 from cm.daemon.handlers import Handlers, Services
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles
 from cm.daemon.host.footprints import Footprints
 from cm.daemon.host.provision import Provisioner
-from cm.daemon.host.systemd import notify_ready
+from cm.daemon.host.reload import Reloader, Surroundings
+from cm.daemon.host.systemd import ServiceManager
 from cm.daemon.interrupts import Interrupts
 from cm.daemon.lease_watch import Holders
 from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import Memories
+from cm.daemon.options import Options
 from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.streams.acceptor import Acceptor
 from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
-from cm.daemon.xpub import BYTES, mark
-from cm.device import Root
+from cm.daemon.xpub import mark
 from cm.errors import CmError
-from cm.manager.manager import Environment, Manager, Settings
+from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Store
 from cm.messages.requests import WriteConfig
 from cm.messages.status import ErrorInfo, RegValues, Status
@@ -42,21 +42,6 @@ from cm.schema.model import Config
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two looks at streams, records and a lost board
-
-
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How to serve. `load` is ``config`` or ``config/mode``, entered at start where nothing is loaded."""
-
-    runtime_dir: Path
-    state_dir: Path
-    root: Root
-    configs: Mapping[str, Config]
-    listen: tuple[str, ...] = ()
-    security: Security | None = None
-    load: str = ""
-    queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
-    settings: Settings = Settings()  # noqa: RUF009 (frozen)
 
 
 class _Clock:
@@ -90,6 +75,8 @@ class Server:
         self._front_desk = self._make_front_desk()
         self._statuses: deque[Status] = deque()
         self._doorkeeper: CurveAuthenticator | None = None
+        self._service = ServiceManager()
+        self._reloader = self._make_reloader()
         self._boot_id = ""
         self._last_logged = ""
 
@@ -98,9 +85,20 @@ class Server:
         self._provisioner.recover()
         named = {**o.configs, **self._provisioner.configs()}
         configs = {name: with_channels(config, o.root) for name, config in named.items()}
-        files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"))
+        files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"), o.firmware_dir)
         env = Environment(self._devices, files, self._store, self._streams, _Clock(), self, o.settings)
         return Manager(configs, env)
+
+    def _make_reloader(self) -> Reloader:
+        loop, o = self._loop, self._options
+        stored, complete = self._provisioner.configs, self._with_channels
+        surroundings = Surroundings(
+            self._manager, self._service, self._aside, loop.call_threadsafe, stored, complete, o.reload
+        )
+        return Reloader(surroundings, o.configs)
+
+    def _with_channels(self, config: Config) -> Config:
+        return with_channels(config, self._options.root)
 
     def _make_front_desk(self) -> Dispatcher:
         handlers, rereads = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
@@ -115,7 +113,7 @@ class Server:
             provisioner=self._provisioner,
             status=self._complete_status,
             watch_holder=self._holders.watch,
-            complete=lambda config: with_channels(config, self._options.root),
+            complete=self._with_channels,
             aside=self._aside,
             memories=self._memories,
         )
@@ -133,7 +131,9 @@ class Server:
             self._start_manager()
             self._loop.every(_TICK, self._tick)
             self._sockets.announce()
-            notify_ready()
+            self._service.ready()
+            if self._service.interval is not None:  # from the loop, so that one that hangs is restarted
+                self._loop.every(self._service.interval, self._service.alive)
             on_ready()
             self._loop.run()
         finally:
@@ -143,6 +143,10 @@ class Server:
         """End; safe in a signal handler."""
         self._loop.stop()
 
+    def reload(self) -> None:
+        """Read schemas, settings and keys again; what runs goes on. Safe in a signal handler."""
+        self._loop.call_threadsafe(self._reloader.begin)
+
     def _bind(self) -> None:
         self._sockets.bind_ipc()
         self._door.open()
@@ -150,6 +154,7 @@ class Server:
         if security is not None:
             self._doorkeeper = CurveAuthenticator(self._context, security.clients)
             self._loop.add_socket(self._doorkeeper.socket, self._doorkeeper.answer)
+            self._reloader.doorkeeper = self._doorkeeper
         for address in self._options.listen:
             bound = self._sockets.bind_tcp(address, security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
@@ -170,6 +175,7 @@ class Server:
             self._manager.submit(WriteConfig(config_name=config, mode=mode))
 
     def _close(self) -> None:
+        self._service.stopping()
         self._manager.stop()
         self._door.close()
         self._streams.end()
@@ -204,13 +210,13 @@ class Server:
             if not status.fpga_busy:
                 self._interrupts.watch(self._manager.loaded_config())
             self._publisher.status(replace(status, streams=self._streams.status()))
-            self._log_error(status.last_error)
+            self._log_error(status.last_error, status.last_change)
 
-    def _log_error(self, error: ErrorInfo | None) -> None:
+    def _log_error(self, error: ErrorInfo | None, change: int) -> None:
         """Each error once, however often its status is published."""
         text = f"{error.code}: {error.message}" if error else ""
-        if text and text != self._last_logged:
-            _LOG.warning("%s", text)
+        if error and text != self._last_logged:
+            _LOG.warning("%s", text, extra={"cm_code": error.code, "cm_change": change or None})
         self._last_logged = text
 
     def _note_error(self, error: ErrorInfo) -> None:
@@ -227,6 +233,7 @@ class Server:
     def _tick(self) -> None:
         self._manager.flush()
         self._streams.refresh()
+        self._reloader.continue_waiting()
         self._look_for_board()
         if self._streams.any_open:
             self._publisher.status(self._status())

@@ -131,6 +131,18 @@ class Manager:
             self._env.data_plane.resume(config, self.state.mode)
         self._reporter.changed()
 
+    def forget_config(self, name: str) -> None:
+        """Make a configuration unknown. Raises ChangeBusy while it is in use."""
+        if self.in_use(name):
+            raise ChangeBusy(f"configuration {name!r} is in use")
+        self._env.files.forget(name)
+        self._state.forget_config(name)
+        self._reporter.changed()
+
+    def in_use(self, name: str) -> bool:
+        """Whether a configuration is loaded, or a change runs or waits that may need it."""
+        return name == self.state.config or self._worker.busy
+
     def check_replaceable(self, name: str) -> None:
         """Raise ChangeBusy while a configuration is being changed to: its files are in use."""
         running = self._worker.running

@@ -27,6 +27,7 @@ MAY = {
     "device": BASE | {"native"},
     "hwh": BASE,
     "schema": BASE,
+    "settings": BASE | {"schema"},
     "manager": BASE | {"messages", "schema.model"},
     "wire": BASE | {"messages"},
     "daemon": BASE | {"fdt", "messages", "device", "bitstream", "schema", "manager", "wire", "native", "multipart"},

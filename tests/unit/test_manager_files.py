@@ -239,24 +239,56 @@ def test_only_our_oldest_copies_are_removed_whatever_the_clock_says(
     assert f"{17:064x}.bin" not in left
 
 
-@pytest.mark.parametrize("shadow", ["updates", os.uname().release, f"updates/{os.uname().release}", "custom"])
+@pytest.mark.parametrize("shadow", ["updates", os.uname().release, f"updates/{os.uname().release}"])
 def test_a_file_that_the_kernel_would_find_first_is_what_is_compared(
     duo: Config, tmp_path: Path, firmware: Path, shadow: str
 ) -> None:
     files = opened(tmp_path)
     name = files.firmware_name(image(files, duo, "a0"))
     folder = firmware / shadow
-    if shadow == "custom":
-        folder = tmp_path / "root" / "srv" / "fw"
-        parameter = tmp_path / "root/sys/module/firmware_class/parameters/path"
-        parameter.parent.mkdir(parents=True)
-        parameter.write_text("/srv/fw\n", encoding="ascii")
     (folder / name).parent.mkdir(parents=True)
     (folder / name).write_bytes(module("b0", 0))
     with pytest.raises(Sha256Mismatch, match="not the bitstream that was checked"):
         files.firmware_name(image(files, duo, "a0"))
     (folder / name).write_bytes((firmware / name).read_bytes())
     assert files.firmware_name(image(files, duo, "a0")) == name
+
+
+def tell_kernel(root: Path, folder: str) -> Path:
+    """`folder` as the first that the kernel of the board below `root` looks in."""
+    parameter = root / "sys/module/firmware_class/parameters/path"
+    parameter.parent.mkdir(parents=True)
+    parameter.write_text(f"{folder}\n", encoding="ascii")
+    place = root / folder.lstrip("/")
+    place.mkdir(parents=True)
+    return place
+
+
+def test_copies_go_to_the_folder_that_the_kernel_was_told_of(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    place = tell_kernel(tmp_path / "root", "/run/cm/firmware")
+    files = opened(tmp_path)
+    name = files.firmware_name(image(files, duo, "a0"))
+    assert (place / name).is_file()
+    assert not (firmware / name).exists()
+
+
+def test_a_file_of_that_name_in_the_kernels_first_folder_is_what_is_compared(
+    duo: Config, tmp_path: Path, firmware: Path
+) -> None:
+    files = opened(tmp_path)
+    checked = image(files, duo, "a0")
+    name = files.firmware_name(checked)
+    place = tell_kernel(tmp_path / "root", "/srv/fw")
+    (place / name).parent.mkdir(parents=True)
+    (place / name).write_bytes(module("b0", 0))
+    with pytest.raises(Sha256Mismatch, match="not the bitstream that was checked"):
+        files.check_firmware(name, checked)
+
+
+def test_a_folder_for_copies_that_the_kernel_does_not_look_in_is_refused(duo: Config, tmp_path: Path) -> None:
+    files = BoardFiles(tmp_path / "root", copies=tmp_path / "root/elsewhere")
+    with pytest.raises(InvalidRequest, match="this kernel does not look there"):
+        files.firmware_name(image(files, duo, "a0"))
 
 
 # ---- sizes ------------------------------------------------------------------------------

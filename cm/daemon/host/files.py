@@ -19,10 +19,11 @@ from cm.schema.model import Config, Module, Region
 class BoardFiles:
     """`cm.manager.ports.Files` over the file system below a root."""
 
-    def __init__(self, root: Path, footprints: Footprints | None = None) -> None:
+    def __init__(self, root: Path, footprints: Footprints | None = None, copies: Path | None = None) -> None:
+        """`copies`: the folder for what is converted for the kernel, see `FirmwareFolder`."""
         self._root = root
         self._reader = BitstreamReader()
-        self._firmware = FirmwareFolder(root, self._reader)
+        self._firmware = FirmwareFolder(root, self._reader, copies)
         self._footprints = footprints or Footprints()
         overlays = OverlayFiles(root, self._reader, self._firmware, self._read_overlay)
         self.overlay = overlays.beside

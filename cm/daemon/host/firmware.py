@@ -28,12 +28,17 @@ _COPIES = 64
 
 
 class FirmwareFolder:
-    """The firmware below a root."""
+    """The firmware below a root. `copies` is the folder for converted files, one that the kernel looks in.
 
-    def __init__(self, root: Path, reader: BitstreamReader) -> None:
+    Where nothing is said it is the folder that the kernel was told of (firmware_class.path), which a system
+    with a read-only root has on a tmpfs or a data partition, else ``/lib/firmware``.
+    """
+
+    def __init__(self, root: Path, reader: BitstreamReader, copies: Path | None = None) -> None:
         self._root = root
         self.folder = root / _FIRMWARE
         self._reader = reader
+        self._copies = copies
 
     def place(self, name: str) -> Path:
         """The file that the kernel opens for a name. Raises InvalidRequest for one that leaves the folder."""
@@ -44,10 +49,9 @@ class FirmwareFolder:
         return next((place for place in places if place.exists()), places[-1])
 
     def _searched(self) -> Iterator[Path]:
-        with contextlib.suppress(OSError, UnicodeDecodeError):
-            custom = (self._root / _CUSTOM).read_text(encoding="utf-8").strip()
-            if custom:
-                yield self._root / custom.lstrip("/")
+        custom = self._custom()
+        if custom is not None:
+            yield custom
         release = os.uname().release
         yield from (self.folder / "updates" / release, self.folder / "updates", self.folder / release)
         yield self.folder
@@ -55,6 +59,26 @@ class FirmwareFolder:
     def private_name(self, image: Image) -> str:
         """The name of our own copy of an image, whether or not it is there yet."""
         return f"{_CONVERTED}/{image.sha256}.bin"
+
+    def _custom(self) -> Path | None:
+        """The folder that the kernel looks in first, where somebody told it of one."""
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            custom = (self._root / _CUSTOM).read_text(encoding="utf-8").strip()
+            if custom:
+                return self._root / custom.lstrip("/")
+        return None
+
+    def _writable(self) -> Path:
+        """Where copies go. Raises InvalidRequest for a folder that the kernel does not look in."""
+        if self._copies is None:
+            custom = self._custom()
+            return custom if custom is not None and os.access(custom, os.W_OK) else self.folder
+        if self._copies not in self._searched():
+            raise InvalidRequest(
+                f"firmware_dir {self._copies}: this kernel does not look there; tell it by firmware_class.path="
+                f"{self._copies} on its command line, or in /{_CUSTOM}"
+            )
+        return self._copies
 
     def name_of(self, image: Image) -> str:
         """A name under which the kernel finds the image as a word-swapped .bin: always our own copy of it.
@@ -79,11 +103,12 @@ class FirmwareFolder:
 
     def _copy(self, image: Image) -> None:
         """Have a copy under the hash of what was validated; one that is there and damaged is made again."""
-        folder = self.folder / _CONVERTED
+        base = self._writable()
+        folder = base / _CONVERTED
         if folder.is_symlink():
             raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
         folder.mkdir(parents=True, exist_ok=True)
-        target = self.folder / self.private_name(image)
+        target = base / self.private_name(image)
         if not self._is_good(target, image):
             _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))
         _prune(folder, target)

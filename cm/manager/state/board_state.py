@@ -85,6 +85,10 @@ class ManagerState:
         if config.name == self.latest.config:
             self.runtime_memories = MappingProxyType({})
 
+    def forget_config(self, name: str) -> None:
+        """Make a configuration unknown."""
+        self.configs = MappingProxyType({known: config for known, config in self.configs.items() if known != name})
+
     def next_number(self) -> int:
         """The number of a new change."""
         self._number += 1

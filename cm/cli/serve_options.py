@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `cm serve` is told by its flags and by the settings file, brought together; flags override."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from cm.errors import CmError, InvalidRequest
+from cm.settings.model import FILE as SETTINGS_FILE
+
+if TYPE_CHECKING:
+    from cm.daemon.endpoints import Security
+    from cm.daemon.host.reload import Reloaded
+    from cm.schema.model import Config
+    from cm.settings import Settings
+
+_LOCAL = ("127.0.0.1", "localhost", "[::1]")
+
+
+class InsecureListen(CmError):
+    """Listening for everybody without keys was not asked for in so many words."""
+
+    code = "insecure_listen"
+
+
+def settings_of(args: argparse.Namespace) -> Settings | None:
+    """The settings that count: those of a file, with the flags' values in their place. None: there is no file.
+
+    The system's file is read unless another is named or the board is simulated.
+    """
+    path: Path | None = args.settings
+    if path is None and (args.sim or not SETTINGS_FILE.exists()):
+        return None
+    from cm.settings import load_settings
+
+    settings = load_settings(path or SETTINGS_FILE)
+    given = {name: value for name, value in _flags(args).items() if value not in (None, (), "", False)}
+    return replace(settings, **given)
+
+
+def _flags(args: argparse.Namespace) -> dict[str, Any]:
+    return {
+        "listen": tuple(args.listen),
+        "keys": args.keys,
+        "insecure": args.insecure,
+        "load": args.load,
+        "runtime_dir": args.runtime_dir,
+        "state_dir": args.state_dir,
+    }
+
+
+def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[str, Config], tuple[str, ...]]:
+    """The configurations of ``--config``, else those along the settings' search path; and what was left out.
+
+    What somebody named on the command line must be right; what lies on the search path may be left out.
+    """
+    if not paths and settings is not None:
+        from cm.settings import find_configs
+
+        found = find_configs(settings.configs)
+        return found.configs, found.left_out
+    return load_configs(paths), ()
+
+
+def load_configs(paths: Sequence[Path]) -> dict[str, Config]:
+    """Every configuration of `paths`, files and folders. Raises InvalidRequest for two with one name."""
+    from cm.schema import load, load_folder
+
+    found: dict[str, Config] = {}
+    for path in paths:
+        new = load_folder(path) if path.is_dir() else {c.name: c for c in [load(path)]}
+        twice = found.keys() & new.keys()
+        if twice:
+            raise InvalidRequest(f"configuration {min(twice)!r} comes twice, the second time from {path}")
+        found.update(new)
+    return found
+
+
+def security_of(listen: Sequence[str], keys: Path | None, insecure: bool) -> Security | None:
+    """The keys, where there are some. Raises InsecureListen where others could reach the board without."""
+    if keys:
+        from cm.cli.keys import load_server_keys
+
+        return load_server_keys(keys)
+    for address in listen:
+        host = address.removeprefix("tcp://").rpartition(":")[0] or address
+        if not insecure and host not in _LOCAL:
+            raise InsecureListen(
+                f"{address}: anybody who reaches it could change the hardware; "
+                "make keys ('cm keygen') and give --keys, or say --insecure"
+            )
+    return None
+
+
+def default_state_dir(runtime: Path, sim: bool) -> Path:
+    """Where the state lies if nobody says: with the board where that is simulated, else what the service
+    manager made for us, the system's folder, or the user's."""
+    if sim:
+        return runtime / "state"
+    given = os.environ.get("STATE_DIRECTORY", "").split(":")[0]  # systemd.exec(5)
+    if given:
+        return Path(given)
+    if os.geteuid() == 0:
+        return Path("/var/lib/cm")
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(home) / "cm"
+
+
+def default_runtime_dir() -> Path:
+    """Where the sockets lie if nobody says: what the service manager made for us, else as clients look for it."""
+    given = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
+    if given:
+        return Path(given)
+    from cm.client.address import default_runtime_dir as clients_default
+
+    return clients_default()
+
+
+def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings | None) -> Reloaded:
+    """What a reload finds: schemas and keys as they are now. Raises CmError, OSError.
+
+    `began`: the settings of the start; what has changed in them and takes a restart is noted.
+    """
+    from cm.daemon.host.reload import Reloaded
+
+    settings = settings_of(args)
+    configs, left_out = configs_of(paths, settings)
+    listen, keys, insecure = secure_as(args, settings)
+    security = security_of(listen, keys, insecure)
+    return Reloaded(configs, security, (*left_out, *_needs_restart(began, settings)), not left_out)
+
+
+def secure_as(args: argparse.Namespace, settings: Settings | None) -> tuple[Sequence[str], Path | None, bool]:
+    """Addresses, key file and whether it is fine without, by flags or settings."""
+    source = settings or args
+    return source.listen, source.keys, source.insecure
+
+
+def _needs_restart(began: Settings | None, now: Settings | None) -> tuple[str, ...]:
+    if began is None or now is None:
+        return ()
+    names = [name for name in began.__slots__ if name != "configs" and getattr(began, name) != getattr(now, name)]
+    return tuple(f"settings: {name} has changed; it counts after a restart" for name in names)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Schemas and settings read again while the manager serves, without touching what runs."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+from cm.daemon.curve import CurveAuthenticator
+from cm.daemon.endpoints import Security
+from cm.daemon.host.systemd import ServiceManager
+from cm.errors import CmError
+from cm.manager.manager import Manager
+from cm.schema.model import Config
+
+_LOG = logging.getLogger("cm")
+
+
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """What was read: configurations by name, keys (None: none), and what needs a restart to take effect."""
+
+    configs: Mapping[str, Config]
+    security: Security | None = None
+    notes: tuple[str, ...] = ()
+    whole: bool = True  # whether every schema on the search path was good
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a reloader works with. `read` runs aside; None: there is nothing to read again."""
+
+    manager: Manager
+    service: ServiceManager
+    aside: Executor
+    in_loop: Callable[[Callable[[], None]], None]
+    provisioned: Callable[[], Mapping[str, Config]]
+    complete: Callable[[Config], Config]
+    read: Callable[[], Reloaded] | None
+
+
+class Reloader:
+    """Reads aside and applies in the loop's thread: all of it, or where reading fails, nothing.
+
+    A configuration that is loaded, or being loaded, keeps the schema that it was loaded with. What was
+    read for it waits until the board holds another.
+    """
+
+    def __init__(self, surroundings: Surroundings, configs: Mapping[str, Config]) -> None:
+        """`configs`: those of the start; ones that a later reading lacks are forgotten."""
+        self._s = surroundings
+        self.doorkeeper: CurveAuthenticator | None = None
+        self._waiting: dict[str, Config | None] = {}  # None: to be forgotten
+        self._ours = frozenset(configs)
+
+    def begin(self) -> None:
+        """Read, then apply; the service manager is told of the beginning and the end."""
+        if self._s.read is not None:
+            self._s.service.reloading()
+            self._s.aside.submit(self._read, self._s.read)
+
+    def _read(self, read: Callable[[], Reloaded]) -> None:
+        try:
+            found, stored = read(), self._s.provisioned()
+        except (CmError, OSError) as error:
+            _LOG.error("not reloaded: %s", error, extra={"cm_code": getattr(error, "code", "io")})
+            self._s.in_loop(self._s.service.ready)
+            return
+        self._s.in_loop(lambda: self._apply(found, stored))
+
+    def _apply(self, found: Reloaded, stored: Mapping[str, Config]) -> None:
+        if self.doorkeeper is not None and found.security is not None:
+            self.doorkeeper.let_in(found.security.clients)
+        # One that is damaged has no name, so that nothing that was known is taken for removed meanwhile.
+        gone = self._ours - found.configs.keys() - stored.keys() if found.whole else frozenset()
+        # Configurations that clients provisioned stand over those of the search path, as at the start.
+        new = {name: config for name, config in found.configs.items() if name not in stored and self._differs(config)}
+        self._waiting = {**dict.fromkeys(gone), **new}
+        self._ours = (self._ours - gone) | found.configs.keys()
+        self.continue_waiting()
+        for name in sorted(self._waiting):
+            _LOG.warning("configuration %s is in use; what is new of it counts when another is loaded", name)
+        for note in found.notes:
+            _LOG.warning("%s", note)
+        _LOG.info("reloaded; configurations: %s", ", ".join(found.configs) or "none")
+        self._s.service.ready()
+
+    def _differs(self, config: Config) -> bool:
+        known = self._s.manager.configs.get(config.name)
+        return known is None or (known.source, known.sha256_source) != (config.source, config.sha256_source)
+
+    def continue_waiting(self) -> None:
+        """Take over what waits and is not in use any more; called now and then."""
+        for name in [name for name in self._waiting if not self._s.manager.in_use(name)]:
+            config = self._waiting.pop(name)
+            if config is None:
+                self._s.manager.forget_config(name)
+            else:
+                self._s.manager.add_config(self._s.complete(config))

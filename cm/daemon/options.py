@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a daemon is to serve, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.daemon.endpoints import Security
+from cm.daemon.host.reload import Reloaded
+from cm.daemon.xpub import BYTES
+from cm.device import Root
+from cm.manager.manager import Settings
+from cm.schema.model import Config
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to serve. `load` is ``config`` or ``config/mode``, entered at start where nothing is loaded."""
+
+    runtime_dir: Path
+    state_dir: Path
+    root: Root
+    configs: Mapping[str, Config]
+    listen: tuple[str, ...] = ()
+    security: Security | None = None
+    load: str = ""
+    queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
+    firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
+    reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
+    settings: Settings = Settings()  # noqa: RUF009 (frozen)

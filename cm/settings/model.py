@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The settings as data: what ``/etc/cm/cm.yaml`` says, and the defaults where it says nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+FILE = Path("/etc/cm/cm.yaml")
+SEARCH_PATH = ("/etc/cm/configs", "/lib/firmware/cm/*")
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSettings:
+    """Streams over ZeroMQ; `queue_mib` MiB of frames may wait for each subscriber."""
+
+    queue_mib: float = 32
+
+
+@dataclass(frozen=True, slots=True)
+class DmaSettings:
+    """DMA memory; `prefetch_mib` MiB are for images held ready."""
+
+    prefetch_mib: int = 64
+
+
+@dataclass(frozen=True, slots=True)
+class ImportSettings:
+    """Imported bundles; `keep` earlier versions of each stay for a rollback."""
+
+    keep: int = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What an operator may say of the service; each key is described in ``settings.schema.json``."""
+
+    listen: tuple[str, ...] = ()
+    keys: Path | None = None
+    insecure: bool = False
+    configs: tuple[str, ...] = SEARCH_PATH
+    load: str = ""
+    runtime_dir: Path | None = None
+    state_dir: Path | None = None
+    firmware_dir: Path | None = None
+    log: str = "warning"
+    streams: StreamSettings = StreamSettings()
+    dma: DmaSettings = DmaSettings()
+    imports: ImportSettings = ImportSettings()

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`cm serve` under a service manager: notifications, signals, settings."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from manager_process import CAMERA, Manager, environment, short_folder, until
+
+import cm
+from cm.errors import CmError
+from cm.sim import Board as SimBoard
+
+SCHEMA = "config: {{name: {}, modules: {{a: {{}}}}, modes: {{m: {{modules: [a]}}}}}}\n"
+
+
+def three_ports() -> int:
+    """The first of three free TCP ports in a row."""
+    for _ in range(100):
+        with contextlib.ExitStack() as stack:
+            first = stack.enter_context(socket.socket())
+            first.bind(("127.0.0.1", 0))
+            port = int(first.getsockname()[1])
+            with contextlib.suppress(OSError):
+                for more in (1, 2):
+                    stack.enter_context(socket.socket()).bind(("127.0.0.1", port + more))
+                return port
+    raise AssertionError("no three free ports in a row")
+
+
+class Service:
+    """A manager whose service manager is the test."""
+
+    def __init__(self, folder: Path, board: Path, watchdog_ms: int) -> None:
+        self.folder, self.board = folder, board
+        self.configs = folder / "configs"
+        self.port = three_ports()
+        self.keys = folder / "keys"
+        shutil.copytree(CAMERA, self.configs)
+        self.inbox = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.inbox.bind(str(folder / "notify"))
+        self.inbox.settimeout(20)
+        self.keygen("first")
+        settings = folder / "cm.yaml"
+        settings.write_text(
+            f"listen: ['tcp://127.0.0.1:{self.port}']\nkeys: {self.keys}/server.key\nconfigs: ['{self.configs}']\n"
+            f"state_dir: {folder}/state\nlog: info\n"
+        )
+        env = {
+            **environment(),
+            "NOTIFY_SOCKET": str(folder / "notify"),
+            "WATCHDOG_USEC": str(watchdog_ms * 1000),
+        }
+        arguments = ("--settings", str(settings), "--root", str(board))
+        self.manager = Manager(folder / "run", *arguments, env=env)
+
+    def keygen(self, client: str) -> None:
+        command = [sys.executable, "-m", "cm.cli.main", "keygen", str(self.keys), client]
+        subprocess.run(command, env=environment(), check=True, capture_output=True)
+
+    def told(self, wanted: bytes) -> bytes:
+        """The next message that begins so; signs of life in between are left out."""
+        while True:
+            message = self.inbox.recv(4096)
+            if message.startswith(wanted):
+                return message
+            assert message == b"WATCHDOG=1", message
+
+    def signal(self, number: int) -> None:
+        assert self.manager.process is not None
+        os.kill(self.manager.process.pid, number)
+
+    def reload(self) -> None:
+        self.signal(signal.SIGHUP)
+        self.told(b"RELOADING=1\nMONOTONIC_USEC=")
+        self.told(b"READY=1")
+
+    def answers(self, client: str, timeout: float) -> bool:
+        """Whether the manager answers this client over TCP."""
+        try:
+            with cm.connect(f"tcp://127.0.0.1:{self.port}", keys=self.keys / f"{client}.key", timeout=timeout) as board:
+                return bool(board.configs)
+        except CmError:
+            return False
+
+
+@pytest.fixture
+def service() -> Iterator[Service]:
+    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
+        service = Service(folder, sim.root, watchdog_ms=200)
+        service.manager.start()
+        service.told(b"READY=1")
+        yield service
+        service.manager.stop()
+
+        service.inbox.close()
+
+
+def test_a_service_manager_is_told_of_life_and_end(service: Service) -> None:
+    assert service.told(b"WATCHDOG=1")
+    assert service.manager.stop() == 0
+    service.told(b"STOPPING=1")
+
+
+def test_a_reload_takes_new_schemas_and_leaves_what_runs(service: Service) -> None:
+    with service.manager.connected() as board:
+        board.load("camera", mode="default")
+        sequence = board.status.last_change
+        (service.configs / "vision.yaml").write_text(SCHEMA.format("vision"))
+        service.reload()
+        assert set(board.configs) == {"camera", "vision"}
+        (service.configs / "vision.yaml").unlink()
+        service.reload()
+        assert set(board.configs) == {"camera"}
+        assert (board.status.config_name, board.status.mode) == ("camera", "default")
+        assert board.status.last_change == sequence
+
+
+def test_the_loaded_configuration_keeps_its_schema_until_another_is_loaded(service: Service) -> None:
+    firmware = service.board / "lib/firmware/cm"
+    shutil.copytree(firmware / "camera", firmware / "vision")
+    text = (service.configs / "camera.yaml").read_text()
+    (service.configs / "vision.yaml").write_text(text.replace("name: camera", "name: vision", 1))
+    service.reload()
+    with service.manager.connected() as board:
+        board.load("camera", mode="default")
+        changed = text.replace("edge_detection:", "contours:")
+        assert changed != text
+        (service.configs / "camera.yaml").write_text(changed)
+        service.reload()
+        assert "edge_detection" in [mode.name for mode in board.config().modes]
+        board.load("vision", mode="default")
+        until(lambda: "contours" in [mode.name for mode in board.config("camera").modes])
+
+
+def test_a_reload_that_finds_damage_leaves_it_out_and_serves_on(service: Service) -> None:
+    (service.configs / "bad.yaml").write_text("config: {name: [\n")
+    (service.folder / "cm.yaml").write_text("listen: 3\n")
+    service.reload()
+    with service.manager.connected() as board:
+        assert set(board.configs) == {"camera"}
+
+
+def test_a_reload_lets_new_keys_in(service: Service) -> None:
+    assert service.answers("first", timeout=20)
+    service.keygen("second")
+    assert not service.answers("second", timeout=1)
+    service.reload()
+    assert service.answers("second", timeout=20)
+    (service.keys / "clients/first.pub").unlink()
+    service.reload()
+    assert not service.answers("first", timeout=1)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the packages install beside the program: unit, rules, modules, users."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from configparser import ConfigParser
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+SYSTEM = ROOT / "system"
+UNIT = SYSTEM / "systemd/cm.service"
+LIMIT = 2.5  # exposure, of 10
+
+
+def lines(path: Path) -> list[str]:
+    return [line for line in path.read_text().splitlines() if line and not line.startswith("#")]
+
+
+def unit(section: str, key: str) -> list[str]:
+    """The values of a key that may come several times."""
+    part = UNIT.read_text().split(f"[{section}]")[1].split("\n[")[0]
+    return re.findall(rf"^{key}=(.*)$", part, re.MULTILINE)
+
+
+def run(*command: str) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+needs_systemd = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="needs systemd-analyze")
+
+
+@needs_systemd
+def test_the_service_is_little_exposed() -> None:
+    text = run("systemd-analyze", "security", "--offline=true", f"--threshold={LIMIT * 10:.0f}", str(UNIT))
+    found = re.search(r"Overall exposure level for cm.service: ([\d.]+)", text)
+    assert found is not None
+    assert float(found[1]) <= LIMIT
+
+
+@needs_systemd
+def test_the_unit_has_no_line_that_systemd_does_not_know(tmp_path: Path) -> None:
+    (tmp_path / "cm.service").write_text(UNIT.read_text().replace("/usr/bin/cm ", "/bin/true "))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", str(tmp_path / "cm.service")],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "cm.service" not in done.stderr
+
+
+@pytest.mark.skipif(not shutil.which("systemd-sysusers"), reason="needs systemd-sysusers")
+def test_users_and_groups_are_those_of_the_unit(tmp_path: Path) -> None:
+    (tmp_path / "etc").mkdir()
+    run("systemd-sysusers", f"--root={tmp_path}", str(SYSTEM / "sysusers.d/cm.conf"))
+    users = (tmp_path / "etc/passwd").read_text()
+    groups = (tmp_path / "etc/group").read_text()
+    assert f"\n{unit('Service', 'User')[0]}:" in f"\n{users}"
+    assert re.search(rf"^{unit('Service', 'Group')[0]}:.*:cm$", groups, re.MULTILINE)
+
+
+def test_every_kind_of_node_that_udev_gives_to_the_group_is_one_that_the_unit_may_open() -> None:
+    kinds = set(re.findall(r'SUBSYSTEM=="(\w+)"', (SYSTEM / "udev/60-cm.rules").read_text()))
+    assert kinds == {value.split()[0].removeprefix("char-") for value in unit("Service", "DeviceAllow")}
+
+
+def test_udev_rules_name_the_group_of_the_unit_and_nodes_of_our_drivers() -> None:
+    text = (SYSTEM / "udev/60-cm.rules").read_text()
+    assert set(re.findall(r'GROUP="(\w+)"', text)) == {unit("Service", "Group")[0]}
+    sources = "".join(path.read_text() for path in (ROOT / "kmod").rglob("*.c"))
+    for name in ("cm_dma", "axidma"):
+        assert f'"{name}"' in sources
+        assert f'"{name}"' in text
+
+
+def test_modules_that_are_loaded_at_boot_are_ours_or_the_kernels() -> None:
+    built = set(re.findall(r"^obj-m \+= (\w+)\.o", (ROOT / "kmod/Kbuild").read_text(), re.MULTILINE))
+    loaded = set(lines(SYSTEM / "modules-load.d/cm.conf"))
+    assert loaded - built == {"uio_pdrv_genirq"}
+    assert not loaded & {"cm_plsim", "cm_kunit"}
+
+
+def test_the_uio_driver_takes_the_nodes_that_cm_build_writes() -> None:
+    options = dict(line.split()[1:] for line in lines(SYSTEM / "modprobe.d/cm.conf"))
+    compatible = options["uio_pdrv_genirq"].removeprefix("of_id=")
+    assert (ROOT / f"dts/bindings/{compatible}.yaml").exists()
+    assert any(compatible in path.read_text() for path in (ROOT / "tests/golden").rglob("*.dtso"))
+
+
+def test_the_sysv_script_says_where_it_starts() -> None:
+    text = (SYSTEM / "sysv/cm").read_text()
+    assert "### BEGIN INIT INFO" in text
+    run("sh", "-n", str(SYSTEM / "sysv/cm"))
+    assert unit("Service", "ExecStart")[0].split(" ", 1)[1] in text
+
+
+def test_the_unit_is_a_file_that_its_readers_take() -> None:
+    parser = ConfigParser(strict=False, interpolation=None)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read(UNIT)
+    assert parser["Service"]["Type"] == "notify"
+    assert parser["Service"]["WatchdogSec"]
