@@ -9,7 +9,7 @@ from typing import Any
 from cm.build.boundary.analyse import Analysis
 from cm.build.boundary.model import Adaptation, Boundary, Fit
 from cm.build.hdl.model import Mode, ModuleInfo
-from cm.build.plan.system import RegionPlan, System
+from cm.build.plan.system import RegionPlan, StreamBus, System
 from cm.build.project.model import Project
 
 _PLAIN = (Fit.CONNECT,)
@@ -134,8 +134,7 @@ def _connected(region: RegionPlan) -> Iterator[tuple[str, str]]:
     for registers in region.registers:
         yield registers.interface.name, f" → {registers.window.size:#x} bytes at {registers.window.base:#x}"
     for stream in region.streams:
-        dma = stream.dma
-        yield stream.interface.name, f" → DMA, stream {stream.name} ({dma.direction.value})" if dma else _TOP
+        yield stream.interface.name, _stream(stream)
     for memory in region.memory:
         yield memory.interface.name, " → memory"
     for line in region.lines:
@@ -146,3 +145,10 @@ def _connected(region: RegionPlan) -> Iterator[tuple[str, str]]:
 
 
 _TOP = " → ports of the top"
+
+
+def _stream(bus: StreamBus) -> str:
+    if bus.dma is None:
+        return _TOP
+    width = f", {8 * bus.bytes} to {bus.dma.width} bits" if bus.converted else ""
+    return f" → DMA, stream {bus.name} ({bus.dma.direction.value}){width}"

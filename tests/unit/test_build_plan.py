@@ -128,10 +128,34 @@ def test_a_wide_register_interface_goes_to_the_processors_port(tmp_path: Path) -
     assert bus.window.base == ZYNQ7000.base + 0x0800_0000
 
 
-def test_a_stream_of_24_bits_gets_a_dma_of_32(tmp_path: Path) -> None:
-    written = files(design(tmp_path, one=STREAM_MODULE.format(name="one", high=23)))
-    assert "output wire [31:0] axis_prr0_m_axis_tdata" in written["hdl/cm_static.v"]
-    assert "assign axis_prr0_m_axis_tdata[31:24] = {8{1'b0}};" in written["hdl/cm_static.v"]
+def test_a_stream_of_24_bits_gets_a_dma_of_32_and_a_converter(tmp_path: Path) -> None:
+    found = design(tmp_path, one=STREAM_MODULE.format(name="one", high=23))
+    static = files(found)["hdl/cm_static.v"]
+    assert "output wire [31:0] axis_prr0_m_axis_tdata" in static
+    assert static.count("cm_axis_width #(") == 2
+    assert "CONFIG.HAS_TKEEP {1}" in files(found)["tcl/block_design.tcl"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("shape: [4, 5]", "20 bytes: no whole number of the 3 bytes of a beat"),
+        ("shape: [4, 5], dtype: uint16", "4×5 uint16 has 40 bytes: no whole number"),
+        ("shape: [10, 3], max_length: 16", "30 bytes, max_length allows 16"),
+    ],
+)
+def test_frames_must_be_what_the_stream_can_carry(keys: str, said: str, tmp_path: Path) -> None:
+    text = MINIMAL.replace("{pblock: auto}", f"{{interfaces: {{m_axis: {{{keys}}}}}}}")
+    with pytest.raises(BuildError, match=r"build.yaml:3:\d+") as caught:
+        design(tmp_path, text, one=STREAM_MODULE.format(name="one", high=23))
+    assert said in str(caught.value)
+
+
+def test_the_frames_of_a_mode_are_looked_at_too(tmp_path: Path) -> None:
+    text = MINIMAL.replace("{pblock: auto}", "{interfaces: {m_axis: {shape: [4, 3]}}}")
+    text += "modes: {only: {modules: [one], streams: {prr0_m_axis: {shape: [4]}}}}\n"
+    with pytest.raises(BuildError, match=r"modes.only.streams.prr0_m_axis"):
+        design(tmp_path, text, one=STREAM_MODULE.format(name="one", high=23))
 
 
 def test_a_stream_can_be_left_to_the_top(tmp_path: Path) -> None:

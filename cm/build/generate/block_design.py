@@ -167,7 +167,8 @@ def _dma_cell(system: System, dma: Dma, clocks: list[ClockPin]) -> DmaCell:
     ]
     port: list[tuple[str, object]] = []
     if not sends:
-        keep = any("TKEEP" in b.interface.ports for r in system.regions for b in r.streams if b.dma is dma)
+        buses = [bus for region in system.regions for bus in region.streams if bus.dma is dma]
+        keep = any(bus.converted or "TKEEP" in bus.interface.ports for bus in buses)
         port = [("TDATA_NUM_BYTES", dma.width // 8), ("HAS_TLAST", 1), ("HAS_TKEEP", int(keep))]
     pin = next(clock.pin for clock in clocks if clock.name == dma.clock)
     return DmaCell(

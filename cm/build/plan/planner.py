@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from cm.build.boundary.model import Boundary, BoundaryPort, Role
@@ -12,6 +12,7 @@ from cm.build.errors import BuildError
 from cm.build.hdl.model import Interface, Mode, PortDirection
 from cm.build.plan.addresses import Allocator
 from cm.build.plan.cover import Cover, cover
+from cm.build.plan.frames import frame_problem
 from cm.build.plan.system import (
     Dma,
     Domain,
@@ -78,6 +79,7 @@ class _Planner:
             for index, region in enumerate(project.regions.values())
         )
         self._check_lines()
+        self._check_frames(regions)
         covered = self._cover()
         return System(
             project=project,
@@ -127,6 +129,24 @@ class _Planner:
             )
         if self._bits > 32:
             raise BuildError(f"the modules have {self._bits} interrupts, the concentrator holds 32")
+
+    def _check_frames(self, regions: tuple[RegionPlan, ...]) -> None:
+        """Frames must be whole beats, and no longer than a transfer; those of each mode too."""
+        for region in regions:
+            for bus in region.streams:
+                places: list[tuple[KeyPath, Sequence[int] | None, str | None]]
+                places = [((*_key(region.spec, bus.interface.name), "shape"), bus.spec.shape, bus.spec.dtype)]
+                for mode in self._project.modes.values():
+                    own = mode.streams.get(bus.name)
+                    if own is not None:
+                        key: KeyPath = ("modes", mode.name, "streams", bus.name)
+                        places.append((key, own.shape or bus.spec.shape, own.dtype))
+                for key, shape, dtype in places:
+                    problem = frame_problem(bus, shape, dtype)
+                    if problem:
+                        raise fault(
+                            self._project.source, key, f"{region.name}.{bus.interface.name}: {problem[0]}", problem[1]
+                        )
 
     def _region(self, index: int, spec: RegionSpec, boundary: Boundary) -> RegionPlan:
         names = [interface.name for interface in boundary.interfaces]

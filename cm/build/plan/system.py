@@ -66,6 +66,16 @@ class StreamBus:
     dma: Dma | None
     spec: ConnectionSpec
 
+    @property
+    def bytes(self) -> int:
+        """Bytes of a beat on the region's side; 0 where there is no TDATA of known width."""
+        return -(-(self.interface.data_width or 0) // 8)
+
+    @property
+    def converted(self) -> bool:
+        """A width converter stands between the DMA engine and the region."""
+        return self.dma is not None and self.dma.width != 8 * self.bytes
+
 
 @dataclass(frozen=True, slots=True)
 class MemoryBus:

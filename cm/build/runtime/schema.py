@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from cm.build.errors import BuildError
+from cm.build.plan.frames import frame_problem
 from cm.build.plan.system import RegionPlan, System
 from cm.build.project.model import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
 from cm.build.project.where import fault
@@ -180,6 +182,9 @@ def _streams(system: System, answers: Answers) -> list[Stream]:
             shape, dtype, slots = bus.spec.shape, bus.spec.dtype, bus.spec.slots
             if own is not None:
                 shape, dtype, slots = own.shape or shape, own.dtype or dtype, own.slots or slots
+            problem = frame_problem(bus, shape, dtype)
+            if problem:
+                raise BuildError(f"stream {bus.name}: {'; '.join(problem)}")
             direction = Direction(bus.dma.direction.value)
             found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region.name, rate=bus.spec.rate))
     return found

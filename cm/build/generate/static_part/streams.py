@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""AXI4-Streams of a region: decoupler between a DMA engine, or ports of the top, and the module."""
+"""AXI4-Streams of a region: decoupler between a DMA engine, or ports of the top, and the module.
+
+A DMA engine has 8, 16, 32 … bits. A stream of other bytes gets a converter (``cm_axis_width.v``) on the static
+side of its decoupler, so that what lies in memory is what passes, byte for byte.
+"""
 
 from __future__ import annotations
 
@@ -13,46 +17,110 @@ IN, OUT = PortDirection.IN, PortDirection.OUT
 
 
 def add_stream(site: Site, bus: StreamBus) -> None:
-    """The decoupler of a stream in either direction."""
+    """The decoupler of a stream in either direction, with a converter where the DMA's width is another."""
     interface = bus.interface
     sends = interface.mode.value == "master"
     kept = ("TDATA", "TKEEP") if bus.dma else axi.STREAM
     packed = axi.fields(interface, kept)
-    inside = concat(site.take(field) for field in packed)
-    outside = concat(_stream_port(site, bus, field, sends) for field in packed)
-    last = "TLAST" in interface.ports
-    region, static = ("s", "m") if sends else ("m", "s")
+    static = _Converted(site, bus, sends) if bus.converted else _Ports(site, bus, sends)
+    region, other = ("s", "m") if sends else ("m", "s")
     connections: dict[str, str | None] = {
         f"{region}_tvalid": site.pin(interface, "TVALID", "1'b1"),
         f"{region}_tready": site.pin(interface, "TREADY", None if sends else "1'b1"),
         f"{region}_tlast": site.pin(interface, "TLAST", "1'b0" if sends else None),
-        f"{region}_tpayload": inside,
-        f"{static}_tpayload": outside,
+        f"{region}_tpayload": concat(site.take(field) for field in packed),
+        f"{other}_tpayload": concat(static.payload(field) for field in packed),
     }
-    direction, back = (OUT, IN) if sends else (IN, OUT)
-    connections[f"{static}_tvalid"] = site.net.port(f"axis_{bus.name}_tvalid", direction)
-    connections[f"{static}_tready"] = site.net.port(f"axis_{bus.name}_tready", back)
-    connections[f"{static}_tlast"] = site.net.port(f"axis_{bus.name}_tlast", direction)
+    for name in ("tvalid", "tready", "tlast"):
+        connections[f"{other}_{name}"] = static.handshake(name)
+    last = "TLAST" in interface.ports
     parameters: dict[str, object] = {"PAYLOAD_WIDTH": sum(field.width for field in packed), "HAS_LAST": int(last)}
     if sends:
         closing = concat(ones(f.width) if f.logical in ("TKEEP", "TSTRB") else zeros(f.width) for f in packed)
         parameters["CLOSING"] = closing
     kind = "cm_axis_master_decoupler" if sends else "cm_axis_slave_decoupler"
     site.decoupler(kind, interface, connections, **parameters)
+    static.finish()
 
 
-def _stream_port(site: Site, bus: StreamBus, field: axi.Field, sends: bool) -> str:
-    """The static part's port of a signal; a DMA's is as wide as its data, the bits above are zero."""
-    width = field.width
-    if bus.dma:
-        width = bus.dma.width if field.logical == "TDATA" else bus.dma.width // 8
-    name = site.net.port(f"axis_{bus.name}_{field.logical.lower()}", OUT if sends else IN, width)
-    used = low_bits(name, width, field.width)
-    if width > field.width:
-        rest = f"{name}[{width - 1}:{field.width}]"
-        if sends:
-            fill = ones if field.logical == "TKEEP" else zeros
-            site.net.assign(rest, fill(width - field.width))
-        else:
-            site.net.unused.append(rest)
-    return used
+class _Ports:
+    """The static part's ports of a stream; a DMA's are as wide as its data, the bits above are zero."""
+
+    def __init__(self, site: Site, bus: StreamBus, sends: bool) -> None:
+        self._site, self._bus, self._sends = site, bus, sends
+
+    def handshake(self, name: str) -> str:
+        """The port of TVALID, TREADY or TLAST."""
+        forward = OUT if self._sends else IN
+        back = IN if self._sends else OUT
+        return self._site.net.port(f"axis_{self._bus.name}_{name}", back if name == "tready" else forward)
+
+    def payload(self, field: axi.Field) -> str:
+        """The port of a signal, or its bits that the region has."""
+        width, dma = field.width, self._bus.dma
+        if dma:
+            width = dma.width if field.logical == "TDATA" else dma.width // 8
+        name = f"axis_{self._bus.name}_{field.logical.lower()}"
+        self._site.net.port(name, OUT if self._sends else IN, width)
+        if width > field.width:
+            rest = f"{name}[{width - 1}:{field.width}]"
+            if self._sends:
+                fill = ones if field.logical == "TKEEP" else zeros
+                self._site.net.assign(rest, fill(width - field.width))
+            else:
+                self._site.net.unused.append(rest)
+        return low_bits(name, width, field.width)
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
+
+
+class _Converted:
+    """Wires between decoupler and converter, and the DMA's ports behind it."""
+
+    def __init__(self, site: Site, bus: StreamBus, sends: bool) -> None:
+        self._site, self._bus, self._sends = site, bus, sends
+        self._name = f"{site.name}_{bus.interface.name}_bytes"
+        self._keep = "TKEEP" in bus.interface.ports
+        net = site.net
+        for signal in ("tvalid", "tready", "tlast"):
+            net.wire(f"{self._name}_{signal}")
+        net.wire(f"{self._name}_tdata", 8 * bus.bytes)
+        if self._keep or not sends:
+            net.wire(f"{self._name}_tkeep", bus.bytes)
+
+    def handshake(self, name: str) -> str:
+        """The wire of TVALID, TREADY or TLAST."""
+        return f"{self._name}_{name}"
+
+    def payload(self, field: axi.Field) -> str:
+        """The wire of TDATA or TKEEP; the last byte of TDATA may have fewer than eight bits."""
+        name, net = f"{self._name}_{field.logical.lower()}", self._site.net
+        width = 8 * self._bus.bytes if field.logical == "TDATA" else self._bus.bytes
+        if field.width < width:
+            rest = f"{name}[{width - 1}:{field.width}]"
+            if self._sends:
+                net.assign(rest, (ones if field.logical == "TKEEP" else zeros)(width - field.width))
+            else:
+                net.unused.append(rest)
+        return low_bits(name, width, field.width)
+
+    def finish(self) -> None:
+        """The converter."""
+        net, dma, bus = self._site.net, self._bus.dma, self._bus
+        assert dma is not None
+        dma_bytes, inside, outside = dma.width // 8, "s" if self._sends else "m", "m" if self._sends else "s"
+        pins: dict[str, str | None] = {"clk": self._site.clock, "resetn": self._site.reset}
+        for signal in ("tvalid", "tready", "tdata", "tkeep", "tlast"):
+            pins[f"{inside}_{signal}"] = f"{self._name}_{signal}"
+            forward = (signal != "tready") == self._sends
+            width = {"tdata": dma.width, "tkeep": dma_bytes}.get(signal, 1)
+            pins[f"{outside}_{signal}"] = net.port(f"axis_{bus.name}_{signal}", OUT if forward else IN, width)
+        if not self._keep and self._sends:
+            pins["s_tkeep"] = ones(bus.bytes)
+        elif not self._keep:
+            net.unused.append(f"{self._name}_tkeep")
+        sizes = (bus.bytes, dma_bytes) if self._sends else (dma_bytes, bus.bytes)
+        parameters = {"IN_BYTES": sizes[0], "OUT_BYTES": sizes[1]}
+        comment = f"{self._site.name}.{bus.interface.name}: {bus.bytes} bytes a beat, {dma_bytes} of the DMA"
+        net.instance("cm_axis_width", f"{self._name}_width", pins, parameters, comment)
