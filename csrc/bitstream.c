@@ -79,6 +79,13 @@ static void type1_header(struct cm_config_port *port, struct sink *sink, uint32_
 	}
 }
 
+/* Padding frames of a debug bitstream stand between its packets; the CRC has them as frame data. */
+static void begin_fill(struct cm_config_port *port)
+{
+	port->count = 1;
+	port->crc = cm_config_crc_word(port->crc, REG_FDRI, 0);
+}
+
 static void header_word(struct cm_config_port *port, struct sink *sink, uint32_t word)
 {
 	if (word >> 29 == 1) {
@@ -86,7 +93,7 @@ static void header_word(struct cm_config_port *port, struct sink *sink, uint32_t
 	} else if (word == 0) {
 		port->state = STATE_FILL;
 		port->start = port->position;
-		port->count = 1;
+		begin_fill(port);
 	} else if (word >> 29 == 2) {
 		fault(port, sink, CM_FAULT_ORDER, word);
 	} else {
@@ -113,6 +120,7 @@ static int fill_word(struct cm_config_port *port, struct sink *sink, uint32_t wo
 {
 	if (word == 0) {
 		port->count++;
+		port->crc = cm_config_crc_word(port->crc, REG_FDRI, 0);
 		return 0;
 	}
 	emit(sink, (struct cm_config_event){

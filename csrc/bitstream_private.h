@@ -12,6 +12,7 @@ enum {
 	REG_FAR = 1,
 	REG_FDRI = 2,
 	REG_CMD = 4,
+	REG_LOUT = 8,
 	REG_MFWR = 10,
 	REG_CBC = 11,
 	REG_DWC = 26,

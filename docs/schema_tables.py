@@ -14,6 +14,7 @@ BEGIN = "<!-- made by docs/schema_tables.py: begin -->\n"
 END = "<!-- made by docs/schema_tables.py: end -->\n"
 SECTIONS = {
     "config": "config",
+    "static_identity": "static",
     "region": "regions.NAME",
     "decoupler": "regions.NAME.decoupler",
     "identity": "regions.NAME.identity",

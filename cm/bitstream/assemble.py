@@ -127,12 +127,13 @@ def _begin_section(writer: StreamWriter, device: Device, partial: bool) -> None:
     writer.write(Register.CTL0, 0x00000400)
 
 
-def _end_section(writer: StreamWriter, crc: bool) -> None:
+def _end_section(writer: StreamWriter, crc: bool, last: bool) -> None:
     if crc:
         writer.check()
     writer.raw(NOP, NOP)
     writer.command(Command.GRESTORE, nops=2)
-    writer.command(Command.START)
+    if last:
+        writer.command(Command.START)
     if crc:
         writer.check()
     writer.raw(NOP, NOP)
@@ -152,11 +153,11 @@ def assemble_stream(
     """
     known = _known(device)
     writer = StreamWriter()
-    for runs in sections:
+    for number, runs in enumerate(sections, 1):
         _begin_section(writer, known, partial)
         for run in runs:
             _write_frames(writer, known, run)
-        _end_section(writer, crc)
+        _end_section(writer, crc, number == len(sections))
     return bytes(writer.words)
 
 

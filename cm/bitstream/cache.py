@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
+from cm.bitstream.container import named, read_bitstream
 from cm.bitstream.inspect import inspect
 from cm.bitstream.report import Report
 
@@ -58,7 +59,8 @@ class ReportCache:
         for _ in range(_TRIES):
             with path.open("rb") as file:
                 before = _state(file.fileno())
-                data = file.read()
+                with named(path):
+                    data = read_bitstream(file)
                 after = _state(file.fileno())
             if before == after and len(data) == before[2]:
                 break

@@ -6,20 +6,25 @@ No length in a file is trusted: each is compared with the bytes that are there b
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import TypeAlias
+from typing import BinaryIO, TypeAlias
 
 from cm.bitstream.bootimage import find_bitstream, is_boot_image
 from cm.bitstream.errors import BadContainer, BitstreamError, NoSync, Truncated
+from cm.bitstream.pdi import check_pdi
 from cm.bitstream.sync import SEARCH, find_sync, whole_words
 
 Source: TypeAlias = "bytes | bytearray | memoryview | Path | str"
 
+NO_USER_ID = 0xFFFFFFFF
+_HEX = re.compile(r"(?:0[xX])?[0-9A-Fa-f]{1,8}")
+_HEAD = SEARCH + 4096  # bytes: enough to tell what a file is
 _BIT_MAGIC = bytes.fromhex("00090ff00ff00ff00ff0000001")
 
 
@@ -50,6 +55,16 @@ class BitHeader:
         return next((value for name, value in self.fields if name.upper() == key.upper()), None)
 
     @property
+    def user_id(self) -> int | None:
+        """The 32-bit ``UserID`` of the design (Vivado: BITSTREAM.CONFIG.USERID); None if it says none.
+
+        FFFFFFFF is what Vivado writes where nobody set one.
+        """
+        text = self.field("UserID") or ""
+        number = int(text, 16) if _HEX.fullmatch(text) else NO_USER_ID
+        return None if number == NO_USER_ID else number
+
+    @property
     def partial(self) -> bool:
         """Whether the header says ``PARTIAL=TRUE``."""
         return (self.field("PARTIAL") or "").upper() == "TRUE"
@@ -74,10 +89,28 @@ class Image:
 
 
 def read_source(source: Source) -> memoryview:
-    """Return the bytes of a file or of a buffer; a `str` is a path."""
+    """Return the bytes of a file or of a buffer; a `str` is a path.
+
+    A file whose first bytes are no bitstream's is not read to its end. Raises what `open_image` raises.
+    """
     if isinstance(source, (str, Path)):
-        return memoryview(Path(source).read_bytes())
+        with Path(source).open("rb") as file:
+            return memoryview(read_bitstream(file))
     return memoryview(source).cast("B")
+
+
+def read_bitstream(file: BinaryIO) -> bytes:
+    """Return the bytes of an open file, all of them; refuses from the head what is no bitstream."""
+    head = file.read(_HEAD)
+    check_head(memoryview(head))
+    return head + file.read()
+
+
+def check_head(head: memoryview) -> None:
+    """Refuse what cannot become a bitstream, whatever follows. Raises NoSync or UnknownDevice."""
+    check_pdi(head)
+    if bytes(head[: len(_BIT_MAGIC)]) != _BIT_MAGIC and not is_boot_image(head):
+        _find_in_bin(head)
 
 
 def _text(data: memoryview) -> str:
@@ -144,13 +177,19 @@ def _open_bit(data: memoryview) -> Image:
     return Image(Container.BIT, header, stream, offset, False, rest)
 
 
-def _open_bin(data: memoryview) -> Image:
-    stream, rest = whole_words(data)
-    at, swapped = find_sync(stream, 0, min(len(stream), SEARCH))
+def _find_in_bin(data: memoryview) -> bool:
+    """Return whether the words of a .bin are swapped."""
+    at, swapped = find_sync(data, 0, min(len(data), SEARCH))
     if at < 0:
         raise NoSync(
             f"neither a .bit header nor a boot image, and no sync word in the first {min(len(data), SEARCH)} bytes"
         )
+    return swapped
+
+
+def _open_bin(data: memoryview) -> Image:
+    stream, rest = whole_words(data)
+    swapped = _find_in_bin(data)
     return Image(Container.BIN_SWAPPED if swapped else Container.BIN_STRAIGHT, None, stream, 0, swapped, rest)
 
 
@@ -181,6 +220,7 @@ def open_image(source: Source) -> Image:
 
 
 def _open(data: memoryview) -> Image:
+    check_pdi(data)
     if bytes(data[: len(_BIT_MAGIC)]) == _BIT_MAGIC:
         return _open_bit(data)
     if is_boot_image(data):

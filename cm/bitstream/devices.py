@@ -2,8 +2,12 @@
 """Devices: the IDCODE a bitstream carries, and the frames of the device's family.
 
 The top nibble of an IDCODE is the silicon revision and never compared. On Zynq UltraScale+ the
-IDCODE in a bitstream is not the one that JTAG shows. Sources: UG470 table 1-1, UG585 (device
-codes), openFPGALoader's part list, and the words of real bitstreams.
+IDCODE in a bitstream is that of the PL's own TAP, not the one that JTAG shows (the PS's). Sources:
+7-series: UG470 table 1-1, UG585 (device codes), openFPGALoader's part list. Zynq UltraScale+: the
+IDCODEs that Vivado's simulation model SIM_CONFIGE3 knows (XilinxUnisimLibrary, Apache-2.0), as far as
+they are the PL's; ZU1, ZU3T and K24 from a public table of PL TAPs; ZU3, ZU7, ZU9, K26 also from real
+bitstreams. The PL's IDCODEs of ZU11, ZU15, ZU17, ZU19 and of the RFSoCs stand in no public source that
+was found: state them (`idcode:`, `--idcode`).
 """
 
 from __future__ import annotations
@@ -64,8 +68,12 @@ _SERIES7 = {
     "xc7z035": 0x03732093,
     "xc7z045": 0x03731093,
     "xc7z100": 0x03736093,
+    "xc7s6": 0x03622093,
+    "xc7s15": 0x03620093,
     "xc7s25": 0x037C4093,
     "xc7s50": 0x0362F093,
+    "xc7s75": 0x037C8093,
+    "xc7s100": 0x037C7093,
     "xc7a12t": 0x037C3093,
     "xc7a15t": 0x0362E093,
     "xc7a25t": 0x037C2093,
@@ -83,10 +91,24 @@ _SERIES7 = {
     "xc7k480t": 0x03751093,
 }
 _ULTRASCALE_PLUS = {
+    "xczu1eg": 0x04826093,
+    "xczu2eg": 0x04A43093,
     "xczu3eg": 0x04A42093,
+    "xczu3teg": 0x04AF2093,
+    "xczu4ev": 0x04A47093,
+    "xczu5ev": 0x04A46093,
+    "xczu6eg": 0x0484B093,
     "xczu7ev": 0x04A5A093,
     "xczu9eg": 0x0484A093,
+    "xck24": 0x04A44093,
     "xck26": 0x04A49093,
+    "xcau7p": 0x04AF6093,
+    "xcau10p": 0x04AC4093,
+    "xcau15p": 0x04AC2093,
+    "xcau20p": 0x04A65093,
+    "xcau25p": 0x04A64093,
+    "xcku3p": 0x04A63093,
+    "xcku5p": 0x04A62093,
 }
 DEVICES = tuple(
     Device(name, idcode, family)
@@ -96,14 +118,23 @@ DEVICES = tuple(
 
 # Dies that are sold under several names: the configuration is the same, and so is the IDCODE.
 _ALIASES = {
+    "xczu1cg": "xczu1eg",
+    "xczu2cg": "xczu2eg",
     "xczu3cg": "xczu3eg",
-    "xazu3eg": "xczu3eg",
+    "xczu3tcg": "xczu3teg",
+    "xczu4cg": "xczu4ev",
+    "xczu4eg": "xczu4ev",
+    "xczu5cg": "xczu5ev",
+    "xczu5eg": "xczu5ev",
+    "xczu6cg": "xczu6eg",
     "xczu7cg": "xczu7ev",
     "xczu7eg": "xczu7ev",
     "xczu9cg": "xczu9eg",
+    "k24": "xck24",
     "k26": "xck26",
 }
-_PART = re.compile(r"x[acq]{1,2}(?:k\d+|7[asvzk][a-z]*\d+[st]?|zu\d+[a-z]{2}|[kva]u\d+p)|k26")
+_PART = re.compile(r"x[acq]{1,2}(?:k\d+|7[asvzk][a-z]*\d+[st]?|zu\d+[a-z]{2,3}|[kva]u\d+p)|k2[46]")
+_PACKAGE = re.compile(r"[il]?-?((?:c[lps]|f[bfghlst]|hc|r[bfs]|s[bf]|ub)[a-z]{0,2}\d{3,4})")
 
 
 def base_name(part: str) -> str:
@@ -112,7 +143,23 @@ def base_name(part: str) -> str:
     text = re.sub(r"^(?:x[aq])?(?=7[asvzk])", "xc", text)  # automotive and defence grades: the same die
     found = _PART.match(text)
     name = found.group(0) if found else text.split("-")[0]
+    name = re.sub(r"^x[aq](?=zu)", "xc", name)
     return _ALIASES.get(name, name)
+
+
+def package_of(part: str) -> str | None:
+    """Return the package in a part's name: ``xczu7ev-ffvc1156-2-e`` → ``ffvc1156``; None if it names none.
+
+    Of 7-series the letter for what the balls are made of is left out (``7z020clg400`` → ``cl400``):
+    the same package is sold with lead and without.
+    """
+    text = re.sub(r"^(?:x[aq])?(?=7[asvzk])", "xc", part.strip().lower())
+    found = _PART.match(text)
+    package = _PACKAGE.match(text[found.end() :]) if found else None
+    if found is None or package is None:
+        return None
+    name = package.group(1)
+    return re.sub(r"(?<=^..)[gv]", "", name) if found.group(0).startswith("xc7") else name
 
 
 def device_by_idcode(idcode: int) -> Device | None:

@@ -66,6 +66,12 @@ class WrongDevice(BitstreamError):
     code = "wrong_device"
 
 
+class WrongStatic(BitstreamError):
+    """The bitstream was made with another static design than the one that is meant."""
+
+    code = "wrong_static"
+
+
 class NotPartial(BitstreamError):
     """A full bitstream stands where a partial one is meant."""
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Footprints: which frames a bitstream writes, and whether they are those of a region.
 
-A frame address says where a run of frames begins. It goes on into the columns behind, and how many
-frames those have is a secret of the device; what is known is the widest column of a family. So a
-beginning is checked exactly, and the length against what the region can hold at most.
+A frame address says where a run of frames begins. It goes on into the columns behind. Where it is
+public how many frames those have (`cm.bitstream.geometry`), the end is checked to the frame; else
+what is known is the widest column of a family, so that a beginning is checked exactly, and the
+length against what the region can hold at most.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ def _widest(family: Family, block_type: int) -> int | None:
 
 
 def _last_column(item: Footprint, family: Family) -> int:
-    """Return the column that a run reaches at least; its last frame is padding."""
+    """Return the column that a run reaches, or where that is not known, reaches at least."""
+    if item.last is not None:
+        return item.last
     widest = _widest(family, item.block_type)
     return item.column + (max(0, item.frames - 2) // widest if widest else 0)
 
@@ -43,12 +46,16 @@ def footprint_of(report: Report) -> tuple[FrameRange, ...]:
 
 
 def _owned(item: Footprint, allowed: Iterable[FrameRange]) -> bool:
-    rows = (area for area in allowed if (area.block_type, area.row) == (item.block_type, item.row))
-    return any(area.column_first <= item.column <= area.column_last for area in rows)
+    """Whether every column from the first to the last that is known to be reached is the region's."""
+    rows = [area for area in allowed if (area.block_type, area.row) == (item.block_type, item.row)]
+    columns = range(item.column, (item.column if item.last is None else item.last) + 1)
+    return all(any(area.column_first <= column <= area.column_last for area in rows) for column in columns)
 
 
 def _holds(item: Footprint, family: Family, allowed: Iterable[FrameRange]) -> bool:
-    """Whether a run that begins in the region can also end there."""
+    """Whether a run that begins in the region can also end there; exact where the last column is known."""
+    if item.last is not None:
+        return True
     widest = _widest(family, item.block_type)
     if widest is None:
         return True

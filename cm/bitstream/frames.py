@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from cm.bitstream.devices import Family
 from cm.bitstream.errors import BadPacket, BitstreamError, FramesIncomplete
+from cm.bitstream.geometry import Geometry
+from cm.bitstream.reach import reach
 from cm.bitstream.report import Footprint, Refusal
 from cm.native import bitstream as native
 
@@ -41,7 +43,7 @@ def _distinct(events: native.Events, counts: Frames) -> tuple[npt.NDArray[np.uin
     return words, longest
 
 
-def footprint(events: native.Events, family: Family) -> tuple[Footprint, ...]:
+def footprint(events: native.Events, family: Family, geometry: Geometry | None = None) -> tuple[Footprint, ...]:
     """Return the columns that FAR was set to before frames came, and how many came, in FAR order."""
     import numpy as np
 
@@ -52,7 +54,9 @@ def footprint(events: native.Events, family: Family) -> tuple[Footprint, ...]:
     totals = np.bincount(inverse, weights=counts, minlength=len(columns)).astype(np.int64)
     words = columns.astype(np.int64) << shift
     fields = (words >> at & ((1 << width) - 1) for at, width in (layout.block_type, layout.row, layout.column))
-    return tuple(map(Footprint._make, zip(*(field.tolist() for field in fields), totals.tolist(), strict=True)))
+    reached = reach(events, family, geometry) if geometry else {}
+    entries = zip(*(field.tolist() for field in fields), totals.tolist(), strict=True)
+    return tuple(Footprint(*entry, reached.get(entry[:3])) for entry in entries)
 
 
 def total_frames(events: native.Events, family: Family) -> int:

@@ -10,7 +10,9 @@ from cm.bitstream import frames
 from cm.bitstream.container import Image, Source, named, open_image, read_source
 from cm.bitstream.devices import Family, base_name, device_by_idcode, device_by_name, family_of
 from cm.bitstream.errors import BadContainer, UnknownDevice, WrongDevice
+from cm.bitstream.geometry import Geometry, geometry_of
 from cm.bitstream.packets import Register
+from cm.bitstream.reach import check_addresses
 from cm.bitstream.report import Refusal, Report, Section
 from cm.bitstream.rules import Event, Rules
 from cm.native import bitstream as native
@@ -45,10 +47,11 @@ def _identify(image: Image, rules: Rules) -> tuple[str | None, int | None, Famil
     idcode = rules.idcodes[0] if rules.idcodes else None
     family = family_of(idcode, part)
     known = device_by_idcode(idcode) if idcode is not None else None
-    if idcode is None and not image.encrypted:
+    if idcode is None and not rules.encrypted:
         rules.refuse(UnknownDevice, "no IDCODE is written: the device would not check that the bitstream is its own")
-    elif family is None and not image.encrypted:
-        rules.refuse(UnknownDevice, f"IDCODE {idcode:08X}, part {part}: neither 7-series nor UltraScale+")
+    elif family is None and (part or idcode is not None):
+        found = "" if idcode is None else f"IDCODE {idcode:08X}, "
+        rules.refuse(UnknownDevice, f"{found}part {part}: neither 7-series nor UltraScale+")
     if len(set(rules.idcodes)) > 1:
         rules.refuse(WrongDevice, "sections for different devices: " + ", ".join(f"{x:08X}" for x in rules.idcodes))
     named = device_by_name(part) if part else None
@@ -73,14 +76,19 @@ def _check_frames(rules: Rules, events: native.Events, writes: native.Events, fa
     return [*frames.check_frames(writes, family), *frames.check_fills(fills, family)]
 
 
+def _check_addresses(rules: Rules, writes: native.Events, family: Family | None, geometry: Geometry | None) -> None:
+    if family is not None and geometry is not None and not rules.encrypted:
+        rules.problems += check_addresses(writes, family, geometry)
+
+
 def inspect(source: Source) -> Report:
     """Read a bitstream whole and say what it is.
 
     `source` is a path or the file's bytes. Raises `BadContainer`, `Truncated` or `NoSync` where
     nothing can be said, OSError where a path cannot be read; all else stands in `Report.problems`.
     """
-    data = read_source(source)
     with named(source):
+        data = read_source(source)
         return inspect_image(open_image(data), data)
 
 
@@ -100,18 +108,21 @@ def analyse(image: Image) -> Report:
     device, idcode, family = _identify(image, rules)
     rules.problems += _check_frames(rules, events, writes, family)
     looks_partial = not rules.registers & {Register.TIMER, Register.WBSTAR}
+    partial = image.header.partial if image.header else looks_partial
+    geometry = geometry_of(device) if partial else None  # what a full image writes is no question
+    _check_addresses(rules, writes, family, geometry)
     return Report(
         container=image.container,
         header=image.header,
         device=device,
         idcode=idcode,
         family=family,
-        partial=image.header.partial if image.header else looks_partial,
+        partial=partial,
         looks_partial=looks_partial,
         sections=_sections(image, rules, writes, family),
         frames=frames.total_frames(writes, family) if family else 0,
         crc=rules.crc,
-        footprint=frames.footprint(writes, family) if family else (),
+        footprint=frames.footprint(writes, family, geometry) if family else (),
         encrypted=rules.encrypted,
         compressed=bool((writes["kind"] == native.MULTI).any()),
         length=len(image.stream),

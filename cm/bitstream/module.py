@@ -11,17 +11,20 @@ import hashlib
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from cm.bitstream.assemble import FrameRun, assemble
 from cm.bitstream.devices import Device, Family, device_by_name
 from cm.bitstream.errors import UnknownDevice
 from cm.bitstream.far import FrameAddress
+from cm.bitstream.geometry import geometry_of
 from cm.schema.model import FrameRange
 
 _MAGIC = b"CM-RM\0\0\1"
 _LAYOUT = struct.Struct(">8s32sHH")  # mark, sha256 of the two names, length of name, of model
 _NAMES = 256  # bytes that name and model may take together
-_COLUMN_FRAMES = {Family.SERIES7: 36, Family.ULTRASCALE_PLUS: 16}  # frames of a CLB column
+_COLUMN_FRAMES = {Family.SERIES7: 36, Family.ULTRASCALE_PLUS: 16}  # of a CLB column, where nothing better is known
+_COLUMNS = 1 << 10  # that a frame address can name
 DEFAULT_SIZE = 128 * 1024
 
 
@@ -64,17 +67,27 @@ def identify_bytes(data: bytes) -> ModuleIdentity | None:
 
 def default_footprint(index: int, device: str | Device, size: int = DEFAULT_SIZE) -> tuple[FrameRange, ...]:
     """Return frames for the region with this index that overlap no other index's and hold `size` bytes."""
-    family = _family(device)
-    frames = -(-size // (4 * family.frame_words))
-    last = -(-frames // _COLUMN_FRAMES[family]) - 1
-    return (FrameRange(block_type=0, row=index, column_first=0, column_last=min(last, 1023)),)
+    known = _known(device)
+    left = -(-size // (4 * known.family.frame_words))
+    last = 0
+    while left > (here := _column_frames(known, FrameAddress(0, index, last))) and last < _COLUMNS - 1:
+        left -= here
+        last += 1
+    return (FrameRange(block_type=0, row=index, column_first=0, column_last=last),)
 
 
-def _family(device: str | Device) -> Family:
+def _column_frames(device: Device, column: FrameAddress) -> int:
+    """Return the frames of a column; those of a CLB column where the device is not known, or has no such row."""
+    geometry = geometry_of(device.name)
+    row = geometry.row(column.block_type, column.row) if geometry else None
+    return (row.frames(column.column) if row else 0) or _COLUMN_FRAMES[device.family]
+
+
+def _known(device: str | Device) -> Device:
     found = device if isinstance(device, Device) else device_by_name(device)
     if found is None:
         raise UnknownDevice(f"device {device!r} has no IDCODE in cm.bitstream.devices; give a Device instead")
-    return found.family
+    return found
 
 
 def _columns(footprint: Iterable[FrameRange]) -> list[FrameAddress]:
@@ -102,15 +115,28 @@ def assemble_module(
     frame data takes about `size` bytes, but no more than the footprint holds, and depends on
     nothing but the arguments. Raises ValueError for names that fill more than a frame.
     """
-    family = _family(device)
-    frame_bytes = 4 * family.frame_words
-    columns = _columns(footprint or default_footprint(region_index, device, size))
+    known = _known(device)
+    columns = _columns(footprint or default_footprint(region_index, known, size))
+    frames = _share(-(-size // (4 * known.family.frame_words)), [_column_frames(known, column) for column in columns])
     identity = _identity_bytes(name, model or name)
-    wanted = max(1, min(-(-size // frame_bytes), len(columns) * _COLUMN_FRAMES[family]))
-    filler = hashlib.shake_128(identity).digest(wanted * frame_bytes)
-    data = identity + filler[len(identity) :]
-    step = _COLUMN_FRAMES[family] * frame_bytes
-    chunks = [data[start : start + step] for start in range(0, len(data), step)]
-    # Each run ends with a frame of padding that only pushes the one before it out of the buffer.
-    runs = [FrameRun(address, chunk + bytes(frame_bytes)) for address, chunk in zip(columns, chunks, strict=False)]
-    return assemble(device, runs, design=name, part=part, crc=crc)
+    runs = _runs(identity, 4 * known.family.frame_words, list(zip(columns, frames, strict=False)))
+    return assemble(known, runs, design=name, part=part, crc=crc)
+
+
+def _share(wanted: int, there: Sequence[int]) -> list[int]:
+    """Fill columns of so many frames from the first on, with one frame at least."""
+    begins = accumulate(there, initial=0)
+    filled = [min(count, max(1, wanted) - begin) for begin, count in zip(begins, there, strict=False)]
+    return [count for count in filled if count > 0]
+
+
+def _runs(identity: bytes, frame_bytes: int, columns: Sequence[tuple[FrameAddress, int]]) -> list[FrameRun]:
+    """One run for each column; each ends with a frame of padding that only pushes the one before it out."""
+    total = sum(frames for _, frames in columns) * frame_bytes
+    data = memoryview(identity + hashlib.shake_128(identity).digest(total)[len(identity) :])
+    runs, at = [], 0
+    for address, frames in columns:
+        end = at + frames * frame_bytes
+        runs.append(FrameRun(address, bytes(data[at:end]) + bytes(frame_bytes)))
+        at = end
+    return runs

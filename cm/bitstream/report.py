@@ -31,17 +31,20 @@ class Footprint(NamedTuple):
     """Frames written from one column's address on; a run may go on into the columns behind it.
 
     `frames` counts what a run pushes through the frame buffer, padding frames too; frames that are
-    written twice (partial bitstreams of 7-series do that) count once. A tuple, because a compressed
-    bitstream has a thousand of them.
+    written twice (partial bitstreams of 7-series do that) count once. `last` is the column that the
+    last real frame falls into (the number of columns where it goes past the row's end); None for a
+    device whose columns are not known. A tuple, because a compressed bitstream has a thousand of them.
     """
 
     block_type: int
     row: int
     column: int
     frames: int
+    last: int | None = None
 
     def __str__(self) -> str:
-        return f"{self.frames} frames from block type {self.block_type} row {self.row} column {self.column}"
+        begin = f"{self.frames} frames from block type {self.block_type} row {self.row} column {self.column}"
+        return begin if self.last in (None, self.column) else f"{begin} into column {self.last}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +92,11 @@ class Report:
         return self.header.part if self.header else None
 
     @property
+    def user_id(self) -> int | None:
+        """The USERID in the header, where somebody set one."""
+        return self.header.user_id if self.header else None
+
+    @property
     def date(self) -> str | None:
         """Date and time in the header, as written there."""
         return f"{self.header.date} {self.header.time}" if self.header else None
@@ -104,13 +112,20 @@ class Report:
             "frames": self.frames,
             "crc": self.crc.value,
             "footprint": [
-                {"block_type": item.block_type, "row": item.row, "column": item.column, "frames": item.frames}
+                {
+                    "block_type": item.block_type,
+                    "row": item.row,
+                    "column": item.column,
+                    "frames": item.frames,
+                    "last_column": item.last,
+                }
                 for item in self.footprint
             ],
             "container": self.container.value,
             "design": self.design,
             "part": self.part,
             "date": self.date,
+            "user_id": None if self.user_id is None else f"0x{self.user_id:08x}",
             "encrypted": self.encrypted,
             "compressed": self.compressed,
             "length": self.length,

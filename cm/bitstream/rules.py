@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cm.bitstream.errors import BadPacket, BitstreamError, CrcMismatch, CrcMissing, Truncated
+from cm.bitstream.errors import BadContainer, BadPacket, BitstreamError, CrcMismatch, CrcMissing, Truncated
 from cm.bitstream.packets import Command, Register
 from cm.bitstream.report import CrcResult, Refusal
 from cm.native import bitstream as native
@@ -19,6 +19,9 @@ from cm.native import bitstream as native
 _NEUTRAL = {
     (Register.CMD, Command.NULL),
     (Register.CMD, Command.URAM),
+    (Register.CMD, Command.BSPI_READ),
+    (Register.BSPI, 0x00B),  # how a flash is read that this bitstream does not come from: one bit wide,
+    (Register.BSPI, 0x26B),  # or four; as Vivado writes it where SPI_BUSWIDTH is set
     (Register.TIMER, 0),
     (Register.WBSTAR, 0),
 }
@@ -61,6 +64,8 @@ class Rules:
         self._uncovered: list[tuple[int, int]] = []  # writes since the last CRC or RCRC
         self._gaps: list[Refusal] = []  # refusals only if the stream has CRCs at all
         self._reset = False  # the last packet was RCRC
+        self._started = False  # a section with START in it has ended
+        self._starting = False
 
     @property
     def crc(self) -> CrcResult:
@@ -86,6 +91,7 @@ class Rules:
         elif event.kind == native.DESYNC:
             self._boundary(event, "DESYNC")
             self.desyncs.append(event.word + 2)
+            self._started |= self._starting
         elif event.kind == native.OPAQUE:
             self.encrypted = True
         elif not self.encrypted:
@@ -124,11 +130,19 @@ class Rules:
     def _command(self, event: Event) -> None:
         if event.value not in _COMMANDS:
             self.refuse(BadPacket, f"word {event.word}: CMD {event.value:08X} must not stand in a bitstream")
+        elif event.value == Command.START:
+            self._start(event)
         elif event.value == Command.RCRC:
             if self._reset and event.count == 0:
                 self._gaps.append(Refusal(BadPacket.code, f"word {event.word}: RCRC follows RCRC"))
             self._boundary(event, "RCRC")
             self._reset = True
+
+    def _start(self, event: Event) -> None:
+        """No tool starts a device twice in one bitstream, however many sections it has."""
+        if self._started:
+            self.refuse(BadContainer, f"word {event.word}: a second image follows the first: give one at a time")
+        self._starting = True
 
     def _boundary(self, event: Event, name: str) -> None:
         """RCRC and DESYNC: what was written since the last CRC or RCRC stays unchecked."""

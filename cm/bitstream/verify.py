@@ -6,7 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from cm.bitstream.devices import REVISION_MASK, base_name, device_by_name
+from cm.bitstream.container import NO_USER_ID
+from cm.bitstream.devices import REVISION_MASK, base_name, device_by_name, package_of
 from cm.bitstream.errors import (
     BitstreamError,
     Encrypted,
@@ -16,6 +17,7 @@ from cm.bitstream.errors import (
     Sha256Mismatch,
     UnknownDevice,
     WrongDevice,
+    WrongStatic,
     errors_by_code,
 )
 from cm.bitstream.footprint import describe, outside
@@ -29,14 +31,17 @@ _SHOWN = 4  # footprint entries named in a sentence
 class Expectation:
     """What a bitstream is meant for; what is None or empty is not checked.
 
-    `device`: a device or part name, ``xc7z020`` or ``xck26-sfvc784-2LV-c``. `idcode`: the word in
-    the bitstream, any revision. `footprint`: the frames of the region, stated or learned.
+    `device`: a device or part name, ``xc7z020`` or ``xck26-sfvc784-2LV-c``; a package that it names
+    must be that of the header. `idcode`: the word in the bitstream, any revision.
+    `footprint`: the frames of the region, stated or learned.
+    `user_id`: USERID of the static design; compared where both have one.
     """
 
     device: str | None = None
     idcode: int | None = None
     partial: bool | None = None
     footprint: tuple[FrameRange, ...] = ()
+    user_id: int | None = None
     allow_encrypted: bool = False
     sha256: str | None = None
 
@@ -69,8 +74,22 @@ def _device(report: Report, expect: Expectation) -> Iterator[Refusal]:
     elif expect.device and report.device:
         if base_name(expect.device) != report.device:
             yield _refusal(WrongDevice, f"built for {found}, meant for {wanted}")
-    else:
+    elif not (report.encrypted and expect.allow_encrypted):  # it may hide its IDCODE; who permits that, knows
         yield _refusal(UnknownDevice, f"cannot tell whether {found} is {wanted}: give the device's IDCODE, or a .bit")
+
+
+def _package(report: Report, expect: Expectation) -> Iterator[Refusal]:
+    wanted = package_of(expect.device) if expect.device else None
+    found = package_of(report.part) if report.part else None
+    if wanted and found and wanted != found:
+        why = f"its header says {report.part}, package {found}; meant for {expect.device}, package {wanted}"
+        yield _refusal(WrongDevice, why)
+
+
+def _static(report: Report, expect: Expectation) -> Iterator[Refusal]:
+    if expect.user_id not in (None, NO_USER_ID) and report.user_id is not None and report.user_id != expect.user_id:
+        why = f"made with the static design of USERID {report.user_id:08X}, expected {expect.user_id:08X}"
+        yield _refusal(WrongStatic, why)
 
 
 def _partial(report: Report, expect: Expectation) -> Iterator[Refusal]:
@@ -108,6 +127,8 @@ def refusals(report: Report, expect: Expectation) -> tuple[Refusal, ...]:
         *_sha256(report, expect),
         *report.problems,
         *_device(report, expect),
+        *_package(report, expect),
+        *_static(report, expect),
         *_partial(report, expect),
         *_encrypted(report, expect),
         *_footprint(report, expect),
@@ -129,8 +150,10 @@ def expect_module(config: Config, module: Module, learned: tuple[FrameRange, ...
     region = config.regions[module.region]
     return Expectation(
         device=config.device,
+        idcode=config.idcode,
         partial=True,
         footprint=region.footprint or learned,
+        user_id=config.static.user_id if config.static else None,
         allow_encrypted=region.allow_encrypted,
         sha256=module.sha256,
     )
@@ -139,5 +162,10 @@ def expect_module(config: Config, module: Module, learned: tuple[FrameRange, ...
 def expect_static(config: Config) -> Expectation:
     """Return what the runtime schema says of the image of a full configuration."""
     return Expectation(
-        device=config.device, partial=False, allow_encrypted=config.allow_encrypted, sha256=config.sha256
+        device=config.device,
+        idcode=config.idcode,
+        partial=False,
+        user_id=config.static.user_id if config.static else None,
+        allow_encrypted=config.allow_encrypted,
+        sha256=config.sha256,
     )

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 from pathlib import Path
 
 from cm.bitstream import BitHeader, Container, Report, convert, footprint_of, inspect, open_image
@@ -12,6 +13,7 @@ from cm.cli.common import add_json_option, print_json, print_table
 from cm.errors import InvalidRequest
 from cm.schema.model import FrameRange
 
+_INSTEAD = "name another file, or say --drop-header"
 _FORMS = {form.value: form for form in (Container.BIT, Container.BIN_SWAPPED, Container.BIN_STRAIGHT)}
 
 
@@ -47,6 +49,9 @@ def _add_convert(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     parser.add_argument("output", type=Path, metavar="OUTPUT")
     parser.add_argument("--to", choices=sorted(_FORMS), help="the container (default: by the name of OUTPUT)")
     parser.add_argument("--header", type=Path, metavar="FILE", help="a .bit whose header is taken, for a .bin")
+    parser.add_argument(
+        "--drop-header", action="store_true", help="in place: lose what the output cannot hold, such as the header"
+    )
     parser.set_defaults(run=run_convert)
 
 
@@ -94,9 +99,38 @@ def run_convert(args: argparse.Namespace) -> int:
     """Write the bitstream in another container."""
     form = _FORMS[args.to] if args.to else _form_by_name(args.output)
     data = convert(args.file, form, _header(args.header))
-    args.output.write_bytes(data)
+    if not args.drop_header:
+        _refuse_loss(args.file, args.output, form)
+    _write(args.output, data)
     print(f"{args.output}: {form.value}, {len(data)} bytes")
     return 0
+
+
+def _refuse_loss(source: Path, output: Path, form: Container) -> None:
+    """In place, what the output cannot hold would be gone for good."""
+    image = open_image(source)
+    if not output.exists() or not output.samefile(source):
+        return
+    if image.container is Container.BOOTGEN:
+        raise InvalidRequest(f"{output}: would lose the rest of the boot image; {_INSTEAD}")
+    if image.header is not None and form is not Container.BIT:
+        header = f"design {image.header.design}, part {image.header.part}, {image.header.date}"
+        raise InvalidRequest(f"{output}: would lose the header ({header}), {form.value} has none; {_INSTEAD}")
+
+
+def _write(output: Path, data: bytes) -> None:
+    """Whole or not at all, where the output is a file: it may be what was read."""
+    if output.exists() and not output.is_file():
+        output.write_bytes(data)
+        return
+    aside = output.with_name(f".{output.name}.new")
+    try:
+        aside.write_bytes(data)
+        if output.exists():
+            shutil.copymode(output, aside)
+        aside.replace(output.resolve())
+    finally:
+        aside.unlink(missing_ok=True)
 
 
 def _form_by_name(output: Path) -> Container:

@@ -30,12 +30,22 @@ def add_verify(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
         "--like", type=Path, metavar="FILE", help="a bitstream of the same region: its frames are the region's"
     )
     parser.add_argument("--device", metavar="NAME", help="the device, such as xc7z020")
+    parser.add_argument(
+        "--idcode", type=_idcode, metavar="HEX", help="its IDCODE in bitstreams, for a device that is not known"
+    )
     parser.add_argument("--sha256", metavar="HEX", help="the file's recorded hash")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument("--partial", action="store_true", default=None, help="it is for a region")
     kind.add_argument("--full", dest="partial", action="store_false", help="it is for the whole device")
     add_json_option(parser)
     parser.set_defaults(run=run_verify)
+
+
+def _idcode(text: str) -> int:
+    value = int(text, 16)
+    if not 0 < value <= 0xFFFFFFFF:
+        raise argparse.ArgumentTypeError(f"{text} is no IDCODE: up to eight hexadecimal digits are")
+    return value
 
 
 def run_verify(args: argparse.Namespace) -> int:
@@ -55,7 +65,9 @@ def run_verify(args: argparse.Namespace) -> int:
 
 def _expectation(args: argparse.Namespace) -> Expectation:
     expect = _from_schema(args.file, load(args.config), args.region) if args.config else _stated(args.region)
-    stated = {key: getattr(args, key) for key in ("device", "partial", "sha256") if getattr(args, key) is not None}
+    stated = {
+        key: getattr(args, key) for key in ("device", "idcode", "partial", "sha256") if getattr(args, key) is not None
+    }
     if args.like:
         stated["footprint"] = footprint_of(inspect(args.like))
     return replace(expect, **stated)

@@ -29,6 +29,7 @@ from cm.schema.model import (
     Module,
     Overlay,
     Region,
+    StaticIdentity,
     Stream,
 )
 from cm.schema.problems import KeyPath, did_you_mean
@@ -50,6 +51,7 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
         name=data["name"],
         type=kind,
         device=data.get("device"),
+        idcode=_integers({"v": data.get("idcode")})["v"],
         bitstream=_path(data.get("bitstream")),
         sha256=_lower(data.get("sha256")),
         loader=LoaderKind(data.get("loader", "fpga_manager")),
@@ -66,7 +68,13 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
         clocks=MappingProxyType({name: _clock(name, v) for name, v in data.get("clocks", {}).items()}),
         doc=data.get("doc", ""),
         memories=build_memories(data, Owner(top, None), context),
+        static=_static(data["static"]) if data.get("static") else None,
     )
+
+
+def _static(values: dict[str, Any]) -> StaticIdentity:
+    uid = values.get("uid")
+    return StaticIdentity(**_integers({key: value for key, value in values.items() if key != "uid"}), uid=uid)
 
 
 def default_region(modules: Iterable[str], known: Mapping[str, Module]) -> str | None:

@@ -164,6 +164,22 @@ class Identity:
 
 
 @dataclass(frozen=True, slots=True)
+class StaticIdentity:
+    """Which static design the modules were made with, and where a board says which one it holds.
+
+    What is None is not known. `identity` is what the register at `base_address` + `offset` reads;
+    `user_id` the USERID in the headers of the bitstreams; `uid` a name that another manager gave.
+    """
+
+    identity: int | None = None
+    base_address: int | None = None
+    offset: int = 0
+    width: int = 32
+    user_id: int | None = None
+    uid: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Region:
     """A partially reconfigurable region (PRR)."""
 
@@ -270,6 +286,7 @@ class Config:
     name: str
     type: ConfigType = ConfigType.PARTIAL
     device: str | None = None  # e.g. "xc7z020"; None: any
+    idcode: int | None = None  # of the bitstreams, for a device that `cm.bitstream` does not know
     bitstream: Path | None = None  # static image of a full configuration
     sha256: str | None = None
     loader: LoaderKind = LoaderKind.FPGA_MANAGER  # of the static image
@@ -288,6 +305,7 @@ class Config:
     source: Path | None = None  # file it was read from
     sha256_source: str = ""  # of that file's bytes
     memories: Mapping[str, Memory] = field(default_factory=_empty)  # of the static part, as `registers`
+    static: StaticIdentity | None = None  # None: not known which static design the modules belong to
 
     def first_mode(self) -> str:
         """The mode to enter when none is named."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields
 
 from cm.schema.context import IMAGE_KEYS, STATIC, Context
-from cm.schema.model import Config, ConfigType, Decoupler, Mode, Overlay, Region, Stream
+from cm.schema.model import Config, ConfigType, Decoupler, Mode, Overlay, Region, StaticIdentity, Stream
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.rules_interrupts import check_interrupts
 from cm.schema.rules_memories import check_memories
@@ -19,6 +19,8 @@ _TOP: KeyPath = ("config",)
 def check_rules(config: Config, context: Context) -> None:
     """Report everything about `config` that cannot be."""
     _check_top(config, context)
+    if config.static is not None:
+        _check_static(config.static, context)
     _check_regions(config.regions, context)
     _check_modules(config, context)
     _check_overlays(config.overlays, (), _TOP, context)
@@ -49,6 +51,20 @@ def _check_no_image(config: Config, context: Context) -> None:
             hint = "type: full, or the same key at a module or region"
             message = f"{field.name} is of the image of the whole device, which a partial configuration does not have"
             context.report((*_TOP, field.name), "not_applicable", message, hint)
+
+
+def _check_static(static: StaticIdentity, context: Context) -> None:
+    path: KeyPath = (*_TOP, "static")
+    if static.identity is None:
+        return
+    if static.base_address is None:
+        message = "the static part's identity has no register to read it from"
+        context.report((*path, "identity"), "missing_identity", message, "add base_address, and offset")
+        return
+    _check_aligned(static.base_address + static.offset, static.width, (*path, "offset"), context)
+    if static.identity >> static.width:
+        message = f"{static.identity:#x} does not fit the identity register"
+        context.report((*path, "identity"), "value_range", message, f"at most {static.width} bits")
 
 
 def _check_regions(regions: Mapping[str, Region], context: Context) -> None:

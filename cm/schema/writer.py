@@ -15,7 +15,7 @@ from cm.schema.model import BitField, Config, Memory, Mode, Module, Overlay, Reg
 from cm.schema.text import Hex, to_yaml
 
 _NAMES = {"minimum": "min", "maximum": "max"}
-_ADDRESSES = ("base_address", "offset", "identity")
+_ADDRESSES = ("base_address", "offset", "identity", "idcode", "user_id")
 _VALUES = ("default", "reset", "minimum", "maximum")
 _LARGE = 0x100  # from here on a value is easier to read in hexadecimal
 
@@ -30,6 +30,9 @@ def to_plain(config: Config) -> dict[str, Any]:
     data: dict[str, Any] = {"name": config.name, "type": config.type.value}
     for key in ("doc", "device", "default_mode"):
         _put(data, key, getattr(config, key))
+    _put(data, "idcode", None if config.idcode is None else Hex(config.idcode))
+    if config.static is not None:
+        data["static"] = _simple(config.static)
     data |= _simple(config, *(field.name for field in fields(config) if field.name not in IMAGE_KEYS))
     _put(data, "regions", {name: _region(region) for name, region in config.regions.items()})
     _put(data, "modules", {name: _module(module) for name, module in config.modules.items()})

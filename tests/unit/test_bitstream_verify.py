@@ -78,7 +78,7 @@ def test_frames_of_another_region_are_refused_by_name() -> None:
         verify(report, Expectation(footprint=OWNED))
 
 
-@pytest.mark.parametrize("address", [FrameAddress(0, 1, 26), FrameAddress(1, 0, 26), FrameAddress(0, 0, 25)])
+@pytest.mark.parametrize("address", [FrameAddress(0, 1, 26), FrameAddress(1, 0, 2), FrameAddress(0, 0, 25)])
 def test_frames_elsewhere_are_refused(address: FrameAddress) -> None:
     assert codes(written_to(address), Expectation(footprint=OWNED)) == ["footprint_outside"]
 

@@ -41,7 +41,7 @@ def test_inspect_prints_json_with_the_documented_keys(tmp_path: Path, capsys: py
     found = json.loads(capsys.readouterr().out)
     keys = {"device", "idcode", "family", "partial", "sections", "frames", "crc", "footprint"}
     assert keys <= found.keys()
-    assert found["footprint"] == [{"block_type": 0, "row": 0, "column": 26, "frames": 1}]
+    assert found["footprint"] == [{"block_type": 0, "row": 0, "column": 26, "frames": 1, "last_column": 26}]
 
 
 def test_inspect_says_what_people_want_to_know(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,3 +119,26 @@ def test_convert_goes_by_the_names_and_back(tmp_path: Path) -> None:
 def test_convert_to_a_name_that_says_nothing_needs_a_form(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bitstream", "convert", str(module(tmp_path, "edge")), str(tmp_path / "out")]) == 1
     assert "--to" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("form", ["bin", "bin-straight"])
+def test_convert_in_place_does_not_lose_the_header(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], form: str
+) -> None:
+    original = module(tmp_path, "edge")
+    before = original.read_bytes()
+    link = tmp_path / "link.bit"
+    link.symlink_to(original)
+    for output in (original, link):
+        assert main(["bitstream", "convert", str(original), str(output), "--to", form]) == 1
+        assert "would lose the header (design cm_assembled" in capsys.readouterr().err
+        assert original.read_bytes() == before
+    assert main(["bitstream", "convert", str(original), str(link), "--to", form, "--drop-header"]) == 0
+    assert link.is_symlink()
+    assert original.read_bytes() != before
+
+
+def test_verify_takes_an_idcode_for_a_device_that_is_not_known(tmp_path: Path) -> None:
+    original = str(module(tmp_path, "edge"))
+    assert main(["bitstream", "verify", original, "--idcode", "0x13727093"]) == 0
+    assert main(["bitstream", "verify", original, "--idcode", "03722093"]) == 1

@@ -364,7 +364,8 @@ def test_prefetch_keeps_to_its_budget_and_does_not_push_out_what_it_fetched(
         files = CountingFiles(sim.root)
         modules = [duo.modules[name] for name in BOTH_REGIONS]
         jobs = [Job(duo, files.image(duo, m), duo.regions[m.region], m) for m in modules]
-        loaders = Loaders(made.devices, files, made.clock, prefetch_bytes=2 * jobs[0].image.length + 8192)
+        largest = max(job.image.length for job in jobs)
+        loaders = Loaders(made.devices, files, made.clock, prefetch_bytes=2 * largest + 8192)
         files.read.clear()
         loaders.prefetch(jobs)
         assert files.read == ["a0.bit", "b0.bit"]

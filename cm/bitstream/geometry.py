@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How many frames every column of a device has, where that is public.
+
+`data/columns.json` says from where. A device that is not in it has no geometry: then only the
+beginnings of runs are compared with a region.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import accumulate
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """The columns of one row of one block type: `starts[c]` is the first frame of column `c`, counted from 0.
+
+    The last entry is the number of frames of the whole row.
+    """
+
+    starts: tuple[int, ...]
+
+    @property
+    def columns(self) -> int:
+        """How many columns there are."""
+        return len(self.starts) - 1
+
+    def frames(self, column: int) -> int:
+        """Return the frames of a column; 0 where there is none."""
+        return self.starts[column + 1] - self.starts[column] if 0 <= column < self.columns else 0
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """A die: its rows by block type and FAR's row field."""
+
+    rows: Mapping[tuple[int, int], Row]
+
+    def row(self, block_type: int, row: int) -> Row | None:
+        """Return a row; None where the device has none, or nothing is known of it."""
+        return self.rows.get((block_type, row))
+
+
+def _counts(text: str) -> list[int]:
+    """Return frame counts from their short form: ``42 36x2`` is 42, 36, 36."""
+    pairs = (item.partition("x") for item in text.split())
+    return [int(count) for count, _, times in pairs for _ in range(int(times or 1))]
+
+
+@cache
+def _dies() -> Mapping[str, Geometry]:
+    found = json.loads((files("cm.bitstream") / "data" / "columns.json").read_text("utf-8"))
+    result = {}
+    for die in found["dies"]:
+        rows = {}
+        for block_type, kinds in die["columns"].items():
+            for kind in kinds:
+                row = Row(tuple(accumulate(_counts(kind["frames"]), initial=0)))
+                rows.update({(int(block_type), number): row for number in kind["rows"]})
+        result.update(dict.fromkeys(die["devices"], Geometry(rows)))
+    return result
+
+
+def geometry_of(device: str | None) -> Geometry | None:
+    """Return the geometry of a device by its name (`xc7z020`); None if it is not known."""
+    return _dies().get(device) if device else None
