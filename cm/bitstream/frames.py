@@ -56,7 +56,10 @@ def footprint(events: native.Events, family: Family, geometry: Geometry | None =
     fields = (words >> at & ((1 << width) - 1) for at, width in (layout.block_type, layout.row, layout.column))
     reached = reach(events, family, geometry) if geometry else {}
     entries = zip(*(field.tolist() for field in fields), totals.tolist(), strict=True)
-    return tuple(Footprint(*entry, reached.get(entry[:3])) for entry in entries)
+    return tuple(
+        Footprint(block_type, row, column, frames, reached.get((block_type, row, column)))
+        for block_type, row, column, frames in entries
+    )
 
 
 def total_frames(events: native.Events, family: Family) -> int:
