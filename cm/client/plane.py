@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import array
+import errno
+import math
 import os
+import select
 import socket
-import struct
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -44,7 +46,7 @@ class Connection:
         self.granted: deque[Descriptor] = deque()
         self.stopped = 0  # times that the stream was stopped, so far
         self._expected: int | None = None
-        self._timeout: float | None = -1.0
+        self._timeout: float | None = None
         self._buffer = bytearray(PACKET_MAX)
         self._handlers: dict[int, Callable[[Descriptor, int, list[int]], None]] = {
             packets.GEOMETRY: self._geometry,
@@ -58,6 +60,8 @@ class Connection:
             packets.PONG: lambda head, _, __: self.done.append(head),
         }
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._readable = select.poll()
+        self._readable.register(self.socket, select.POLLIN)
         try:
             _connect(self.socket, folder)
             self.socket.send(packets.encode_open(wanted))
@@ -72,16 +76,12 @@ class Connection:
 
     def set_timeout(self, seconds: float | None) -> None:
         """How long `receive` waits: None for ever."""
-        if seconds == self._timeout:
-            return
         self._timeout = seconds
-        micros = 0 if seconds is None else max(1, int(seconds * 1e6))
-        self.socket.setsockopt(
-            socket.SOL_SOCKET, socket.SO_RCVTIMEO, struct.pack("@ll", micros // 1_000_000, micros % 1_000_000)
-        )
 
     def receive(self, flags: int = 0) -> LocalFrame | None:
         """Handle one packet; the frame if it was one. Raises BlockingIOError at the time-out, ConnectionLost, …"""
+        if self._timeout is not None and not flags:
+            self._await_packet(self._timeout)
         try:
             size, ancillary, _, _ = self.socket.recvmsg_into([self._buffer], _ANCILLARY, flags | _CLOEXEC)
         except (ConnectionError, TimeoutError) as error:
@@ -96,6 +96,11 @@ class Connection:
         if handler is not None:
             handler(head, size, fds)
         return None
+
+    def _await_packet(self, seconds: float) -> None:
+        """SO_RCVTIMEO would spare the call, but what it takes differs between 32-bit systems with old and new time."""
+        if not self._readable.poll(math.ceil(seconds * 1000)):
+            raise BlockingIOError(errno.EAGAIN, f"no packet within {seconds:g} s")
 
     def _frame(self, memory: Memory, head: Descriptor) -> LocalFrame:
         if self._expected is not None:

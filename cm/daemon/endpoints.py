@@ -11,6 +11,8 @@ from pathlib import Path
 
 import zmq
 
+from cm.device.base import AnyRoot
+from cm.device.paths import Root
 from cm.errors import Busy, InvalidRequest
 from cm.wire.plane import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
@@ -44,6 +46,46 @@ class FolderLock:
     def release(self) -> None:
         """Give it back."""
         os.close(self._fd)
+
+
+class BoardLock:
+    """An flock on the board's sysfs: managers with other runtime folders notice each other.
+
+    Nothing is written. It ends with the process, and holds within one mount of sysfs: managers in containers with
+    mounts of their own do not see it.
+    """
+
+    def __init__(self, root: AnyRoot) -> None:
+        folder = Root.of(root).join("sys")
+        if not folder.is_dir():
+            folder = folder.parent
+        self._fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            holder = _holder(self._fd)
+            os.close(self._fd)
+            raise AlreadyServed(
+                f"{holder} holds the board below {folder.parent} already: two managers would load over each other. "
+                "Stop it, or give each a board of its own (CM_ROOT)"
+            ) from None
+
+    def release(self) -> None:
+        """Give it back."""
+        os.close(self._fd)
+
+
+def _holder(fd: int) -> str:
+    """Who holds an flock on a file, as /proc/locks has it."""
+    wanted = os.fstat(fd).st_ino
+    try:
+        lines = Path("/proc/locks").read_text("ascii", "replace").splitlines()
+    except OSError:
+        lines = []
+    for fields in (line.split() for line in lines):
+        if len(fields) >= 6 and fields[1] == "FLOCK" and fields[5].rpartition(":")[2] == str(wanted):
+            return f"another process (pid {fields[4]})"
+    return "another process"
 
 
 @dataclass(frozen=True, slots=True)

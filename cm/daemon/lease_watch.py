@@ -3,12 +3,23 @@
 
 from __future__ import annotations
 
+import errno
 import os
+from typing import NoReturn
 
 from cm.daemon.loop import Loop
+from cm.errors import Busy
 from cm.manager.access.leases import Leases
 from cm.messages.requests import TakeLease
 from cm.messages.status import LeaseInfo
+
+_EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+
+
+class Unwatched(Busy):
+    """There are no descriptors to watch the holder of a lease with."""
+
+    code = "lease_unwatched"
 
 
 class Holders:
@@ -20,11 +31,15 @@ class Holders:
         self._fds: dict[str, int] = {}
 
     def watch(self, lease: LeaseInfo, request: TakeLease) -> None:
-        """Follow a granted, renewed or returned lease."""
-        if request.release:
-            self._forget(lease.id)
-        elif request.pid and lease.id not in self._fds:
+        """Follow a granted, renewed or returned lease. Raises Unwatched, and the lease has ended then."""
+        self._forget_ended()
+        if not request.release and request.pid and lease.id not in self._fds:
             self._open(lease.id, request.pid)
+
+    def _forget_ended(self) -> None:
+        """Leases that were given back, or whose time is over, cost no descriptor any more."""
+        for lease in [lease for lease in self._fds if not self._leases.holds(lease)]:
+            self._forget(lease)
 
     def _open(self, lease: str, pid: int) -> None:
         try:
@@ -32,10 +47,21 @@ class Holders:
         except ProcessLookupError:
             self._leases.drop(lease)
             return
-        except OSError:  # no such call (Linux before 5.3), or not ours to see: the time-out ends the lease
-            return
+        except OSError as error:
+            if error.errno in _EXHAUSTED:
+                self._refuse(lease, error)
+            return  # no such call (Linux before 5.3), or not ours to see: the time-out ends the lease
+        try:
+            self._loop.add(fd, lambda: self._died(lease))
+        except OSError as error:
+            os.close(fd)
+            self._refuse(lease, error)
         self._fds[lease] = fd
-        self._loop.add(fd, lambda: self._died(lease))
+
+    def _refuse(self, lease: str, error: OSError) -> NoReturn:
+        """Nobody would notice the holder's death: it could keep others out until its time is over."""
+        self._leases.drop(lease)
+        raise Unwatched(f"no lease now: its holder cannot be watched ({error.strerror})") from error
 
     def _died(self, lease: str) -> None:
         self._leases.drop(lease)

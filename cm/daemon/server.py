@@ -14,13 +14,14 @@ import zmq
 
 from cm.daemon.curve import CurveAuthenticator
 from cm.daemon.dispatcher import Dispatcher
-from cm.daemon.endpoints import FolderLock, Sockets
+from cm.daemon.endpoints import BoardLock, FolderLock, Sockets
 from cm.daemon.handlers import Handlers, Services
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles
 from cm.daemon.host.footprints import Footprints
 from cm.daemon.host.provision import Provisioner
 from cm.daemon.host.reload import Reloader, Surroundings
+from cm.daemon.host.sleep import Sleep
 from cm.daemon.host.systemd import ServiceManager
 from cm.daemon.interrupts import Interrupts
 from cm.daemon.lease_watch import Holders
@@ -55,6 +56,11 @@ class Server:
     def __init__(self, options: Options) -> None:
         self._options = options
         self._lock = FolderLock(options.runtime_dir)
+        try:
+            self._board_lock = BoardLock(options.root)
+        except BaseException:
+            self._lock.release()
+            raise
         self._loop = Loop()
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
@@ -78,6 +84,7 @@ class Server:
         self._service = ServiceManager()
         self._reloader = self._make_reloader()
         self._boot_id = ""
+        self._sleep = Sleep()
         self._last_logged = ""
 
     def _make_manager(self) -> Manager:
@@ -191,6 +198,7 @@ class Server:
             self._doorkeeper.close()
         self._context.term()
         self._loop.close()
+        self._board_lock.release()
         self._lock.release()
 
     # ---- observer: any thread ---------------------------------------------------------
@@ -235,8 +243,20 @@ class Server:
         self._streams.refresh()
         self._reloader.continue_waiting()
         self._look_for_board()
+        self._look_for_sleep()
         if self._streams.any_open:
             self._publisher.status(self._status())
+
+    def _look_for_sleep(self) -> None:
+        """While the machine slept, the PL may have been without power."""
+        if not self._sleep.slept() or self._manager.changing:
+            return
+        try:
+            self._manager.board_slept()
+        except (CmError, OSError) as error:
+            _LOG.warning("after the machine's sleep: %s", error)
+            return
+        self._sleep.noted()
 
     def _look_for_board(self) -> None:
         """A board that was started anew holds nothing of what is recorded."""

@@ -27,7 +27,7 @@ from cm.manager.reporting.descriptions import config_info
 from cm.manager.reporting.status import StatusReporter
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending
-from cm.manager.state.table import BoardState
+from cm.manager.state.table import BoardState, slept
 from cm.messages.requests import RegWrite, WriteConfig
 from cm.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status
 from cm.schema.model import Config
@@ -103,6 +103,25 @@ class Manager:
         self._loaders.forget()
         self._bus.forget(lost=True)
         self.reconcile()
+
+    def board_slept(self) -> None:
+        """The machine slept, and the PL may have lost its power: nothing is claimed of its content any more.
+
+        Where this manager loaded the image of the whole device, that is loaded again; else what was there at boot is
+        taken to be there still. The mode is brought back by a change. Raises ChangeBusy until a running one has ended.
+        """
+        if self._worker.busy:
+            raise ChangeBusy("the machine slept while a change ran; its end is awaited")
+        before = self.state
+        there = destination(before, None, self.configs)
+        self._bus.forget(lost=False)
+        self._state.update(slept)
+        self._reporter.set_error(ErrorInfo("slept", "the machine slept: what the PL held is loaded again"))
+        self._reporter.note(self._state.try_record())
+        if there is not None:
+            static = before.static_config if before.static_config in self.configs else None
+            self._worker.add(Change(self._state.next_number(), there.config.name, there.mode, static=static))
+        self._reporter.changed()
 
     def board_lost(self, error: Exception) -> None:
         """The board does not answer any more: nothing is known of it."""

@@ -91,6 +91,19 @@ def test_a_second_manager_on_the_same_folder_is_refused(manager: Manager) -> Non
     second.stop()
 
 
+def test_a_second_manager_of_the_same_board_is_refused_and_told_who_holds_it(own: tuple[Manager, SimBoard]) -> None:
+    first, _ = own
+    assert first.process is not None
+    second = Manager(first.runtime.parent / "other", *first.arguments)
+    with pytest.raises(AssertionError, match=rf"pid {first.process.pid}\) holds the board below"):
+        second.start()
+    second.stop()
+    first.kill()
+    second.start()  # the lock ended with its holder
+    second.stop()
+    first.start()
+
+
 def test_serve_sim_takes_over_the_board_that_a_killed_manager_left(runtime) -> None:  # type: ignore[no-untyped-def]
     first = Manager(runtime / "run", "--sim").start()
     with first.connected() as board:
@@ -133,12 +146,13 @@ def test_what_was_learned_of_a_region_outlives_a_killed_manager(runtime) -> None
 
 
 def test_a_second_manager_with_the_same_state_is_refused(own: Own, runtime) -> None:  # type: ignore[no-untyped-def]
-    manager, sim = own
+    manager, _ = own
     state = manager.arguments[manager.arguments.index("--state-dir") + 1]
-    second = Manager(runtime / "run", "--root", str(sim.root), "--state-dir", state)
-    with pytest.raises(AssertionError, match=r"another configuration manager keeps its state"):
-        second.start()
-    second.stop()
+    with SimBoard(root=runtime / "board") as other:
+        second = Manager(runtime / "run", "--root", str(other.root), "--state-dir", state)
+        with pytest.raises(AssertionError, match=r"another configuration manager keeps its state"):
+            second.start()
+        second.stop()
 
 
 def test_a_manager_killed_at_any_instant_of_a_change_comes_back_to_a_whole_mode(own: Own) -> None:

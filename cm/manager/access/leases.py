@@ -74,6 +74,12 @@ class Leases:
             if held is not own and not shared and any(_overlap(held.info.scope, scope) for scope in scopes):
                 raise HeldBy(_held_by(held.info, self._left(held)))
 
+    def holds(self, lease: str) -> bool:
+        """Whether a lease has not ended."""
+        with self._lock:
+            self._expire()
+            return lease in self._held
+
     def drop(self, lease: str) -> bool:
         """End a lease whose holder has died."""
         with self._lock:

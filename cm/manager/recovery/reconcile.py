@@ -25,6 +25,8 @@ from cm.manager.state.table import (
 )
 from cm.schema.model import Config, LoaderKind, Module, Region
 
+_EMPTY = ("power off", "reset")  # states of an fpga_manager whose device holds nothing
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -132,12 +134,12 @@ def _port(state: BoardState, configs: Mapping[str, Config], devices: Devices, no
 
 
 def _error_of(devices: Devices, name: str | None) -> str:
-    """The manager's state if it is an error; empty if it is none, or there is no manager."""
+    """The manager's state if it is an error, or says that the device is empty; else an empty text."""
     try:
         said = devices.fpga_manager(name).state
     except (CmError, OSError):
         return ""
-    return said if "error" in said else ""
+    return said if "error" in said or said in _EMPTY else ""
 
 
 def _regions(state: BoardState, config: Config | None, registers: RegisterBus, notes: list[str]) -> BoardState:

@@ -148,6 +148,14 @@ class BoardState:
         return replace(self, values=MappingProxyType(kept))
 
 
+def slept(state: BoardState) -> BoardState:
+    """After a sleep, in which the PL may have lost its power; what the boot loader put there is taken to be there."""
+    lost = all_lost(state)
+    if state.static_sha256 is not None or state.static_lost:
+        return lost
+    return replace(state, regions=lost.regions, values=_empty())
+
+
 def all_lost(state: BoardState) -> BoardState:
     """While a full image is loaded nothing is known of the device but the overlays, which the kernel keeps."""
     lost = {name: region.after(RegionEvent.LOSE) for name, region in state.regions.items()}
