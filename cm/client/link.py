@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import zmq
-from zmq.backend import zmq_poll
+from zmq import zmq_poll
 from zmq.utils.monitor import recv_monitor_message
 
 from cm import multipart

@@ -22,6 +22,7 @@ MAY = {
     "multipart": set(),
     "fdt": set(),
     "child": set(),
+    "loop": set(),
     "native": BASE,
     "bitstream": BASE | {"native", "schema.model"},
     "device": BASE | {"native"},
@@ -30,9 +31,10 @@ MAY = {
     "settings": BASE | {"schema"},
     "manager": BASE | {"messages", "schema.model"},
     "wire": BASE | {"messages"},
-    "daemon": BASE | {"fdt", "messages", "device", "bitstream", "schema", "manager", "wire", "native", "multipart"},
+    "daemon": BASE
+    | {"fdt", "loop", "messages", "device", "bitstream", "schema", "manager", "wire", "native", "multipart"},
     "client": BASE | {"messages", "wire", "native", "multipart"},
-    "sim": BASE | {"child", "fdt", "native", "schema", "bitstream", "hwh"},
+    "sim": BASE | {"child", "fdt", "loop", "native", "schema", "bitstream", "hwh"},
     "importers": BASE | {"fdt", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim"},
 }

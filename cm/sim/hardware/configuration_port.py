@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from cm.bitstream.devices import Device
 from cm.bitstream.port import ConfigPort, PortError
+from cm.loop import Loop
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.hardware.configuration_memory import ConfigMemory
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.loop import Loop
 from cm.sim.transport import protocol
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Engine:
         self._port.reset()
         started_ns = asked_ns or time.monotonic_ns()
         self._run = _Run(data, started_ns, finished, full, self.rate if rate is None else rate)
-        self._loop.soon(self._step)
+        self._loop.call_soon(self._step)
 
     def _step(self) -> None:
         run = self._run
@@ -86,7 +86,7 @@ class Engine:
             return
         if self._faults.take("icap_hang"):
             # The words go nowhere; the driver gives up when the port should long have been done.
-            self._loop.after(run.seconds_left + 0.1, lambda: self._finish(-errno.ETIMEDOUT, protocol.ERR_TIMEOUT))
+            self._loop.call_later(run.seconds_left + 0.1, lambda: self._finish(-errno.ETIMEDOUT, protocol.ERR_TIMEOUT))
             return
         self._feed(run)
         self.done = min(run.fed, run.bytes_at(time.monotonic()))
@@ -108,9 +108,9 @@ class Engine:
         left = run.seconds_left
         if left < _STEP:
             time.sleep(max(left, 0.0))
-            self._loop.soon(self._step)
+            self._loop.call_soon(self._step)
         else:
-            self._loop.after(min(_STEP, left - _STEP / 2), self._step)
+            self._loop.call_later(min(_STEP, left - _STEP / 2), self._step)
 
     def _verdict(self) -> tuple[int, int]:
         port = self._port

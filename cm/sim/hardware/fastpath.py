@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from cm.loop import Loop
 from cm.native.sim_fifo import Counts, Entry, Fifo, Lent, Returned
 from cm.sim.hardware.dma import Channel, Completions, Transfer
-from cm.sim.loop import Loop
 from cm.sim.transport import protocol
 
 

@@ -7,13 +7,13 @@ import errno
 import time
 from typing import TYPE_CHECKING
 
+from cm.loop import Loop, Timer
 from cm.sim.faults import Faults
 from cm.sim.hardware.camera import SHAPE, PhotoReel
 from cm.sim.hardware.datapath import Datapath
 from cm.sim.hardware.dma import Bytes, Channel
 from cm.sim.hardware.fastpath import FastPath
 from cm.sim.hardware.interrupts import Interrupts
-from cm.sim.loop import Loop, Timer
 
 if TYPE_CHECKING:
     import numpy as np
@@ -34,7 +34,7 @@ class Link:
         """Something changed: look again before the next wait."""
         if not self._soon:
             self._soon = True
-            self._loop.soon(self._wake)
+            self._loop.call_soon(self._wake)
 
     @property
     def lent(self) -> int:
@@ -64,7 +64,7 @@ class Link:
         now = time.monotonic()
         if now < self._due:
             if self._timer is None:
-                self._timer = self._loop.at(self._due, self._tick)
+                self._timer = self._loop.call_at(self._due, self._tick)
             return False
         late = now - self._due > 1 / rate  # then the rhythm begins anew
         self._due = (now if late else self._due) + 1 / rate

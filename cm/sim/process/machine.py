@@ -9,6 +9,7 @@ import uuid
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from cm.loop import Loop
 from cm.schema.model import Direction, LoaderKind
 from cm.sim.errors import SimError
 from cm.sim.faults import Faults
@@ -24,7 +25,6 @@ from cm.sim.hardware.fabric import Fabric
 from cm.sim.hardware.interrupts import Interrupts
 from cm.sim.hardware.links import CameraLink, Link, LoopLink, SinkLink
 from cm.sim.hardware.models import Models
-from cm.sim.loop import Loop
 from cm.sim.nodes import uio
 from cm.sim.nodes.control import ControlNode
 from cm.sim.nodes.dma import DmaNode

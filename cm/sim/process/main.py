@@ -15,12 +15,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from cm.errors import CmError
+from cm.loop import Loop
 from cm.schema.model import Config
 from cm.sim.errors import SimError
 from cm.sim.hardware.board import BoardSpec
 from cm.sim.hardware.camera import load_photos
 from cm.sim.hardware.models import Models
-from cm.sim.loop import Loop
 from cm.sim.process.arguments import add_arguments
 from cm.sim.process.machine import Machine, Options
 from cm.sim.process.parent import Linger, Parent

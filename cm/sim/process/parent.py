@@ -8,8 +8,8 @@ import os
 import select
 from collections.abc import Callable
 
+from cm.loop import Loop
 from cm.sim.errors import NodeError
-from cm.sim.loop import Loop
 
 _CHECK = 0.25
 
@@ -52,7 +52,7 @@ class Linger:
         if self._left < 0:
             self._loop.stop()
         else:
-            self._loop.after(_CHECK, self.check)
+            self._loop.call_later(_CHECK, self.check)
 
 
 def _pidfd(pid: int) -> int:

@@ -12,8 +12,8 @@ import socket
 from collections.abc import Callable, Sequence
 from typing import Protocol
 
+from cm.loop import Loop
 from cm.sim.errors import NodeError
-from cm.sim.loop import Loop
 from cm.sim.transport import protocol
 from cm.sim.transport.events import Events
 from cm.sim.transport.session import Answer, Later, Node, Opened, Session
@@ -180,7 +180,7 @@ class Connection:
             self._loop.watch_write(self._sock.fileno(), self._writable)
             return
         except OSError:
-            self._loop.soon(self.close)
+            self._loop.call_soon(self.close)
         _close_all(fds)
         self._unsent = None
 

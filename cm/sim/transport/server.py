@@ -12,7 +12,7 @@ import errno
 import logging
 import socket
 
-from cm.sim.loop import Loop
+from cm.loop import Loop
 from cm.sim.transport import protocol
 from cm.sim.transport.connection import Connection
 from cm.sim.transport.events import packet_cost
@@ -85,7 +85,7 @@ class Server:
         """Out of descriptors or memory: the client waits, and we do not spin."""
         _log.warning("a client could not be served at once: %s", error)
         self.loop.pause(listener.fileno())
-        self.loop.after(_REST, lambda: self._resume(listener))
+        self.loop.call_later(_REST, lambda: self._resume(listener))
 
     def _resume(self, listener: socket.socket) -> None:
         if listener in self._listeners:
