@@ -18,7 +18,7 @@ from cm.device import DeviceError, Root
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.ports import Window
 from cm.manager.state.journal import Store
-from cm.messages.requests import WriteConfig
+from cm.messages.requests import ChangeMode
 from cm.messages.status import RegValues
 from cm.schema import loads
 from cm.schema.model import Config
@@ -146,7 +146,7 @@ class Rig:
 
     def go(self, mode: str, timeout: float = 30.0, config: str = "camera") -> Any:
         """Go to a mode; the error, or None."""
-        change = self.manager.submit(WriteConfig(config_name=config, mode=mode))
+        change = self.manager.submit(ChangeMode(config_name=config, mode=mode))
         assert change.wait(timeout), f"the change to {mode} did not end"
         return change.error
 

@@ -38,7 +38,7 @@ from cm.client.frame import Frame
 from cm.client.link import prepare
 from cm.client.zmq_frames import Wanted
 from cm.errors import InvalidRequest
-from cm.messages.requests import DataConfig, TakeLease
+from cm.messages.requests import ConfigureStream, DefineMemory, ReleaseLease, TakeLease
 from cm.messages.status import ConfigInfo, FrameInfo, Irq, LeaseInfo, PlanInfo, Progress, Status, StreamStatus
 from cm.wire import plane as packets
 from cm.wire import topics
@@ -214,7 +214,7 @@ class Board:
 
     async def return_lease(self, lease: LeaseInfo) -> None:
         """Give a lease back."""
-        await self.ask(calls.lease(TakeLease(lease.scope, id=lease.id, release=True)))
+        await self.ask(calls.lease(ReleaseLease(lease.id)))
 
     async def read(self, stream: str = "", timeout: float = 1.0) -> Frame:
         """The next frame of a stream."""
@@ -225,8 +225,8 @@ class Board:
         return await self.ask(calls.write_data(stream, data, lease), timeout=self._timeout + 5.0)
 
     async def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
-        """Set properties of a stream (`cm.messages.requests.DataConfig`)."""
-        return await self.ask(calls.data_config(DataConfig(stream, **settings)))
+        """Set properties of a stream (`cm.messages.requests.ConfigureStream`)."""
+        return await self.ask(calls.configure_stream(ConfigureStream(stream, **settings)))
 
     async def configure_memory(
         self,
@@ -246,10 +246,8 @@ class Board:
         not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
         all else that has a name in that window is in one. Raises RequestFailed.
         """
-        request = DataConfig(
-            name, shape, dtype, address=address, length=length, access=access, region=region, lease=lease
-        )
-        await self.ask(calls.memory_config(request))
+        request = DefineMemory(name, address, length, shape, dtype, access, region, lease)
+        await self.ask(calls.define_memory(request))
         return Memory(self.ask, name)
 
     def stream(

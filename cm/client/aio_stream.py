@@ -23,7 +23,7 @@ from cm.client.stream import LocalStream
 from cm.client.writer import Writer
 from cm.client.zmq_frames import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.errors import Timeout
-from cm.messages.requests import DataConfig
+from cm.messages.requests import ConfigureStream
 from cm.wire.plane import Open
 
 Self = TypeVar("Self", bound="Stream")
@@ -114,7 +114,9 @@ class AsyncRemoteStream(Stream):
     async def open(self) -> None:
         if self._socket is None:
             # raises for an unknown stream, and for what the manager cannot compress with
-            await self._ask(calls.data_config(DataConfig(self._wanted.name, compression=self._wanted.compression)))
+            await self._ask(
+                calls.configure_stream(ConfigureStream(self._wanted.name, compression=self._wanted.compression))
+            )
             self._socket = self._subscribe(self._wanted.topic, depth=self._wanted.depth or STREAM_HWM)
 
     async def read(self, timeout: float | None = None) -> Frame:
@@ -140,7 +142,7 @@ class AsyncNewestStream(Stream):
         return self._arrivals.lost
 
     async def open(self) -> None:
-        await self._ask(calls.data_config(DataConfig(self._wanted.name)))  # raises for an unknown stream
+        await self._ask(calls.describe_stream(self._wanted.name))  # raises for an unknown stream
 
     async def read(self, timeout: float | None = None) -> Frame:
         limit = self._wanted.timeout if timeout is None else timeout

@@ -24,7 +24,7 @@ from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream, re
 from cm.client.writer import Writer
 from cm.client.zmq_frames import Wanted
 from cm.errors import InvalidRequest
-from cm.messages.requests import DataConfig
+from cm.messages.requests import ConfigureStream, DefineMemory
 from cm.messages.status import (
     ConfigInfo,
     FrameInfo,
@@ -247,10 +247,10 @@ class Board:
     def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
         """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; what is left out stays.
 
-        `cm.messages.requests.DataConfig` has them all. Raises RequestBusy while it is in use, without `force`,
+        `cm.messages.requests.ConfigureStream` has them all. Raises RequestBusy while it is in use, without `force`,
         and InvalidRequest for what cannot be: then nothing has changed.
         """
-        return self.ask(calls.data_config(DataConfig(stream, **settings)))
+        return self.ask(calls.configure_stream(ConfigureStream(stream, **settings)))
 
     def configure_memory(
         self,
@@ -270,10 +270,8 @@ class Board:
         not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
         all else that has a name in that window is in one. Raises RequestFailed.
         """
-        request = DataConfig(
-            name, shape, dtype, address=address, length=length, access=access, region=region, lease=lease
-        )
-        self.ask(calls.memory_config(request))
+        request = DefineMemory(name, address, length, shape, dtype, access, region, lease)
+        self.ask(calls.define_memory(request))
         return Memory(self.ask, name)
 
     # ---- life -----------------------------------------------------------------------------

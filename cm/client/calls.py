@@ -54,7 +54,7 @@ def status() -> Call[Status]:
 
 def config_names() -> Call[tuple[str, ...]]:
     """Names of all configurations."""
-    return Call(rq.ReadConfig(list_names=True), lambda r: _body(r, ConfigInfo).names)
+    return Call(rq.ListConfigs(), lambda r: _body(r, ConfigInfo).names)
 
 
 def describe(name: str = "") -> Call[ConfigInfo]:
@@ -64,12 +64,12 @@ def describe(name: str = "") -> Call[ConfigInfo]:
 
 def plan(mode: str = "", config: str = "") -> Call[PlanInfo]:
     """What going to a mode would do."""
-    return Call(rq.ReadConfig(config_name=config, plan=True, plan_mode=mode), lambda r: _body(r, PlanInfo))
+    return Call(rq.PlanChange(config, mode), lambda r: _body(r, PlanInfo))
 
 
 def load(config: str, mode: str, *, wait: bool, queue: bool, force: bool, lease: str) -> Call[ChangeInfo]:
     """Go to a mode."""
-    request = rq.WriteConfig(
+    request = rq.ChangeMode(
         config_name=config, mode=mode, no_wait=not wait, no_queue=not queue, force=force, lease=lease
     )
     return Call(request, lambda r: _body(r, ChangeInfo))
@@ -77,17 +77,13 @@ def load(config: str, mode: str, *, wait: bool, queue: bool, force: bool, lease:
 
 def cancel() -> Call[Status]:
     """Cancel the running change."""
-    return Call(rq.WriteConfig(cancel=True), lambda r: _body(r, Status))
+    return Call(rq.CancelChange(), lambda r: _body(r, Status))
 
 
 def provision(schema: Path, files: tuple[Path, ...], lease: str) -> Call[ConfigInfo]:
     """Send a schema file and the files that belong to it."""
-    request = rq.WriteConfig(
-        schema=schema.read_text(encoding="utf-8"),
-        files=tuple(rq.File(path.name, path.read_bytes()) for path in files),
-        provision_only=True,
-        lease=lease,
-    )
+    sent = tuple(rq.File(path.name, path.read_bytes()) for path in files)
+    request = rq.Provision(schema.read_text(encoding="utf-8"), sent, lease=lease)
     return Call(request, lambda r: _body(r, ConfigInfo))
 
 
@@ -107,9 +103,14 @@ def write_masked(name: str, value: int, mask: int, lease: str = "") -> Call[RegV
     return Call(rq.WriteReg((rq.RegWrite(name, value, mask),), lease), lambda r: _body(r, RegValues))
 
 
-def data_config(request: rq.DataConfig) -> Call[StreamStatus]:
+def configure_stream(request: rq.ConfigureStream) -> Call[StreamStatus]:
     """Configure a stream."""
     return Call(request, lambda r: _body(r, StreamStatus))
+
+
+def describe_stream(name: str) -> Call[StreamStatus]:
+    """A stream's settings and counters."""
+    return Call(rq.DescribeData(name), lambda r: _body(r, StreamStatus))
 
 
 def read_data(stream: str, timeout: float) -> Call[Frame]:
@@ -128,15 +129,20 @@ def write_data(stream: str, data: Any, lease: str) -> Call[FrameInfo]:
     return Call(rq.WriteData(stream, view, lease), lambda r: _body(r, FrameInfo))
 
 
-def memory_config(request: rq.DataConfig) -> Call[MemoryInfo]:
-    """Define a memory, or ask for one by name."""
+def define_memory(request: rq.DefineMemory) -> Call[MemoryInfo]:
+    """Define a memory."""
+    return Call(request, lambda r: _body(r, MemoryInfo))
+
+
+def describe_memory(name: str) -> Call[MemoryInfo]:
+    """What there is to know of a memory."""
 
     def result(reply: Reply) -> MemoryInfo:
         if isinstance(reply.body, StreamStatus):
-            raise InvalidRequest(f"{request.stream!r} is a stream, not a memory: board.stream({request.stream!r})")
+            raise InvalidRequest(f"{name!r} is a stream, not a memory: board.stream({name!r})")
         return _body(reply, MemoryInfo)
 
-    return Call(request, result)
+    return Call(rq.DescribeData(name), result)
 
 
 def read_memory(name: str, offset: int, length: int) -> Call[tuple[FrameInfo, Any]]:
@@ -155,7 +161,7 @@ def interrupt(name: str) -> Call[Irq]:
     return Call(rq.ReadIrq(name), lambda r: _body(r, Irq))
 
 
-def lease(request: rq.TakeLease) -> Call[LeaseInfo]:
+def lease(request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease) -> Call[LeaseInfo]:
     """Take, renew or give back a lease."""
     return Call(request, lambda r: _body(r, LeaseInfo))
 

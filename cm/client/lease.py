@@ -9,7 +9,7 @@ from types import TracebackType
 
 from cm.client import calls
 from cm.client.calls import Call
-from cm.messages.requests import TakeLease
+from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
 from cm.messages.status import LeaseInfo
 
 
@@ -40,13 +40,13 @@ class BoardLease:
 
     def renew(self) -> None:
         """Begin its time anew. Raises RequestNotFound if it has ended."""
-        self._ask(calls.lease(TakeLease(self._wanted.scope, seconds=self._wanted.seconds, id=self.id)))
+        self._ask(calls.lease(RenewLease(self.id, self._wanted.seconds)))
 
     def release(self) -> None:
         """Give it back; twice is fine."""
         if self.id:
             held, self.id = self.id, ""
-            self._ask(calls.lease(TakeLease(self._wanted.scope, id=held, release=True)))
+            self._ask(calls.lease(ReleaseLease(held)))
 
     def __enter__(self) -> BoardLease:
         self.take()

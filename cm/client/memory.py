@@ -16,7 +16,6 @@ import numpy.typing as npt
 from cm.client import calls
 from cm.client.calls import Call
 from cm.errors import InvalidRequest
-from cm.messages.requests import DataConfig
 from cm.messages.status import FrameInfo, MemoryInfo
 
 Array = npt.NDArray[Any]
@@ -27,7 +26,7 @@ _WORD = 4
 
 def describe(name: str) -> Call[MemoryInfo]:
     """What the memory of that name is."""
-    return calls.memory_config(DataConfig(name))
+    return calls.describe_memory(name)
 
 
 def dtype_of(name: str) -> np.dtype[Any]:

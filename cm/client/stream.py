@@ -18,7 +18,7 @@ from cm.client.link import STREAM_HWM, Link, Socket
 from cm.client.plane import Connection
 from cm.client.zmq_frames import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
 from cm.errors import Timeout
-from cm.messages.requests import DataConfig
+from cm.messages.requests import ConfigureStream
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.plane import Geometry, Open
 
@@ -197,7 +197,7 @@ class RemoteStream(Stream):
     def _opened(self) -> Socket:
         if self._socket is None:
             # raises for an unknown stream, and for what the manager cannot compress with
-            self._board.ask(calls.data_config(DataConfig(self.name, compression=self._wanted.compression)))
+            self._board.ask(calls.configure_stream(ConfigureStream(self.name, compression=self._wanted.compression)))
             self._socket = self._board.subscribe(self._wanted.topic, depth=self._wanted.depth or STREAM_HWM)
         return self._socket
 
@@ -227,7 +227,7 @@ class NewestStream(Stream):
 
     def open(self) -> None:
         try:
-            self._ask(calls.data_config(DataConfig(self.name)), 5.0)  # raises for an unknown stream
+            self._ask(calls.describe_stream(self.name), 5.0)  # raises for an unknown stream
         except BaseException:
             self.close()
             raise

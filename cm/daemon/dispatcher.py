@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from cm import multipart
+from cm.daemon.board_watch import BoardWatch
 from cm.daemon.endpoints import Sockets
-from cm.daemon.handlers import Handlers, Respond, error_info
+from cm.daemon.handlers import Handlers, Respond, refusal
 from cm.daemon.loop import Loop
 from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
@@ -28,15 +29,17 @@ class Dispatcher:
         loop: Loop,
         sockets: Sockets,
         handlers: Handlers,
-        rereads: ReadCache,
+        read_cache: ReadCache,
         publisher: Publisher,
+        board: BoardWatch,
         note_error: Callable[[ErrorInfo], None],
     ) -> None:
         self._loop = loop
         self._sockets = sockets
         self._handlers = handlers
-        self._rereads = rereads
+        self._read_cache = read_cache
         self._publisher = publisher
+        self._board = board
         self._note_error = note_error
 
     def on_request(self) -> None:
@@ -49,14 +52,15 @@ class Dispatcher:
         topic = bytes(message[0]) if message else b""
         self._dispatch(message, partial(self._reply, envelope, topic))
         if topic == READ_REG:
-            self._rereads.learn(message)
+            self._read_cache.learn(message)
 
     def _read_again(self, envelope: list[Frame], message: Frame) -> bool:
         """Answer a read of registers that was answered before; False where it was not."""
         try:
-            reply = self._rereads.answer(bytes(message), self._publisher.sequence)
+            reply = self._read_cache.answer(bytes(message), self._publisher.sequence)
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
-            self._handlers.refuse(error, partial(self._reply, envelope, READ_REG))
+            self._board.noticed(error)
+            self._reply(envelope, READ_REG, refusal(error))
             return True
         if reply is not None:
             self._loop.send(self._sockets.req, [*envelope, READ_REG, reply])
@@ -78,7 +82,7 @@ class Dispatcher:
         try:
             request: Request = decode_request(frames)
         except InvalidRequest as error:
-            respond(Reply(error=error_info(error)))
+            respond(refusal(error))
             return
         self._handlers.handle(request, respond)
 

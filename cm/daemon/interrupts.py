@@ -37,7 +37,7 @@ class _Line:
     told: bool = False  # that it stays masked
 
 
-class Interrupts:
+class InterruptWatch:
     """Waits on the lines of the loaded configuration and tells `on_irq`. The loop's thread."""
 
     def __init__(

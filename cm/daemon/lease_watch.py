@@ -10,7 +10,7 @@ from typing import NoReturn
 from cm.daemon.loop import Loop
 from cm.errors import Busy
 from cm.manager.access.leases import Leases
-from cm.messages.requests import TakeLease
+from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
 from cm.messages.status import LeaseInfo
 
 _EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
@@ -22,7 +22,7 @@ class Unwatched(Busy):
     code = "lease_unwatched"
 
 
-class Holders:
+class LeaseWatch:
     """One pidfd for each lease that names a process of this machine."""
 
     def __init__(self, loop: Loop, leases: Leases) -> None:
@@ -30,10 +30,10 @@ class Holders:
         self._leases = leases
         self._fds: dict[str, int] = {}
 
-    def watch(self, lease: LeaseInfo, request: TakeLease) -> None:
+    def follow(self, lease: LeaseInfo, request: TakeLease | RenewLease | ReleaseLease) -> None:
         """Follow a granted, renewed or returned lease. Raises Unwatched, and the lease has ended then."""
         self._forget_ended()
-        if not request.release and request.pid and lease.id not in self._fds:
+        if not isinstance(request, ReleaseLease) and request.pid and lease.id not in self._fds:
             self._open(lease.id, request.pid)
 
     def _forget_ended(self) -> None:

@@ -10,10 +10,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from cm.daemon.loop import Loop
-from cm.errors import Busy, InvalidRequest
+from cm.errors import Busy
 from cm.manager.access.memory_service import MemoryService, Transfer
-from cm.messages.requests import DataConfig
-from cm.messages.status import ConfigInfo, FrameInfo, MemoryInfo
+from cm.messages.status import ConfigInfo, FrameInfo
 
 Done = Callable[[Exception | None], None]
 WAITING_MAX = 16  # transfers; their data lie in memory
@@ -25,33 +24,19 @@ class _Job:
     done: Done
 
 
-class Memories:
+class MemoryTransfers:
     """Transfers one after the other, in the order of their requests. Everything in the loop's thread."""
 
-    def __init__(self, loop: Loop, desk: MemoryService) -> None:
+    def __init__(self, loop: Loop, memories: MemoryService) -> None:
         self._loop = loop
-        self._desk = desk
+        self._memories = memories
         self._waiting: deque[_Job] = deque()
         self._more = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)  # readable while transfers wait
         loop.add(self._more, self._go_on)
 
-    def configure(self, request: DataConfig) -> MemoryInfo | None:
-        """Define a memory, or describe one; None where the request is about a stream. Raises InvalidRequest, …"""
-        if request.address is not None or request.length or request.access or request.region:
-            return self._desk.info(self._desk.define(request))
-        memory = self._desk.find(request.stream)
-        if memory is None:
-            return None
-        if request != DataConfig(request.stream, lease=request.lease):
-            raise InvalidRequest(
-                f"memory {memory.name!r} is no stream: only one that was defined at run time can be defined anew, "
-                "with address and length"
-            )
-        return self._desk.info(memory)
-
     def described(self, info: ConfigInfo) -> ConfigInfo:
         """A configuration with the memories that were defined for it, if it is the loaded one."""
-        blocks = self._desk.defined() if info.mode else ()
+        blocks = self._memories.defined() if info.mode else ()
         return replace(info, memories=(*info.memories, *blocks)) if blocks else info
 
     def start(self, transfer: Transfer, done: Done) -> None:

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import zmq
 
+from cm.daemon.board_watch import BoardWatch
 from cm.daemon.curve import CurveAuthenticator
 from cm.daemon.dispatcher import Dispatcher
 from cm.daemon.endpoints import BoardLock, FolderLock, Sockets
@@ -21,12 +22,11 @@ from cm.daemon.host.files import BoardFiles
 from cm.daemon.host.footprints import Footprints
 from cm.daemon.host.provision import Provisioner
 from cm.daemon.host.reload import Reloader, Surroundings
-from cm.daemon.host.sleep import Sleep
 from cm.daemon.host.systemd import ServiceManager
-from cm.daemon.interrupts import Interrupts
-from cm.daemon.lease_watch import Holders
+from cm.daemon.interrupts import InterruptWatch
+from cm.daemon.lease_watch import LeaseWatch
 from cm.daemon.loop import Loop
-from cm.daemon.memory_transfers import Memories
+from cm.daemon.memory_transfers import MemoryTransfers
 from cm.daemon.options import Options
 from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
@@ -34,10 +34,9 @@ from cm.daemon.streams.acceptor import Acceptor
 from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
 from cm.daemon.xpub import mark
-from cm.errors import CmError
 from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Store
-from cm.messages.requests import WriteConfig
+from cm.messages.requests import ChangeMode
 from cm.messages.status import ErrorInfo, RegValues, Status
 from cm.schema.model import Config
 
@@ -45,8 +44,11 @@ _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two looks at streams, records and a lost board
 
 
-class _Clock:
+class MonotonicClock:
+    """`cm.manager.ports.Clock`."""
+
     def monotonic(self) -> float:
+        """Seconds."""
         return time.monotonic()
 
 
@@ -73,18 +75,17 @@ class Server:
         waiting = mark(self._manager.configs.values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting)
         self._publisher = Publisher(self._loop, self._sockets.pub, self._status, self._streams.refresh)
-        self._interrupts = Interrupts(
+        self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
-        self._holders = Holders(self._loop, self._manager.leases)
-        self._memories = Memories(self._loop, self._manager.memories)
-        self._front_desk = self._make_front_desk()
+        self._leases = LeaseWatch(self._loop, self._manager.leases)
+        self._memories = MemoryTransfers(self._loop, self._manager.memories)
+        self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
+        self._dispatcher = self._make_dispatcher()
         self._statuses: deque[Status] = deque()
         self._doorkeeper: CurveAuthenticator | None = None
         self._service = ServiceManager()
         self._reloader = self._make_reloader()
-        self._boot_id = ""
-        self._sleep = Sleep()
         self._last_logged = ""
 
     def _make_manager(self) -> Manager:
@@ -93,7 +94,7 @@ class Server:
         named = {**o.configs, **self._provisioner.configs()}
         configs = {name: with_channels(config, o.root) for name, config in named.items()}
         files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"), o.firmware_dir)
-        env = Environment(self._devices, files, self._store, self._streams, _Clock(), self, o.settings)
+        env = Environment(self._devices, files, self._store, self._streams, MonotonicClock(), self, o.settings)
         return Manager(configs, env)
 
     def _make_reloader(self) -> Reloader:
@@ -107,9 +108,9 @@ class Server:
     def _with_channels(self, config: Config) -> Config:
         return with_channels(config, self._options.root)
 
-    def _make_front_desk(self) -> Dispatcher:
-        handlers, rereads = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
-        return Dispatcher(self._loop, self._sockets, handlers, rereads, self._publisher, self._note_error)
+    def _make_dispatcher(self) -> Dispatcher:
+        handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
+        return Dispatcher(self._loop, self._sockets, handlers, cache, self._publisher, self._board, self._note_error)
 
     def _services(self) -> Services:
         return Services(
@@ -118,11 +119,12 @@ class Server:
             streams=self._streams,
             interrupts=self._interrupts,
             provisioner=self._provisioner,
+            leases=self._leases,
+            memories=self._memories,
+            board=self._board,
             status=self._complete_status,
-            watch_holder=self._holders.watch,
             complete=self._with_channels,
             aside=self._aside,
-            memories=self._memories,
         )
 
     # ---- life ---------------------------------------------------------------------
@@ -166,20 +168,18 @@ class Server:
             bound = self._sockets.bind_tcp(address, security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
         self._loop.add_socket(self._sockets.pub, self._publisher.subscription)
-        self._loop.add_socket(self._sockets.sub, self._front_desk.on_message)
-        self._loop.add_socket(self._sockets.req, self._front_desk.on_request, foremost=True)
+        self._loop.add_socket(self._sockets.sub, self._dispatcher.on_message)
+        self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
 
     def _start_manager(self) -> None:
         for note in self._manager.start():
             _LOG.warning("%s", note)
-        self._boot_id = self._devices.boot_id()
-        self._interrupts.watch(self._manager.loaded_config())
-        self._autoload()
+        self._board.begin()
 
     def _autoload(self) -> None:
         if self._options.load and self._manager.state.config is None:
             config, _, mode = self._options.load.partition("/")
-            self._manager.submit(WriteConfig(config_name=config, mode=mode))
+            self._manager.submit(ChangeMode(config_name=config, mode=mode))
 
     def _close(self) -> None:
         self._service.stopping()
@@ -188,7 +188,7 @@ class Server:
         self._streams.end()
         self._memories.close()
         self._interrupts.close()
-        self._holders.close()
+        self._leases.close()
         self._aside.shutdown()
         self._publisher.close()
         self._devices.lost()
@@ -242,33 +242,6 @@ class Server:
         self._manager.flush()
         self._streams.refresh()
         self._reloader.continue_waiting()
-        self._look_for_board()
-        self._look_for_sleep()
+        self._board.look()
         if self._streams.any_open:
             self._publisher.status(self._status())
-
-    def _look_for_sleep(self) -> None:
-        """While the machine slept, the PL may have been without power."""
-        if not self._sleep.slept() or self._manager.changing:
-            return
-        try:
-            self._manager.board_slept()
-        except (CmError, OSError) as error:
-            _LOG.warning("after the machine's sleep: %s", error)
-            return
-        self._sleep.noted()
-
-    def _look_for_board(self) -> None:
-        """A board that was started anew holds nothing of what is recorded."""
-        boot_id = self._devices.boot_id()
-        if boot_id == self._boot_id or not boot_id or self._manager.status().fpga_busy:
-            return
-        self._streams.close()
-        self._interrupts.close()
-        try:
-            self._manager.board_restarted()
-        except (CmError, OSError) as error:
-            _LOG.info("the board is there again but does not answer yet: %s", error)
-            return
-        self._boot_id = boot_id
-        self._autoload()

@@ -28,7 +28,7 @@ from cm.manager.reporting.status import StatusReporter
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending
 from cm.manager.state.table import BoardState, slept
-from cm.messages.requests import RegWrite, WriteConfig
+from cm.messages.requests import ChangeMode, RegWrite
 from cm.messages.status import ConfigInfo, ErrorInfo, PlanInfo, RegValues, Status
 from cm.schema.model import Config
 
@@ -188,7 +188,7 @@ class Manager:
 
     # ---- changes --------------------------------------------------------------------
 
-    def submit(self, request: WriteConfig, on_done: Callable[[Change], None] | None = None) -> Change:
+    def submit(self, request: ChangeMode, on_done: Callable[[Change], None] | None = None) -> Change:
         """Accept a change; it runs when those before it have ended. Nothing is touched if this raises.
 
         `on_done` is called at its end, from the worker's thread.
@@ -222,7 +222,7 @@ class Manager:
             running.cancel()
         return running is not None
 
-    def plan(self, request: WriteConfig) -> PlanInfo:
+    def plan(self, request: ChangeMode) -> PlanInfo:
         """What a change would do; touches nothing, but reads and validates all files."""
         config, mode = resolve.target(request, self.configs, self.state.config)
         return plan_to(Goal(config, mode, request.force), self._tools).info(self._state.throughput)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client can ask of the configuration manager."""
+"""What a client can ask of the configuration manager: one class for each intent.
+
+Several of them share a topic and a message on the wire (`cm.wire.decode` tells them apart).
+"""
 
 from __future__ import annotations
 
@@ -13,16 +16,22 @@ class ReadStatus:
 
 @dataclass(frozen=True, slots=True)
 class ReadConfig:
-    """A configuration's description; of the loaded one if `config_name` is empty.
-
-    `list_names`: the names of all that can be loaded. `plan`: what going to `plan_mode` (its default mode
-    if empty) would do.
-    """
+    """A configuration's description; of the loaded one if `config_name` is empty."""
 
     config_name: str = ""
-    list_names: bool = False
-    plan: bool = False
-    plan_mode: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ListConfigs:
+    """The names of all configurations that can be loaded."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlanChange:
+    """What going to a mode would do; to the configuration's default mode if `mode` is empty."""
+
+    config_name: str = ""
+    mode: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,23 +44,35 @@ class File:
 
 
 @dataclass(frozen=True, slots=True)
-class WriteConfig:
-    """Go to a mode of a configuration, or provision a new configuration.
+class ChangeMode:
+    """Go to a mode of a configuration; of the loaded one, and to its default mode, where none is named.
 
     `name_or_mode` carries the plain-text spelling of the paper's Listing 2, whose one word may be
-    a mode, a module or a configuration; it is resolved against what is loaded.
+    a mode, a module or a configuration; it is resolved against what is loaded. `no_wait`: reply when the change
+    is accepted. `no_queue`: refuse rather than wait for a running change. `force`: load what is loaded already.
     """
 
     config_name: str = ""
     mode: str = ""
     name_or_mode: str = ""
-    schema: str = ""
-    files: tuple[File, ...] = ()
-    provision_only: bool = False
     no_wait: bool = False
     no_queue: bool = False
-    cancel: bool = False
     force: bool = False
+    lease: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CancelChange:
+    """End the running change before its next load; the board goes back to the mode before."""
+
+
+@dataclass(frozen=True, slots=True)
+class Provision:
+    """Store a configuration with its files; then go to it as `change` says, whose `config_name` is the schema's."""
+
+    schema: str
+    files: tuple[File, ...] = ()
+    change: ChangeMode | None = None
     lease: str = ""
 
 
@@ -80,13 +101,20 @@ class WriteReg:
 
 
 @dataclass(frozen=True, slots=True)
-class DataConfig:
-    """Configure a stream; empty, zero or None leaves a property as it is.
+class DescribeData:
+    """The settings and counters of a stream, or what there is to know of a memory of that name."""
+
+    name: str
+    lease: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigureStream:
+    """Change a stream; empty, zero or None leaves a property as it is.
 
     `rate`: frames handed on per second at most; infinity: all that come. `stride`: bytes from line to line.
-
-    With `address` and `length` (bytes) it defines a memory called `stream`, until the next change of configuration;
-    `shape`, `dtype`, `access` (rw if empty) and `region` say more of it. With the name of a memory alone it asks.
+    `enable`: start or stop it for all; `automatic`: it runs while a client uses it, as it does before any `enable`.
+    `compression` changes nothing: refused unless frames can be published so. `force`: although it is in use.
     """
 
     stream: str
@@ -101,12 +129,26 @@ class DataConfig:
     lease: str = ""
     backpressure: bool | None = None
     stride: int = 0
-    automatic: bool = False  # runs while somebody uses it, as it does before any `enable`
-    compression: str = ""  # changes nothing: refused unless frames can be published so
+    automatic: bool = False
+    compression: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DefineMemory:
+    """Define a memory until the next change of configuration; `address` and `length` in bytes.
+
+    `access` is rw if empty. `region`: "static" or a region's name; empty: that of what else is named in the same
+    window.
+    """
+
+    name: str
     address: int | None = None
     length: int = 0
+    shape: tuple[int, ...] = ()
+    dtype: str = ""
     access: str = ""
-    region: str = ""  # "static" or a region's name; empty: that of what else is named in the same window
+    region: str = ""
+    lease: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,17 +180,48 @@ class ReadIrq:
 
 @dataclass(frozen=True, slots=True)
 class TakeLease:
-    """Take, renew (`id` given) or give back (`release`) a lease on part of the board."""
+    """Take a lease on part of the board."""
 
     scope: str = "board"
     exclusive: bool = True
     seconds: float = 30.0
-    id: str = ""
-    release: bool = False
     holder: str = ""
     pid: int = 0  # of the holder's process on this machine: the lease ends with it
 
 
+@dataclass(frozen=True, slots=True)
+class RenewLease:
+    """Hold a lease for `seconds` from now on."""
+
+    id: str
+    seconds: float = 30.0
+    pid: int = 0  # as in `TakeLease`
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseLease:
+    """Give a lease back."""
+
+    id: str
+
+
 Request = (
-    ReadStatus | ReadConfig | WriteConfig | ReadReg | WriteReg | DataConfig | ReadData | WriteData | ReadIrq | TakeLease
+    ReadStatus
+    | ReadConfig
+    | ListConfigs
+    | PlanChange
+    | ChangeMode
+    | CancelChange
+    | Provision
+    | ReadReg
+    | WriteReg
+    | DescribeData
+    | ConfigureStream
+    | DefineMemory
+    | ReadData
+    | WriteData
+    | ReadIrq
+    | TakeLease
+    | RenewLease
+    | ReleaseLease
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import TypeVar
 
@@ -75,7 +76,9 @@ def _read_status(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 def _read_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_read_config", payload)
     m = _parse(pb.ReadConfig, "cm_read_config", message)
-    return rq.ReadConfig(m.config_name, m.list, m.plan or bool(m.plan_mode), m.plan_mode)
+    if m.list:
+        return rq.ListConfigs()
+    return rq.PlanChange(m.config_name, m.plan_mode) if m.plan or m.plan_mode else rq.ReadConfig(m.config_name)
 
 
 def _text_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
@@ -91,18 +94,14 @@ def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         raise InvalidRequest(
             f"cm_write_config: {len(m.files)} files are named and {len(payload)} payload frames follow; one each"
         )
-    return rq.WriteConfig(
-        config_name=m.config_name,
-        mode=m.mode,
-        schema=m.schema,
-        files=tuple(_file(f, data) for f, data in zip(m.files, payload, strict=True)),
-        provision_only=m.provision_only,
-        no_wait=m.no_wait,
-        no_queue=m.no_queue,
-        cancel=m.cancel,
-        force=m.force,
-        lease=m.lease,
-    )
+    if m.cancel:
+        return rq.CancelChange()
+    change = rq.ChangeMode(m.config_name, m.mode, "", m.no_wait, m.no_queue, m.force, m.lease)
+    if not m.schema:
+        return change
+    files = tuple(_file(f, data) for f, data in zip(m.files, payload, strict=True))
+    change = replace(change, config_name="")  # the schema names it
+    return rq.Provision(m.schema, files, None if m.provision_only else change, m.lease)
 
 
 def _file(entry: pb.File, payload: Frame) -> rq.File:
@@ -135,7 +134,19 @@ def _write_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_data_config", payload)
     m = _parse(pb.DataConfig, "cm_data_config", message)
-    return rq.DataConfig(
+    if m.HasField("address") or m.length or m.access or m.region:
+        return _define_memory(m)
+    request = _configure_stream(m)
+    return rq.DescribeData(m.stream, m.lease) if request == rq.ConfigureStream(m.stream, lease=m.lease) else request
+
+
+def _define_memory(m: pb.DataConfig) -> rq.DefineMemory:
+    address = m.address if m.HasField("address") else None
+    return rq.DefineMemory(m.stream, address, m.length, tuple(m.shape), m.dtype, m.access, m.region, m.lease)
+
+
+def _configure_stream(m: pb.DataConfig) -> rq.ConfigureStream:
+    return rq.ConfigureStream(
         stream=m.stream,
         shape=tuple(m.shape),
         dtype=m.dtype,
@@ -148,12 +159,8 @@ def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         lease=m.lease,
         backpressure=m.backpressure if m.HasField("backpressure") else None,
         stride=m.stride,
-        compression=m.compression,
         automatic=m.automatic,
-        address=m.address if m.HasField("address") else None,
-        length=m.length,
-        access=m.access,
-        region=m.region,
+        compression=m.compression,
     )
 
 
@@ -178,7 +185,11 @@ def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 def _lease(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_lease", payload)
     m = _parse(pb.Lease, "cm_lease", message)
-    return rq.TakeLease(m.scope or "board", m.exclusive, m.seconds, m.id, m.release, m.holder, m.pid)
+    if m.release:
+        return rq.ReleaseLease(m.id)
+    if m.id:
+        return rq.RenewLease(m.id, m.seconds, m.pid)
+    return rq.TakeLease(m.scope or "board", m.exclusive, m.seconds, m.holder, m.pid)
 
 
 _DECODERS: dict[bytes, _Decoder] = {

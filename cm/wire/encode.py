@@ -23,24 +23,29 @@ def encode_request(request: rq.Request) -> list[Frame]:
     return _REQUESTS[type(request)](request)
 
 
-def _write_config(r: rq.WriteConfig) -> list[Frame]:
+def _change_mode(r: rq.ChangeMode) -> list[Frame]:
     if r.name_or_mode:
         return [topics.TEXT_CONFIG, r.name_or_mode.encode()]
-    files = [
-        pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or hashlib.sha256(f.data).hexdigest()) for f in r.files
-    ]
-    message = pb.WriteConfig(
+    return [topics.WRITE_CONFIG, _change(r).SerializeToString()]
+
+
+def _change(r: rq.ChangeMode) -> pb.WriteConfig:
+    return pb.WriteConfig(
         config_name=r.config_name,
         mode=r.mode,
-        schema=r.schema,
-        files=files,
-        provision_only=r.provision_only,
         no_wait=r.no_wait,
         no_queue=r.no_queue,
-        cancel=r.cancel,
         force=r.force,
         lease=r.lease,
     )
+
+
+def _provision(r: rq.Provision) -> list[Frame]:
+    files = [
+        pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or hashlib.sha256(f.data).hexdigest()) for f in r.files
+    ]
+    message = _change(r.change) if r.change is not None else pb.WriteConfig(provision_only=True)
+    message.MergeFrom(pb.WriteConfig(schema=r.schema, files=files, lease=r.lease))
     return [topics.WRITE_CONFIG, message.SerializeToString(), *(f.data for f in r.files)]
 
 
@@ -73,8 +78,7 @@ def _place(name: str, *numbers: int) -> None:
             raise InvalidRequest(f"memory {name!r}: {number} does not fit 64 bits, unsigned")
 
 
-def _data_config(r: rq.DataConfig) -> list[Frame]:
-    _place(r.stream, r.address or 0, r.length)
+def _configure_stream(r: rq.ConfigureStream) -> list[Frame]:
     try:
         message = pb.DataConfig(
             stream=r.stream,
@@ -89,47 +93,66 @@ def _data_config(r: rq.DataConfig) -> list[Frame]:
             lease=r.lease,
             backpressure=r.backpressure,
             stride=r.stride,
-            compression=r.compression,
             automatic=r.automatic,
-            address=r.address,
-            length=r.length,
-            access=r.access,
-            region=r.region,
+            compression=r.compression,
         )
     except (TypeError, ValueError, OverflowError) as error:
         raise InvalidRequest(f"stream {r.stream!r}: a setting is out of its range: {error}") from None
     return [topics.DATA_CONFIG, message.SerializeToString()]
 
 
-def _lease(r: rq.TakeLease) -> list[Frame]:
-    message = pb.Lease(
-        id=r.id,
-        scope=r.scope,
-        exclusive=r.exclusive,
-        seconds=r.seconds,
-        release=r.release,
-        holder=r.holder,
-        pid=r.pid,
-    )
+def _define_memory(r: rq.DefineMemory) -> list[Frame]:
+    _place(r.name, r.address or 0, r.length)
+    try:
+        message = pb.DataConfig(
+            stream=r.name,
+            address=r.address,
+            length=r.length,
+            shape=r.shape,
+            dtype=r.dtype,
+            access=r.access,
+            region=r.region,
+            lease=r.lease,
+        )
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InvalidRequest(f"memory {r.name!r}: a property is out of its range: {error}") from None
+    return [topics.DATA_CONFIG, message.SerializeToString()]
+
+
+def _lease(message: pb.Lease) -> list[Frame]:
     return [topics.LEASE, message.SerializeToString()]
 
 
-def _read_config(r: rq.ReadConfig) -> list[Frame]:
-    message = pb.ReadConfig(config_name=r.config_name, list=r.list_names, plan_mode=r.plan_mode, plan=r.plan)
+def _take_lease(r: rq.TakeLease) -> list[Frame]:
+    return _lease(pb.Lease(scope=r.scope, exclusive=r.exclusive, seconds=r.seconds, holder=r.holder, pid=r.pid))
+
+
+def _config(message: pb.ReadConfig) -> list[Frame]:
     return [topics.READ_CONFIG, message.SerializeToString()]
 
 
 _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
     rq.ReadStatus: lambda _: [topics.STATUS, b""],
-    rq.ReadConfig: _read_config,
-    rq.WriteConfig: _write_config,
+    rq.ReadConfig: lambda r: _config(pb.ReadConfig(config_name=r.config_name)),
+    rq.ListConfigs: lambda _: _config(pb.ReadConfig(list=True)),
+    rq.PlanChange: lambda r: _config(pb.ReadConfig(config_name=r.config_name, plan_mode=r.mode, plan=True)),
+    rq.ChangeMode: _change_mode,
+    rq.CancelChange: lambda _: [topics.WRITE_CONFIG, pb.WriteConfig(cancel=True).SerializeToString()],
+    rq.Provision: _provision,
     rq.ReadReg: lambda r: [topics.READ_REG, pb.ReadReg(names=r.names).SerializeToString()],
     rq.WriteReg: _write_reg,
-    rq.DataConfig: _data_config,
+    rq.DescribeData: lambda r: [
+        topics.DATA_CONFIG,
+        pb.DataConfig(stream=r.name, lease=r.lease).SerializeToString(),
+    ],
+    rq.ConfigureStream: _configure_stream,
+    rq.DefineMemory: _define_memory,
     rq.ReadData: _read_data,
     rq.WriteData: _write_data,
     rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
-    rq.TakeLease: _lease,
+    rq.TakeLease: _take_lease,
+    rq.RenewLease: lambda r: _lease(pb.Lease(id=r.id, seconds=r.seconds, pid=r.pid)),
+    rq.ReleaseLease: lambda r: _lease(pb.Lease(id=r.id, release=True)),
 }
 
 # body type → field of Reply, and the pair of functions of cm.wire.bodies

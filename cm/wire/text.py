@@ -11,7 +11,7 @@ import ast
 import re
 
 from cm.errors import InvalidRequest
-from cm.messages.requests import RegWrite, WriteConfig, WriteReg
+from cm.messages.requests import ChangeMode, RegWrite, WriteReg
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*(/[A-Za-z_][A-Za-z0-9_-]*)?")
 _LIMIT = 65536
@@ -32,7 +32,7 @@ def is_mapping(payload: bytes) -> bool:
     return payload.lstrip()[:1] == b"{"
 
 
-def parse_config(payload: bytes) -> WriteConfig:
+def parse_config(payload: bytes) -> ChangeMode:
     """``edge`` or ``camera/edge_detection`` → the request to go there, without waiting."""
     if not is_word(payload):
         raise InvalidRequest(
@@ -41,8 +41,8 @@ def parse_config(payload: bytes) -> WriteConfig:
     word = payload.strip().decode("ascii")
     config, slash, mode = word.partition("/")
     if slash:
-        return WriteConfig(config_name=config, mode=mode)
-    return WriteConfig(name_or_mode=word)
+        return ChangeMode(config_name=config, mode=mode)
+    return ChangeMode(name_or_mode=word)
 
 
 def parse_registers(payload: bytes) -> WriteReg:

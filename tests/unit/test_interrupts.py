@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from manager_support import Rig, camera, rig
 
-from cm.daemon.interrupts import Interrupts
+from cm.daemon.interrupts import InterruptWatch
 from cm.device import Root
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
@@ -21,7 +21,7 @@ from cm.manager.errors import HeldBy, RegionBusy
 from cm.manager.ports import Window
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.table import BoardState, RegionPhase, RegionState
-from cm.messages.requests import RegWrite, TakeLease, WriteConfig
+from cm.messages.requests import ChangeMode, RegWrite, TakeLease
 from cm.messages.status import ErrorInfo, Irq
 from cm.schema import loads
 from cm.sim import Board as SimBoard
@@ -69,7 +69,7 @@ class Bench:
         self.errors: list[ErrorInfo] = []
         manager: Any = made.manager
         loop: Any = self.loop
-        self.interrupts = Interrupts(loop, Root.of(root), manager, self.told.append, self.errors.append)
+        self.interrupts = InterruptWatch(loop, Root.of(root), manager, self.told.append, self.errors.append)
 
     def watch(self) -> None:
         self.interrupts.watch(self.made.manager.loaded_config())
@@ -137,7 +137,7 @@ def test_during_a_change_the_line_stays_masked_and_the_interrupt_comes_after_it(
             assert go_on.wait(60)
 
     bench.made.fault.watch = stop
-    change = bench.made.manager.submit(WriteConfig(mode="edge_detection"))
+    change = bench.made.manager.submit(ChangeMode(mode="edge_detection"))
     assert reached.wait(60)
     before = bench.made.fault.names.count("uio.read")
     sim.control.interrupt(NAME)

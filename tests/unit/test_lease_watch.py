@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from manager_support import Clock
 
-from cm.daemon.lease_watch import Holders, Unwatched
+from cm.daemon.lease_watch import LeaseWatch, Unwatched
 from cm.daemon.loop import Loop
 from cm.manager.access.leases import Leases
 from cm.messages.requests import TakeLease
@@ -25,12 +25,12 @@ class Watch:
         self.clock = Clock()
         self.leases = Leases(self.clock)
         self.loop = Loop()
-        self.holders = Holders(self.loop, self.leases)
+        self.holders = LeaseWatch(self.loop, self.leases)
 
     def take(self, seconds: float = 30.0, scope: str = "board") -> str:
         request = TakeLease(scope=scope, exclusive=True, seconds=seconds, pid=os.getpid())
         info = self.leases.request(request)
-        self.holders.watch(info, request)
+        self.holders.follow(info, request)
         return info.id
 
     def close(self) -> None:
@@ -90,5 +90,5 @@ def test_a_lease_of_a_process_that_has_died_is_dropped_at_once(watch: Watch) -> 
     child = subprocess.Popen(["true"])
     child.wait()
     request = TakeLease(scope="board", exclusive=True, pid=child.pid)
-    watch.holders.watch(watch.leases.request(request), request)
+    watch.holders.follow(watch.leases.request(request), request)
     watch.leases.check(("board",))

@@ -21,7 +21,7 @@ from cm.manager.errors import ChangeBusy, NothingLoaded, RegionBusy
 from cm.manager.execution.worker import Change
 from cm.manager.loaders import Job, Loaders
 from cm.manager.ports import Image
-from cm.messages.requests import RegWrite, WriteConfig
+from cm.messages.requests import ChangeMode, RegWrite
 from cm.schema import loads
 from cm.schema.model import Config, LoaderKind, Module
 from cm.sim import Board as SimBoard
@@ -85,9 +85,9 @@ def test_from_partial_to_full_and_back_over_both_ports(made: Rig, sim: SimBoard,
 def test_within_a_full_configuration_the_image_stays(made: Rig) -> None:
     at(made, "whole/default", "whole/full")
     assert "fpga_manager.load" not in made.fault.names
-    plan = made.manager.plan(WriteConfig(config_name="whole", mode="default"))
+    plan = made.manager.plan(ChangeMode(config_name="whole", mode="default"))
     assert "load_full" not in [step.kind for step in plan.steps]
-    forced = made.manager.plan(WriteConfig(config_name="whole", mode="default", force=True))
+    forced = made.manager.plan(ChangeMode(config_name="whole", mode="default", force=True))
     assert "load_full" in [step.kind for step in forced.steps]
 
 
@@ -260,7 +260,7 @@ def held(made: Rig) -> Iterator[threading.Event]:
             assert free.wait(20)
 
     made.fault.watch = stop
-    made.manager.submit(WriteConfig(config_name="duo", mode="both"))
+    made.manager.submit(ChangeMode(config_name="duo", mode="both"))
     assert reached.wait(20)
     yield free
     free.set()
@@ -268,7 +268,7 @@ def held(made: Rig) -> Iterator[threading.Event]:
 
 
 def test_a_second_change_waits_for_the_first(made: Rig, held: threading.Event) -> None:
-    second = made.manager.submit(WriteConfig(config_name="duo", mode="default"))
+    second = made.manager.submit(ChangeMode(config_name="duo", mode="default"))
     assert not second.wait(0.05)
     held.set()
     assert second.wait(20)
@@ -278,22 +278,22 @@ def test_a_second_change_waits_for_the_first(made: Rig, held: threading.Event) -
 
 def test_a_change_that_does_not_want_to_wait_is_refused(made: Rig, held: threading.Event) -> None:
     with pytest.raises(ChangeBusy, match="duo/both is running"):
-        made.manager.submit(WriteConfig(config_name="duo", mode="default", no_queue=True))
+        made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True))
     held.set()
     made.manager.wait_idle()
-    assert made.manager.submit(WriteConfig(config_name="duo", mode="default", no_queue=True)).wait(20)
+    assert made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True)).wait(20)
 
 
 def test_the_queue_is_bounded(made: Rig, held: threading.Event) -> None:
-    waiting = [made.manager.submit(WriteConfig(config_name="duo", mode="default")) for _ in range(8)]
+    waiting = [made.manager.submit(ChangeMode(config_name="duo", mode="default")) for _ in range(8)]
     with pytest.raises(ChangeBusy, match="8 changes wait"):
-        made.manager.submit(WriteConfig(config_name="duo", mode="default"))
+        made.manager.submit(ChangeMode(config_name="duo", mode="default"))
     held.set()
     assert all(change.wait(20) and change.error is None for change in waiting)
 
 
 def test_changes_that_wait_are_cancelled_when_the_manager_stops(made: Rig, held: threading.Event) -> None:
-    waiting = [made.manager.submit(WriteConfig(config_name="duo", mode="default")) for _ in range(3)]
+    waiting = [made.manager.submit(ChangeMode(config_name="duo", mode="default")) for _ in range(3)]
     stopper = threading.Thread(target=made.manager.stop)
     stopper.start()
     assert not waiting[0].wait(0.05)
@@ -382,7 +382,7 @@ def test_a_plan_touches_nothing(made: Rig) -> None:
     at(made, "duo/default")
     before = made.manager.state
     made.arm(-1)
-    plan = made.manager.plan(WriteConfig(config_name="duo", mode="both"))
+    plan = made.manager.plan(ChangeMode(config_name="duo", mode="both"))
     assert [step.kind for step in plan.steps if step.bytes] == ["load", "load"]
     assert plan.bytes == sum(step.bytes for step in plan.steps) > 0
     assert plan.seconds > 0
@@ -523,7 +523,7 @@ def test_whoever_fails_when_told_of_an_end_does_not_stop_the_changes_that_follow
     def fails(_: Change) -> None:
         raise RuntimeError("a listener's defect")
 
-    made.manager.submit(WriteConfig(config_name="duo", mode="default"), fails)
+    made.manager.submit(ChangeMode(config_name="duo", mode="default"), fails)
     made.manager.wait_idle()
     until(lambda: "a listener's defect" in str(made.manager.status().last_error))
     at(made, "duo/both")
@@ -552,7 +552,7 @@ def test_a_plan_expects_what_such_changes_took_even_after_a_restart(
     def slowly(name: str) -> None:
         made.clock.ahead += 0.1 if name.startswith("uio") else 0.05 if name.startswith("overlays") else 0.0
 
-    request = WriteConfig(config_name="duo", mode="both")
+    request = ChangeMode(config_name="duo", mode="both")
     at(made, "duo/default")
     first = made.manager.plan(request).seconds
     made.fault.watch = slowly
@@ -582,9 +582,9 @@ def test_a_mode_that_went_while_its_change_waited_is_unknown(made: Rig, configs:
         assert let.wait(10)
 
     made.fault.watch = hold
-    first = made.manager.submit(WriteConfig(config_name="kernel", mode="default"))
+    first = made.manager.submit(ChangeMode(config_name="kernel", mode="default"))
     assert held.wait(10)
-    second = made.manager.submit(WriteConfig(config_name="duo", mode="lit"))
+    second = made.manager.submit(ChangeMode(config_name="duo", mode="lit"))
     made.manager.add_config(replace(duo, modes={n: m for n, m in duo.modes.items() if n != "lit"}))
     made.fault.watch = lambda _: None
     let.set()

@@ -12,7 +12,7 @@ from manager_schemas import written
 from cm.errors import InvalidRequest
 from cm.manager.access.leases import MAX_SECONDS, Leases, UnknownLease, leases_concerned
 from cm.manager.errors import HeldBy
-from cm.messages.requests import TakeLease
+from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
 from cm.messages.status import LeaseInfo
 
 
@@ -89,18 +89,18 @@ def test_a_lease_on_something_else_is_no_share(leases: Leases) -> None:
 def test_a_lease_ends_after_its_time_unless_it_is_renewed(leases: Leases, clock: Clock) -> None:
     mine = take(leases, "board", seconds=10)
     clock.now += 9
-    leases.request(TakeLease(id=mine.id, seconds=10))
+    leases.request(RenewLease(mine.id, 10))
     clock.now += 9
     assert kept_off(lambda: leases.check(("board",)))
     clock.now += 1
     leases.check(("board",))
     with pytest.raises(UnknownLease):
-        leases.request(TakeLease(id=mine.id, seconds=10))
+        leases.request(RenewLease(mine.id, 10))
 
 
 def test_a_lease_ends_when_it_is_given_back_or_its_holder_dies(leases: Leases) -> None:
     mine = take(leases, "board")
-    leases.request(TakeLease(id=mine.id, release=True))
+    leases.request(ReleaseLease(mine.id))
     leases.check(("board",))
     other = take(leases, "board")
     assert leases.drop(other.id)

@@ -18,7 +18,7 @@ from cm.device import DeviceError, DeviceNotFound
 from cm.errors import CmError, InvalidRequest
 from cm.manager.access.memory_service import LENGTH_MAX, PIECE, Transfer
 from cm.manager.errors import AccessDenied, HeldBy, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory
-from cm.messages.requests import DataConfig, TakeLease, WriteConfig
+from cm.messages.requests import ChangeMode, DefineMemory, TakeLease
 from cm.schema import load
 from cm.schema.model import Access, Config
 from cm.sim import Board as SimBoard
@@ -104,7 +104,7 @@ def write(made: Rig, name: str, data: bytes, offset: int = 0, lease: str = "") -
 
 
 def define(made: Rig, name: str, address: int, length: int, **more: object) -> None:
-    made.manager.memories.define(DataConfig(name, address=address, length=length, **more))  # type: ignore[arg-type]
+    made.manager.memories.define(DefineMemory(name, address=address, length=length, **more))  # type: ignore[arg-type]
 
 
 def test_what_was_written_is_read(made: Rig) -> None:
@@ -210,7 +210,7 @@ def test_a_change_takes_the_memories_of_its_regions_and_leaves_the_others(made: 
     made.fault.watch = look
     assert made.go("both", config="filter") is None  # fir is there already: only right is loaded
     assert seen == {"static": b"here"}
-    change = made.manager.submit(WriteConfig(config_name="filter", mode="default", force=True))
+    change = made.manager.submit(ChangeMode(config_name="filter", mode="default", force=True))
     assert change.wait(30)
     assert change.error is None
     made.fault.watch = lambda name: None
@@ -366,7 +366,7 @@ def test_a_block_that_cannot_be_is_refused(
     made: Rig, given: dict[str, object], error: type[CmError], words: str
 ) -> None:
     with pytest.raises(error, match=words):
-        made.manager.memories.define(DataConfig("block", **given))  # type: ignore[arg-type]
+        made.manager.memories.define(DefineMemory("block", **given))  # type: ignore[arg-type]
     assert not made.manager.memories.defined()
 
 
@@ -429,9 +429,7 @@ def test_a_definition_is_refused_or_is_a_memory_that_can_be_used(
     desk, config = made.manager.memories, made.manager.loaded_config()
     assert config is not None
     try:
-        memory = desk.define(
-            DataConfig("block", shape, dtype, address=address, length=length, access=access, region="static")
-        )
+        memory = desk.define(DefineMemory("block", address, length, shape, dtype, access, "static"))
     except (InvalidRequest, DeviceNotFound):
         return
     assert (memory.address, memory.size) == (address, length)

@@ -23,7 +23,7 @@ from cm.device import Icap, Root
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.state.journal import Store
-from cm.messages.requests import WriteConfig
+from cm.messages.requests import ChangeMode
 from cm.messages.status import Irq, RegValues
 from cm.schema import load
 from cm.schema.model import Config, FrameRange
@@ -187,7 +187,7 @@ def _change(manager: Manager, mode: str) -> tuple[int, int]:
         done.set()
 
     asked = time.monotonic_ns()
-    change = manager.submit(WriteConfig(config_name="bench", mode=mode), end)
+    change = manager.submit(ChangeMode(config_name="bench", mode=mode), end)
     done.wait()
     if change.error is not None:
         raise Unavailable(f"the change to {mode} failed: {change.error.message}")
@@ -196,7 +196,7 @@ def _change(manager: Manager, mode: str) -> tuple[int, int]:
 
 def _prefetched(manager: Manager) -> None:
     """Images are read and held after a change; a short change behind it waits for that."""
-    manager.submit(WriteConfig(config_name="bench", mode=manager.state.mode or "")).wait()
+    manager.submit(ChangeMode(config_name="bench", mode=manager.state.mode or "")).wait()
 
 
 def _split(watch: _Watch, ends: tuple[int, int]) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from cm.messages.requests import DataConfig
+from cm.messages.requests import ConfigureStream
 from cm.schema.model import Stream
 
 
@@ -16,7 +16,7 @@ class Choices:
         self._set: dict[str, tuple[Stream, Stream]] = {}  # as the schema has it, and as it was set
         self._runs: dict[str, bool] = {}
 
-    def take(self, stream: Stream, wanted: Stream, request: DataConfig) -> Callable[[], None]:
+    def take(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:
         """Note what a request changes of a stream as it is now; the result takes that back."""
         name, before = stream.name, (self._set.copy(), self._runs.copy())
         if wanted != stream:

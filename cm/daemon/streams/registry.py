@@ -25,7 +25,7 @@ from cm.errors import Busy, CmError, InvalidRequest, Timeout
 from cm.manager.errors import NothingLoaded, UnknownStream
 from cm.manager.planning.resolve import hint
 from cm.manager.reporting.descriptions import stream_status
-from cm.messages.requests import DataConfig
+from cm.messages.requests import ConfigureStream
 from cm.messages.status import ErrorInfo, StreamStatus
 from cm.schema.model import Config, Direction, Stream
 from cm.wire.plane import Open
@@ -125,7 +125,7 @@ class Streams:
             if name in self._pumps:
                 self._refresh_tap(stream)
 
-    def configure(self, request: DataConfig) -> StreamStatus:
+    def configure(self, request: ConfigureStream) -> StreamStatus:
         """Change a stream; refused while it is in use unless forced. Raises UnknownStream, InvalidRequest, Busy."""
         stream = self.named(request.stream, None)
         check_compression(request.compression)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from cm.device import DmaCaps, DmaInfo, DmaType
 from cm.device.plane import StreamSetup
 from cm.errors import InvalidRequest
-from cm.messages.requests import DataConfig
+from cm.messages.requests import ConfigureStream
 from cm.schema.model import Direction, Stream
 from cm.wire.plane import DIMENSIONS, SLOTS_MAX
 
@@ -20,7 +20,7 @@ _LENGTH_BITS = 26  # of an AXI DMA's length register at most
 _FLAT = 1 << 20  # bytes of a slot where neither schema nor channel says how long a frame is
 
 
-def changed(stream: Stream, request: DataConfig) -> Stream:
+def changed(stream: Stream, request: ConfigureStream) -> Stream:
     """A stream as a request wants it. Raises InvalidRequest with what would be right."""
     if request.direction and request.direction.lower() != stream.direction.value:
         raise InvalidRequest(f"stream {stream.name!r} is {stream.direction.value}, not {request.direction!r}")

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from cm.errors import InvalidRequest, NotFound
 from cm.manager.errors import HeldBy
 from cm.manager.ports import Clock
-from cm.messages.requests import TakeLease
+from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
 from cm.messages.status import LeaseInfo
 from cm.schema.model import Config
 
@@ -43,21 +43,14 @@ class Leases:
         self._lock = threading.Lock()  # requests and the worker of changes both ask
         self._held: dict[str, _Lease] = {}
 
-    def request(self, request: TakeLease) -> LeaseInfo:
+    def request(self, request: TakeLease | RenewLease | ReleaseLease) -> LeaseInfo:
         """Take, renew or give back. Raises HeldBy, UnknownLease, InvalidRequest."""
         with self._lock:
-            return self._request(request)
-
-    def _request(self, request: TakeLease) -> LeaseInfo:
-        self._expire()
-        if request.release:
-            return self._take(request.id, remove=True).info
-        seconds = request.seconds or 30.0
-        if not 0 < seconds <= MAX_SECONDS:
-            raise InvalidRequest(f"a lease of {seconds} s: it can be held for up to {MAX_SECONDS:.0f} s, then renewed")
-        if request.id:
-            return self._renew(request.id, seconds)
-        return self._new(request, seconds)
+            self._expire()
+            if isinstance(request, ReleaseLease):
+                return self._take(request.id, remove=True).info
+            seconds = _checked_seconds(request.seconds)
+            return self._renew(request.id, seconds) if isinstance(request, RenewLease) else self._new(request, seconds)
 
     def check(self, scopes: tuple[str, ...], lease: str = "") -> None:
         """Raise HeldBy if somebody without `lease` must keep off any of these scopes."""
@@ -135,6 +128,14 @@ def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str
         *(f"registers:{name}" for name in names),
         *(f"memories:{name}" for name in memories),
     )
+
+
+def _checked_seconds(seconds: float) -> float:
+    """How long a lease is held; 30 s where nothing is said. Raises InvalidRequest."""
+    seconds = seconds or 30.0
+    if not 0 < seconds <= MAX_SECONDS:
+        raise InvalidRequest(f"a lease of {seconds} s: it can be held for up to {MAX_SECONDS:.0f} s, then renewed")
+    return seconds
 
 
 def _checked_scope(scope: str) -> None:

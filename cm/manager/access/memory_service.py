@@ -15,7 +15,7 @@ from cm.manager.planning.resolve import hint, listed
 from cm.manager.reporting.descriptions import memory_info
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.table import RegionState
-from cm.messages.requests import DataConfig
+from cm.messages.requests import DefineMemory
 from cm.messages.status import MemoryInfo
 from cm.schema.model import Access, Config, Memory
 
@@ -65,6 +65,14 @@ class MemoryService:
             self._modes = config, found
         return self._modes[1]
 
+    def check_no_memory(self, name: str) -> None:
+        """Raise InvalidRequest where a memory has this name, of which only streams have settings."""
+        if self.find(name) is not None:
+            raise InvalidRequest(
+                f"memory {name!r} is no stream: only one that was defined at run time can be defined anew, "
+                "with address and length"
+            )
+
     def named(self, name: str) -> Memory:
         """The memory of that name. Raises UnknownMemory with what there is, NothingLoaded."""
         memory = self.find(name)
@@ -86,7 +94,7 @@ class MemoryService:
         """Those that were defined at run time."""
         return tuple(memory_info(memory, defined=True) for memory in self._state.runtime_memories.values())
 
-    def define(self, request: DataConfig) -> Memory:
+    def define(self, request: DefineMemory) -> Memory:
         """Define a memory until the configuration changes, or again. Raises InvalidRequest, DeviceNotFound, HeldBy."""
         config = self._loaded()
         memory = runtime_memories.requested(request, config)

@@ -11,7 +11,7 @@ from dataclasses import replace
 from cm.errors import InvalidRequest
 from cm.manager.planning.resolve import listed
 from cm.manager.ports import AddressRange
-from cm.messages.requests import DataConfig
+from cm.messages.requests import DefineMemory
 from cm.schema.model import ITEM_BYTES, Access, Config, Memory
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
@@ -20,9 +20,9 @@ _WORD = 4
 _Span = tuple[int, int, str, str | None]  # first address, the one behind the last, what is there, its region
 
 
-def requested(request: DataConfig, config: Config) -> Memory:
+def requested(request: DefineMemory, config: Config) -> Memory:
     """The memory that a request describes, its region left open. Raises InvalidRequest."""
-    name = request.stream
+    name = request.name
     _check_name(name, config)
     if request.address is None or not request.length:
         missing = "length" if request.length == 0 else "address"

@@ -8,11 +8,11 @@ from collections.abc import Iterable, Mapping
 
 from cm.errors import InvalidRequest
 from cm.manager.errors import NothingLoaded, UnknownConfig, UnknownMode
-from cm.messages.requests import WriteConfig
+from cm.messages.requests import ChangeMode
 from cm.schema.model import Config
 
 
-def target(request: WriteConfig, configs: Mapping[str, Config], loaded: str | None) -> tuple[Config, str]:
+def target(request: ChangeMode, configs: Mapping[str, Config], loaded: str | None) -> tuple[Config, str]:
     """Where a request goes. Raises UnknownConfig, UnknownMode, NothingLoaded with what there is."""
     if request.name_or_mode:
         return _word(request.name_or_mode, configs, loaded)
