@@ -14,7 +14,7 @@ from typing import Any
 
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles
-from cm.device import DeviceError, Root
+from cm.device import DeviceError, PlClock, PlClocks, Root
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.ports import Window
 from cm.manager.state.journal import Store
@@ -89,6 +89,44 @@ class Watched:
         return call
 
 
+class WatchedClocks:
+    """Clocks whose every access is an operation."""
+
+    def __init__(self, inner: PlClocks, fault: Fault) -> None:
+        self._inner, self._fault = inner, fault
+        self.names = inner.names
+
+    def find(self, name: str) -> WatchedClock:
+        return WatchedClock(self._inner.find(name), self._fault)
+
+
+class WatchedClock:
+    """One of them."""
+
+    def __init__(self, inner: PlClock, fault: Fault) -> None:
+        self._inner, self._fault = inner, fault
+        self.rounded = inner.rounded
+
+    @property
+    def rate(self) -> int:
+        self._fault.step("clock.read")
+        return self._inner.rate
+
+    @rate.setter
+    def rate(self, hertz: int) -> None:
+        self._fault.step("clock.write")
+        self._inner.rate = hertz
+
+    @property
+    def enabled(self) -> bool:
+        return self._inner.enabled
+
+    @enabled.setter
+    def enabled(self, on: bool) -> None:
+        self._fault.step("clock.enable")
+        self._inner.enabled = on
+
+
 class FaultyDevices:
     """The devices of a board, every operation of which may fail."""
 
@@ -108,6 +146,9 @@ class FaultyDevices:
 
     def fpga_manager(self, name: str | None) -> Any:
         return Watched(self._inner.fpga_manager(name), self._fault, "fpga_manager", ("load",))
+
+    def clocks(self) -> Any:
+        return WatchedClocks(self._inner.clocks(), self._fault)
 
     def overlays(self) -> Any:
         return Watched(self._inner.overlays(), self._fault, "overlays", ("apply", "remove"))

@@ -38,6 +38,10 @@ def show(status: Status) -> None:
     if status.regions:
         print()
         print_table([(r.name, r.module or "-", r.state) for r in status.regions], ("REGION", "MODULE", "STATE"))
+    if status.clocks:
+        print()
+        rates = [(c.name, _megahertz(c.wanted), _megahertz(c.rate) if c.rate else "not known") for c in status.clocks]
+        print_table(rates, ("CLOCK", "WANTED MHZ", "RUNS AT MHZ"))
     if status.streams:
         print()
         rows = [
@@ -53,6 +57,10 @@ def show(status: Status) -> None:
             for s in status.streams
         ]
         print_table(rows, ("STREAM", "DIRECTION", "SHAPE", "DTYPE", "FLOW", "FRAMES", "DROPPED"))
+
+
+def _megahertz(rate: int) -> str:
+    return f"{rate / 1e6:.6f}".rstrip("0").rstrip(".")
 
 
 def headline(status: Status) -> str:

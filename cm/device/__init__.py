@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from cm.device.axidma import AxiDma, Completion, Direction, DmaCaps, DmaInfo, DmaType, list_dma
 from cm.device.buffer import DmaBuffer
+from cm.device.clocks import PlClock, PlClocks
 from cm.device.errors import (
     DeviceBusy,
     DeviceClosed,
@@ -52,6 +53,8 @@ __all__ = [
     "IcapState",
     "IcapStatus",
     "Overlays",
+    "PlClock",
+    "PlClocks",
     "Root",
     "Uio",
     "UioInfo",

@@ -136,6 +136,12 @@ class BadOverlay(InvalidRequest):
     code = "bad_overlay"
 
 
+class ClockRate(CmError):
+    """A clock cannot run near enough to the rate that the configuration needs."""
+
+    code = "clock_rate"
+
+
 class StaticUnknown(CmError):
     """Nobody knows which static part the device holds, so no partial bitstream may be loaded."""
 

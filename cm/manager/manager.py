@@ -91,7 +91,11 @@ class Manager:
         if there is None:
             self._state.update(lambda state: replace(state, config=None, mode=None))
         elif interrupted is not None or not is_whole(self.state, there):
-            self._worker.add(Change(self._state.next_number(), there.config.name, there.mode, static=there.static))
+            cut = interrupted or Pending(0, "", "", None, None)
+            values = {**self.state.values, **cut.values}
+            change = Change(self._state.next_number(), there.config.name, there.mode, static=there.static)
+            change.values, change.rates = values, cut.rates
+            self._worker.add(change)
 
     def board_restarted(self) -> None:
         """The board was started anew: nothing that is recorded is true any more.

@@ -170,6 +170,26 @@ class OverlayFolder(Protocol):
         """Take one off."""
 
 
+class PlClock(Protocol):
+    """A clock of the processing system for the PL. All raise DeviceError."""
+
+    rate: int  # Hz; what was set is rounded without an error, so it is read back
+    enabled: bool  # whether it is held running
+
+    def rounded(self, hertz: int) -> int | None:
+        """What it would run at if it were set to `hertz`; None where that cannot be asked."""
+
+
+class Clocks(Protocol):
+    """The clocks of a board. All raise DeviceError."""
+
+    def names(self) -> Collection[str]:
+        """Those that can be set; none where the kernel has no driver for them."""
+
+    def find(self, name: str) -> PlClock:
+        """One of them, by any of its names. Raises NotFound with those that there are."""
+
+
 class Devices(Protocol):
     """Open devices of one board. Handles belong to the provider, which keeps and closes them."""
 
@@ -187,6 +207,9 @@ class Devices(Protocol):
 
     def overlays(self) -> OverlayFolder:
         """The device-tree overlays."""
+
+    def clocks(self) -> Clocks:
+        """The clocks of the processing system for the PL."""
 
     def forget(self) -> None:
         """Close register windows: UIO devices may have come or gone with an overlay."""

@@ -52,6 +52,15 @@ class RegionStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class ClockStatus:
+    """A clock: the rate that the configuration wants and the one it has or will have (0: not known), in Hz."""
+
+    name: str
+    wanted: int
+    rate: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class StreamClient:
     """A client of a stream on the manager's machine: its process, and what it got since it was attached.
 
@@ -111,6 +120,7 @@ class Status:
     started_ns: int = 0
     last_change: int = 0
     last_change_seconds: float = 0.0
+    clocks: tuple[ClockStatus, ...] = ()
 
 
 class RegValue(NamedTuple):
@@ -227,6 +237,7 @@ class PlanInfo:
     steps: tuple[PlanStep, ...]
     bytes: int
     seconds: float
+    clocks: tuple[ClockStatus, ...] = ()  # that would be set
 
 
 @dataclass(frozen=True, slots=True)

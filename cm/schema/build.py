@@ -186,7 +186,7 @@ def _interrupt(name: str, values: dict[str, Any]) -> Interrupt:
 
 
 def _clock(name: str, values: dict[str, Any]) -> Clock:
-    return Clock(name, **_integers(values))
+    return Clock(name, **{**values, "rate": int(values["rate"]), "tolerance": float(values.get("tolerance", 1))})
 
 
 def _integers(values: dict[str, Any]) -> dict[str, Any]:

@@ -259,6 +259,7 @@ class Clock:
     name: str
     rate: int
     doc: str = ""
+    tolerance: float = 1.0  # percent by which the rate may be off
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,9 @@ KINDS: Mapping[str, str] = {
     "overlay_error": "overlay name, or none for any",
     "fpga_manager_error": "",
     "register_stuck": "register name; until cleared",
+    "clock_stuck": "clock name; until cleared",
 }
-STICKY = frozenset({"hang", "register_stuck"})
+STICKY = frozenset({"hang", "register_stuck", "clock_stuck"})
 UNTIL_CLEARED = 0
 
 

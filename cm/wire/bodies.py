@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from cm.messages import status as st
 from cm.wire import cm_pb2 as pb
 
@@ -31,6 +33,7 @@ def status_to_pb(s: st.Status) -> pb.Status:
         started_ns=s.started_ns,
         last_change=s.last_change,
         last_change_seconds=s.last_change_seconds,
+        clocks=_clocks_to_pb(s.clocks),
     )
     if s.progress is not None:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
@@ -55,7 +58,16 @@ def status_from_pb(m: pb.Status) -> st.Status:
         started_ns=m.started_ns,
         last_change=m.last_change,
         last_change_seconds=m.last_change_seconds,
+        clocks=_clocks_from_pb(m.clocks),
     )
+
+
+def _clocks_to_pb(clocks: Iterable[st.ClockStatus]) -> list[pb.ClockState]:
+    return [pb.ClockState(name=c.name, wanted=c.wanted, rate=c.rate) for c in clocks]
+
+
+def _clocks_from_pb(clocks: Iterable[pb.ClockState]) -> tuple[st.ClockStatus, ...]:
+    return tuple(st.ClockStatus(c.name, c.wanted, c.rate) for c in clocks)
 
 
 def _progress_to_pb(p: st.Progress) -> pb.Progress:
@@ -253,12 +265,14 @@ def plan_to_pb(p: st.PlanInfo) -> pb.Plan:
     steps = [
         pb.PlanStep(kind=s.kind, subject=s.subject, text=s.text, bytes=s.bytes, seconds=s.seconds) for s in p.steps
     ]
-    return pb.Plan(config_name=p.config_name, mode=p.mode, steps=steps, bytes=p.bytes, seconds=p.seconds)
+    plan = pb.Plan(config_name=p.config_name, mode=p.mode, steps=steps, bytes=p.bytes, seconds=p.seconds)
+    plan.clocks.extend(_clocks_to_pb(p.clocks))
+    return plan
 
 
 def plan_from_pb(m: pb.Plan) -> st.PlanInfo:
     steps = tuple(st.PlanStep(s.kind, s.subject, s.text, s.bytes, s.seconds) for s in m.steps)
-    return st.PlanInfo(m.config_name, m.mode, steps, m.bytes, m.seconds)
+    return st.PlanInfo(m.config_name, m.mode, steps, m.bytes, m.seconds, _clocks_from_pb(m.clocks))
 
 
 def change_to_pb(c: st.ChangeInfo) -> pb.Change:

@@ -134,7 +134,7 @@ class _Builder:
 
     def _clocks(self) -> dict[str, ClockSpec]:
         given = self._data.get("clocks") or {DEFAULT_CLOCK: {"rate": DEFAULT_RATE}}
-        return {name: ClockSpec(name, spec["rate"], spec.get("doc", "")) for name, spec in given.items()}
+        return {name: ClockSpec(name, **spec) for name, spec in given.items()}
 
     def _static(self) -> StaticSpec:
         spec = self._data.get("static") or {}

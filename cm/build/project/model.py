@@ -164,11 +164,12 @@ class ModeSpec:
 
 @dataclass(frozen=True, slots=True)
 class ClockSpec:
-    """A PL clock from the processing system; `rate` in Hz."""
+    """A PL clock from the processing system; `rate` in Hz, `tolerance` the percent by which it may be off."""
 
     name: str
     rate: int
     doc: str = ""
+    tolerance: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

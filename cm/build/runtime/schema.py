@@ -55,7 +55,7 @@ def runtime_config(system: System, answers: Answers) -> Config:
         overlays=overlays,
         streams=streams,
         interrupts={line.name: _interrupt(system, line.name, line.bit) for line in system.lines},
-        clocks={clock.name: Clock(clock.name, clock.rate, clock.doc) for clock in project.clocks.values()},
+        clocks={c.name: Clock(c.name, c.rate, c.doc, float(c.tolerance)) for c in project.clocks.values()},
         doc=project.doc,
     )
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from cm.device import AxiDma, FpgaManager, Icap, Overlays, Root, Uio, find_uio
+from cm.device import AxiDma, FpgaManager, Icap, Overlays, PlClocks, Root, Uio, find_uio
 from cm.manager.ports import Window
 
 _BOOT_ID = "proc/sys/kernel/random/boot_id"
@@ -70,6 +70,10 @@ class BoardDevices:
     def overlays(self) -> Overlays:
         """The overlays in configfs."""
         return Overlays(self._root)
+
+    def clocks(self) -> PlClocks:
+        """The clocks of the processing system for the PL."""
+        return PlClocks(self._root)
 
     def dma(self, channel: str) -> AxiDma:
         """A DMA channel, opened anew: its handle belongs to the caller, who closes it."""

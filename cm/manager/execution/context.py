@@ -51,6 +51,7 @@ class StepContext:
     port_seconds: float = 0.0  # that a port has taken for that step's image
     written: dict[str, int] = field(default_factory=dict)  # registers, by name
     found: dict[str, int] = field(default_factory=dict)  # what registers held before, for the way back
+    rates: dict[str, int] = field(default_factory=dict)  # what clocks ran at before, in Hz, for the way back
 
     @property
     def step(self) -> s.Step | None:

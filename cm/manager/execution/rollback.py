@@ -6,6 +6,7 @@ Going back is a plan from wherever the board is now, like any other change.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -14,7 +15,7 @@ from cm.manager.access.register_bus import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
 from cm.manager.execution.context import Tools
 from cm.manager.planning.plan import Goal
-from cm.manager.state.steps import Step
+from cm.manager.state.steps import Step, hertz
 from cm.manager.state.table import BoardState, RegionEvent, RegionPhase
 from cm.schema.model import Config, ConfigType, Region
 
@@ -23,12 +24,16 @@ _CUT = (RegionPhase.DECOUPLED, RegionPhase.LOADED)
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """What went wrong on the way to a configuration, at which step, and what registers had held before it."""
+    """What went wrong on the way to a configuration, at which step, and what was there before it.
+
+    `found` are registers' values, `rates` what clocks ran at (Hz).
+    """
 
     goal: Config
     step: Step | None
     error: Exception
     found: Mapping[str, int]
+    rates: Mapping[str, int]
 
     @property
     def code(self) -> str:
@@ -64,13 +69,13 @@ class Rollback:
         before, old = self._before, self._old
         try:
             if old is not None and before.mode is not None and before.mode in old.modes:
-                self._restore(old, before.mode, {**failure.found, **before.values})
+                self._restore(old, before.mode, failure)
                 tail = "; ".join([f"the board is back in {before.config}/{before.mode}", *self._tidy(failure.goal)])
                 return StepFailed(f"{failure.text}; {tail}", failure.code)
-            end = self._give_up(failure.goal)
+            end = self._give_up(failure)
             return StepFailed(f"{failure.text}; there was no mode to go back to; {end}", failure.code)
         except Exception as second:  # noqa: BLE001 (a defect of ours must not leave the region coupled either)
-            end = self._give_up(failure.goal)
+            end = self._give_up(failure)
             return UndoFailed(f"{failure.text}; going back failed too: {sentence(second)}; {end}")
         finally:
             self._state.release_regions()
@@ -79,9 +84,11 @@ class Rollback:
     def _old(self) -> Config | None:
         return self._configs.get(self._before.config or "")
 
-    def _restore(self, old: Config, mode: str, values: Mapping[str, int]) -> None:
+    def _restore(self, old: Config, mode: str, failure: Failure) -> None:
         static = self._static_to_load(old)
-        self._go_to(Goal(old, mode, values=values, also=self._beside(old, mode), static=static))
+        values = {**failure.found, **self._before.values}
+        also = self._beside(old, mode)
+        self._go_to(Goal(old, mode, values=values, also=also, static=static, rates=failure.rates))
         self._tools.data_plane.resume(old, mode)
 
     def _beside(self, old: Config, mode: str) -> tuple[str, ...]:
@@ -132,11 +139,13 @@ class Rollback:
             )
         return static
 
-    def _give_up(self, goal: Config) -> str:
+    def _give_up(self, failure: Failure) -> str:
         """Leave what is not ready cut off; says what is where."""
         before, same = self._before, self._same_static()
-        touched = [r for name, r in self._regions(goal).items() if name in self._state.board.regions]
+        touched = [r for name, r in self._regions(failure.goal).items() if name in self._state.board.regions]
         problems = isolate(self._tools, touched)
+        if same:  # else the rates are those of the image that is there now
+            problems += self._rates_again(failure.rates)
         mode = before.mode if self._holds_as_before() else None
         self._state.update(lambda state: replace(state, config=before.config if same else None, mode=mode))
         try:
@@ -145,6 +154,21 @@ class Rollback:
             problems.append(str(error))
         self._tools.data_plane.resume(self._old, mode)
         return "; ".join([self._left(), *problems])
+
+    def _rates_again(self, rates: Mapping[str, int]) -> list[str]:
+        """Clocks run as they did; returns a sentence for each that does not."""
+        problems: list[str] = []
+        clocks = self._tools.devices.clocks()
+        for name, rate in rates.items():
+            try:
+                clock = clocks.find(name)
+                clock.rate = rate
+                there = clock.rate
+            except (CmError, OSError) as error:
+                problems.append(f"clock {name} could not be set back to {hertz(rate)}: {error}")
+            else:
+                self._state.update(functools.partial(BoardState.with_clock, name=name, rate=there))
+        return problems
 
     def _regions(self, goal: Config) -> dict[str, Region]:
         """Regions by name as the two configurations have them that the device may be in."""

@@ -21,7 +21,7 @@ def plan_to(goal: Goal, tools: Tools) -> Plan:
     """What going there would do from here; touches nothing. Raises what is wrong with the files."""
     state = tools.state
     old = state.configs.get(state.board.config or "")
-    return make_plan(goal, state.board, old, tools.files, state.throughput)
+    return make_plan(goal, state.board, old, tools.files, state.throughput, tools.devices)
 
 
 class Transaction:
@@ -44,11 +44,16 @@ class Transaction:
             _take_steps(run)
         except Exception as error:
             rollback = Rollback(self._tools, before, self._go_back)
-            raise rollback.run(Failure(goal.config, run.step, error, run.found)) from error
+            raise rollback.run(_failure(run, error)) from error  # in no variable: its traceback has this frame
 
     def _go_back(self, goal: Goal) -> None:
         plan = plan_to(goal, self._tools)
         _take_steps(StepContext(plan, self._tools, self._number, lambda: False, best_effort=True))
+
+
+def _failure(run: StepContext, error: Exception) -> Failure:
+    goal = run.plan.goal
+    return Failure(goal.config, run.step, error, {**goal.values, **run.found}, {**run.rates, **goal.rates})
 
 
 def _take_steps(run: StepContext) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from cm.errors import CmError
@@ -36,6 +36,8 @@ class Change:
     error: ErrorInfo | None = None
     seconds: float = 0.0
     on_done: Callable[[Change], None] | None = None
+    values: Mapping[str, int] = field(default_factory=dict)  # registers that the way back restores
+    rates: Mapping[str, int] = field(default_factory=dict)  # clocks that it restores, in Hz
     _cancel: threading.Event = field(default_factory=threading.Event)
     _done: threading.Event = field(default_factory=threading.Event)
 
@@ -153,7 +155,14 @@ class Worker:
             change.number, change.config, change.mode, (whole and not there) or change.static is not None
         )
         state.pending = Pending(
-            change.number, change.config, change.mode, board.config, board.mode, from_static=board.static_config
+            change.number,
+            change.config,
+            change.mode,
+            board.config,
+            board.mode,
+            from_static=board.static_config,
+            values={**board.values, **change.values},
+            rates=change.rates,
         )
 
     def _outcome(self, change: Change) -> ErrorInfo | None:
@@ -172,7 +181,8 @@ class Worker:
         configs = self._tools.state.configs
         config = configs[change.config]
         mode = resolve.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
-        goal = Goal(config, mode, change.force, static=configs.get(change.static or ""))
+        static = configs.get(change.static or "")
+        goal = Goal(config, mode, change.force, values=change.values, static=static, rates=change.rates)
         Transaction(self._tools, change.number, lambda: change.cancelled).run(goal)
 
 

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 from cm.manager.state import steps as s
 from cm.manager.state.cost import Throughput
-from cm.messages.status import PlanInfo, PlanStep
+from cm.messages.status import ClockStatus, PlanInfo, PlanStep
 from cm.schema.model import Config, ConfigType
 
 
@@ -20,6 +20,7 @@ class Goal:
     `values` overrides registers' defaults: the way back restores what was written. `also` are modules
     beside the mode's, in regions that the mode leaves alone: the way back restores what they held.
     `static` is the full configuration whose image a partial one was running in, for the way back to it.
+    `rates` are clocks' rates in Hz that the way back restores, whatever the configuration says of them.
     """
 
     config: Config
@@ -28,6 +29,7 @@ class Goal:
     values: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     also: tuple[str, ...] = ()
     static: Config | None = None
+    rates: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def base(self) -> Config | None:
@@ -59,7 +61,14 @@ class Plan:
             PlanStep(step.kind, step.subject, step.text, image_bytes(step), _seconds(step, throughput))
             for step in self.steps
         )
-        return PlanInfo(self.goal.config.name, self.goal.mode, rows, self.bytes, sum(r.seconds for r in rows))
+        seconds = sum(r.seconds for r in rows)
+        clocks = tuple(ClockStatus(c.clock.name, c.clock.rate, c.achieved or 0) for c in self.clocks)
+        return PlanInfo(self.goal.config.name, self.goal.mode, rows, self.bytes, seconds, clocks)
+
+    @property
+    def clocks(self) -> Iterator[s.SetClock]:
+        """The clocks that are set."""
+        return (step for step in self.steps if isinstance(step, s.SetClock))
 
 
 def image_bytes(step: s.Step) -> int:

@@ -13,10 +13,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from cm.manager.errors import StaticUnknown
+from cm.manager.planning.clocks import clock_steps
 from cm.manager.planning.overlays import OverlayChange, overlay_change, wanted_overlays
 from cm.manager.planning.plan import Goal, Plan
 from cm.manager.planning.registers import Writing
-from cm.manager.ports import Files, Image
+from cm.manager.ports import Devices, Files, Image
 from cm.manager.state import steps as s
 from cm.manager.state.cost import Throughput
 from cm.manager.state.table import BoardState, RegionPhase, loading_overlay
@@ -25,16 +26,27 @@ from cm.schema.model import Config, LoaderKind, Module, Region
 _WHOLE = (RegionPhase.READY, RegionPhase.DECOUPLED, RegionPhase.LOADED)  # phases in which a content is known to be so
 
 
-def make_plan(goal: Goal, state: BoardState, old: Config | None, files: Files, throughput: Throughput) -> Plan:
+def make_plan(
+    goal: Goal, state: BoardState, old: Config | None, files: Files, throughput: Throughput, devices: Devices
+) -> Plan:
     """The steps to `goal`. Reads and validates every file that it needs; raises what is wrong with them.
 
-    `old` is the configuration the board is in, if it is known.
+    `old` is the configuration the board is in, if it is known. Of the devices only clocks are asked.
     """
-    return _Planner(goal, state, old, files, throughput).plan()
+    clocks = clock_steps(goal, state, devices)
+    return _Planner(goal, state, old, files, throughput, clocks).plan()
 
 
 class _Planner:
-    def __init__(self, goal: Goal, state: BoardState, old: Config | None, files: Files, throughput: Throughput):
+    def __init__(
+        self,
+        goal: Goal,
+        state: BoardState,
+        old: Config | None,
+        files: Files,
+        throughput: Throughput,
+        clocks: tuple[s.SetClock, ...],
+    ):
         self._goal = goal
         self._config = goal.config
         self._mode = goal.config.modes[goal.mode]
@@ -42,6 +54,7 @@ class _Planner:
         self._old = old
         self._files = files
         self._throughput = throughput
+        self._clocks = clocks
 
     def plan(self) -> Plan:
         whole = self._whole_images()
@@ -54,7 +67,7 @@ class _Planner:
         wanted = wanted_overlays(self._config, self._mode, self._files, [*whole, *images.values()])
         overlays = overlay_change(self._state, wanted, {m.region for m in changed}, static is not None)
         writes = Writing(self._goal, self._state, {m.region for m in (*changed, *cut)}).steps()
-        if not (static or changed or cut or overlays or writes or self._elsewhere()):
+        if not (static or changed or cut or overlays or writes or self._clocks or self._elsewhere()):
             return Plan(self._goal, ())
         return Plan(self._goal, tuple(self._order(static, loads, cut, overlays, writes)), full=static is not None)
 
@@ -109,9 +122,12 @@ class _Planner:
         if streams:
             yield s.Quiesce(streams)
         yield from (s.RemoveOverlay(name) for name in overlays.removed)
-        if static:
+        if static:  # it runs from the first moment: its clocks are right by then
+            yield from self._clocks
             yield self._load_static(static)
         yield from (s.Decouple(self._region(m)) for m in changed)
+        if not static:
+            yield from self._clocks
         yield from (self._load(m, image) for m, image in loads)
         yield from overlays.applied
         yield from (w for w in writes if w.register.region not in regions)

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 from cm.errors import CmError
 from cm.manager.access.register_bus import RegisterBus, is_cut
 from cm.manager.ports import Devices
 from cm.manager.state.record import Pending, Record
+from cm.manager.state.steps import hertz
 from cm.manager.state.table import (
     BoardState,
     OverlayState,
@@ -59,6 +61,7 @@ def _compare(record: Record | None, configs: Mapping[str, Config], devices: Devi
     notes: list[str] = []
     state = _distrust_pending(state, record.pending)
     state = _overlays(state, record.pending, devices, notes)
+    state = _clocks(state, devices, notes)
     state = _port(state, configs, devices, notes)
     if state.static_lost:
         notes.append("a load of a full image did not end well; nothing in the device is accessed")
@@ -98,6 +101,25 @@ def _overlays(state: BoardState, pending: Pending | None, devices: Devices, note
         overlays.remove(pending.overlay)
         notes.append(f"overlay {pending.overlay}, left over from the change that was cut short, was removed")
     return replace(state, overlays=kept)
+
+
+def _clocks(state: BoardState, devices: Devices, notes: list[str]) -> BoardState:
+    """Clocks that somebody else has set since, or that a change was setting: nothing is known of them."""
+    kept = {}
+    for name, rate in state.clocks.items():
+        if rate == 0 and not devices.clocks().names():
+            kept[name] = rate
+            continue
+        try:
+            there = devices.clocks().find(name).rate
+        except (CmError, OSError) as error:
+            notes.append(f"clock {name} cannot be read ({error})")
+            continue
+        if there == rate:
+            kept[name] = rate
+        else:
+            notes.append(f"clock {name} runs at {hertz(there)}, it was set to {hertz(rate)}")
+    return replace(state, clocks=MappingProxyType(kept))
 
 
 def _adopted(state: BoardState, configs: Mapping[str, Config], devices: Devices, notes: list[str]) -> BoardState:

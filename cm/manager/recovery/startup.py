@@ -55,6 +55,7 @@ def _way_back(cut: Pending, configs: Mapping[str, Config]) -> Destination | None
 
 
 def is_whole(state: BoardState, there: Destination) -> bool:
-    """Whether every region of a mode is ready."""
+    """Whether every region of a mode is ready, and its clocks run as they were set."""
     modules = there.config.modes[there.mode].modules
-    return all(state.region(there.config.modules[m].region).phase is RegionPhase.READY for m in modules)
+    clocked = all(name in state.clocks for name in there.config.clocks)
+    return clocked and all(state.region(there.config.modules[m].region).phase is RegionPhase.READY for m in modules)

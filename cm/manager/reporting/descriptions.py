@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from cm.manager.state.table import BoardState
 from cm.messages.status import (
+    ClockStatus,
     ConfigInfo,
     FieldInfo,
     InterruptInfo,
@@ -55,6 +56,12 @@ def region_states(config: Config | None, state: BoardState) -> tuple[RegionStatu
     """All regions that are known, those of the loaded configuration first."""
     names = dict.fromkeys([*(config.regions if config else ()), *state.regions])
     return tuple(RegionStatus(n, state.region(n).module, state.region(n).phase.value) for n in names)
+
+
+def clock_states(config: Config | None, state: BoardState) -> tuple[ClockStatus, ...]:
+    """The clocks of the loaded configuration, with the rates that were read back."""
+    clocks = config.clocks.values() if config else ()
+    return tuple(ClockStatus(clock.name, clock.rate, state.clocks.get(clock.name, 0)) for clock in clocks)
 
 
 def _mode(config: Config, name: str) -> ModeInfo:

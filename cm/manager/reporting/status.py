@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from cm.manager.ports import Observer
-from cm.manager.reporting.descriptions import region_states
+from cm.manager.reporting.descriptions import clock_states, region_states
 from cm.manager.state.board_state import ManagerState
 from cm.messages.status import ErrorInfo, PrMode, Progress, Status
 
@@ -65,6 +65,7 @@ class StatusReporter:
             configs=tuple(sorted(self._state.configs)),
             last_change=self._last[0],
             last_change_seconds=self._last[1],
+            clocks=clock_states(self._state.loaded_config(), board),
         )
 
     def _pr_mode(self, running: bool) -> PrMode:

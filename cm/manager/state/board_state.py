@@ -16,7 +16,7 @@ from cm.manager.errors import RecordFailed, StoreCorrupt
 from cm.manager.state.cost import Throughput
 from cm.manager.state.journal import Store
 from cm.manager.state.record import Pending, Record
-from cm.manager.state.steps import ApplyOverlay, RemoveOverlay, Step
+from cm.manager.state.steps import ApplyOverlay, RemoveOverlay, SetClock, Step
 from cm.manager.state.table import BoardState
 from cm.messages.status import ErrorInfo
 from cm.schema.model import Config, LoaderKind, Memory
@@ -67,6 +67,12 @@ class ManagerState:
         with self.lock:
             self._written[register] = value
             self._dirty = True
+
+    def note_found(self, register: str, value: int) -> None:
+        """Remember what a register held before the change that runs, for the way back after a crash."""
+        with self.lock:
+            if self.pending is not None:
+                self.pending = replace(self.pending, values={register: value, **self.pending.values})
 
     def written_value(self, register: str) -> int | None:
         """What was last written to a register since its region was loaded."""
@@ -143,7 +149,9 @@ class ManagerState:
     def record(self, step: Step | None) -> None:
         """Write the state and the step about to be taken, or that no change is under way. Raises RecordFailed."""
         with self.lock:
-            self._write(None if step is None or self.pending is None else _about_to(self.pending, step))
+            if self.pending is not None and step is not None:
+                self.pending = _about_to(self.pending, step)
+            self._write(None if step is None else self.pending)
 
     def _write(self, pending: Pending | None) -> None:
         try:
@@ -170,7 +178,10 @@ class ManagerState:
 
 
 def _about_to(pending: Pending, step: Step) -> Pending:
-    return replace(pending, step=step.kind, subject=step.subject, overlay=_overlay_name(step))
+    rates = pending.rates
+    if isinstance(step, SetClock) and step.before:
+        rates = {step.clock.name: step.before, **rates}
+    return replace(pending, step=step.kind, subject=step.subject, overlay=_overlay_name(step), rates=rates)
 
 
 def _overlay_name(step: Step) -> str | None:

@@ -30,6 +30,8 @@ class Pending:
     subject: str = ""
     overlay: str | None = None  # being applied or removed
     from_static: str | None = None  # the full configuration whose image the device held
+    values: Mapping[str, int] = field(default_factory=dict)  # registers as they were before it, for the way back
+    rates: Mapping[str, int] = field(default_factory=dict)  # clocks, in Hz, likewise
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,17 +95,23 @@ def _to_plain(r: Record) -> dict[str, Any]:
             "regions": {n: [x.phase.value, x.module, x.sha256] for n, x in r.state.regions.items()},
             "overlays": [[o.name, o.sha256] for o in r.state.overlays],
             "values": dict(r.state.values),
+            "clocks": dict(r.state.clocks),
         },
-        "pending": None if r.pending is None else {n: getattr(r.pending, n) for n in Pending.__slots__},
+        "pending": None if r.pending is None else _pending_to_plain(r.pending),
         "throughput": {kind.value: rate for kind, rate in r.throughput.measured.items()},
         "seconds": dict(r.throughput.steps),
     }
 
 
+def _pending_to_plain(pending: Pending) -> dict[str, Any]:
+    plain = {name: getattr(pending, name) for name in Pending.__slots__}
+    return {**plain, "values": dict(pending.values), "rates": dict(pending.rates)}
+
+
 def _from_plain(plain: Mapping[str, Any]) -> Record:
     """Raises ValueError, KeyError, TypeError, IndexError or AttributeError for what is not of this version.
 
-    "seconds" came later; what an older program wrote has none.
+    "seconds", "clocks", and "values" and "rates" of what is pending came later; what an older program wrote has none.
     """
     if plain["version"] != _VERSION:
         raise ValueError(plain["version"])
@@ -122,6 +130,7 @@ def _from_plain(plain: Mapping[str, Any]) -> Record:
             ),
             overlays=tuple(OverlayState(n, h) for n, h in state["overlays"]),
             values=MappingProxyType(dict(state["values"])),
+            clocks=MappingProxyType(dict(state.get("clocks", {}))),
         ),
         pending=None if plain["pending"] is None else Pending(**plain["pending"]),
         throughput=Throughput(

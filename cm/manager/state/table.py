@@ -129,6 +129,9 @@ class BoardState:
     regions: Mapping[str, RegionState] = field(default_factory=_empty)
     overlays: tuple[OverlayState, ...] = ()  # in the order they were applied
     values: Mapping[str, int] = field(default_factory=_empty)  # registers written since their region was loaded
+    clocks: Mapping[str, int] = field(
+        default_factory=_empty
+    )  # Hz as read back after they were set; 0: nothing here sets them
 
     def region(self, name: str) -> RegionState:
         """State of a region; one never heard of is unknown."""
@@ -141,6 +144,10 @@ class BoardState:
     def with_value(self, register: str, value: int) -> BoardState:
         """A copy that remembers a register's written value."""
         return replace(self, values=MappingProxyType({**self.values, register: value}))
+
+    def with_clock(self, name: str, rate: int) -> BoardState:
+        """A copy that remembers what a clock runs at."""
+        return replace(self, clocks=MappingProxyType({**self.clocks, name: rate}))
 
     def without_values(self, registers: set[str]) -> BoardState:
         """A copy that has forgotten values which a load has reset."""
@@ -157,9 +164,9 @@ def slept(state: BoardState) -> BoardState:
 
 
 def all_lost(state: BoardState) -> BoardState:
-    """While a full image is loaded nothing is known of the device but the overlays, which the kernel keeps."""
+    """While a full image is loaded nothing is known of the device but what the kernel keeps: overlays and clocks."""
     lost = {name: region.after(RegionEvent.LOSE) for name, region in state.regions.items()}
-    return BoardState(regions=MappingProxyType(lost), overlays=state.overlays, static_lost=True)
+    return BoardState(regions=MappingProxyType(lost), overlays=state.overlays, static_lost=True, clocks=state.clocks)
 
 
 def diagram() -> str:

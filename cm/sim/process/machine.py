@@ -26,6 +26,7 @@ from cm.sim.hardware.interrupts import Interrupts
 from cm.sim.hardware.links import CameraLink, Link, LoopLink, SinkLink
 from cm.sim.hardware.models import Models
 from cm.sim.nodes import uio
+from cm.sim.nodes.clocks import Clocks
 from cm.sim.nodes.control import ControlNode
 from cm.sim.nodes.dma import DmaNode
 from cm.sim.nodes.fpga_manager import FpgaManager
@@ -74,6 +75,7 @@ class Machine:
         self.engine = self._engine()
         self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
         self.overlays = Overlays(root, self.manager, self.faults)
+        self.clocks = Clocks(root, _clock_names(spec), spec.device.family.label, self.faults)
         self.channels = {name: Channel(channel) for name, channel in _with_engines(spec, options).items()}
         self.links = self._links()
         self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
@@ -93,6 +95,7 @@ class Machine:
             self.server.listen(self.root.bind(f"dev/{name}"), self.icap_node)
         self.manager.serve(self.server)
         self.overlays.serve(self.server)
+        self.clocks.serve(self.server)
         ControlNode(self).serve()
 
     def kick(self) -> None:
@@ -130,6 +133,7 @@ class Machine:
             "loading": self.engine.busy,
             "outside_writes": self._config.outside,
             "overlays": self.overlays.applied,
+            "clocks": self.clocks.rates,
             "faults": self.faults.listing(),
         }
 
@@ -206,6 +210,13 @@ def _with_engines(spec: BoardSpec, options: Options) -> dict[str, ChannelSpec]:
         name: replace(channel, vdma=name in options.vdma, simple=options.simple.get(name, 0))
         for name, channel in spec.channels.items()
     }
+
+
+def _clock_names(spec: BoardSpec) -> set[str]:
+    """Of the processing system there are four; those that schemas name otherwise are beside them."""
+    named = {name for config in spec.configs for name in config.clocks}
+    numbered = "fclk{}" if spec.device.family.label == "7series" else "pl{}"
+    return named | {numbered.format(index) for index in range(4)}
 
 
 def _icap_names(spec: BoardSpec) -> list[str]:

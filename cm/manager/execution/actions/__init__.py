@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from cm.manager.execution.actions import mode, overlays, regions
+from cm.manager.execution.actions import clocks, mode, overlays, regions
 from cm.manager.execution.context import StepContext
 from cm.manager.state import steps as s
 
@@ -23,6 +23,7 @@ ACTIONS: Mapping[type, Callable[[StepContext, Any], None]] = MappingProxyType(
         s.Recouple: regions.recouple,
         s.CheckIdentity: regions.check_identity,
         s.SetRegister: mode.set_register,
+        s.SetClock: clocks.set_clock,
         s.Publish: mode.publish,
     }
 )

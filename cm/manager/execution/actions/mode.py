@@ -49,7 +49,10 @@ def _remember(run: StepContext, register: Register) -> None:
     reset = register.region in run.plan.regions or run.plan.full
     known = reset or run.tools.state.written_value(register.name) is not None
     if not known and _keeps_its_value(register):
-        run.found[register.name] = run.tools.registers.read(register)
+        value = run.tools.registers.read(register)
+        run.found[register.name] = value
+        run.tools.state.note_found(register.name, value)
+        run.record(run.step)  # a kill between the write and the next step must not lose it
 
 
 def _keeps_its_value(register: Register) -> bool:
