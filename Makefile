@@ -19,7 +19,7 @@ OUT ?= demo
 IMAGES ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo clean distclean check-system
+.PHONY: help setup demo test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo layer clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -100,6 +100,9 @@ kmod-lint: ## checkpatch --strict, sparse and W=1 over the kernel modules
 
 kmod-matrix: ## the kernel modules against all supported kernels
 	$(MAKE) -C kmod matrix
+
+layer: $(STAMP) ## the sources into the Yocto layer, and the layer as an archive into build/release
+	@release/layer.sh $(BIN)/python
 
 dtbo: ## device-tree overlays, with and without symbols
 	$(MAKE) -C dts dtbo

@@ -7,19 +7,5 @@ LICENSE = "CLOSED"
 
 SRC_URI = "file://camera.tar.gz;subdir=${BP}"
 
-UNPACKDIR ??= "${WORKDIR}"
-S = "${UNPACKDIR}/${BP}"
-
-inherit allarch
-
-do_configure[noexec] = "1"
-do_compile[noexec] = "1"
-
-do_install() {
-    install -d ${D}${nonarch_base_libdir}/firmware/cm/camera
-    install -m 0644 ${S}/camera/* ${D}${nonarch_base_libdir}/firmware/cm/camera/
-}
-
-FILES:${PN} += "${nonarch_base_libdir}/firmware/cm/camera"
-
-RDEPENDS:${PN} = "python3-fpga-cm"
+CM_CONFIG = "camera"
+inherit cm-bundle

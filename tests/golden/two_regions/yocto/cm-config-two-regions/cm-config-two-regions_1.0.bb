@@ -7,19 +7,5 @@ LICENSE = "CLOSED"
 
 SRC_URI = "file://two_regions.tar.gz;subdir=${BP}"
 
-UNPACKDIR ??= "${WORKDIR}"
-S = "${UNPACKDIR}/${BP}"
-
-inherit allarch
-
-do_configure[noexec] = "1"
-do_compile[noexec] = "1"
-
-do_install() {
-    install -d ${D}${nonarch_base_libdir}/firmware/cm/two_regions
-    install -m 0644 ${S}/two_regions/* ${D}${nonarch_base_libdir}/firmware/cm/two_regions/
-}
-
-FILES:${PN} += "${nonarch_base_libdir}/firmware/cm/two_regions"
-
-RDEPENDS:${PN} = "python3-fpga-cm"
+CM_CONFIG = "two_regions"
+inherit cm-bundle

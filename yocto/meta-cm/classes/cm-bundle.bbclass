@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: MIT
+# A configuration for the configuration manager: the archive that `cm build collect` wrote, put where it is looked for.
+#
+#   SRC_URI = "file://camera.tar.gz;subdir=${BP}"
+#   CM_CONFIG = "camera"
+#   inherit cm-bundle
+#
+# The runtime schema is checked with `cm check`, and every file that it names must have come with it.
+
+CM_CONFIG ??= "${@d.getVar('BPN').replace('cm-config-', '', 1)}"
+S = "${UNPACKDIR}/${BP}"
+
+# a package for all machines: so it cannot depend on the manager, which is one of an architecture
+inherit allarch
+
+DEPENDS += "python3-fpga-cm-native"
+
+do_configure[noexec] = "1"
+
+do_compile() {
+    if [ ! -d "${S}/${CM_CONFIG}" ]; then
+        bbfatal "the archive holds no folder ${CM_CONFIG}: CM_CONFIG names the configuration that cm build collect packed"
+    fi
+    nativepython3 -m cm check "${S}/${CM_CONFIG}"
+}
+
+do_install() {
+    install -d ${D}${nonarch_base_libdir}/firmware/cm/${CM_CONFIG}
+    install -m 0644 ${S}/${CM_CONFIG}/* ${D}${nonarch_base_libdir}/firmware/cm/${CM_CONFIG}/
+}
+
+FILES:${PN} += "${nonarch_base_libdir}/firmware/cm/${CM_CONFIG}"

@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: MIT
+SUMMARY = "Kernel modules of the configuration manager"
+DESCRIPTION = "Each module is a package of its own, kernel-module-cm-*; this one is empty and names them all."
+SECTION = "kernel/modules"
+CVE_PRODUCT = "fpga-cm"
+LICENSE = "GPL-2.0-only"
+LIC_FILES_CHKSUM = "file://COPYING;md5=b234ee4d69f5fce4486a80fdaf4a4263"
+
+SRC_URI = "file://fpga_cm-${PV}.tar.gz"
+
+S = "${UNPACKDIR}/fpga_cm-${PV}/kmod"
+
+inherit module
+
+MODULES_MODULE_SYMVERS_LOCATION = "."
