@@ -40,6 +40,7 @@ def unpack(archive: Path, out: Path) -> Unpacked:
     folder is renamed: a killed import leaves the old one, or the next one brings it back.
     Raises ImportRefused, SchemaError, OSError; `out` is then as before.
     """
+    out = out.resolve()  # what a schema names is compared by its whole path
     out.mkdir(parents=True, exist_ok=True)
     aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
     try:

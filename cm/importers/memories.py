@@ -22,19 +22,28 @@ def memories(
     window: tuple[int, int] | None = None,
     region: str | None = None,
 ) -> dict[str, Memory]:
-    """A memory for each BRAM controller; `window` is (base, size) of the region that the addresses are relative to."""
+    """A memory for each BRAM controller; `window` is (base, size) of the region that it lies in."""
     names = Names()
     for stream in streams:
         names.take(stream.name)  # one name leads to one of them
     found: dict[str, Memory] = {}
     base, limit = window or (0, 1 << 64)
     for item in handoff.memories(hwh):
-        if item.size % _WORD or item.base % _WORD or item.size > _LARGEST or item.base + item.size > limit:
+        offset = within(item.base, base, limit)
+        aligned = item.size % _WORD == 0 and item.base % _WORD == 0
+        if not aligned or item.size > _LARGEST or offset is None or offset + item.size > limit:
             notes.append(f"{prefix}{_where(item)}: no memory that a schema can have, left out")
             continue
         name = names.take(f"{prefix}{item.instance}")
-        found[name] = Memory(name, base + item.base, item.size, region=region, doc=f"Block RAM of {item.instance}")
+        found[name] = Memory(name, base + offset, item.size, region=region, doc=f"Block RAM of {item.instance}")
     return found
+
+
+def within(address: int, base: int, size: int) -> int | None:
+    """Return where in a window of `size` bytes at `base` an address lies that is relative to it, or absolute."""
+    if base <= address < base + size:
+        return address - base
+    return address if address < size else None
 
 
 def _where(item: MemoryRange) -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 from cm import hwh as handoff
 from cm.bitstream import BitstreamError, Report, footprint_of, inspect, outside
 from cm.hwh import DecouplerInfo, Hwh, HwhError
-from cm.importers.memories import memories
+from cm.importers.memories import memories, within
 from cm.importers.names import Names, to_name
 from cm.importers.registers import RegisterBank
 from cm.importers.result import frozen
@@ -184,7 +184,7 @@ def _modules(slot: Slot, hwh: Hwh, notes: list[str]) -> Iterator[Module]:
 
 
 def _registers(slot: Slot, hwh: Hwh, base: int, size: int, notes: list[str]) -> dict[str, Register]:
-    """A partial's addresses are relative to its region's window."""
+    """A partial's addresses are relative to its region's window, or, of some flows, absolute."""
     bank = RegisterBank(Names(), notes)
     blocks = handoff.memories(hwh)
     for window in handoff.windows(hwh):
@@ -192,12 +192,13 @@ def _registers(slot: Slot, hwh: Hwh, base: int, size: int, notes: list[str]) -> 
             continue
         prefix = f"{slot.name}_{window.instance}"
         module = hwh.modules.get(window.instance)
-        if module is None or window.base >= size:
+        offset = within(window.base, base, size)
+        if module is None or offset is None:
             notes.append(f"{prefix} at 0x{window.base:x}: lies outside of the region's {size} bytes, left out")
             continue
         infos = handoff.registers(module, window.interface)
         if infos:
-            bank.add(prefix, base + window.base, min(window.size, size - window.base), infos, slot.name)
+            bank.add(prefix, base + offset, min(window.size, size - offset), infos, slot.name)
         else:
-            notes.append(f"{prefix} ({module.type}) at 0x{base + window.base:08x}: no registers are described")
+            notes.append(f"{prefix} ({module.type}) at 0x{base + offset:08x}: no registers are described")
     return bank.registers

@@ -130,6 +130,16 @@ def test_what_is_no_archive_is_told(tmp_path: Path) -> None:
         collect([tmp_path / "a.xsa"])
 
 
+def test_of_registers_that_share_an_address_the_first_is_taken_and_names_the_others(theirs: Path) -> None:
+    external = f'<BUSINTERFACE NAME="S_AXI">{memory(("core", 0, 0x1000))}</BUSINTERFACE>'
+    aliased = described(register("IER", 4), register("DLM", 4), register("LCR", 12))  # as of a 16550 UART
+    (theirs / "pr_0_add.hwh").write_bytes(hwh(module("core", "core", aliased), external=external))
+    config = collect([theirs]).config
+    found = config.modules["pr_0_add"].registers
+    assert {name: one.offset for name, one in found.items()} == {"core_ier": 4, "core_lcr": 12}
+    assert "Same address: dlm." in found["core_ier"].doc
+
+
 def test_a_modules_own_description_gives_its_registers(theirs: Path) -> None:
     external = f'<BUSINTERFACE NAME="S_AXI">{memory(("core", 0, 0x1000))}</BUSINTERFACE>'
     text = hwh(module("core", "core", described(register("GAIN", 8))), external=external)

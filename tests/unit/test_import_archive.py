@@ -87,6 +87,13 @@ def test_it_lies_in_the_folder_as_it_was_packed(tmp_path: Path, capsys: pytest.C
     assert list(load_folder(out / "vision")) == ["vision"]
 
 
+def test_the_folder_may_be_named_from_where_one_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = packed(tmp_path, GOOD)
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", "archive", str(source), "--out", "firmware"]) == 0
+    assert held(tmp_path / "firmware") == laid_out(GOOD)
+
+
 def test_scripts_can_read_what_was_done(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, out = packed(tmp_path, GOOD), tmp_path / "firmware"
     assert main(["import", "archive", str(source), "--out", str(out), "--json"]) == 0

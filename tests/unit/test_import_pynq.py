@@ -211,6 +211,14 @@ def test_registers_of_a_module_lie_in_its_regions_window(dfx: Path) -> None:
     assert found["pr_0_acc_gain"].region == "pr_0"
 
 
+def test_absolute_addresses_in_a_modules_description_are_the_same_registers(dfx: Path) -> None:
+    text = partial_design().decode().replace("0x00000000", "0x43C00000").replace("0x00000FFF", "0x43C00FFF")
+    assert text != partial_design().decode()
+    (dfx.parent / "partial" / "pr_0_edge.hwh").write_text(text)
+    found = import_pynq(dfx).configs[1].modules["pr_0_edge"].registers
+    assert found["pr_0_acc_gain"].address == 0x43C00010
+
+
 def test_partial_whose_frames_are_elsewhere_is_left_out(dfx: Path) -> None:
     (dfx.parent / "partial" / "pr_0_zoom.bit").write_bytes(bitstream(20))
     imported = import_pynq(dfx)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import lzma
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from cm import hwh
 from cm.build.collect.foreign_dma import stream_names
 from cm.build.errors import BuildError
 from cm.build.hdl.register_maps import identifier, register_of
+from cm.build.project.model import RegisterSpec
 from cm.schema.model import Clock, Direction, Register, Stream
 
 ARCHIVES = (".xsa", ".hdf", ".zip")
@@ -100,10 +101,9 @@ def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: st
         next(iter(instance.registers.values())) if len(instance.registers) == 1 else ()
     )
     prefix = identifier(instance.name)
-    for info in blocks:
-        spec = register_of(info)
-        if spec.offset + spec.width // 8 > window.size:
-            continue
+    specs = [spec for info in blocks if (spec := register_of(info)).offset + spec.width // 8 <= window.size]
+    for spec, others in _without_aliases(specs):
+        also = f" Same address: {', '.join(others)}." if others else ""
         yield Register(
             name=f"{prefix}_{spec.name}",
             base_address=window.base,
@@ -114,8 +114,27 @@ def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: st
             region=region,
             # hardware may change what it describes: never verified after a write
             volatile=True,
-            doc=spec.doc[:200],
+            doc=f"{spec.doc[:200]}{also}".strip(),
         )
+
+
+def _without_aliases(specs: Iterable[RegisterSpec]) -> Iterator[tuple[RegisterSpec, list[str]]]:
+    """Each register with the names of those that share its place: a UART shows another by a bit elsewhere.
+
+    The first in the file keeps the place; a schema has one register in each.
+    """
+    groups: list[tuple[RegisterSpec, list[str]]] = []
+    for spec in specs:
+        there = next((group for group in groups if _overlap(group[0], spec)), None)
+        if there is None:
+            groups.append((spec, []))
+        else:
+            there[1].append(spec.name)
+    yield from groups
+
+
+def _overlap(one: RegisterSpec, other: RegisterSpec) -> bool:
+    return one.offset < other.offset + other.width // 8 and other.offset < one.offset + one.width // 8
 
 
 def module_registers(design: hwh.Hwh, base: int, region: str) -> dict[str, Register]:
