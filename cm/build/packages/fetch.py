@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Packages by name, with what they depend on, unpacked into a folder that is whole or not there."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+from cm.build.packages.apt import KEYRING, Apt, own_mirror, run
+from cm.build.packages.apt import PackagesUnavailable as PackagesUnavailable
+from cm.build.packages.tree import PackageTree
+
+_NAME = re.compile(r"[a-z0-9][a-z0-9+.-]*(?:=[A-Za-z0-9.+:~-]+)?")
+_MANIFEST = "packages.json"
+SUITE = "sid"  # nextpnr and prjxray are in no release yet
+
+
+def default_folder() -> Path:
+    """Return where trees lie if nothing else is said: below the user's cache folder."""
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
+    return Path(home) / "fpga-cm" / "packages"
+
+
+def fetch(
+    names: Sequence[str],
+    folder: Path | None = None,
+    *,
+    suite: str = SUITE,
+    mirror: str | None = None,
+    keyring: Path = KEYRING,
+) -> PackageTree:
+    """Return a tree with these packages (``name`` or ``name=version``) and all that they depend on.
+
+    It lies below `folder` (`default_folder()`) under a name made from what was asked for; one that is
+    there is used as it is, without a network. apt's lists are checked with Debian's keys, packages
+    with the lists' hashes; no script of a package is run. A killed call leaves nothing that the next
+    takes for whole, and two at a time wait for each other. Remove the tree to have newer packages.
+
+    `mirror`: None takes the machine's own. Raises PackagesUnavailable with the reason, OSError.
+    """
+    wanted = sorted(set(names))
+    for name in wanted:
+        if not _NAME.fullmatch(name):
+            raise PackagesUnavailable(f"{name!r} is no name of a Debian package")
+    place = (folder or default_folder()).resolve()
+    place.mkdir(parents=True, exist_ok=True)
+    root = place / f"{suite}-{_digest(wanted)}"
+    with _locked(place / ".lock"):
+        if not (root / _MANIFEST).is_file():
+            apt = Apt(place / f".apt-{suite}", mirror or own_mirror(), suite, keyring)
+            _make(apt, wanted, root)
+    return PackageTree(root, _versions(root))
+
+
+def _digest(names: Sequence[str]) -> str:
+    return hashlib.sha256("\n".join(names).encode()).hexdigest()[:16]
+
+
+def _make(apt: Apt, names: list[str], root: Path) -> None:
+    aside = root.with_name(f".{root.name}.new")
+    shutil.rmtree(aside, ignore_errors=True)
+    shutil.rmtree(root, ignore_errors=True)
+    apt.prepare()
+    apt.update()
+    archives = aside / ".archives"
+    files = apt.download(names, archives)
+    if not files:
+        raise PackagesUnavailable(f"apt-get fetched no package for {', '.join(names)}; is {apt.mirror} a folder here?")
+    found = [_unpack(file, aside) for file in files]
+    shutil.rmtree(archives)
+    (aside / _MANIFEST).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    os.sync()  # hundreds of files: one call, before the name says that they are whole
+    aside.rename(root)
+
+
+def _unpack(file: Path, root: Path) -> dict[str, str]:
+    """Unpack one package; returns what it is, for the manifest."""
+    name, version = run(["dpkg-deb", "--show", "--showformat=${Package} ${Version}", str(file)]).split()
+    run(["dpkg-deb", "--extract", str(file), str(root)])
+    return {"package": name, "version": version, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+
+
+def _versions(root: Path) -> Mapping[str, str]:
+    found = json.loads((root / _MANIFEST).read_text(encoding="utf-8"))
+    return MappingProxyType({item["package"]: item["version"] for item in found})
+
+
+@contextlib.contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock that other processes wait for; the system lets go of it with the process."""
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield

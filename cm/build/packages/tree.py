@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An unpacked tree of packages, and how a program in it is run where it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+_LIBRARIES = ("usr/lib", "lib")
+_PROGRAMS = ("usr/bin", "usr/sbin", "bin")
+
+
+@dataclass(frozen=True, slots=True)
+class PackageTree:
+    """Packages unpacked below `root`; `versions` by package name, as they were fetched."""
+
+    root: Path
+    versions: Mapping[str, str]
+
+    def path(self, inside: str) -> Path:
+        """Return the path of a file of the tree, such as ``usr/share/prjxray``. Raises FileNotFoundError."""
+        found = self.root / inside
+        if not found.exists():
+            raise FileNotFoundError(f"{inside} is not in the packages below {self.root}")
+        return found
+
+    def command(self, program: str, *arguments: str) -> list[str]:
+        """Return the command line that runs a program of the tree with the tree's own libraries.
+
+        It runs through the tree's dynamic loader, so that the machine's C library may be older. What
+        the program starts in its turn, and what it looks for under /usr/share, is its own affair.
+        Raises FileNotFoundError where the tree has no such program.
+        """
+        found = next((path for folder in _PROGRAMS if (path := self.root / folder / program).is_file()), None)
+        if found is None:
+            raise FileNotFoundError(f"program {program} is not in the packages below {self.root}")
+        loader = self._loader()
+        if loader is None:
+            return [str(found), *arguments]
+        libraries = ":".join(map(str, self._libraries()))
+        return [str(loader), "--library-path", libraries, str(found), *arguments]
+
+    def _loader(self) -> Path | None:
+        """The dynamic loader of the tree's C library; None for a tree without one."""
+        found = sorted(path for folder in _LIBRARIES for path in (self.root / folder).glob("*/ld-linux*.so.*"))
+        return found[0] if found else None
+
+    def _libraries(self) -> list[Path]:
+        """The folders of shared libraries: those of the architecture first."""
+        folders = [self.root / folder for folder in _LIBRARIES]
+        return [*(path for folder in folders for path in sorted(folder.glob("*-linux-gnu*"))), *folders]
