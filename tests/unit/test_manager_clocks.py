@@ -14,7 +14,7 @@ import pytest
 from manager_support import Rig, make_rig, rig
 
 from cm.device import DeviceNotFound, PlClocks
-from cm.messages.requests import WriteConfig
+from cm.messages.requests import ChangeMode
 from cm.messages.status import ClockStatus
 from cm.schema import dump, load, loads
 from cm.schema.model import Clock, Config
@@ -90,7 +90,7 @@ def test_the_rates_are_set_and_what_was_read_back_is_told(made: Rig, sim: SimBoa
 
 
 def test_the_plan_tells_the_rates_beforehand_and_sets_none(made: Rig, sim: SimBoard) -> None:
-    plan = made.manager.plan(WriteConfig(config_name="fast", mode="default"))
+    plan = made.manager.plan(ChangeMode(config_name="fast", mode="default"))
     assert plan.clocks == (ClockStatus("fclk0", 142_860_000, FAST), ClockStatus("fclk1", 100_000_000, 99_999_999))
     kinds = [step.kind for step in plan.steps]
     assert kinds.index("decouple") < kinds.index("clock") < kinds.index("load")
@@ -102,13 +102,13 @@ def test_the_plan_tells_the_rates_beforehand_and_sets_none(made: Rig, sim: SimBo
 
 def test_a_clock_that_runs_as_it_was_set_is_not_set_again(made: Rig) -> None:
     assert made.go("default", config="fast") is None
-    assert made.manager.plan(WriteConfig(config_name="fast", mode="default")).steps == ()
+    assert made.manager.plan(ChangeMode(config_name="fast", mode="default")).steps == ()
 
 
 def test_a_clock_that_somebody_else_has_set_since_is_set_again(made: Rig, sim: SimBoard) -> None:
     assert made.go("default", config="fast") is None
     PlClocks(sim.root).find("fclk1").rate = 10_000_000
-    assert [s.kind for s in made.manager.plan(WriteConfig(config_name="fast", mode="default")).steps] == [
+    assert [s.kind for s in made.manager.plan(ChangeMode(config_name="fast", mode="default")).steps] == [
         "validate",
         "clock",
         "publish",
@@ -141,13 +141,13 @@ def test_where_no_driver_sets_clocks_they_stay_as_they_are_and_that_is_said_once
     made: Rig, sim: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(PlClocks, "names", lambda _: [])
-    plan = made.manager.plan(WriteConfig(config_name="odd", mode="default"))
+    plan = made.manager.plan(ChangeMode(config_name="odd", mode="default"))
     assert "leave clock fclk0 as it is: 97 MHz is wanted, no driver here sets it" in [s.text for s in plan.steps]
     assert plan.clocks == (ClockStatus("fclk0", 97_000_000, 0),)
     assert made.go("default", config="odd") is None
     assert made.manager.status().clocks == plan.clocks
     assert rates(sim) == (BOOT, BOOT)
-    assert made.manager.plan(WriteConfig(config_name="odd", mode="default")).steps == ()
+    assert made.manager.plan(ChangeMode(config_name="odd", mode="default")).steps == ()
 
 
 def test_a_clock_that_does_not_do_as_it_is_told_is_noticed_and_undone(made: Rig, sim: SimBoard) -> None:
