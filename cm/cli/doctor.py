@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 from cm.cli.common import add_connection_options, add_json_option, print_json
 
 if TYPE_CHECKING:
-    from cm.device.survey import Finding, Survey
+    from cm.device.finding import Finding
+    from cm.device.survey import Survey
 
 REQUIRED = ("cffi", "fastjsonschema", "numpy", "protobuf", "pyyaml", "pyzmq")
 OPTIONAL = {
@@ -37,6 +38,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "everywhere); 1 when something that is needed is missing or denied.",
     )
     parser.add_argument("--root", metavar="DIR", help="where the board's /dev and /sys begin (default: $CM_ROOT, /)")
+    parser.add_argument("--report", action="store_true", help="print a form to report a run on a board with, filled in")
     add_connection_options(parser)
     add_json_option(parser)
     parser.set_defaults(run=run)
@@ -49,7 +51,11 @@ def run(args: argparse.Namespace) -> int:
     found = survey(args.root)
     findings = [*_packages(), _curve(), _manager(args), *map(_plain, found.findings)]
     verdict = _verdict(found, findings)
-    if args.json:
+    if args.report:
+        from cm.cli.doctor_report import report
+
+        print(report(args.root, findings, verdict))
+    elif args.json:
         print_json({"usable": not verdict, "problems": verdict, "simulated": found.simulated, "findings": findings})
     else:
         _print(findings, verdict, found)
@@ -133,6 +139,8 @@ def _print(findings: list[dict[str, str]], verdict: list[str], found: Survey) ->
     if verdict:
         print("\n".join(f"not usable: {problem}" for problem in verdict))
     elif found.usable:
-        print("usable" + (" (a simulated board)" if found.simulated else ""))
+        wrong = sum(finding["state"] == "wrong" for finding in findings)
+        note = f", but {wrong} of the above would stop a design that needs it" if wrong else ""
+        print("usable" + (" (a simulated board)" if found.simulated else "") + note)
     else:
         print("no FPGA here: 'cm serve --sim' brings a simulated board")

@@ -6,7 +6,6 @@ Nothing is opened: an exclusive device in use is as good as a free one, and aski
 
 from __future__ import annotations
 
-import enum
 import os
 import stat
 from collections.abc import Iterator
@@ -17,7 +16,9 @@ from cm.device import advice
 from cm.device.axidma import FOLDER as DMA_FOLDER
 from cm.device.axidma import list_dma
 from cm.device.base import AnyRoot
+from cm.device.checks import board_checks
 from cm.device.errors import DeviceError
+from cm.device.finding import Finding, State
 from cm.device.fpga_manager import CLASS as FPGA_CLASS
 from cm.device.fpga_manager import FpgaManager, list_fpga_managers
 from cm.device.icap import list_icap
@@ -29,26 +30,6 @@ from cm.device.uio import list_uio
 # Modules that provide what is looked for here; those built into the kernel do not show in /proc/modules.
 MODULES = ("uio", "uio_pdrv_genirq", "xilinx_dma", "cm_dma", "cm_icap", "cm_overlay", "fpga_mgr", "fpga_region")
 _MODULES_ADVICE = "modprobe it, unless it is built into the kernel or the board does not need it (docs/kernel.md)"
-
-
-class State(enum.Enum):
-    """Whether something can be used."""
-
-    OK = "ok"
-    MISSING = "missing"
-    DENIED = "denied"
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One thing that was looked for: ``kind`` is uio, dma, icap, overlays, fpga_manager or module."""
-
-    kind: str
-    name: str
-    path: str
-    state: State
-    detail: str = ""
-    advice: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +56,7 @@ def survey(root: AnyRoot = None) -> Survey:
     """Look at everything there is under ``root``; never raises for what is missing or denied."""
     base = Root.of(root)
     findings = (*_uio(base), *_dma(base), *_icap(base), _overlays(base), *_fpga_managers(base), *_modules(base))
+    findings = (*findings, *board_checks(base))
     return Survey(base.path, base.simulated, findings)
 
 

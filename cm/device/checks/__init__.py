@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Looks at a Zynq's kernel and device tree for what would stop its first frame; a sentence on each says what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cm.device.checks import devices, kernel, managers, ports
+from cm.device.checks.machine import Machine
+from cm.device.finding import Finding
+from cm.device.paths import Root
+
+
+def board_checks(root: Root) -> Iterator[Finding]:
+    """All checks, where this is a board of the Zynq families; nothing on other machines, and on simulated boards."""
+    machine = Machine(root)
+    if machine.family is None:
+        return
+    yield from kernel.checks(machine)
+    yield from devices.checks(machine)
+    yield from ports.checks(machine)
+    yield from managers.checks(machine)

@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that overlays bring: whether a driver took each, and what the DMA engines can do."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+from cm.device.checks.machine import Machine, PlatformDevice
+from cm.device.finding import Finding, State
+
+# compatible string → module that binds it
+DRIVERS = {
+    "fpga-cm,uio": "uio_pdrv_genirq",
+    "fpga-cm,dma-client": "cm_dma",
+    "fpga-cm,icap-loader": "cm_icap",
+    "fpga-cm,decoupler": "cm_icap",
+    "fpga-cm,clocks": "cm_clock",
+    "xlnx,axi-dma-1.00.a": "xilinx_dma",
+    "xlnx,axi-vdma-1.00.a": "xilinx_dma",
+    "xlnx,axi-mcdma-1.00.a": "xilinx_dma",
+    "xlnx,pr-decoupler": "xilinx_pr_decoupler",
+    "fpga-region": "of_fpga_region",
+}
+_ENGINES = ("xlnx,axi-dma-1.00.a", "xlnx,axi-vdma-1.00.a", "xlnx,axi-mcdma-1.00.a")
+_DEFAULT_BITS = 23  # of the length register, to the kernel's driver, where the tree does not say
+
+
+def checks(machine: Machine) -> Iterator[Finding]:
+    """Unbound nodes, engines, channels, nodes that stand twice."""
+    for device in machine.devices:
+        module = next((DRIVERS[name] for name in device.compatible if name in DRIVERS), None)
+        if module is not None and not device.driver:
+            yield _unbound(machine, device, module)
+    yield from _twice(machine)
+    for device in machine.devices:
+        if any(name in _ENGINES for name in device.compatible):
+            yield _engine(device)
+    yield from _channels(machine)
+
+
+def _unbound(machine: Machine, device: PlatformDevice, module: str) -> Finding:
+    if module in machine.loaded or module in machine.built_in:
+        advice = f"{module} is there but did not bind: dmesg | grep {device.name}"
+        if module == "uio_pdrv_genirq":
+            advice += "; its of_id has to be one of the node's compatible strings"
+    else:
+        advice = f"modprobe {module}"
+    detail = f"no driver for {device.compatible[0]}"
+    return Finding("unbound", device.name, str(device.path), State.WRONG, detail, advice)
+
+
+def _twice(machine: Machine) -> Iterator[Finding]:
+    """The same engine described by the board's tree and by an overlay."""
+    engines = [d for d in machine.devices if d.base is not None and any(n in _ENGINES for n in d.compatible)]
+    for base, count in Counter(d.base for d in engines).items():
+        if count > 1:
+            names = [d for d in engines if d.base == base]
+            advice = (
+                "the board's tree describes the PL too: PetaLinux, 'Remove PL from device tree' in its configuration, "
+                "or delete the nodes in system-user.dtsi"
+            )
+            detail = " and ".join(d.name for d in names)
+            yield Finding("twice", f"{base:#x}", str(names[0].path), State.WRONG, detail, advice)
+
+
+def _engine(device: PlatformDevice) -> Finding:
+    coherent = "coherent" if "dma-coherent" in device.properties else "not coherent: each frame is synchronised"
+    if "xlnx,axi-dma-1.00.a" not in device.compatible:
+        return Finding("engine", device.name, str(device.path), State.OK, coherent)
+    bits = device.cell("xlnx,sg-length-width")
+    if bits is None:
+        detail = f"no xlnx,sg-length-width: the driver takes {_DEFAULT_BITS} bits; {coherent}"
+        advice = "the core's default is 14 bits, and longer transfers are cut without an error: say it in the tree"
+        return Finding("engine", device.name, str(device.path), State.WRONG, detail, advice)
+    detail = f"length register of {bits} bits ({(1 << bits) - 1} bytes); {coherent}"
+    return Finding("engine", device.name, str(device.path), State.OK, detail)
+
+
+def _channels(machine: Machine) -> Iterator[Finding]:
+    """What cm_dma says of its channels, where it says it."""
+    folder = "sys/class/cm_dma"
+    for name in machine.names(folder):
+        caps = machine.text(folder, name, "caps").split()
+        longest = machine.text(folder, name, "max_length")
+        if not (caps or longest):
+            continue
+        path = str(machine.root.join(folder, name))
+        detail = f"{' '.join(caps) or 'nothing beside transfers'}, at most {longest or '?'} bytes"
+        if "simple" in caps:
+            advice = (
+                "the engine has no scatter/gather: a stream needs a shape whose frames end with TLAST, and nothing "
+                "repeats; 'Enable Scatter Gather Engine' in the design changes that"
+            )
+            yield Finding("channel", name, path, State.WRONG, detail, advice)
+        else:
+            yield Finding("channel", name, path, State.OK, detail)

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The kernel and its tree: symbols, UIO's compatible string, contiguous memory, firmware."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from cm.device.checks.machine import Machine
+from cm.device.finding import Finding, State
+
+_UIO = "uio_pdrv_genirq"
+_OUR_UIO = ("fpga-cm,uio", "generic-uio")
+_LEAST_CMA = 64 << 10  # KiB: eight frames of 1080p in RGBA
+
+
+def checks(machine: Machine) -> Iterator[Finding]:
+    """What the kernel is, and what it was started with."""
+    model = machine.text("proc/device-tree/model") or "?"
+    detail = f"{model} ({machine.family}), Linux {machine.release or '?'}"
+    yield Finding("board", "board", "/proc/device-tree", State.OK, detail)
+    yield _symbols(machine)
+    yield _uio(machine)
+    yield _cma(machine)
+    if machine.family == "zynqmp":
+        yield _firmware(machine)
+
+
+def _symbols(machine: Machine) -> Finding:
+    path = "/proc/device-tree/__symbols__"
+    found = machine.names(path.lstrip("/"))
+    if not found:
+        advice = (
+            "overlays that name labels are refused (-EINVAL): build the board's tree with dtc -@ (Yocto and PetaLinux: "
+            "EXTRA_DTC_ARGS or DTC_FLAGS of the device-tree recipe; Ubuntu for Kria and PYNQ have them)"
+        )
+        return Finding("symbols", "__symbols__", path, State.MISSING, "the live tree has no symbols", advice)
+    lacking = [label for label in _labels(machine) if label not in found]
+    if lacking:
+        advice = "overlays of cm build name these labels: use the kernel's own tree of the board, or add them to yours"
+        return Finding("symbols", "__symbols__", path, State.WRONG, f"no label {', '.join(lacking)}", advice)
+    return Finding("symbols", "__symbols__", path, State.OK, f"{len(found)} labels")
+
+
+def _labels(machine: Machine) -> tuple[str, ...]:
+    return ("intc", "clkc", "devcfg") if machine.family == "zynq" else ("gic", "zynqmp_clk", "zynqmp_pcap")
+
+
+def _uio(machine: Machine) -> Finding:
+    """The parameter itself cannot be read back, so what it was set with is looked for."""
+    where = machine.root.join("sys/module", _UIO)
+    if _UIO not in machine.loaded and not where.exists():
+        advice = "modprobe uio_pdrv_genirq of_id=fpga-cm,uio (for good: system/modprobe.d and modules-load.d)"
+        return Finding("of_id", _UIO, str(where), State.MISSING, "not loaded", advice)
+    built_in = _UIO not in machine.loaded
+    value = _of_id_of_command_line(machine) or ("" if built_in else _of_id_of_modprobe(machine))
+    kind = "built in" if built_in else "module"
+    if value in _OUR_UIO:
+        return Finding("of_id", _UIO, str(where), State.OK, f"{kind}, of_id={value}")
+    if built_in:
+        advice = (
+            "it is built into the kernel, where modprobe's options do not reach it: put uio_pdrv_genirq.of_id="
+            "fpga-cm,uio on the kernel's command line (PYNQ, PetaLinux: bootargs; Ubuntu: flash-kernel or extlinux)"
+        )
+    else:
+        advice = "options uio_pdrv_genirq of_id=fpga-cm,uio in /etc/modprobe.d, then rmmod and modprobe it"
+    return Finding("of_id", _UIO, str(where), State.WRONG, f"{kind}, of_id={value or 'not set'}", advice)
+
+
+def _of_id_of_command_line(machine: Machine) -> str:
+    values = [word.partition("=")[2] for word in machine.command_line if word.startswith(f"{_UIO}.of_id=")]
+    return values[-1] if values else ""
+
+
+def _of_id_of_modprobe(machine: Machine) -> str:
+    found = ""
+    for folder in ("usr/lib/modprobe.d", "lib/modprobe.d", "etc/modprobe.d", "run/modprobe.d"):
+        for name in machine.names(folder):
+            text = machine.text(folder, name) if name.endswith(".conf") else ""
+            for value in re.findall(rf"^\s*options\s+{_UIO}\s.*?\bof_id=(\S+)", text, re.MULTILINE):
+                found = value
+    return found
+
+
+def _cma(machine: Machine) -> Finding:
+    path = "/proc/meminfo"
+    values = dict(re.findall(r"^(Cma\w+):\s+(\d+) kB", machine.text(path.lstrip("/")), re.MULTILINE))
+    total, free = int(values.get("CmaTotal", 0)), int(values.get("CmaFree", 0))
+    if not total:
+        advice = "DMA buffers need contiguous memory: a kernel with CONFIG_DMA_CMA, and cma=256M on its command line"
+        return Finding("cma", "cma", path, State.MISSING, "none", advice)
+    detail = f"{total >> 10} MiB, {free >> 10} free"
+    if total < _LEAST_CMA:
+        advice = f"less than {_LEAST_CMA >> 10} MiB: slots of long frames do not fit; cma=256M on the command line"
+        return Finding("cma", "cma", path, State.WRONG, detail, advice)
+    return Finding("cma", "cma", path, State.OK, detail)
+
+
+def _firmware(machine: Machine) -> Finding:
+    """Whether the PMU firmware lets the ICAP be selected shows only where cm_icap has asked it."""
+    ports = [d for d in machine.devices if "fpga-cm,icap-loader" in d.compatible]
+    path = "/sys/firmware/zynqmp" if machine.exists("sys/firmware/zynqmp") else "/proc/device-tree/firmware"
+    if not ports:
+        return Finding("pmufw", "PMU firmware", path, State.OK, "no ICAP in the tree, so it is not asked")
+    if any(d.driver for d in ports):
+        return Finding("pmufw", "PMU firmware", path, State.OK, "cm_icap is bound")
+    advice = (
+        "cm_icap did not bind: modprobe it; where dmesg says -EACCES, the PMU firmware was built without SECURE_ACCESS "
+        "and refuses to select the ICAP: build it with -DSECURE_ACCESS, or use loader: auto or fpga_manager"
+    )
+    return Finding("pmufw", "PMU firmware", path, State.WRONG, "the ICAP's driver is not bound", advice)

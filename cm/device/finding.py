@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a look at a machine finds: frozen data."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+
+
+class State(enum.Enum):
+    """Whether something can be used; WRONG: it is there, but not as it has to be."""
+
+    OK = "ok"
+    MISSING = "missing"
+    DENIED = "denied"
+    WRONG = "wrong"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that was looked for; ``kind`` is uio, dma, icap, overlays, fpga_manager, module or that of a check."""
+
+    kind: str
+    name: str
+    path: str
+    state: State
+    detail: str = ""
+    advice: str = ""
