@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from cm.build.boundary.analyse import Analysis
-from cm.build.boundary.model import Adaptation, Boundary, Fit
+from cm.build.boundary.model import Adaptation, Boundary, Fit, Role
 from cm.build.hdl.model import Mode, ModuleInfo
 from cm.build.plan.system import RegionPlan, StreamBus, System
 from cm.build.project.model import Project
@@ -119,6 +119,8 @@ def _region_lines(region: str, boundary: Boundary, analysis: Analysis, system: S
         yield f"  {interface.name}: {interface.protocol} {interface.mode.value}{goes.pop(interface.name, '')}"
     for name, where in goes.items():
         yield f"  {name}{where}"
+    if system is not None:
+        yield from _clock_lines(system.region(region), system)
     for adaptation in boundary.adaptations:
         phrases = list(adapted(adaptation, boundary))
         how = "refused" if not adaptation.ok else "adapted: " + "; ".join(phrases) if phrases else "fits as it is"
@@ -127,6 +129,15 @@ def _region_lines(region: str, boundary: Boundary, analysis: Analysis, system: S
             yield f"    {analysis.placed(adaptation.module, sentence)}"
         for note in adaptation.notes:
             yield f"    {note}"
+
+
+def _clock_lines(region: RegionPlan, system: System) -> Iterator[str]:
+    for port, clock in region.clocks.items():
+        rate = system.project.clocks[clock].rate if clock in system.project.clocks else 0
+        yield f"  {port}: clock → {clock or 'nothing says what drives it'}{f', {rate / 1e6:g} MHz' if rate else ''}"
+    for boundary_port in region.boundary.ports:
+        if boundary_port.role is Role.RESET:
+            yield f"  {boundary_port.name}: reset, active low → the region's, on its clock"
 
 
 def _connected(region: RegionPlan) -> Iterator[tuple[str, str]]:

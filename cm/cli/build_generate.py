@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 from cm.build.boundary.analyse import analyse
+from cm.build.check.rules import check_system
 from cm.build.generate.manifest import Written
 from cm.build.generate.tree import generate, load_design, output_folder
 from cm.build.plan.planner import plan_system
@@ -47,12 +48,16 @@ def run_check(args: argparse.Namespace) -> int:
     system = None if analysis.refused else plan_system(analysis.completed(project), analysis.boundaries)
     if system is not None:
         runtime_config(system, Answers())  # raises where registers have no interface, or a mode names no stream
+    found = check_system(system) if system is not None else []
     if args.json:
-        print_json(as_dict(project, analysis, system))
+        told = [{"rule": f.rule, "error": f.error, "message": f.text(project.source)} for f in found]
+        print_json(as_dict(project, analysis, system) | {"findings": told})
     else:
         for line in lines(project, analysis, system):
             print(line)
-    return 1 if analysis.refused or analysis.broken else 0
+        for finding in found:
+            print(f"{'refused by Vivado' if finding.error else 'note'}: {finding.text(project.source)}")
+    return 1 if analysis.refused or analysis.broken or any(finding.error for finding in found) else 0
 
 
 def run_generate(args: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ proc vivado::close_project {given plain} { dict set ::vivado project 0 }
 proc vivado::current_project {given plain} { if {![state project]} { refuse "\[Common 17-53\] User Exception: No open project." }; return project:current }
 proc vivado::current_design {given plain} { if {![state opened]} { refuse "\[Common 17-53\] User Exception: No open design." }; return design:current }
 proc vivado::get_files {given plain} { return [lmap file $plain {set file file:$file}] }
+proc vivado::get_board_parts {given plain} { return [expr {[info exists ::env(CM_NO_BOARD)] ? "" : "board_part:$plain"}] }
 proc vivado::get_ips {given plain} { return ip:all }
 proc readable {paths} { foreach path $paths { if {$path eq "" || ![file exists $path]} { refuse "\[Common 17-55\] the file '$path' does not exist" } } }
 proc vivado::read_verilog {given plain} { readable $plain }
@@ -179,5 +180,15 @@ proc vivado::get_clock_regions {given plain} {
     if {[dict exists $given -of_objects]} { return X0Y0 }
     return [expr {[llength $plain] ? $plain : {X0Y0 X1Y0 X0Y1 X1Y1 X0Y2 X1Y2}}]
 }
-proc vivado::get_sites {given plain} { return [expr {[string match *SLICE* $given] ? [lrepeat 1200 site:s] : [lrepeat 20 site:r]}] }
+# every clock region has 1200 slices, 20 block RAMs and 20 DSPs, in columns of its own
+proc vivado::get_sites {given plain} {
+    if {![regexp {X(\d+)Y(\d+)} [dict get $given -of_objects] -> x y]} { return }
+    regexp {=~ "?(\w+)} [dict get $given -filter] -> kind
+    set kind [dict get {SLICE SLICE RAMB RAMB36 RAMB36 RAMB36 RAMB36_X RAMB36 RAMB18_X RAMB18 SLICE_X SLICE DSP48 DSP48E2 DSP48_X DSP48 DSP48E2_X DSP48E2 URAM288_X none} $kind]
+    if {$kind eq "none"} { return }
+    lassign [expr {$kind eq "SLICE" ? {20 60} : {1 20}}] wide high
+    set found {}
+    for {set i 0} {$i < $wide} {incr i} { for {set j 0} {$j < $high} {incr j} { lappend found site:${kind}_X[expr {$x * $wide + $i}]Y[expr {$y * $high + $j}] } }
+    return $found
+}
 proc vivado::get_msg_config {given plain} { return [expr {[info exists ::env(CM_PR_VERIFY)] ? $::env(CM_PR_VERIFY) : 1}] }

@@ -57,11 +57,27 @@ def changed(*pairs: tuple[str, str]) -> str:
     ("old", "new", "sentence"),
     [
         ("xc7z020clg400-1", "xc7a35tcsg324-1", "1:24: project.part: xc7a35tcsg324-1 is no part of the Zynq-7000"),
-        ("xc7z020clg400-1", "xc7z020", "1:24: project.part: 'xc7z020' does not fit (Full part, e.g. xc7z020clg400-1)"),
-        ("400-1}", "400-1, board: zcu104}", "1:47: project.board: 'zcu104' does not fit (Vivado board part, e.g. "),
+        ("xc7z020clg400-1", "xc7z020", "1:24: project.part: 'xc7z020' does not fit (Full part, e.g. xc7z020clg400-1; "),
+        (
+            "400-1}",
+            "400-1, board: zcu104}",
+            "1:24: project.part: AMD ZCU104 has xczu7ev-ffvc1156-2-e, not xc7",
+        ),
+        ("400-1}", "400-1, board: zcu14}", "1:47: project.board: there is no board 'zcu14' (did you mean zcu104"),
+        (
+            "400-1}",
+            "400-1, board: 'a:b'}",
+            "1:47: project.board: 'a:b' does not fit (A board of the library (pynq",
+        ),
+        (", part: xc7z020clg400-1", "", "1:1: project: part is missing (or name a board of the library)"),
+        ("pblock: auto", "pblock: 'proven:x'", "6:5: regions.prr0.pblock[0]: there is no pblock of the board 'x'"),
         ("400-1}", "400-1, vivado: latest}", "1:47: project.vivado: 'latest' does not fit (Version to insist on"),
         ("100_000_000", "250_000_000", "3:11: clocks.fclk0.rate: the ICAP runs on fclk0 at 250000000 Hz; zynq7000 all"),
-        ("pblock: auto", "pblock: slice", "6:5: regions.prr0.pblock[0]: 'slice' does not fit (auto, or a range such"),
+        (
+            "pblock: auto",
+            "pblock: slice",
+            "6:5: regions.prr0.pblock[0]: 'slice' does not fit (auto, proven:NAME, or a",
+        ),
         (
             "pblock: auto",
             "pblock: SLICE_X9Y9:SLICE_X0Y0",

@@ -154,6 +154,14 @@ def test_bitstreams_are_whole_where_the_hardware_platform_cannot_be_written(out:
 
 
 @needs("tclsh")
+def test_a_vivado_without_the_boards_files_says_where_they_are(out: Path, tmp_path: Path) -> None:
+    status, said, _ = replay(out, "tcl/step_system.tcl", tmp_path, CM_NO_BOARD="1")
+    assert status == 1
+    assert "no board files for" in said
+    assert "XilinxBoardStore" in said
+
+
+@needs("tclsh")
 def test_a_flow_without_the_block_designs_wrapper_says_what_is_missing(out: Path, tmp_path: Path) -> None:
     before(out, "tcl/step_static.tcl", tmp_path)
     for path in (tmp_path / "work").rglob("cm_system_wrapper.v"):

@@ -24,7 +24,7 @@ def static_files(system: System, out: Path) -> dict[str, Any]:
     generated = [out / "hdl/cm_top.v", out / "hdl/cm_static.v"]
     generated += [out / f"hdl/{region.module}.v" for region in system.regions]
     generated += [out / f"hdl/lib/{path.name}" for path in sorted(RTL.glob("*.v"))]
-    constraints = [out / "constraints/static.xdc", *spec.constraints]
+    constraints = [out / "constraints/static.xdc", out / "constraints/pins.xdc", *spec.constraints]
     return by_language([*generated, *spec.sources]) | {
         "constraints": constraints,
         "include_dirs": list(spec.include_dirs),

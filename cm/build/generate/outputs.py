@@ -16,6 +16,8 @@ from cm.build.generate.static_part.module import static_part
 from cm.build.generate.top import top
 from cm.build.generate.wrapper import black_box, wrapper
 from cm.build.plan import flow
+from cm.build.plan.floorplan import KINDS, rectangle
+from cm.build.plan.pins import placements
 from cm.build.plan.system import System
 from cm.build.project.model import RegionSpec, Resources
 from cm.build.render import Renderer
@@ -55,6 +57,8 @@ def _hardware(system: System, out: Path) -> Iterator[Output]:
     for one in system.implementations:
         yield Output(f"wrappers/{one.name}/{one.region.module}.v", "module.v.j2", {"net": wrapper(one)})
     yield Output("constraints/static.xdc", "static.xdc.j2", {})
+    pins = {"placements": placements(system)[0], "kit": system.project.kit}
+    yield Output("constraints/pins.xdc", "pins.xdc.j2", pins)
     yield Output("address_map.md", "address_map.md.j2", {"system": system})
     yield from _tcl(system, out)
 
@@ -62,6 +66,7 @@ def _hardware(system: System, out: Path) -> Iterator[Output]:
 def _tcl(system: System, out: Path) -> Iterator[Output]:
     project = system.project
     settings = {"part": project.part, "board": project.board, "vivado": project.vivado}
+    settings["connections"] = project.kit.connections if project.kit else None
     source = Renderer(project.folder, out, "").relative(project.folder)
     yield Output("tcl/settings.tcl", "settings.tcl.j2", settings | {"source": source})
     yield Output("tcl/block_design.tcl", "block_design.tcl.j2", block_design.context(system))
@@ -123,7 +128,17 @@ def _floorplan(system: System) -> dict[str, Any]:
         "snapping": series7,
         "reset": [*aligned, *(region for region, _ in auto)] if series7 else [],
         "luts_per_slice": 4 if series7 else 8,
+        "by_clock_regions": auto or any("CLOCKREGION" in text for r in given for text in r.spec.pblock),
+        "kinds": KINDS[system.platform.ultrascale],
+        "clock_regions": _clock_regions,
     }
+
+
+def _clock_regions(text: str) -> list[str]:
+    """The clock regions of a range: ``CLOCKREGION_X0Y0:CLOCKREGION_X1Y0`` is X0Y0 and X1Y0."""
+    area = rectangle(text)
+    assert area is not None
+    return [f"X{x}Y{y}" for x in range(area.left, area.right + 1) for y in range(area.bottom, area.top + 1)]
 
 
 def _estimate(system: System, region: RegionSpec) -> Resources:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cm.build.boundary.analyse import Analysis, analyse
+from cm.build.check.rules import refuse_errors
 from cm.build.errors import BuildError
 from cm.build.generate.manifest import Tree, Written
 from cm.build.generate.outputs import render_all
@@ -45,7 +46,11 @@ def output_folder(project: Project, out: Path | str | None) -> Path:
 
 
 def generate(design: Design, out: Path, answers: Answers | None = None) -> Written:
-    """Write everything below `out`; what `cm build configure` was told is taken from there."""
+    """Write everything below `out`; what `cm build configure` was told is taken from there.
+
+    BuildError where Vivado would refuse the design.
+    """
+    refuse_errors(design.system)
     files = _files(design, out, answers)
     name = f"config/{design.project.name}.yaml"
     try:

@@ -33,6 +33,7 @@ from cm.schema.problems import KeyPath, did_you_mean
 _CONNECTIONS = {
     ("axis", Mode.SLAVE): ("dma", "external", "none"),
     ("axis", Mode.MASTER): ("dma", "external", "none"),
+    ("axis", Mode.MONITOR): ("none",),
     ("axi4lite", Mode.SLAVE): ("interconnect", "none"),
     ("axi4", Mode.SLAVE): ("interconnect", "none"),
     ("axi4lite", Mode.MASTER): ("memory", "none"),
@@ -174,7 +175,7 @@ class _Planner:
             tuple(parts.streams),
             tuple(parts.memory),
             tuple(lines),
-            tuple(parts.external),
+            (*parts.external, *_outer_clocks(spec, boundary)),
             tuple(parts.unused),
         )
 
@@ -298,6 +299,13 @@ def _name_in_modules(port: BoundaryPort, boundary: Boundary) -> str:
         if connection.boundary == port.name and connection.module
     }
     return names.pop() if len(names) == 1 else port.name
+
+
+def _outer_clocks(spec: RegionSpec, boundary: Boundary) -> Iterator[BoundaryPort]:
+    """Clocks that come in through ports of the top."""
+    for port in boundary.ports:
+        if port.role is Role.CLOCK and spec.clocks.get(port.name) == "external":
+            yield port
 
 
 def _key(region: RegionSpec, interface: str) -> KeyPath:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from cm.build.boundary.model import Boundary, BoundaryPort
+from cm.build.boundary.model import Boundary, BoundaryPort, Role
 from cm.build.hdl.model import Interface
 from cm.build.plan.cover import Cover
 from cm.build.platforms import Platform
@@ -113,6 +113,16 @@ class RegionPlan:
     def name(self) -> str:
         """Name of the region."""
         return self.spec.name
+
+    @property
+    def clocks(self) -> Mapping[str, str | None]:
+        """What each clock port of the boundary gets: a clock, ``external``, or None where nothing says.
+
+        The only clock, or the one called ``aclk``, is the region's own.
+        """
+        ports = [port.name for port in self.boundary.ports if port.role is Role.CLOCK]
+        own = self.spec.clock
+        return {name: self.spec.clocks.get(name, own if len(ports) == 1 or name == "aclk" else None) for name in ports}
 
     @property
     def cell(self) -> str:

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from cm.build.boards import Board, boards
 from cm.build.project import references
 from cm.build.project.model import (
     BitstreamSpec,
@@ -106,19 +108,22 @@ class _Builder:
     def __init__(self, path: Path, data: dict[str, Any], report: Reporter) -> None:
         self._path, self._data, self._report = path, data, report
         self._files = PathReader(path.parent, report.key)
+        self._kit: Board | None = None
 
     def project(self) -> Project:
         data = self._data
         head = data["project"]
+        self._kit = self._board(head)
         clocks = self._clocks()
         regions = {name: self._region(name, spec or {}, next(iter(clocks))) for name, spec in data["regions"].items()}
         modules = {name: self._module(name, spec or {}, tuple(regions)) for name, spec in data["modules"].items()}
         modes = self._modes(modules)
         return Project(
             name=head["name"],
-            part=head["part"],
+            part=head.get("part") or (self._kit.part if self._kit else ""),
             source=self._path,
-            board=head.get("board"),
+            board=self._kit.board_part if self._kit else head.get("board"),
+            kit=self._kit,
             vivado=head.get("vivado"),
             doc=head.get("doc", ""),
             clocks=clocks,
@@ -132,8 +137,22 @@ class _Builder:
             protocols=self._files.many(data.get("protocols"), ("protocols",)),
         )
 
+    def _board(self, head: dict[str, Any]) -> Board | None:
+        """The board of the library; a Vivado board part is taken as it is."""
+        name, part = head.get("board", ""), head.get("part")
+        kit = boards().get(name)
+        if kit is None and name and ":" not in name:
+            references.unknown(self._report.key, ("project", "board"), "board", name, boards())
+        elif kit is None and not part:
+            self._report.key(("project",), "missing_key", "part is missing", "or name a board of the library")
+        elif kit is not None and part and part.lower() != kit.part.lower():
+            message = f"{kit.title} has {kit.part}, not {part}"
+            self._report.key(("project", "part"), "bad_value", message, "leave part out")
+        return kit
+
     def _clocks(self) -> dict[str, ClockSpec]:
-        given = self._data.get("clocks") or {DEFAULT_CLOCK: {"rate": DEFAULT_RATE}}
+        own = {name: {"rate": rate} for name, rate in self._kit.clocks.items()} if self._kit else None
+        given = self._data.get("clocks") or own or {DEFAULT_CLOCK: {"rate": DEFAULT_RATE}}
         return {name: ClockSpec(name, **spec) for name, spec in given.items()}
 
     def _static(self) -> StaticSpec:
@@ -154,10 +173,11 @@ class _Builder:
         return {name: self._files.many(paths, (*where, "libraries", name)) for name, paths in given.items()}
 
     def _region(self, name: str, spec: dict[str, Any], clock: str) -> RegionSpec:
-        pblock = tuple(spec.get("pblock", ()))
+        pblock = tuple(self._ranges(name, spec.get("pblock", ())))
         return RegionSpec(
             name=name,
             clock=spec.get("clock", clock),
+            clocks=spec.get("clocks") or {},
             pblock=() if pblock == ("auto",) else pblock,
             resources=Resources(**spec.get("resources") or {}),
             decoupling=spec.get("decoupling", True),
@@ -166,6 +186,19 @@ class _Builder:
             interfaces={key: _connection(value or {}) for key, value in (spec.get("interfaces") or {}).items()},
             doc=spec.get("doc", ""),
         )
+
+    def _ranges(self, region: str, given: Iterable[str]) -> Iterator[str]:
+        """Ranges, with those of the board library in place of their names."""
+        known = self._kit.pblocks if self._kit else {}
+        for index, text in enumerate(given):
+            word, _, name = text.partition(":")
+            if word != "proven":
+                yield text
+            elif name in known:
+                yield from known[name]
+            else:
+                key = ("regions", region, "pblock", index)
+                references.unknown(self._report.key, key, "pblock of the board", name, known)
 
     def _module(self, name: str, spec: dict[str, Any], regions: tuple[str, ...]) -> ModuleSpec:
         where: KeyPath = ("modules", name)
@@ -231,8 +264,12 @@ def _implied_modes(modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
 
 
 def _connection(spec: dict[str, Any]) -> ConnectionSpec:
-    shape = spec.get("shape")
-    return ConnectionSpec(**{**spec, "shape": tuple(shape) if shape else None})
+    spec = dict(spec)
+    shape, single = spec.pop("shape", None), spec.pop("pin", None)
+    pins = {name.lower(): tuple(given) for name, given in (spec.pop("pins", None) or {}).items()}
+    if single:
+        pins[""] = tuple(single)
+    return ConnectionSpec(**spec, shape=tuple(shape) if shape else None, pins=pins)
 
 
 def _mode_stream(spec: dict[str, Any]) -> ModeStreamSpec:

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from cm.build.boards import Board
 from cm.schema.model import Access, LoaderKind
 
 
@@ -89,6 +90,8 @@ class ConnectionSpec:
     slots: int = 8
     rate: float | None = None
     max_length: int | None = None
+    pins: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # by signal; "" of a single signal
+    iostandard: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +100,7 @@ class RegionSpec:
 
     name: str
     clock: str
+    clocks: Mapping[str, str] = field(default_factory=empty)  # of further clock ports: a clock, or "external"
     pblock: tuple[str, ...] = ()
     resources: Resources = Resources()
     decoupling: bool = True
@@ -200,7 +204,8 @@ class Project:
     name: str
     part: str
     source: Path
-    board: str | None = None
+    board: str | None = None  # Vivado's board part
+    kit: Board | None = None  # of the board library
     vivado: str | None = None
     doc: str = ""
     clocks: Mapping[str, ClockSpec] = field(default_factory=empty)

@@ -18,6 +18,8 @@ Report = Callable[[KeyPath, str, str, str], None]
 
 def check(project: Project, report: Report) -> None:
     """Report everything in `project` that does not fit together."""
+    if not project.part:
+        return  # told already
     try:
         platform = platform_of(project.part)
         if len(project.clocks) > len(platform.clock_pins):
@@ -45,6 +47,9 @@ def _region(project: Project, region: RegionSpec, report: Report) -> None:
     key = ("regions", region.name)
     if region.clock not in project.clocks:
         unknown(report, (*key, "clock"), "clock", region.clock, project.clocks)
+    for port, clock in region.clocks.items():
+        if clock != "external" and clock not in project.clocks:
+            unknown(report, (*key, "clocks", port), "clock", clock, (*project.clocks, "external"))
     if region.window & (region.window - 1):
         nearest = 1 << region.window.bit_length()
         report((*key, "window"), "bad_value", f"{region.window:#x} is no power of two", f"write {nearest:#x}")

@@ -31,6 +31,7 @@ def static_part(system: System) -> Netlist:
 def used_clocks(system: System) -> list[str]:
     """Clocks that something runs on, in the order of the build schema."""
     used = {domain.clock for domain in system.domains} | {region.spec.clock for region in system.regions}
+    used |= {clock for region in system.regions for clock in region.clocks.values() if clock}
     return [clock for clock in system.project.clocks if clock in used]
 
 

@@ -61,16 +61,31 @@ def _control(site: Site) -> None:
     net.assign(site.cut, busy if site.region.spec.decoupling else "1'b0")
     if not site.region.spec.decoupling:
         net.unused.append(busy)
-    for port in site.region.boundary.ports:
-        if port.role is Role.CLOCK and port.direction is IN:
-            net.assign(site.wire(port.name), site.clock)
-            site.done.add(port.name)
-        elif port.role is Role.RESET and port.direction is IN:
-            net.assign(site.wire(port.name), reset)
-            site.done.add(port.name)
+    _clocks(site, reset)
     known = net.wire(f"{site.name}_known", 32)
     net.assign(known, f"{site.wire('cm_identity')} & {{32{{!{site.cut}}}}}")
     site.cm_sync(f"{site.name}_identity", site.main, known, f"identity[{32 * index}+:32]", 32)
+
+
+def _clocks(site: Site, reset: str) -> None:
+    """Each clock of the modules and the reset beside it; on another clock the reset is brought to that."""
+    for port in site.region.boundary.ports:
+        if port.role is Role.CLOCK and port.direction is IN:
+            clock = site.region.clocks.get(port.name)
+            if clock != "external":
+                site.net.assign(site.wire(port.name), f"clk_{clock or site.region.spec.clock}")
+                site.done.add(port.name)
+        elif port.role is Role.RESET and port.direction is IN:
+            owner = next((name for name in site.region.clocks if _reset_of(name) == port.name), None)
+            if owner is None or site.region.clocks[owner] in (site.region.spec.clock, None):
+                site.net.assign(site.wire(port.name), reset)
+            else:
+                site.cm_sync(site.wire(port.name), site.wire(owner), reset, site.wire(port.name))
+            site.done.add(port.name)
+
+
+def _reset_of(clock: str) -> str:
+    return "aresetn" if clock == "aclk" else f"{clock}_resetn"
 
 
 def _interrupts(site: Site) -> None:

@@ -8,7 +8,7 @@ create_bd_design cm_system
 
 # processing system
 set ps [cm_ip processing_system7 ps7]
-apply_bd_automation -rule xilinx.com:bd_rule:processing_system7 -config {make_external "FIXED_IO, DDR" Master "Disable" Slave "Disable"} $ps
+apply_bd_automation -rule xilinx.com:bd_rule:processing_system7 -config {make_external "FIXED_IO, DDR" apply_board_preset "1" Master "Disable" Slave "Disable"} $ps
 set_property CONFIG.PCW_USE_M_AXI_GP0 {1} $ps
 set_property CONFIG.PCW_USE_S_AXI_HP0 {1} $ps
 set_property CONFIG.PCW_S_AXI_HP0_DATA_WIDTH {64} $ps

@@ -5,6 +5,7 @@
 
 create_pblock pblock_prr0
 resize_pblock [get_pblocks pblock_prr0] -add SLICE_X26Y50:SLICE_X43Y99
+resize_pblock [get_pblocks pblock_prr0] -add DSP48_X2Y20:DSP48_X2Y39
 resize_pblock [get_pblocks pblock_prr0] -add RAMB18_X2Y20:RAMB18_X2Y39
 resize_pblock [get_pblocks pblock_prr0] -add RAMB36_X2Y10:RAMB36_X2Y19
 add_cells_to_pblock [get_pblocks pblock_prr0] [get_cells static_part/prr0]

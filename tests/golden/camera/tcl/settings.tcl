@@ -7,7 +7,8 @@
 # folder of the build schema
 set cm_source ..
 set cm_part xc7z020clg400-1
-set cm_board ""
+set cm_board tul.com.tw:pynq-z2:part0:1.0
+set cm_connections ""
 set cm_version ""
 set cm_jobs 2
 if {[info exists ::env(CM_THREADS)]} {
@@ -21,6 +22,21 @@ proc cm_ip {name cell} {
         error "this Vivado has no IP $name"
     }
     return [create_bd_cell -type ip -vlnv [lindex [lsort -dictionary $found] end] $cell]
+}
+
+# The board, whose files hold the preset of the processing system; Vivado does not bring those of every vendor.
+proc cm_use_board {} {
+    global cm_board cm_connections
+    if {$cm_board eq ""} {
+        return
+    }
+    if {[llength [get_board_parts -quiet $cm_board]] == 0} {
+        error "this Vivado has no board files for $cm_board: install them (Tools, Vivado Store, Boards), or set board.repoPaths to a clone of Xilinx/XilinxBoardStore in Vivado_init.tcl"
+    }
+    set_property board_part $cm_board [current_project]
+    if {$cm_connections ne ""} {
+        set_property board_connections $cm_connections [current_project]
+    }
 }
 
 # Begin a step: the version that the build schema insists on, and the threads that make gives.

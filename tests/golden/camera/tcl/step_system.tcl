@@ -7,9 +7,7 @@ source tcl/settings.tcl
 cm_begin system
 
 create_project -force -part $cm_part cm_system work/system
-if {$cm_board ne ""} {
-    set_property board_part $cm_board [current_project]
-}
+cm_use_board
 source tcl/block_design.tcl
 set design [get_files cm_system.bd]
 set_property synth_checkpoint_mode None $design

@@ -8,6 +8,7 @@ create_bd_design cm_system
 
 # processing system
 set ps [cm_ip zynq_ultra_ps_e ps8]
+apply_bd_automation -rule xilinx.com:bd_rule:zynq_ultra_ps_e -config {apply_board_preset "1"} $ps
 set_property CONFIG.PSU__USE__M_AXI_GP0 {1} $ps
 set_property CONFIG.PSU__USE__M_AXI_GP1 {0} $ps
 set_property CONFIG.PSU__USE__M_AXI_GP2 {0} $ps

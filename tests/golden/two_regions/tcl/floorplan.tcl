@@ -3,6 +3,27 @@
 #
 # Where the regions lie. Sourced by the first implementation run.
 
+# The sites of clock regions that may be reconfigured. A range of whole clock regions would take in what must stay
+# static: the processor, clock buffers, configuration sites, where the ICAP is (UG909).
+proc cm_add_clock_regions {pblock names} {
+    foreach kind { SLICE DSP48E2 RAMB18 RAMB36 URAM288 } {
+        set xs {}
+        set ys {}
+        foreach name $names {
+            foreach site [get_sites -quiet -of_objects [get_clock_regions $name] -filter "NAME =~ ${kind}_X*"] {
+                if {[regexp {_X(\d+)Y(\d+)$} $site -> x y]} {
+                    lappend xs $x
+                    lappend ys $y
+                }
+            }
+        }
+        if {[llength $xs] > 0} {
+            set xs [lsort -integer $xs]
+            set ys [lsort -integer $ys]
+            resize_pblock [get_pblocks $pblock] -add ${kind}_X[lindex $xs 0]Y[lindex $ys 0]:${kind}_X[lindex $xs end]Y[lindex $ys end]
+        }
+    }
+}
 # The smallest rectangle of whole clock regions that holds a region's resources and no earlier
 # region's; each count is enlarged by a fifth, for routing.
 proc cm_auto_pblock {cell name lut ff bram dsp} {
@@ -29,13 +50,15 @@ proc cm_auto_pblock {cell name lut ff bram dsp} {
         error "no rectangle of clock regions is free that holds $name: $lut LUT, $ff FF, $bram BRAM, $dsp DSP"
     }
     lassign $best x0 y0 x1 y1
+    set chosen {}
     for {set x $x0} {$x <= $x1} {incr x} {
         for {set y $y0} {$y <= $y1} {incr y} {
-            lappend cm_taken X${x}Y${y}
+            lappend chosen X${x}Y${y}
         }
     }
+    lappend cm_taken {*}$chosen
     create_pblock $name
-    resize_pblock [get_pblocks $name] -add CLOCKREGION_X${x0}Y${y0}:CLOCKREGION_X${x1}Y${y1}
+    cm_add_clock_regions $name $chosen
     add_cells_to_pblock [get_pblocks $name] [get_cells $cell]
 }
 
@@ -62,7 +85,11 @@ proc cm_fits {x0 y0 x1 y1 lut ff bram dsp} {
 
 set cm_taken {}
 create_pblock pblock_filter
-resize_pblock [get_pblocks pblock_filter] -add CLOCKREGION_X0Y0:CLOCKREGION_X1Y0
+resize_pblock [get_pblocks pblock_filter] -add SLICE_X40Y120:SLICE_X60Y179
+resize_pblock [get_pblocks pblock_filter] -add DSP48E2_X11Y48:DSP48E2_X12Y71
+resize_pblock [get_pblocks pblock_filter] -add RAMB18_X1Y48:RAMB18_X2Y71
+resize_pblock [get_pblocks pblock_filter] -add RAMB36_X1Y24:RAMB36_X2Y35
+resize_pblock [get_pblocks pblock_filter] -add URAM288_X0Y32:URAM288_X0Y47
 add_cells_to_pblock [get_pblocks pblock_filter] [get_cells static_part/filter]
 set cm_taken [concat $cm_taken [get_clock_regions -quiet -of_objects [get_pblocks pblock_filter]]]
 cm_auto_pblock static_part/correction pblock_correction 2000 4000 4 8

@@ -7,9 +7,7 @@ source tcl/settings.tcl
 cm_begin static
 
 create_project -in_memory -part $cm_part
-if {$cm_board ne ""} {
-    set_property board_part $cm_board [current_project]
-}
+cm_use_board
 set design work/system/cm_system.srcs/sources_1/bd/cm_system/cm_system.bd
 read_bd $design
 # of this project, not of the file: without it every IP would be a black box here
@@ -36,6 +34,7 @@ read_verilog hdl/lib/cm_region_reset.v
 read_verilog hdl/lib/cm_stretch.v
 read_verilog hdl/lib/cm_sync.v
 read_xdc constraints/static.xdc
+read_xdc constraints/pins.xdc
 synth_design -top cm_top -part $cm_part
 write_checkpoint -force checkpoints/static_synth.dcp
 report_utilization -file reports/static_synth.utilization.rpt

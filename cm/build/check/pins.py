@@ -1,0 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every port of the top has a package pin and an I/O standard: write_bitstream stops without (NSTD-1, UCIO-1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cm.build.check.finding import Finding
+from cm.build.plan.pins import placements
+from cm.build.plan.system import System
+
+
+def check_pins(system: System) -> Iterator[Finding]:
+    """A finding for each port without a pin, and for each pin that cannot be."""
+    hint = "name pins of the board under pins:, or give both in a file of static: constraints"
+    for fault in placements(system)[1]:
+        rule, said = ("DRC UCIO-1", hint) if fault.missing else ("pins", "")
+        yield Finding(rule, fault.key, fault.message, said)

@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All rules over a planned system."""
+
+from __future__ import annotations
+
+from cm.build.check.clocks import check_clocks
+from cm.build.check.finding import Finding
+from cm.build.check.floorplan import check_floorplan
+from cm.build.check.pins import check_pins
+from cm.build.errors import BuildError
+from cm.build.plan.system import System
+
+
+def check_system(system: System) -> list[Finding]:
+    """What Vivado would refuse, and what a designer should know, in the order of the flow."""
+    return [*check_clocks(system), *check_floorplan(system), *check_pins(system)]
+
+
+def refuse_errors(system: System) -> None:
+    """Raise BuildError with everything that Vivado would refuse."""
+    errors = [finding.text(system.project.source) for finding in check_system(system) if finding.error]
+    if errors:
+        raise BuildError("Vivado would refuse this design:\n  " + "\n  ".join(errors))

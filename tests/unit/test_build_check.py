@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `cm build check` refuses in Vivado's place: pblocks, pins, clocks; the designs pass without it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from build_support import MINIMAL, STREAM_MODULE, copy_examples, project
+
+from cm.build.boards import boards
+from cm.build.check.rules import check_system
+from cm.build.errors import BuildError
+from cm.build.generate.outputs import render_all
+from cm.build.generate.tree import generate, load_design
+from cm.build.partition.parts import part_of
+from cm.build.plan.floorplan import DEVICES, Rectangle, device_sites, rectangle
+from cm.build.platforms import device_of
+from cm.build.project.load import load_project
+from cm.build.runtime.answers import Answers
+from cm.cli.main import main
+
+pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
+
+TWO = """\
+project: {name: small, part: xc7z020clg400-1}
+regions:
+  a: {pblock: [SLICE_X26Y50:SLICE_X43Y99, RAMB36_X2Y10:RAMB36_X2Y19, RAMB18_X2Y20:RAMB18_X2Y39]}
+  b: {pblock: [SLICE_X0Y0:SLICE_X21Y49]}
+modules:
+  one: {sources: [one.v], regions: [a], resources: {lut: 100}}
+  two: {sources: [one.v], top: one, regions: [b]}
+"""
+EXTERNAL = MINIMAL.replace("{pblock: auto}", "{interfaces: {m_axis: {connect: external}}}")
+PINNED = """\
+project: {name: small, board: pynq-z2}
+regions:
+  prr0:
+    interfaces:
+      m_axis: {connect: external, pins: {tdata: "rpi[0:7]", tvalid: led, tready: btn, tlast: Y18}, iostandard: LVCMOS33}
+modules:
+  one: {sources: [one.v]}
+"""
+
+
+def found(folder: Path, text: str, **files: str) -> list[str]:
+    """Rules and messages of the errors in a design."""
+    system = load_design(project(folder, text, **files)).system
+    return [f"{finding.rule}: {finding.message}" for finding in check_system(system) if finding.error]
+
+
+def test_two_regions_that_are_apart_are_good(tmp_path: Path) -> None:
+    assert found(tmp_path, TWO) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("SLICE_X0Y0:SLICE_X21Y49", "SLICE_X40Y90:SLICE_X45Y110", "DRC HDPR-3: SLICE_X26Y50:SLICE_X43Y99 lies on"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "RAMB18_X2Y30:RAMB18_X2Y31", "DRC HDPR-3: RAMB36_X2Y10:RAMB36_X2Y19 lies on"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "CLOCKREGION_X0Y1:CLOCKREGION_X1Y1", "lies on"),
+        ("lut: 100", "dsp: 3", "Place 30-640: module one needs 3 DSP, the pblock of a has 0"),
+        ("lut: 100", "bram: 11", "Place 30-640: module one needs 11 block RAM (36 Kbit), the pblock of a has 10"),
+        ("lut: 100", "lut: 3601", "DRC UTLZ-1: module one needs 3601 LUT, the pblock of a has 3600"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "SLICE_X0Y0:SLICE_X200Y49", "reaches beyond xc7z020"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "BUFGCTRL_X0Y0:BUFGCTRL_X0Y15", "UG909: BUFGCTRL sites cannot be reconfigured"),
+    ],
+)
+def test_a_floorplan_that_cannot_be_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
+    assert any(said in text for text in found(tmp_path, TWO.replace(old, new)))
+
+
+def test_slices_that_the_processor_takes_the_place_of_do_not_count() -> None:
+    """The lower left of xc7z020 has slices in its lowest clock region only."""
+    device = device_sites("xc7z020")
+    assert device is not None
+    assert device.count(Rectangle("SLICE", 0, 0, 9, 149)) == 10 * 50
+    assert device_sites("xck26") is None
+
+
+@pytest.mark.parametrize("name", json.loads(DEVICES.read_text())["devices"])
+def test_the_sites_of_a_device_are_as_many_as_its_part_has(name: str) -> None:
+    """Two sources that know nothing of each other: the site grid, and the parts' table."""
+    device, part = device_sites(name), part_of(name)
+    assert device is not None
+    whole = {kind: device.limits(kind) for kind in ("SLICE", "DSP48", "RAMB36")}
+    counted = {kind: device.count(area) for kind, area in whole.items() if area}
+    assert 4 * counted["SLICE"] == part.resources.lut
+    assert (counted["RAMB36"], counted["DSP48"]) == (part.resources.bram, part.resources.dsp)
+
+
+def test_a_port_of_the_top_without_a_pin_is_refused_by_generate(tmp_path: Path) -> None:
+    design = load_design(project(tmp_path, EXTERNAL))
+    with pytest.raises(BuildError, match=r"axis_prr0_m_axis_tdata.* has no pin") as caught:
+        generate(design, tmp_path / "build")
+    assert "DRC UCIO-1" in str(caught.value)
+    assert not (tmp_path / "build").exists()
+
+
+def test_pins_of_the_users_own_constraints_count(tmp_path: Path) -> None:
+    path = project(tmp_path, EXTERNAL + "static: {constraints: [own.xdc]}\n")
+    ports = "axis_prr0_m_axis_*"
+    (tmp_path / "own.xdc").write_text(f"set_property PACKAGE_PIN Y18 [get_ports {{{ports}}}]\n")
+    assert len(found_at(path)) == 4
+    (tmp_path / "own.xdc").write_text(f"set_property -dict {{PACKAGE_PIN Y18 IOSTANDARD X}} [get_ports {{{ports}}}]\n")
+    assert found_at(path) == []
+
+
+def found_at(path: Path) -> list[str]:
+    return [finding.message for finding in check_system(load_design(path).system) if finding.error]
+
+
+def test_pins_by_the_boards_names_are_written_as_constraints(tmp_path: Path) -> None:
+    source = STREAM_MODULE.format(name="one", high=7)
+    text = PINNED.replace("tvalid: led", 'tvalid: "led[3]"').replace("tready: btn", 'tready: "btn[0]"')
+    design = load_design(project(tmp_path, text, one=source))
+    assert [f for f in check_system(design.system) if f.error] == []
+    written = render_all(design.system, tmp_path / "build", Answers())
+    wanted = "set_property -dict {PACKAGE_PIN M14 IOSTANDARD LVCMOS33} [get_ports {axis_prr0_m_axis_tvalid}]"
+    assert wanted in written["constraints/pins.xdc"]
+    assert (
+        "PACKAGE_PIN V8 IOSTANDARD LVCMOS33} [get_ports {axis_prr0_m_axis_tdata[2]}]" in written["constraints/pins.xdc"]
+    )
+    assert "read_xdc constraints/pins.xdc" in written["tcl/step_static.tcl"]
+    assert "set cm_board tul.com.tw:pynq-z2:part0:1.0" in written["tcl/settings.tcl"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("rpi[0:7]", "rpi[0:6]", "has 8 bits, 7 pins are given"),
+        ("rpi[0:7]", "rpi[0:40]", "rpi of TUL PYNQ-Z2 has 20 pins: rpi[0:19]"),
+        ("rpi[0:7]", "gpio[0:7]", "has no pins 'gpio[0:7]'; there are"),
+        ("tlast: Y18", "tlast: F19", "both on F19"),
+        (", iostandard: LVCMOS33", "", "Y18 is a package pin: iostandard: must say its voltage"),
+        ("tlast: Y18", "tlast: Y18, tuser: Y19", "m_axis has no tuser"),
+    ],
+)
+def test_pins_that_cannot_be_are_told(old: str, new: str, said: str, tmp_path: Path) -> None:
+    text = PINNED.replace("tvalid: led", 'tvalid: "led[3]"').replace("tready: btn", 'tready: "btn[0]"')
+    messages = found(tmp_path, text.replace(old, new), one=STREAM_MODULE.format(name="one", high=7))
+    assert any(said in message for message in messages)
+
+
+PHY = STREAM_MODULE.format(name="one", high=31).replace(
+    "    input  wire        resetn,",
+    "    input  wire        resetn,\n    input  wire        rx_clk,\n    input  wire [7:0] rxd,",
+)
+
+
+def test_a_second_clock_needs_an_answer(tmp_path: Path) -> None:
+    assert any("have a clock rx_clk beside the region's" in text for text in found(tmp_path, MINIMAL, one=PHY))
+
+
+def test_a_second_clock_gets_what_the_build_schema_says(tmp_path: Path) -> None:
+    clocks = "clocks: {fclk0: {rate: 100_000_000}, fclk1: {rate: 125_000_000}}\n"
+    text = clocks + MINIMAL.replace("{pblock: auto}", "{clocks: {clk: fclk0, rx_clk: fclk1}}")
+    design = load_design(project(tmp_path, text, one=PHY))
+    assert [f for f in check_system(design.system) if f.error] == []
+    static = render_all(design.system, tmp_path / "build", Answers())["hdl/cm_static.v"]
+    assert "assign prr0_rx_clk = clk_fclk1;" in static
+    assert "cm_sync #(" in static[static.index("rx_clk_resetn") :] or "sync_prr0_rx_clk_resetn" in static
+
+
+def test_check_lists_clocks_and_resets_with_what_they_get(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["build", "check", str(project(tmp_path, MINIMAL, one=PHY))]) == 1
+    said = capsys.readouterr().out
+    assert "rx_clk: clock → nothing says what drives it" in said
+    assert "clk_resetn: reset, active low" in said
+
+
+@pytest.mark.parametrize("name", boards())
+def test_a_board_of_the_library_is_one_that_the_tool_can_build_for(name: str, tmp_path: Path) -> None:
+    board = boards()[name]
+    text = MINIMAL.replace("part: xc7z020clg400-1", f"board: {name}")
+    assert load_project(project(tmp_path, text)).part == board.part
+    assert part_of(device_of(board.part))
+    pins = [pin.location for pins in board.connectors.values() for pin in pins]
+    assert len(pins) == len(set(pins)) > 4
+    assert all(pin.iostandard for pins in board.connectors.values() for pin in pins)
+    assert "pins" in str(board.sources)
+    assert all(rectangle(text) for ranges in board.pblocks.values() for text in ranges)
+
+
+@pytest.mark.parametrize(("board", "pblock"), [(b.name, p) for b in boards().values() for p in b.pblocks])
+def test_a_proven_pblock_is_one_that_the_rules_accept(board: str, pblock: str, tmp_path: Path) -> None:
+    text = MINIMAL.replace("part: xc7z020clg400-1", f"board: {board}").replace("auto", f"'proven:{pblock}'")
+    assert found(tmp_path, text) == []
+
+
+@pytest.mark.parametrize("name", ["camera", "two_regions"])
+def test_an_example_has_every_pin_and_a_place_for_all_its_modules(name: str, tmp_path: Path) -> None:
+    assert found_at(copy_examples(tmp_path) / name / "build.yaml") == []
