@@ -133,7 +133,8 @@ def _region_lines(region: str, boundary: Boundary, analysis: Analysis, system: S
 
 def _clock_lines(region: RegionPlan, system: System) -> Iterator[str]:
     for port, clock in region.clocks.items():
-        rate = system.project.clocks[clock].rate if clock in system.project.clocks else 0
+        known = system.project.clocks.get(clock or "")
+        rate = known.rate if known else 0
         yield f"  {port}: clock → {clock or 'nothing says what drives it'}{f', {rate / 1e6:g} MHz' if rate else ''}"
     for boundary_port in region.boundary.ports:
         if boundary_port.role is Role.RESET:

@@ -45,8 +45,13 @@ def _kinds(region: RegionPlan, areas: list[Rectangle], system: System, device: D
     for have, lack in (("RAMB18", "RAMB36"), ("RAMB36", "RAMB18")):
         if have in kinds and lack not in kinds:
             message = f"the pblock has {have} sites but no {lack}: a memory of the other size has no place"
-            key = ("regions", region.name, "pblock")
-            yield Finding("pblock-ram", key, message, f"name the {lack} sites of the same columns too", error=False)
+            yield Finding(
+                "pblock-ram",
+                ("regions", region.name, "pblock"),
+                message,
+                f"name the {lack} sites of the same columns too",
+                error=False,
+            )
 
 
 def _room(region: RegionPlan, areas: list[Rectangle], system: System, device: Device | None) -> Iterator[Finding]:
