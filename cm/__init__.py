@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cm._version import __version__
 
 if TYPE_CHECKING:
-    from cm.client import aio as aio
+    from cm import aio as aio
     from cm.client.board import Board as Board
     from cm.client.board import connect as connect
     from cm.errors import CmError as CmError
@@ -28,7 +28,7 @@ def __getattr__(name: str) -> Any:
     if name == "aio":
         import importlib
 
-        return importlib.import_module("cm.client.aio")
+        return importlib.import_module("cm.aio")
     if name == "CmError":
         from cm.errors import CmError
 

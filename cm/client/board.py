@@ -4,40 +4,37 @@
 from __future__ import annotations
 
 import os
-import time
 import weakref
-from collections.abc import Callable, Iterator, MutableMapping
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
 import zmq
 
-from cm.client import calls
-from cm.client.address import Keys, load_keys, resolve
-from cm.client.calls import Call
+from cm.client import place
+from cm.client.address import Keys
+from cm.client.change import ChangeHandle
+from cm.client.core import calls, change, leases
+from cm.client.core.calls import Call
+from cm.client.core.effects import DEFAULT, Flow, Limit, seconds
+from cm.client.core.events import StatusEvents
+from cm.client.core.leases import HeldLeases
+from cm.client.core.values import mode_name
+from cm.client.events import EventStream
 from cm.client.frame import Frame
+from cm.client.guard import Guarded
+from cm.client.interrupts import Interrupts
 from cm.client.lease import BoardLease
-from cm.client.link import Link, Socket, prepare
+from cm.client.link import Link, Subscription
 from cm.client.memories import Memories, Memory
-from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream, receive
+from cm.client.registers import Registers
+from cm.client.sockets import Sockets, closed
+from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream
 from cm.client.writer import Writer
 from cm.client.zmq_frames import Wanted
-from cm.errors import InvalidRequest
 from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import (
-    ConfigInfo,
-    FrameInfo,
-    Irq,
-    PlanInfo,
-    Progress,
-    RegisterInfo,
-    Status,
-    StreamStatus,
-)
-from cm.wire import plane as packets
-from cm.wire import topics
-from cm.wire.encode import decode_event, decode_reply, encode_request
+from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Progress, Status, StreamStatus
 from cm.wire.plane import Open
 
 _T = TypeVar("_T")
@@ -69,7 +66,7 @@ def connect(
     return board
 
 
-class Board:
+class Board(Guarded):
     """A board behind a configuration manager. Use as a context manager. Threads may share it."""
 
     def __init__(
@@ -80,32 +77,56 @@ class Board:
         timeout: float = 5.0,
         keys: str | os.PathLike[str] | Keys | None = None,
     ) -> None:
-        self._endpoints = resolve(endpoint, runtime_dir)
-        self._local = self._endpoints.req.startswith("ipc://")
-        folder = Path(self._endpoints.req.removeprefix("ipc://")).parent
-        self._data = folder if self._local and (folder / packets.SOCKET).exists() else None
-        self._keys = keys if keys is None or isinstance(keys, Keys) else load_keys(keys)
-        self.timeout = timeout
-        self._context: zmq.Context[Socket] = zmq.Context()
-        self._link = self._new_link()
-        self.registers = Registers(self)
-        self.interrupts = Interrupts(self)
-        self.memories = Memories(self.ask, self.config)
+        self._place = place.find(endpoint, runtime_dir, keys)
+        self._sockets = Sockets(zmq.Context(), self._place.endpoints, self._place.keys)
+        self._close = weakref.finalize(self, self._sockets.close)
+        self._link = Link(self._sockets, timeout)
+        self._leases = HeldLeases()
+        self._users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
+        self._registers = Registers(self)
+        self._interrupts = Interrupts(self)
+        self._memories = Memories(self)
+
+    @property
+    def timeout(self) -> float:
+        """Seconds to wait for answers to all but `load`."""
+        return self._link.timeout
+
+    @timeout.setter
+    def timeout(self, seconds: float) -> None:
+        self._link.timeout = seconds
+
+    @property
+    def registers(self) -> Registers:
+        """Registers and fields of the current mode by name."""
+        return self._registers
+
+    @property
+    def interrupts(self) -> Interrupts:
+        """Interrupts of the loaded configuration by name."""
+        return self._interrupts
+
+    @property
+    def memories(self) -> Memories:
+        """Memories of the current mode by name."""
+        return self._memories
 
     # ---- asking ---------------------------------------------------------------------
 
-    def ask(self, call: Call[_T], timeout: float | None = None) -> _T:
-        """Make a call and return its result. Raises what `cm.client.errors` holds."""
-        frames = self._link.ask(encode_request(call.request), timeout or self.timeout)
-        return call.result(decode_reply(frames))
+    def ask(self, call: Call[_T], timeout: Limit = DEFAULT) -> _T:
+        """Make a call and return its result; `timeout` in seconds, None waits for ever.
 
-    def subscribe(self, *topic: bytes, depth: int = 0) -> Socket:
-        """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number); the caller closes it."""
-        socket = prepare(self._context.socket(zmq.SUB), self._keys, depth)
-        for name in topic:
-            socket.setsockopt(zmq.SUBSCRIBE, name)
-        socket.connect(self._endpoints.pub)
-        return socket
+        Raises what `cm.client.errors` holds.
+        """
+        return self._link.ask(self._leases.carried(call), seconds(timeout, self._link.timeout))
+
+    def run(self, flow: Flow[_T]) -> _T:
+        """Run a flow of `cm.client.core` to its end."""
+        return self._link.run(flow)
+
+    def subscribe(self, *topics: bytes, depth: int = 0) -> Subscription:
+        """Listen to topics; `depth` messages wait (0: ZeroMQ's own number). The caller closes it."""
+        return Subscription(self._sockets, topics, depth)
 
     # ---- status -----------------------------------------------------------------------
 
@@ -114,11 +135,10 @@ class Board:
         """The state of the PL now."""
         return self.ask(calls.status())
 
-    def watch(self, timeout: float | None = None) -> Iterator[Status]:
+    def watch(self, timeout: float | None = None) -> EventStream[Status]:
         """Every status from now on, the current one first. Raises Timeout if none comes for `timeout` seconds."""
-        with self.subscribe(topics.STATUS) as socket:
-            while True:
-                yield _next_event(socket, timeout, Status)
+        subscription = self.subscribe(*StatusEvents.topics)
+        return EventStream(self, subscription, StatusEvents(subscription, timeout))
 
     # ---- configurations -----------------------------------------------------------------
 
@@ -146,25 +166,25 @@ class Board:
 
         Raises RequestFailed (the board is then where the sentence says), ConnectionLost, NoAnswer.
         """
-        call = calls.load(config, mode, wait=True, queue=queue, force=force, lease=lease)
-        if progress is None:
-            return call.result(decode_reply(self._link.ask(encode_request(call.request), timeout))).seconds
-        with self.subscribe(topics.STATUS) as socket:
-            tell = _Progress(socket, progress)
-            frames = self._link.ask(encode_request(call.request), timeout, socket, tell)
-            return call.result(decode_reply(frames)).seconds
+        call = self._leases.carried(calls.load(config, mode, wait=True, queue=queue, force=force, lease=lease))
+        subscription = self.subscribe(*StatusEvents.topics) if progress else None
+        try:
+            return self.run(change.loading(call, timeout, subscription, progress))
+        finally:
+            if subscription is not None:
+                subscription.close()
 
     def load_async(
         self, config: str = "", mode: str = "", *, queue: bool = True, force: bool = False, lease: str = ""
     ) -> ChangeHandle:
         """Ask for a mode and return at once; the handle says when the board is there."""
-        watcher = self.subscribe(topics.STATUS)
+        subscription = self.subscribe(*StatusEvents.topics)
         try:
             info = self.ask(calls.load(config, mode, wait=False, queue=queue, force=force, lease=lease))
         except BaseException:
-            watcher.close()
+            subscription.close()
             raise
-        return ChangeHandle(self, info.number, watcher)
+        return ChangeHandle(self, info.number, subscription)
 
     @property
     def mode(self) -> str:
@@ -173,7 +193,15 @@ class Board:
 
     @mode.setter
     def mode(self, mode: str) -> None:
-        self.load(mode=mode)
+        self.set_mode(mode)
+
+    def set_mode(self, mode: str, *, timeout: float | None = None, lease: str = "") -> float:
+        """Go to a mode of the loaded configuration and wait; returns the seconds it took. Raises as `load` does."""
+        return self.load(mode=mode_name(mode), timeout=timeout, lease=lease)
+
+    def cancel(self) -> None:
+        """Cancel the running change before its next load; the board goes back."""
+        self.ask(calls.cancel())
 
     def plan(self, mode: str = "", config: str = "") -> PlanInfo:
         """What going to a mode would do, and what it would cost; touches nothing."""
@@ -187,8 +215,11 @@ class Board:
     def lease(
         self, scope: str = "board", *, exclusive: bool = True, seconds: float = 30.0, holder: str = ""
     ) -> BoardLease:
-        """Hold ``board``, ``config``, ``region:NAME`` or ``registers:NAME``, as a context manager."""
-        return BoardLease(self.ask, scope, exclusive, seconds, holder or f"pid {os.getpid()}", self._local)
+        """Hold ``board``, ``config``, ``region:NAME``, ``registers:NAME`` or ``memories:NAME`` as a context manager.
+
+        Within it this board's own calls pass. `holder` is what others are told (default: this process).
+        """
+        return BoardLease(self, self._leases, leases.wanted(scope, exclusive, seconds, holder, self._place.local))
 
     # ---- data -----------------------------------------------------------------------------
 
@@ -211,13 +242,22 @@ class Board:
         here, beside those at the manager. `timeout` in seconds, None waits
         for ever. `lease`: the id of one's own, where a stream with back-pressure lies in a region that is held.
         """
-        if self._data is not None:
-            return LocalStream(self._data, Open(name, depth=depth, lease=lease), timeout, newest)
-        wanted = Wanted(name, timeout, newest, compression, depth)
-        return NewestStream(self._new_link, wanted) if newest else RemoteStream(self, wanted)
+        if self._place.data is not None:
+            wanted = Open(name, depth=depth, lease=self._leases.named(lease))
+            return self._using(LocalStream(self._place.data, wanted, timeout, newest, owner=self))
+        published = Wanted(name, timeout, newest, compression, depth)
+        if newest:
+            return NewestStream(self, published, self._new_link)
+        return RemoteStream(self, published)
 
     def _new_link(self) -> Link:
-        return Link(self._context, self._endpoints.req, self._keys)
+        return Link(self._sockets, self.timeout)
+
+    def _using(self, user: _T) -> _T:
+        if self._sockets.closed:
+            raise closed(self._place.endpoints.req)
+        self._users.add(user)
+        return user
 
     def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, lease: str = "") -> Writer:
         """Write a stream without copies: ``with writer.slot() as array: array[...] = frame``.
@@ -225,16 +265,13 @@ class Board:
         `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
         `lease`: the id of one's own, where the stream's region is held.
         """
-        return Writer(self._local_data("a writer"), Open(name, write=True, depth=depth, lease=lease), timeout)
+        wanted = Open(name, write=True, depth=depth, lease=self._leases.named(lease))
+        return self._using(Writer(self._place.data_folder("a writer"), wanted, timeout, owner=self))
 
     def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> Writer:
         """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
-        return Writer(self._local_data("an echo"), Open("", depth=depth, echo=True, length=length), timeout)
-
-    def _local_data(self, what: str) -> Path:
-        if self._data is None:
-            raise InvalidRequest(f"{what} needs the manager's data socket, which only its own machine has")
-        return self._data
+        wanted = Open("", depth=depth, echo=True, length=length)
+        return self._using(Writer(self._place.data_folder("an echo"), wanted, timeout, owner=self))
 
     def read(self, stream: str = "", timeout: float = 1.0) -> Frame:
         """The next frame of a stream."""
@@ -272,14 +309,19 @@ class Board:
         """
         request = DefineMemory(name, address, length, shape, dtype, access, region, lease)
         self.ask(calls.define_memory(request))
-        return Memory(self.ask, name)
+        return Memory(self, name)
 
     # ---- life -----------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Disconnect; twice is fine."""
+        """Disconnect, with all streams, writers and events; whatever is asked afterwards raises BoardClosed.
+
+        Twice is fine.
+        """
+        for user in tuple(self._users):
+            user.end(closed(self._place.endpoints.req))
         self._link.close()
-        self._context.destroy(linger=0)
+        self._close()
 
     def __enter__(self) -> Board:
         return self
@@ -287,146 +329,5 @@ class Board:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
 
-
-class Registers(MutableMapping[str, int]):
-    """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
-
-    def __init__(self, board: Board) -> None:
-        self._board = board
-
-    def __getitem__(self, name: str) -> int:
-        return self._board.ask(calls.read_registers((name,))).values[0].value
-
-    def __setitem__(self, name: str, value: int) -> None:
-        self.write({name: value})
-
-    def __delitem__(self, name: str) -> None:
-        raise TypeError("a register cannot be deleted")
-
-    def __iter__(self) -> Iterator[str]:
-        """Names of all that can be read now."""
-        return iter(self.read())
-
-    def __len__(self) -> int:
-        return len(self.read())
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name.partition(".")[0] in self.info
-
-    @property
-    def info(self) -> dict[str, RegisterInfo]:
-        """What the schema says of each register that the current mode has."""
-        config = self._board.config()
-        return {r.name: r for r in config.registers if not r.modes or config.mode in r.modes}
-
-    def read(self, *names: str) -> dict[str, int]:
-        """Several at once; all that can be read if none is named."""
-        return {v.name: v.value for v in self._board.ask(calls.read_registers(names)).values}
-
-    def write(self, values: dict[str, int], lease: str = "") -> dict[str, int]:
-        """Several in order, all checked before the first is written; returns what they hold then."""
-        return {v.name: v.value for v in self._board.ask(calls.write_registers(values, lease)).values}
-
-    def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:
-        """Only the bits in `mask`; returns the register's value."""
-        return self._board.ask(calls.write_masked(name, value, mask, lease)).values[0].value
-
-
-class Interrupts:
-    """Interrupts of the loaded configuration by name."""
-
-    def __init__(self, board: Board) -> None:
-        self._board = board
-
-    def __getitem__(self, name: str) -> Interrupt:
-        return Interrupt(self._board, name)
-
-    def __iter__(self) -> Iterator[str]:
-        return (i.name for i in self._board.config().interrupts)
-
-
-class Interrupt:
-    """One interrupt."""
-
-    def __init__(self, board: Board, name: str) -> None:
-        self._board = board
-        self.name = name
-
-    @property
-    def count(self) -> int:
-        """How often it came since the configuration was loaded."""
-        return self._board.ask(calls.interrupt(self.name)).count
-
-    def wait(self, timeout: float | None = None) -> Irq:
-        """Wait for the next one. Raises Timeout."""
-        return next(self.events(timeout))
-
-    def events(self, timeout: float | None = None) -> Iterator[Irq]:
-        """Each one from now on. Raises Timeout if none comes for `timeout` seconds."""
-        with self._board.subscribe(topics.IRQ, topics.STATUS) as socket:
-            _next_event(socket, self._board.timeout, Status)  # from here on the subscription holds
-            socket.setsockopt(zmq.UNSUBSCRIBE, topics.STATUS)
-            start = self._board.ask(calls.interrupt(self.name)).count
-            while True:
-                yield _next_event(socket, timeout, Irq, lambda e: e.name == self.name and e.count > start)
-
-
-class ChangeHandle:
-    """A change under way. The change goes on where the handle is dropped."""
-
-    def __init__(self, board: Board, number: int, watcher: Socket) -> None:
-        self._board = board
-        self.number = number
-        self._watcher = watcher
-        # Who asks and never looks leaves no socket behind, which the board's context would wait for at its end.
-        self._close = weakref.finalize(self, watcher.close)
-        self.progress: Progress | None = None
-        self._ended: Status | None = None
-
-    @property
-    def done(self) -> bool:
-        """Whether it has ended, well or not."""
-        while self._ended is None and self._watcher.poll(0):
-            self._take(_next_event(self._watcher, 0, Status))
-        return self._ended is not None
-
-    def wait(self, timeout: float | None = None) -> float:
-        """Wait for its end; returns its seconds. Raises RequestFailed, Timeout."""
-        while self._ended is None:
-            self._take(_next_event(self._watcher, timeout, Status))
-        self._close()
-        return calls.ended(self._ended, self.number)
-
-    def cancel(self) -> None:
-        """Cancel it before its next load; the board goes back."""
-        self._board.ask(calls.cancel())
-
-    def _take(self, status: Status) -> None:
-        self.progress = status.progress
-        if status.last_change >= self.number:
-            self._ended = status
-
-
-class _Progress:
-    """Hands progress of statuses to a callback."""
-
-    def __init__(self, socket: Socket, tell: Callable[[Progress], None]) -> None:
-        self._socket = socket
-        self._tell = tell
-
-    def __call__(self) -> None:
-        event = decode_event(self._socket.recv_multipart())
-        if isinstance(event, Status) and event.progress is not None:
-            self._tell(event.progress)
-
-
-def _next_event(
-    socket: Socket, timeout: float | None, kind: type[_T], wanted: Callable[[_T], bool] = lambda _: True
-) -> _T:
-    """The next event of a kind; others do not prolong the time-out."""
-    until = None if timeout is None else time.monotonic() + timeout
-    while True:
-        left = None if until is None else max(0.0, until - time.monotonic())
-        event = decode_event(receive(socket, left))
-        if isinstance(event, kind) and wanted(event):
-            return event
+    def __repr__(self) -> str:
+        return f"<board at {self._place.endpoints.req}{', closed' if self._sockets.closed else ''}>"

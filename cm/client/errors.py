@@ -43,6 +43,12 @@ class ConnectionLost(CmError, ConnectionError):
     code = "connection_lost"
 
 
+class BoardClosed(CmError):
+    """The board was closed here; nothing can be asked of it any more."""
+
+    code = "closed"
+
+
 class FrameReleased(CmError, ValueError):
     """The frame was given back: its memory may hold another one by now."""
 

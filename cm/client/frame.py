@@ -48,6 +48,9 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
     def __getitem__(self, key: Any) -> Any:
         return np.asarray(self)[key]
 
+    def __reduce__(self) -> Any:
+        return _framed, (self.copy(), self.info)
+
 
 def frame_of(info: FrameInfo, payload: Any) -> Frame:
     """A payload as an array of the shape and dtype that stand beside it. Raises InvalidRequest if they disagree."""
@@ -57,6 +60,10 @@ def frame_of(info: FrameInfo, payload: Any) -> Frame:
         raise InvalidRequest(
             f"frame {info.sequence} of {info.stream!r} does not fit {info.shape} {info.dtype}: {error}"
         ) from error
+    return _framed(array, info)
+
+
+def _framed(array: npt.NDArray[Any], info: FrameInfo) -> Frame:
     array.flags.writeable = False
     frame: Frame = array.view(Frame)
     frame._info = info

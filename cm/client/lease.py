@@ -3,50 +3,51 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from cm.client import calls
-from cm.client.calls import Call
-from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
-from cm.messages.status import LeaseInfo
+from cm.client.core import calls, leases
+from cm.client.core.leases import HeldLeases
+from cm.messages.requests import TakeLease
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
 
 
 class BoardLease:
     """Held from entering to leaving, or until its time is over; `renew()` begins its time anew.
 
-    `id` goes into the ``lease=`` of calls. It also ends when this process dies (on the manager's machine).
+    Meanwhile this board's own calls pass; `id` goes into the ``lease=`` of others. It also ends when this
+    process dies (on the manager's machine).
     """
 
-    def __init__(
-        self,
-        ask: Callable[[Call[LeaseInfo]], LeaseInfo],
-        scope: str,
-        exclusive: bool,
-        seconds: float,
-        holder: str,
-        local: bool,
-    ) -> None:
-        self._ask = ask
-        pid = os.getpid() if local else 0  # a number of another machine would name somebody else here
-        self._wanted = TakeLease(scope, exclusive, seconds, holder=holder, pid=pid)
+    def __init__(self, board: Board, held: HeldLeases, request: TakeLease) -> None:
+        self._board = board
+        self._held = held
+        self._wanted = request
         self.id = ""
+
+    @property
+    def scope(self) -> str:
+        """What it holds."""
+        return self._wanted.scope
 
     def take(self) -> str:
         """Take it; returns its id. Raises RequestBusy with who holds it."""
-        self.id = self._ask(calls.lease(self._wanted)).id
+        self.id = self._board.ask(calls.lease(self._wanted)).id
+        self._held.add(self.id)
         return self.id
 
     def renew(self) -> None:
         """Begin its time anew. Raises RequestNotFound if it has ended."""
-        self._ask(calls.lease(RenewLease(self.id, self._wanted.seconds)))
+        self._board.ask(calls.lease(leases.renewal(self._wanted, self.id)))
 
     def release(self) -> None:
         """Give it back; twice is fine."""
         if self.id:
             held, self.id = self.id, ""
-            self._ask(calls.lease(ReleaseLease(held)))
+            self._held.remove(held)
+            self._board.ask(calls.lease(leases.release(held)))
 
     def __enter__(self) -> BoardLease:
         self.take()
@@ -54,3 +55,6 @@ class BoardLease:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         self.release()
+
+    def __repr__(self) -> str:
+        return f"<lease on {self.scope}{f', {self.id}' if self.id else ', not held'}>"

@@ -3,10 +3,8 @@
 
 from __future__ import annotations
 
-import itertools
 import threading
 import time
-from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 import zmq
@@ -14,81 +12,113 @@ from zmq import zmq_poll
 from zmq.utils.monitor import recv_monitor_message
 
 from cm import multipart
-from cm.client.address import Keys
-from cm.client.errors import ConnectionLost, NoAnswer
+from cm.client.core.calls import Call
+from cm.client.core.effects import AskBeside, Deadline, Flow, Pause, Receive, seconds
+from cm.client.core.requests import Requests, result
+from cm.client.sockets import Socket, Sockets, closed
 
-Socket = zmq.Socket[bytes]
-
-
+_T = TypeVar("_T")
 _POLLIN = int(zmq.POLLIN)  # an operation on pyzmq's enums costs as much as a system call
-STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
-
-_AnySocket = TypeVar("_AnySocket", bound=zmq.Socket[Any])
 
 
-def prepare(socket: _AnySocket, keys: Keys | None, depth: int = 0) -> _AnySocket:
-    """Options that every client socket has, before it connects; `depth` messages wait (0: ZeroMQ's own number)."""
-    if depth:
-        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/daemon/xpub.py
-    socket.setsockopt(zmq.LINGER, 0)
-    socket.setsockopt(zmq.IPV6, 1)
-    if keys is not None:
-        socket.curve_serverkey = keys.server_public
-        socket.curve_publickey = keys.public
-        socket.curve_secretkey = keys.secret
-    return socket
+class Subscription:
+    """A SUB socket: topics that are listened to."""
+
+    def __init__(self, sockets: Sockets, topics: tuple[bytes, ...], depth: int = 0) -> None:
+        self._sockets = sockets
+        self.socket: Socket = sockets.subscriber(topics, depth)
+
+    def receive(self, timeout: float | None) -> list[bytes] | None:
+        """The next message; None if there is none within `timeout` seconds. Raises BoardClosed."""
+        if self.socket.closed:
+            raise closed(self._sockets.endpoints.req)
+        if not self.socket.poll(None if timeout is None else _milliseconds(timeout)):
+            return None
+        return self.socket.recv_multipart()
+
+    def fileno(self) -> int:
+        """Readable when something may have come; then take all there is (zmq_getsockopt(3), ZMQ_FD)."""
+        return int(self.socket.fileno())
+
+    def unsubscribe(self, topic: bytes) -> None:
+        """Listen to one of the topics no more."""
+        self.socket.setsockopt(zmq.UNSUBSCRIBE, topic)
+
+    def close(self) -> None:
+        """Twice is fine."""
+        self._sockets.end(self.socket)
 
 
 class Link:
     """One connection for requests; threads take turns."""
 
-    def __init__(self, context: zmq.Context[Socket], address: str, keys: Keys | None) -> None:
-        self._address = address
+    def __init__(self, sockets: Sockets, timeout: float) -> None:
+        self.timeout = timeout  # seconds, of what is asked with no time-out of its own
+        self._sockets = sockets
+        self._requests = Requests(sockets.endpoints.req)
         self._lock = threading.Lock()
-        self._numbers = itertools.count(1)
-        self._socket = prepare(context.socket(zmq.DEALER), keys)
-        # A lost peer must be heard of at once on ipc, and within seconds over a dead network.
-        self._socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
-        self._socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
-        self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        self._socket.connect(address)
+        self._socket: Socket
+        self._socket, self._monitor = sockets.requests()
         self._sources: list[tuple[Any, int]] = [(self._socket, _POLLIN), (self._monitor, _POLLIN)]
 
-    def ask(
-        self,
-        frames: Sequence[Any],
-        timeout: float | None,
-        beside: Socket | None = None,
-        on_beside: Callable[[], None] | None = None,
-    ) -> list[bytes]:
-        """Send a message and wait for its reply; meanwhile `on_beside` takes what comes on `beside`.
+    def ask(self, call: Call[_T], timeout: float | None, beside: AskBeside | None = None) -> _T:
+        """Make a request and wait for its reply; meanwhile what comes `beside` is taken.
 
-        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away.
+        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away,
+        BoardClosed, and what the manager refused with.
         """
         with self._lock:
-            number = b"%d" % next(self._numbers)
+            if self._socket.closed:
+                raise closed(self._requests.address)
+            number, frames = self._requests.begin(call)
             self._drain_monitor()
-            multipart.send(self._socket, (number, b"", *frames))
-            return self._wait(number, timeout, beside, on_beside)
+            multipart.send(self._socket, frames)
+            reply = self._wait(number, timeout, beside)
+        return result(call, reply)
 
-    def _wait(
-        self, number: bytes, timeout: float | None, beside: Socket | None, on_beside: Callable[[], None] | None
-    ) -> list[bytes]:
-        until = None if timeout is None else time.monotonic() + timeout
-        sources = self._sources if beside is None else [*self._sources, (beside, _POLLIN)]
+    def run(self, flow: Flow[_T]) -> _T:
+        """Run a flow to its end. Raises what it raises."""
+        answer: Any = None
+        problem: BaseException | None = None
         while True:
-            ready = dict(zmq_poll(sources, _milliseconds(until)))
-            if beside in ready and on_beside is not None:
-                on_beside()
+            try:
+                effect = flow.throw(problem) if problem else flow.send(answer)
+            except StopIteration as end:
+                value: _T = end.value
+                return value
+            try:
+                answer, problem = self._do(effect), None
+            except Exception as error:  # noqa: BLE001 (the flow decides)
+                problem = error
+
+    def _do(self, effect: Any) -> Any:
+        if isinstance(effect, Call):
+            return self.ask(effect, self.timeout)
+        if isinstance(effect, Receive):
+            return effect.subscription.receive(effect.timeout)
+        if isinstance(effect, Pause):
+            return time.sleep(effect.seconds)
+        beside = effect if isinstance(effect, AskBeside) else None
+        return self.ask(effect.call, seconds(effect.timeout, self.timeout), beside)
+
+    def _wait(self, number: bytes, timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
+        deadline = Deadline(timeout)
+        other = beside.subscription.socket if beside else None
+        sources = self._sources if other is None else [*self._sources, (other, _POLLIN)]
+        while True:
+            left = deadline.left
+            ready = dict(zmq_poll(sources, -1 if left is None else _milliseconds(left)))
+            if beside is not None and other is not None and other in ready:
+                beside.take(other.recv_multipart())
             if self._socket in ready:
                 frames = multipart.receive(self._socket)
                 if frames[0] == number:  # others answer requests that timed out
-                    return [bytes(frame) for frame in frames[2:]]
+                    return [*map(bytes, frames[2:4]), *frames[4:]]  # payloads stay where libzmq put them
             elif self._monitor in ready:
                 self._drain_monitor()
-                raise ConnectionLost(f"the configuration manager at {self._address} went away")
-            elif not ready and until is not None and time.monotonic() >= until:
-                raise NoAnswer(f"no answer from a configuration manager at {self._address} within {timeout:g} s")
+                raise self._requests.lost()
+            elif not ready and deadline.left == 0:
+                raise self._requests.no_answer(timeout)
 
     def _drain_monitor(self) -> None:
         while zmq_poll(self._sources[1:], 0):
@@ -98,9 +128,8 @@ class Link:
         """Disconnect; twice is fine."""
         if not self._socket.closed:
             self._socket.disable_monitor()
-            self._monitor.close()
-            self._socket.close()
+            self._sockets.end(self._monitor, self._socket)
 
 
-def _milliseconds(until: float | None) -> int:
-    return -1 if until is None else max(0, int((until - time.monotonic()) * 1000) + 1)
+def _milliseconds(left: float) -> int:
+    return int(left * 1000) + 1 if left > 0 else 0

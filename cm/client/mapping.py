@@ -212,7 +212,16 @@ class LocalFrame(Frame):
         return np.asarray(self).__dlpack__(*args, **kwargs)
 
     def __reduce__(self) -> Any:
-        return self.copy().__reduce__()
+        return super().__reduce__() if self._lease is not None else np.asarray(self).__reduce__()
+
+    def __repr__(self) -> str:
+        lease = self._lease
+        if lease is None or not lease.ended:
+            return str(np.ndarray.__repr__(self))
+        return f"<frame {lease.frame.sequence} of {lease.names[0]!r}, given back>"
+
+    def __str__(self) -> str:
+        return repr(self) if self.released else str(np.ndarray.__str__(self))
 
     def __del__(self) -> None:
         if self._lease is not None:

@@ -4,36 +4,26 @@
 from __future__ import annotations
 
 import socket
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from cm.client import calls
-from cm.client.calls import Call
-from cm.client.errors import RequestFailed
+from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, seconds
+from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
+from cm.client.errors import BoardClosed
 from cm.client.frame import Frame
-from cm.client.link import STREAM_HWM, Link, Socket
+from cm.client.link import Link
 from cm.client.plane import Connection
-from cm.client.zmq_frames import ASK_FOR, STOPPED_PAUSE, Arrivals, Wanted, is_stopped
+from cm.client.zmq_frames import Wanted
 from cm.errors import Timeout
-from cm.messages.requests import ConfigureStream
-from cm.wire.encode import decode_reply, encode_request
 from cm.wire.plane import Geometry, Open
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
 
 _T = TypeVar("_T")
 Self = TypeVar("Self", bound="Stream")
-
-
-class Asker(Protocol):
-    """What a stream needs of a board."""
-
-    def ask(self, call: Call[_T], timeout: float | None = None) -> _T:
-        """Make a request."""
-
-    def subscribe(self, *topic: bytes, depth: int = 0) -> Socket:
-        """A SUB socket."""
 
 
 class Stream:
@@ -41,8 +31,8 @@ class Stream:
 
     name: str
 
-    def read(self, timeout: float | None = None) -> Frame:
-        """The next frame. Raises Timeout."""
+    def read(self, timeout: Limit = DEFAULT) -> Frame:
+        """The next frame. `timeout` in seconds (None waits for ever), else that of the stream. Raises Timeout."""
         raise NotImplementedError
 
     def open(self) -> None:
@@ -78,18 +68,33 @@ class LocalStream(Stream):
     mode the frames go on, in the new shape.
     """
 
-    def __init__(self, folder: Path, wanted: Open, timeout: float | None, newest: bool = False) -> None:
+    def __init__(
+        self, folder: Path, wanted: Open, timeout: float | None, newest: bool = False, owner: Any = None
+    ) -> None:
         self._folder = folder
+        self._owner = owner  # the board: what hangs on it holds it
         self._wanted = wanted
         self.name = wanted.name
         self._timeout = timeout
         self._newest = newest
         self._connection: Connection | None = None
         self._lost_before = 0
+        self._ended: BoardClosed | None = None
 
     def open(self) -> None:
+        self._connected()
+
+    def end(self, because: BoardClosed) -> None:
+        """The board is closed; whatever is asked from here on raises that."""
+        self._ended = because
+        self.close()
+
+    def _connected(self) -> Connection:
+        if self._ended is not None:
+            raise self._ended
         if self._connection is None:
             self._connection = self._opened()
+        return self._connection
 
     def _opened(self) -> Connection:
         """Connect; what the manager refuses is raised here. A stream that is stopped just now comes later."""
@@ -121,32 +126,23 @@ class LocalStream(Stream):
 
     def fileno(self) -> int:
         """Descriptor that polls readable when `poll` has something to do."""
-        self.open()
-        assert self._connection is not None
-        return self._connection.socket.fileno()
+        return self._connected().socket.fileno()
 
-    def read(self, timeout: float | None = None) -> Frame:
-        connection = self._connection
-        if connection is None:
-            self.open()
-            connection = self._connection
-            assert connection is not None
-        limit = self._timeout if timeout is None else timeout
+    def read(self, timeout: Limit = DEFAULT) -> Frame:
+        connection = self._connected()
+        limit = seconds(timeout, self._timeout)
         connection.set_timeout(limit)
-        until = None if limit is None else time.monotonic() + limit
+        deadline = Deadline(limit)
         try:
             while (frame := connection.receive()) is None:
-                if until is not None:
-                    connection.set_timeout(max(0.0, until - time.monotonic()))
+                connection.set_timeout(deadline.left)
         except BlockingIOError:
             raise Timeout(self.nothing(limit)) from None
         return self._latest(connection, frame) if self._newest else frame
 
     def poll(self) -> Frame | None:
         """The next frame if it is there already; never waits."""
-        self.open()
-        connection = self._connection
-        assert connection is not None
+        connection = self._connected()
         try:
             while (frame := connection.receive(socket.MSG_DONTWAIT)) is None:
                 pass
@@ -184,86 +180,52 @@ class LocalStream(Stream):
 class RemoteStream(Stream):
     """Frames over ZeroMQ; losses show in `sequence`."""
 
-    def __init__(self, board: Asker, wanted: Wanted) -> None:
-        self._board = board
-        self._wanted = wanted
+    def __init__(self, board: Board, wanted: Wanted) -> None:
         self.name = wanted.name
-        self._socket: Socket | None = None
-        self._arrivals = Arrivals()
+        self._board = board  # what hangs on a board holds it
+        self._reader: Reader = self._made(wanted)
 
-    def open(self) -> None:
-        self._opened()
+    def _made(self, wanted: Wanted) -> Reader:
+        return PublishedReader(wanted, lambda topic, depth: self._board.subscribe(topic, depth=depth))
 
-    def _opened(self) -> Socket:
-        if self._socket is None:
-            # raises for an unknown stream, and for what the manager cannot compress with
-            self._board.ask(calls.configure_stream(ConfigureStream(self.name, compression=self._wanted.compression)))
-            self._socket = self._board.subscribe(self._wanted.topic, depth=self._wanted.depth or STREAM_HWM)
-        return self._socket
-
-    @property
-    def lost(self) -> int:
-        return self._arrivals.lost
-
-    def read(self, timeout: float | None = None) -> Frame:
-        limit = self._wanted.timeout if timeout is None else timeout
-        return self._arrivals.frame(receive(self._opened(), limit))
-
-    def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-
-class NewestStream(Stream):
-    """The next frame from when it is asked for, over ZeroMQ: nothing waits anywhere, and nothing is sent in vain."""
-
-    def __init__(self, connect: Callable[[], Link], wanted: Wanted) -> None:
-        self._connect = connect
-        self._wanted = wanted
-        self.name = wanted.name
-        self._link: Link | None = None
-        self._arrivals = Arrivals()
+    def _run(self, flow: Flow[_T]) -> _T:
+        return self._board.run(flow)
 
     def open(self) -> None:
         try:
-            self._ask(calls.describe_stream(self.name), 5.0)  # raises for an unknown stream
+            self._run(self._reader.opening())
         except BaseException:
             self.close()
             raise
 
     @property
     def lost(self) -> int:
-        return self._arrivals.lost
+        return self._reader.lost
 
-    def _ask(self, call: Call[_T], timeout: float) -> _T:
+    def read(self, timeout: Limit = DEFAULT) -> Frame:
+        return self._run(self._reader.reading(timeout))
+
+    def close(self) -> None:
+        self._reader.close()
+
+
+class NewestStream(RemoteStream):
+    """The next frame from when it is asked for, over a connection of its own: others are answered meanwhile."""
+
+    def __init__(self, board: Board, wanted: Wanted, connect: Callable[[], Link]) -> None:
+        super().__init__(board, wanted)
+        self._connect = connect
+        self._link: Link | None = None
+
+    def _made(self, wanted: Wanted) -> Reader:
+        return NewestReader(wanted)
+
+    def _run(self, flow: Flow[_T]) -> _T:
         if self._link is None:
             self._link = self._connect()
-        return call.result(decode_reply(self._link.ask(encode_request(call.request), timeout)))
-
-    def read(self, timeout: float | None = None) -> Frame:
-        limit = self._wanted.timeout if timeout is None else timeout
-        until = None if limit is None else time.monotonic() + limit
-        while True:
-            left = ASK_FOR if until is None else min(ASK_FOR, until - time.monotonic())
-            if left <= 0:
-                raise Timeout(f"stream {self.name!r} gave no frame within {limit:g} s")
-            try:
-                return self._arrivals.count(self._ask(calls.read_data(self.name, left), left + 5.0))
-            except RequestFailed as error:
-                if is_stopped(error):
-                    time.sleep(min(STOPPED_PAUSE, left))
-                elif not isinstance(error, Timeout):
-                    raise
+        return self._link.run(flow)
 
     def close(self) -> None:
         if self._link is not None:
             self._link.close()
             self._link = None
-
-
-def receive(socket: Socket, timeout: float | None) -> list[bytes]:
-    """A message. Raises Timeout after `timeout` seconds."""
-    if not socket.poll(None if timeout is None else int(timeout * 1000)):
-        raise Timeout(f"nothing came within {timeout:g} s")
-    return socket.recv_multipart()

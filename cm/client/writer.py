@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import socket
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,9 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client.errors import TransferFailed
+from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds
+from cm.client.errors import BoardClosed, TransferFailed
 from cm.client.plane import Connection
-from cm.errors import InvalidRequest, Timeout
+from cm.errors import CmError, InvalidRequest, Timeout
 from cm.wire import plane as packets
 from cm.wire.plane import Descriptor, Geometry, Open
 
@@ -28,7 +28,9 @@ class Writer:
     A frame that failed is told by the next call: TransferFailed.
     """
 
-    def __init__(self, folder: Path, wanted: Open, timeout: float | None) -> None:
+    def __init__(self, folder: Path, wanted: Open, timeout: float | None, owner: Any = None) -> None:
+        self._owner = owner  # the board: what hangs on it holds it
+        self._closed: CmError | None = None
         self._connection = Connection(folder, wanted)
         self.name = wanted.name
         self._timeout = timeout
@@ -58,6 +60,7 @@ class Writer:
 
     def poll(self) -> bool:
         """Take note of what has happened, if anything; never waits."""
+        self._check()
         try:
             self._connection.receive(socket.MSG_DONTWAIT)
         except BlockingIOError:
@@ -66,7 +69,7 @@ class Writer:
         return True
 
     @contextmanager
-    def slot(self, length: int = 0, timeout: float | None = None) -> Iterator[npt.NDArray[Any]]:
+    def slot(self, length: int = 0, timeout: Limit = DEFAULT) -> Iterator[npt.NDArray[Any]]:
         """A free slot as an array to fill; it is sent when the block ends, and not if that raises.
 
         `length` bytes of it, as flat uint8; a whole frame in the stream's shape if 0. Waits for a slot.
@@ -84,7 +87,7 @@ class Writer:
         memory.end(grant.slot)
         self._submit(grant, array.nbytes if not memory.geometry.stride else memory.geometry.frame_length)
 
-    def write(self, data: npt.ArrayLike, timeout: float | None = None) -> None:
+    def write(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
         """Copy a frame into a slot and send it; returns at once. Raises as `slot` does."""
         array = np.asarray(data)
         geometry = self.geometry
@@ -96,14 +99,14 @@ class Writer:
         with self.slot(length, timeout) as slot:
             slot[...] = array.reshape(slot.shape) if not length else np.frombuffer(array.tobytes(), np.uint8)
 
-    def flush(self, timeout: float | None = None) -> None:
+    def flush(self, timeout: Limit = DEFAULT) -> None:
         """Wait until the hardware has taken all frames. Raises Timeout, TransferFailed."""
-        self._wait(lambda: not self._under_way, self._timeout if timeout is None else timeout)
+        self._wait(lambda: not self._under_way, seconds(timeout, self._timeout))
         self._raise_failures()
 
     def round_trip(self, length: int = 0) -> Descriptor:
         """Send a slot as it is and wait until it is done: what a frame costs beside its bytes."""
-        grant, memory = self._borrow(None)
+        grant, memory = self._borrow(DEFAULT)
         self._submit(grant, length or memory.geometry.frame_length or memory.geometry.slot_length)
         connection, number = self._connection, self._next - 1
         while number in self._under_way:
@@ -112,10 +115,15 @@ class Writer:
         self._raise_failures()
         return grant
 
-    def _borrow(self, timeout: float | None) -> tuple[Descriptor, Any]:
+    def _check(self) -> None:
+        if self._closed is not None:
+            raise self._closed
+
+    def _borrow(self, timeout: Limit) -> tuple[Descriptor, Any]:
+        self._check()
         self._raise_failures()
         if not self._connection.granted:
-            self._wait(lambda: bool(self._connection.granted), self._timeout if timeout is None else timeout)
+            self._wait(lambda: bool(self._connection.granted), seconds(timeout, self._timeout))
             self._raise_failures()
         return self._connection.granted.pop(), self._connection.memory
 
@@ -129,11 +137,12 @@ class Writer:
         self._next += 1
 
     def _wait(self, ready: Callable[[], bool], timeout: float | None) -> None:
-        until = None if timeout is None else time.monotonic() + timeout
+        deadline = Deadline(timeout)
+        self._check()
         self._collect()
         try:
             while not ready():
-                self._connection.set_timeout(None if until is None else max(0.0, until - time.monotonic()))
+                self._connection.set_timeout(deadline.left)
                 self._connection.receive()
                 self._collect()
         except BlockingIOError:
@@ -168,7 +177,13 @@ class Writer:
 
     def close(self) -> None:
         """Disconnect; frames under way still go. Twice is fine."""
+        self._closed = self._closed or InvalidRequest(f"the writer of {self.name!r} was closed: ask for another")
         self._connection.close()
+
+    def end(self, because: BoardClosed) -> None:
+        """The board is closed; whatever is asked from here on raises that."""
+        self._closed = because
+        self.close()
 
     def __enter__(self) -> Writer:
         return self

@@ -6,6 +6,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -15,9 +16,11 @@ from cm.device.base import AnyRoot
 from cm.device.paths import Root
 from cm.errors import Busy, InvalidRequest
 from cm.wire.plane import SOCKET
-from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
+from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
 
 ENDPOINTS_FILE = "endpoints.json"
+_TRIES = 64  # of ports, until three in a row are free
+_LAST = 65533  # the first of the last three
 
 
 class AlreadyServed(Busy):
@@ -129,19 +132,42 @@ class Sockets:
             _bind(socket, address)
 
     def bind_tcp(self, address: str, security: Security | None) -> Endpoints:
-        """Bind three ports in a row (or any three, for port 0); returns where. Raises InvalidRequest."""
-        wanted = tcp_endpoints(address)
-        bound = []
-        for socket, endpoint in zip(self.all, (wanted.pub, wanted.sub, wanted.req), strict=True):
-            if security is not None:
-                socket.setsockopt_string(zmq.ZAP_DOMAIN, "cm")
-                socket.curve_server = True
-                socket.curve_publickey = security.public_key
-                socket.curve_secretkey = security.secret_key
-            _bind(socket, endpoint)
-            bound.append(socket.getsockopt_string(zmq.LAST_ENDPOINT))
-        self.tcp.append(Endpoints(*bound))
+        """Bind three ports in a row, from any that are free for port 0; returns where. Raises InvalidRequest."""
+        if security is not None:
+            self._secure(security)
+        host, port = split_tcp(address)
+        self.tcp.append(self._bind_all(tcp_endpoints(address)) if port else self._bind_any(host))
         return self.tcp[-1]
+
+    def _bind_all(self, wanted: Endpoints) -> Endpoints:
+        for socket, endpoint in zip(self.all, (wanted.pub, wanted.sub, wanted.req), strict=True):
+            _bind(socket, endpoint)
+        return wanted
+
+    def _bind_any(self, host: str) -> Endpoints:
+        """Clients are told one port and count on from it, so three in a row have to be free."""
+        for _ in range(_TRIES):
+            _bind(self.pub, f"tcp://{host}:0")
+            first = self.pub.getsockopt_string(zmq.LAST_ENDPOINT)
+            port = int(first.rpartition(":")[2])
+            wanted = tcp_endpoints(f"tcp://{host}:{min(port, _LAST)}")
+            try:
+                _bind(self.sub, wanted.sub)
+                _bind(self.req, wanted.req)
+            except InvalidRequest:
+                for socket, bound in ((self.pub, first), (self.sub, wanted.sub)):
+                    with suppress(zmq.ZMQError):  # it was not bound
+                        socket.unbind(bound)
+                continue
+            return wanted
+        raise InvalidRequest(f"cannot listen on tcp://{host}:0: no three ports in a row are free")
+
+    def _secure(self, security: Security) -> None:
+        for socket in self.all:
+            socket.setsockopt_string(zmq.ZAP_DOMAIN, "cm")
+            socket.curve_server = True
+            socket.curve_publickey = security.public_key
+            socket.curve_secretkey = security.secret_key
 
     def announce(self) -> None:
         """Write where this manager listens, for clients and people."""

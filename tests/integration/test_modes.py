@@ -174,11 +174,13 @@ def test_a_late_subscriber_gets_the_status_at_once(board: cm.Board) -> None:
     assert next(board.watch(timeout=5)).mode == "default"
 
 
-def test_a_lease_keeps_others_off(board: cm.Board) -> None:
-    with board.lease("region:prr0") as lease:
+def test_a_lease_keeps_others_off(board: cm.Board, manager: Manager) -> None:
+    with cm.connect(runtime_dir=manager.runtime) as other, board.lease("region:prr0") as lease:
         with pytest.raises(RequestBusy, match="held by"):
-            board.mode = "edge_detection"
-        board.load(mode="edge_detection", lease=lease.id)
+            other.mode = "edge_detection"
+        other.load(mode="edge_detection", lease=lease.id)
+        board.mode = "default"  # the holder's own calls pass
+    board.mode = "edge_detection"
     board.mode = "default"
 
 

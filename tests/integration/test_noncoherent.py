@@ -198,7 +198,8 @@ def test_zeromq_reads_and_writes_are_synchronised_by_the_manager(apart: Setup) -
     told, to_pl, from_pl = loop(
         apart,
         """
-        board._data = None
+        from dataclasses import replace
+        board._place = replace(board._place, data=None)
         with board.stream("from_pl", timeout=20) as reader:
             while not next(s for s in board.status.streams if s.name == "from_pl").open:
                 pass
@@ -219,8 +220,9 @@ def test_one_tap_serves_all_subscribers_and_each_reader_its_own(apart: Setup) ->
         apart,
         """
         from contextlib import ExitStack
+        from dataclasses import replace
         far = cm.connect(runtime_dir=sys.argv[1], timeout=20)
-        far._data = None
+        far._place = replace(far._place, data=None)
         with ExitStack() as stack:
             remote = [stack.enter_context(far.stream("from_pl", timeout=20)) for _ in range(3)]
             while not next(s for s in board.status.streams if s.name == "from_pl").clients:

@@ -7,6 +7,7 @@ import asyncio
 import contextlib
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -51,8 +52,14 @@ def _tcp_pub(runtime: Path) -> str:
 @pytest.fixture
 def far(board: cm.Board) -> cm.Board:
     """The board as a client sees it that has no data socket: everything over ZeroMQ."""
-    board._data = None
+    board._place = replace(board._place, data=None)
     return board
+
+
+def socket_of(stream: Any) -> Any:
+    """The ZeroMQ socket of a stream that is subscribed to."""
+    stream.open()
+    return stream._reader._subscription.socket
 
 
 class _Context(zmq.Context):
@@ -173,7 +180,7 @@ def test_how_much_may_wait_at_the_client_is_the_streams_depth(far: cm.Board) -> 
     with far.stream("from_pl", depth=40) as deep, far.stream("from_pl", depth=1) as shallow:
         until(lambda: next(s for s in far.status.streams if s.name == "from_pl").open)
         assert isinstance(deep, RemoteStream)
-        assert [s._opened().getsockopt(zmq.RCVHWM) for s in (deep, shallow)] == [40, 1]
+        assert [socket_of(s).getsockopt(zmq.RCVHWM) for s in (deep, shallow)] == [40, 1]
     with pytest.raises(InvalidRequest, match="depth -1"):
         far.stream("from_pl", depth=-1)
 
@@ -252,7 +259,7 @@ def test_nothing_newer_is_a_timeout_and_an_unknown_stream_an_error(far: cm.Board
 def test_asyncio_has_the_same_over_zeromq(board: cm.Board, manager: Manager) -> None:
     async def main() -> list[int]:
         async with cm.aio.connect(runtime_dir=manager.runtime) as twin:
-            twin._data = None
+            twin._place = replace(twin._place, data=None)
             async with twin.stream("camera") as every, twin.stream("camera", newest=True) as newest:
                 sequences = [(await every.read()).sequence for _ in range(10)]
                 assert (await newest.read()).sequence > sequences[-1] - 2
@@ -280,7 +287,7 @@ def test_lz4_frames_are_the_same_and_smaller(far: cm.Board, manager: Manager, co
         assert (frame == picture).all()
         assert frame.info.compression == "lz4"
         assert (plain.read() == picture).all()
-        assert plain.read(timeout=5).info.compression == "" if plain._opened().poll(0) else True
+        assert plain.read(timeout=5).info.compression == "" if socket_of(plain).poll(0) else True
     topic, message, payload = raw.recv_multipart()
     info = pb.Frame.FromString(message)
     assert (topic, info.compression, info.length, tuple(info.shape)) == (b"cm_lz4/from_pl", "lz4", 307200, (480, 640))
@@ -308,7 +315,7 @@ def test_a_manager_without_lz4_refuses(tmp_path: Path) -> None:
     env["PYTHONPATH"] = f"{tmp_path}:{env['PYTHONPATH']}"
     with listening(env) as (manager, _), manager.connected() as board:
         board.load("camera", "default")
-        board._data = None
+        board._place = replace(board._place, data=None)
         with pytest.raises(InvalidRequest, match="python3-lz4") as caught:
             board.stream("camera", compression="lz4").open()
         assert caught.value.code == "unsupported"

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import islice, pairwise
 from typing import Any
 
@@ -98,7 +99,7 @@ def test_rows_land_at_the_stride_and_nothing_lands_between(board_of: str, reques
 def test_lines_that_lie_apart_come_without_the_space_over_zeromq(video: cm.Board, vdma: tuple[Manager, Any]) -> None:
     small(video, stride=STRIDE)
     with vdma[0].connected() as far:
-        far._data = None
+        far._place = replace(far._place, data=None)
         with far.stream("from_pl", timeout=20) as stream:
             until(lambda: state(video, "from_pl").open)
             video.write("to_pl", PICTURE)

@@ -53,7 +53,7 @@ class Leases:
             return self._renew(request.id, seconds) if isinstance(request, RenewLease) else self._new(request, seconds)
 
     def check(self, scopes: tuple[str, ...], lease: str = "") -> None:
-        """Raise HeldBy if somebody without `lease` must keep off any of these scopes."""
+        """Raise HeldBy where another's lease forbids any of these scopes; `lease`: ids of one's own, between commas."""
         if not self._held:
             return
         with self._lock:
@@ -61,10 +61,10 @@ class Leases:
             self._check(scopes, lease)
 
     def _check(self, scopes: tuple[str, ...], lease: str) -> None:
-        own = self._held.get(lease)
+        own = [self._held[key] for key in lease.split(",") if key in self._held]
         for held in self._held.values():
-            shared = own is not None and not held.info.exclusive and _overlap(own.info.scope, held.info.scope)
-            if held is not own and not shared and any(_overlap(held.info.scope, scope) for scope in scopes):
+            shared = not held.info.exclusive and any(_overlap(one.info.scope, held.info.scope) for one in own)
+            if held not in own and not shared and any(_overlap(held.info.scope, scope) for scope in scopes):
                 raise HeldBy(_held_by(held.info, self._left(held)))
 
     def holds(self, lease: str) -> bool:

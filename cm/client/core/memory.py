@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from cm.client import calls
-from cm.client.calls import Call
+from cm.client.core import calls
+from cm.client.core.calls import Call
 from cm.errors import InvalidRequest
-from cm.messages.status import FrameInfo, MemoryInfo
+from cm.messages.status import ConfigInfo, FrameInfo, MemoryInfo
 
 Array = npt.NDArray[Any]
 Key = int | slice
@@ -27,6 +27,11 @@ _WORD = 4
 def describe(name: str) -> Call[MemoryInfo]:
     """What the memory of that name is."""
     return calls.describe_memory(name)
+
+
+def visible(config: ConfigInfo) -> dict[str, MemoryInfo]:
+    """The memories that the mode has which the board is in."""
+    return {m.name: m for m in config.memories if not m.modes or config.mode in m.modes}
 
 
 def dtype_of(name: str) -> np.dtype[Any]:

@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from cm.client.core.values import register_value
 from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
@@ -94,13 +95,16 @@ def read_registers(names: tuple[str, ...]) -> Call[RegValues]:
 
 def write_registers(values: dict[str, int], lease: str = "") -> Call[RegValues]:
     """Registers by name, in order, all checked before the first is written."""
-    writes = tuple(rq.RegWrite(name, int(value)) for name, value in values.items())
+    writes = tuple(rq.RegWrite(name, register_value(name, value)) for name, value in values.items())
     return Call(rq.WriteReg(writes, lease), lambda r: _body(r, RegValues))
 
 
 def write_masked(name: str, value: int, mask: int, lease: str = "") -> Call[RegValues]:
     """The bits in `mask` of a register."""
-    return Call(rq.WriteReg((rq.RegWrite(name, value, mask),), lease), lambda r: _body(r, RegValues))
+    return Call(
+        rq.WriteReg((rq.RegWrite(name, register_value(name, value), register_value(f"{name} (mask)", mask)),), lease),
+        lambda r: _body(r, RegValues),
+    )
 
 
 def configure_stream(request: rq.ConfigureStream) -> Call[StreamStatus]:

@@ -1,0 +1,321 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The board of the asyncio client."""
+
+from __future__ import annotations
+
+import os
+import weakref
+from collections.abc import Callable, Generator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+import zmq.asyncio
+
+from cm.client import place
+from cm.client.address import Keys
+from cm.client.aio.change import ChangeHandle
+from cm.client.aio.events import EventStream
+from cm.client.aio.interrupts import Interrupts
+from cm.client.aio.lease import BoardLease
+from cm.client.aio.link import Link, Subscription
+from cm.client.aio.memories import Memories, Memory
+from cm.client.aio.registers import Registers
+from cm.client.aio.stream import AsyncLocalStream, AsyncRemoteStream, Stream
+from cm.client.aio.writer import AsyncWriter
+from cm.client.core import calls, change, leases
+from cm.client.core.calls import Call
+from cm.client.core.effects import DEFAULT, Flow, Limit, seconds
+from cm.client.core.events import StatusEvents
+from cm.client.core.leases import HeldLeases
+from cm.client.core.values import mode_name
+from cm.client.frame import Frame
+from cm.client.guard import Guarded
+from cm.client.sockets import Sockets, closed
+from cm.client.zmq_frames import Wanted
+from cm.messages.requests import ConfigureStream, DefineMemory
+from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Progress, Status, StreamStatus
+from cm.wire.plane import Open
+
+_T = TypeVar("_T")
+
+
+def connect(
+    endpoint: str | None = None,
+    *,
+    runtime_dir: str | os.PathLike[str] | None = None,
+    timeout: float = 5.0,
+    keys: str | os.PathLike[str] | Keys | None = None,
+) -> Board:
+    """A board, to be entered with ``async with``, or awaited; arguments and errors as in `cm.connect`."""
+    return Board(endpoint, runtime_dir=runtime_dir, timeout=timeout, keys=keys)
+
+
+class Board(Guarded):
+    """A board behind a configuration manager. One event loop; several requests may be under way."""
+
+    _advice = {"mode": "await board.set_mode(…): an assignment cannot be awaited"}  # noqa: RUF012 (never changed)
+
+    def __init__(
+        self,
+        endpoint: str | None = None,
+        *,
+        runtime_dir: str | os.PathLike[str] | None = None,
+        timeout: float = 5.0,
+        keys: str | os.PathLike[str] | Keys | None = None,
+    ) -> None:
+        self._place = place.find(endpoint, runtime_dir, keys)
+        self._sockets = Sockets(zmq.asyncio.Context(), self._place.endpoints, self._place.keys)
+        self._close = weakref.finalize(self, self._sockets.close)
+        self._link = Link(self._sockets, timeout)
+        self._leases = HeldLeases()
+        self._users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
+        self._registers = Registers(self)
+        self._interrupts = Interrupts(self)
+        self._memories = Memories(self)
+
+    @property
+    def timeout(self) -> float:
+        """Seconds to wait for answers to all but `load`."""
+        return self._link.timeout
+
+    @timeout.setter
+    def timeout(self, seconds: float) -> None:
+        self._link.timeout = seconds
+
+    @property
+    def registers(self) -> Registers:
+        """Registers and fields of the current mode by name."""
+        return self._registers
+
+    @property
+    def interrupts(self) -> Interrupts:
+        """Interrupts of the loaded configuration by name."""
+        return self._interrupts
+
+    @property
+    def memories(self) -> Memories:
+        """Memories of the current mode by name."""
+        return self._memories
+
+    # ---- asking ---------------------------------------------------------------------
+
+    async def ask(self, call: Call[_T], timeout: Limit = DEFAULT) -> _T:
+        """Make a call and return its result; `timeout` in seconds, None waits for ever.
+
+        Raises what `cm.client.errors` holds.
+        """
+        return await self._link.ask(self._leases.carried(call), seconds(timeout, self._link.timeout))
+
+    async def run(self, flow: Flow[_T]) -> _T:
+        """Run a flow of `cm.client.core` to its end."""
+        return await self._link.run(flow)
+
+    def subscribe(self, *topics: bytes, depth: int = 0) -> Subscription:
+        """Listen to topics; `depth` messages wait (0: ZeroMQ's own number). The caller closes it."""
+        return Subscription(self._sockets, topics, depth)
+
+    # ---- status -----------------------------------------------------------------------
+
+    async def status(self) -> Status:
+        """The state of the PL now."""
+        return await self.ask(calls.status())
+
+    def watch(self, timeout: float | None = None) -> EventStream[Status]:
+        """Every status from now on, the current one first. Raises Timeout if none comes for `timeout` seconds."""
+        subscription = self.subscribe(*StatusEvents.topics)
+        return EventStream(self, subscription, StatusEvents(subscription, timeout))
+
+    # ---- configurations -----------------------------------------------------------------
+
+    async def configs(self) -> tuple[str, ...]:
+        """Names of the configurations that can be loaded."""
+        return await self.ask(calls.config_names())
+
+    async def config(self, name: str = "") -> ConfigInfo:
+        """A configuration's modes, registers, streams and interrupts; the loaded one's if no name is given."""
+        return await self.ask(calls.describe(name))
+
+    async def load(
+        self,
+        config: str = "",
+        mode: str = "",
+        *,
+        progress: Callable[[Progress], None] | None = None,
+        timeout: float | None = None,
+        queue: bool = True,
+        force: bool = False,
+        lease: str = "",
+    ) -> float:
+        """Go to a mode of a configuration and wait until the board is there; returns the seconds it took.
+
+        Raises RequestFailed (the board is then where the sentence says), ConnectionLost, NoAnswer.
+        """
+        call = self._leases.carried(calls.load(config, mode, wait=True, queue=queue, force=force, lease=lease))
+        subscription = self.subscribe(*StatusEvents.topics) if progress else None
+        try:
+            return await self.run(change.loading(call, timeout, subscription, progress))
+        finally:
+            if subscription is not None:
+                subscription.close()
+
+    async def load_async(
+        self, config: str = "", mode: str = "", *, queue: bool = True, force: bool = False, lease: str = ""
+    ) -> ChangeHandle:
+        """Ask for a mode and return at once; the handle says when the board is there."""
+        subscription = self.subscribe(*StatusEvents.topics)
+        try:
+            info = await self.ask(calls.load(config, mode, wait=False, queue=queue, force=force, lease=lease))
+        except BaseException:
+            subscription.close()
+            raise
+        return ChangeHandle(self, info.number, subscription)
+
+    async def mode(self) -> str:
+        """The mode the board is in; `set_mode` goes to one."""
+        return (await self.status()).mode
+
+    async def set_mode(self, mode: str, *, timeout: float | None = None, lease: str = "") -> float:
+        """Go to a mode of the loaded configuration and wait; returns the seconds it took. Raises as `load` does."""
+        return await self.load(mode=mode_name(mode), timeout=timeout, lease=lease)
+
+    async def cancel(self) -> None:
+        """Cancel the running change before its next load; the board goes back."""
+        await self.ask(calls.cancel())
+
+    async def plan(self, mode: str = "", config: str = "") -> PlanInfo:
+        """What going to a mode would do, and what it would cost; touches nothing."""
+        return await self.ask(calls.plan(mode, config), timeout=max(self.timeout, 30.0))
+
+    async def provision(
+        self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = ""
+    ) -> ConfigInfo:
+        """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""
+        call = calls.provision(Path(schema), tuple(map(Path, files)), lease)
+        return await self.ask(call, timeout=max(self.timeout, 60.0))
+
+    def lease(
+        self, scope: str = "board", *, exclusive: bool = True, seconds: float = 30.0, holder: str = ""
+    ) -> BoardLease:
+        """Hold ``board``, ``config``, ``region:NAME``, ``registers:NAME`` or ``memories:NAME`` as a context manager.
+
+        Within it this board's own calls pass. `holder` is what others are told (default: this process).
+        """
+        return BoardLease(self, self._leases, leases.wanted(scope, exclusive, seconds, holder, self._place.local))
+
+    # ---- data -----------------------------------------------------------------------------
+
+    def stream(
+        self,
+        name: str,
+        timeout: float | None = 5.0,
+        *,
+        depth: int = 0,
+        newest: bool = False,
+        compression: str = "",
+        lease: str = "",
+    ) -> Stream:
+        """The frames of a stream, as a context manager and iterator; frames lost to slowness show in `sequence`.
+
+        On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
+        held at a time, and go back when the last reference to them goes. `newest` skips those that wait behind
+        a newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
+        package lz4 at both ends), `newest` asks for each frame when it is read, and `depth` of them (0: 4) wait
+        here, beside those at the manager. `timeout` in seconds, None waits
+        for ever. `lease`: the id of one's own, where a stream with back-pressure lies in a region that is held.
+        """
+        if self._place.data is not None:
+            wanted = Open(name, depth=depth, lease=self._leases.named(lease))
+            return self._using(AsyncLocalStream(self, self._place.data, wanted, timeout, newest))
+        published = Wanted(name, timeout, newest, compression, depth)
+        return AsyncRemoteStream(self, published)
+
+    def _using(self, user: _T) -> _T:
+        if self._sockets.closed:
+            raise closed(self._place.endpoints.req)
+        self._users.add(user)
+        return user
+
+    def writer(self, name: str, timeout: float | None = 5.0, *, depth: int = 0, lease: str = "") -> AsyncWriter:
+        """Write a stream without copies: ``async with writer.slot() as array: array[...] = frame``.
+
+        `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
+        `lease`: the id of one's own, where the stream's region is held.
+        """
+        wanted = Open(name, write=True, depth=depth, lease=self._leases.named(lease))
+        return self._using(AsyncWriter(self, self._place.data_folder("a writer"), wanted, timeout))
+
+    def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> AsyncWriter:
+        """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
+        wanted = Open("", depth=depth, echo=True, length=length)
+        return self._using(AsyncWriter(self, self._place.data_folder("an echo"), wanted, timeout))
+
+    async def read(self, stream: str = "", timeout: float = 1.0) -> Frame:
+        """The next frame of a stream."""
+        return await self.ask(calls.read_data(stream, timeout), timeout=timeout + self.timeout)
+
+    async def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
+        """Send an array or bytes to the hardware; returns when it has taken them."""
+        return await self.ask(calls.write_data(stream, data, lease), timeout=self.timeout + 5.0)
+
+    async def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
+        """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; what is left out stays.
+
+        `cm.messages.requests.ConfigureStream` has them all. Raises RequestBusy while it is in use, without `force`,
+        and InvalidRequest for what cannot be: then nothing has changed.
+        """
+        return await self.ask(calls.configure_stream(ConfigureStream(stream, **settings)))
+
+    async def configure_memory(
+        self,
+        name: str,
+        address: int,
+        length: int,
+        *,
+        shape: tuple[int, ...] = (),
+        dtype: str = "",
+        access: str = "",
+        region: str = "",
+        lease: str = "",
+    ) -> Memory:
+        """Name `length` bytes at a physical address, until another configuration is loaded.
+
+        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; who may write must
+        not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
+        all else that has a name in that window is in one. Raises RequestFailed.
+        """
+        request = DefineMemory(name, address, length, shape, dtype, access, region, lease)
+        await self.ask(calls.define_memory(request))
+        return Memory(self, name)
+
+    # ---- life -----------------------------------------------------------------------------
+
+    async def close(self) -> None:
+        """Disconnect, with all streams, writers and events; whatever is asked afterwards raises BoardClosed.
+
+        Twice is fine.
+        """
+        for user in tuple(self._users):
+            user.end(closed(self._place.endpoints.req))
+        await self._link.close()
+        self._close()
+
+    async def __aenter__(self) -> Board:
+        try:
+            await self.status()
+        except BaseException:
+            await self.close()
+            raise
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    def __await__(self) -> Generator[Any, None, Board]:
+        """``board = await cm.aio.connect()``; it is closed with ``await board.close()``."""
+        return self.__aenter__().__await__()
+
+    def __repr__(self) -> str:
+        return f"<board at {self._place.endpoints.req}{', closed' if self._sockets.closed else ''}>"

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Interrupts of the asyncio client: ``await board.interrupts["frame_done"].wait(timeout=1.0)``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cm.client.aio.events import EventStream
+from cm.client.core import calls
+from cm.client.core.events import InterruptEvents
+from cm.messages.status import Irq
+
+if TYPE_CHECKING:
+    from cm.client.aio.board import Board
+
+
+class Interrupts:
+    """Interrupts of the loaded configuration by name."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    def __getitem__(self, name: str) -> Interrupt:
+        """The interrupt of that name; whether there is one shows when it is used."""
+        return Interrupt(self._board, name)
+
+    async def names(self) -> tuple[str, ...]:
+        """Those of the loaded configuration."""
+        return tuple([i.name for i in (await self._board.config()).interrupts])
+
+    def __repr__(self) -> str:
+        return f"<interrupts of {self._board!r}>"
+
+
+class Interrupt:
+    """One interrupt."""
+
+    def __init__(self, board: Board, name: str) -> None:
+        self._board = board
+        self.name = name
+
+    async def count(self) -> int:
+        """How often it came since the configuration was loaded."""
+        return (await self._board.ask(calls.interrupt(self.name))).count
+
+    async def wait(self, timeout: float | None = None) -> Irq:
+        """Wait for the next one; `timeout` in seconds, None waits for ever. Raises Timeout."""
+        async with self.events(timeout) as events:
+            return await events.next()
+
+    def events(self, timeout: float | None = None) -> EventStream[Irq]:
+        """Each one from its opening on. Raises Timeout if none comes for `timeout` seconds."""
+        subscription = self._board.subscribe(*InterruptEvents.topics)
+        return EventStream(self._board, subscription, InterruptEvents(subscription, timeout, self.name))
+
+    def __repr__(self) -> str:
+        return f"<interrupt {self.name}>"

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lease of the asyncio client."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from cm.client.core import calls, leases
+from cm.client.core.leases import HeldLeases
+from cm.messages.requests import TakeLease
+
+if TYPE_CHECKING:
+    from cm.client.aio.board import Board
+
+
+class BoardLease:
+    """As `cm.client.lease.BoardLease`, awaited."""
+
+    def __init__(self, board: Board, held: HeldLeases, request: TakeLease) -> None:
+        self._board = board
+        self._held = held
+        self._wanted = request
+        self.id = ""
+
+    @property
+    def scope(self) -> str:
+        """What it holds."""
+        return self._wanted.scope
+
+    async def take(self) -> str:
+        """Take it; returns its id. Raises RequestBusy with who holds it."""
+        self.id = (await self._board.ask(calls.lease(self._wanted))).id
+        self._held.add(self.id)
+        return self.id
+
+    async def renew(self) -> None:
+        """Begin its time anew. Raises RequestNotFound if it has ended."""
+        await self._board.ask(calls.lease(leases.renewal(self._wanted, self.id)))
+
+    async def release(self) -> None:
+        """Give it back; twice is fine."""
+        if self.id:
+            held, self.id = self.id, ""
+            self._held.remove(held)
+            await self._board.ask(calls.lease(leases.release(held)))
+
+    async def __aenter__(self) -> BoardLease:
+        await self.take()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        await self.release()
+
+    def __repr__(self) -> str:
+        return f"<lease on {self.scope}{f', {self.id}' if self.id else ', not held'}>"

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests and subscriptions of one event loop; several requests may be under way."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+import zmq.asyncio
+from zmq.utils.monitor import parse_monitor_message
+
+from cm.client.core.calls import Call
+from cm.client.core.effects import Ask, AskBeside, Flow, Pause, Receive, seconds
+from cm.client.core.requests import Requests, result
+from cm.client.sockets import Sockets, closed
+
+_T = TypeVar("_T")
+
+
+class Subscription:
+    """A SUB socket: topics that are listened to."""
+
+    def __init__(self, sockets: Sockets, topics: tuple[bytes, ...], depth: int = 0) -> None:
+        self._sockets = sockets
+        self.socket: zmq.asyncio.Socket = sockets.subscriber(topics, depth)
+
+    async def receive(self, timeout: float | None) -> list[bytes] | None:
+        """The next message; None if there is none within `timeout` seconds. Raises BoardClosed."""
+        if self.socket.closed:
+            raise closed(self._sockets.endpoints.req)
+        if not await self.socket.poll(None if timeout is None else int(timeout * 1000) + (timeout > 0)):
+            return None
+        return await self.socket.recv_multipart()
+
+    def fileno(self) -> int:
+        """Readable when something may have come; then take all there is (zmq_getsockopt(3), ZMQ_FD)."""
+        return int(self.socket.fileno())
+
+    def unsubscribe(self, topic: bytes) -> None:
+        """Listen to one of the topics no more."""
+        self.socket.setsockopt(zmq.UNSUBSCRIBE, topic)
+
+    def close(self) -> None:
+        """Twice is fine."""
+        self._sockets.end(self.socket)
+
+
+class Link:
+    """One connection for requests, made by `open` in the event loop that uses it."""
+
+    def __init__(self, sockets: Sockets, timeout: float) -> None:
+        self.timeout = timeout  # seconds, of what is asked with no time-out of its own
+        self._sockets = sockets
+        self._requests = Requests(sockets.endpoints.req)
+        self._pending: dict[bytes, asyncio.Future[list[bytes]]] = {}
+        self._socket: zmq.asyncio.Socket | None = None
+        self._monitor: zmq.asyncio.Socket | None = None
+        self._tasks: tuple[asyncio.Task[None], ...] = ()
+
+    def open(self) -> None:
+        """Connect; again is fine. Raises BoardClosed."""
+        if self._sockets.closed:
+            raise closed(self._requests.address)
+        if self._socket is None:
+            self._socket, self._monitor = self._sockets.requests()
+            self._tasks = (asyncio.create_task(self._read()), asyncio.create_task(self._look()))
+
+    async def _read(self) -> None:
+        assert self._socket is not None
+        while True:
+            frames = await self._socket.recv_multipart()
+            waiting = self._pending.pop(frames[0], None)
+            if waiting is not None and not waiting.done():
+                waiting.set_result(frames[2:])
+
+    async def _look(self) -> None:
+        """A manager that goes away is told to all who wait."""
+        assert self._monitor is not None
+        while True:
+            event = parse_monitor_message(await self._monitor.recv_multipart())
+            if event["event"] == zmq.EVENT_DISCONNECTED:
+                self._fail(self._requests.lost)
+
+    def _fail(self, problem: Callable[[], Exception]) -> None:
+        pending, self._pending = self._pending, {}
+        for waiting in pending.values():
+            if not waiting.done():
+                waiting.set_exception(problem())
+
+    async def ask(self, call: Call[_T], timeout: float | None) -> _T:
+        """Make a request and wait for its reply.
+
+        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away,
+        BoardClosed, and what the manager refused with.
+        """
+        self.open()
+        assert self._socket is not None
+        number, frames = self._requests.begin(call)
+        waiting: asyncio.Future[list[bytes]] = asyncio.get_running_loop().create_future()
+        self._pending[number] = waiting
+        try:
+            await self._socket.send_multipart(frames)
+            reply = await asyncio.wait_for(waiting, timeout)
+        except asyncio.TimeoutError:
+            raise self._requests.no_answer(timeout) from None
+        finally:
+            self._pending.pop(number, None)
+        return result(call, reply)
+
+    async def run(self, flow: Flow[_T]) -> _T:
+        """Run a flow to its end. Raises what it raises."""
+        answer: Any = None
+        problem: BaseException | None = None
+        while True:
+            try:
+                effect = flow.throw(problem) if problem else flow.send(answer)
+            except StopIteration as end:
+                value: _T = end.value
+                return value
+            try:
+                answer, problem = await self._do(effect), None
+            except Exception as error:  # noqa: BLE001 (the flow decides)
+                problem = error
+
+    async def _do(self, effect: Any) -> Any:
+        if isinstance(effect, Call):
+            return await self.ask(effect, self.timeout)
+        if isinstance(effect, Ask):
+            return await self.ask(effect.call, seconds(effect.timeout, self.timeout))
+        if isinstance(effect, Receive):
+            return await effect.subscription.receive(effect.timeout)
+        if isinstance(effect, Pause):
+            return await asyncio.sleep(effect.seconds)
+        return await self._ask_beside(effect)
+
+    async def _ask_beside(self, effect: AskBeside) -> Any:
+        teller = asyncio.create_task(_tell(effect))
+        try:
+            return await self.ask(effect.call, seconds(effect.timeout, self.timeout))
+        finally:
+            teller.cancel()
+            with suppress(asyncio.CancelledError):
+                await teller
+
+    async def close(self) -> None:
+        """Disconnect; twice is fine. Who waits gets BoardClosed."""
+        tasks, self._tasks = self._tasks, ()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        self._fail(lambda: closed(self._requests.address))
+        if self._socket is not None and not self._socket.closed:
+            self._socket.disable_monitor()
+            self._sockets.end(self._monitor, self._socket)
+
+
+async def _tell(effect: AskBeside) -> None:
+    while True:
+        frames = await effect.subscription.receive(None)
+        if frames is not None:
+            effect.take(frames)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memories of the asyncio client: ``await board.memories["coefficients"].write(array)``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from cm.client.core import memory
+from cm.client.core.memory import Array, Key
+from cm.messages.status import MemoryInfo
+
+if TYPE_CHECKING:
+    from cm.client.aio.board import Board
+
+
+class Memory:
+    """As `cm.client.memories.Memory`, awaited."""
+
+    def __init__(self, board: Board, name: str) -> None:
+        self._board = board
+        self.name = name
+
+    async def info(self) -> MemoryInfo:
+        """What the manager knows of it."""
+        return await self._board.ask(memory.describe(self.name))
+
+    async def read(self, offset: int = 0, length: int | None = None) -> Array:
+        """A copy of `length` bytes (None: the rest), as an array of the memory's dtype."""
+        return await self._board.run(memory.read(self.name, offset, length))
+
+    async def write(self, data: Any, offset: int = 0, lease: str = "") -> int:
+        """Write values as the memory's elements, or bytes as they are; returns how many bytes they were."""
+        return await self._board.run(memory.write(self.name, data, offset, lease))
+
+    async def get(self, key: Key) -> Any:
+        """A row, or rows, of the first axis; no more is read than it needs."""
+        return await self._board.run(memory.get(self.name, key))
+
+    async def put(self, key: Key, value: Any, lease: str = "") -> None:
+        """Write rows of the first axis; together they must be whole words of 32 bits."""
+        await self._board.run(memory.put(self.name, key, value, lease))
+
+    def __repr__(self) -> str:
+        return f"<Memory {self.name}>"
+
+
+class Memories:
+    """Memories of the current mode by name."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    def __getitem__(self, name: str) -> Memory:
+        """The memory of that name; whether there is one shows when it is used."""
+        return Memory(self._board, name)
+
+    async def info(self) -> dict[str, MemoryInfo]:
+        """What the manager knows of each that can be named now."""
+        return memory.visible(await self._board.config())
+
+    def __repr__(self) -> str:
+        return f"<memories of {self._board!r}>"

@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers of the asyncio client: ``await board.registers.write({"focus": 2})``."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from cm.client.aio.events import EventStream
+from cm.client.core import calls, registers
+from cm.client.core.events import RegisterEvents
+from cm.client.errors import RequestNotFound
+from cm.messages.status import RegisterInfo, RegValues
+
+if TYPE_CHECKING:
+    from cm.client.aio.board import Board
+
+
+class Registers:
+    """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    async def get(self, name: str, default: Any = None) -> Any:
+        """A register's or field's value; `default` where the current mode has none of that name."""
+        try:
+            return (await self.read(name)).popitem()[1]
+        except RequestNotFound:
+            return default
+
+    async def info(self) -> dict[str, RegisterInfo]:
+        """What the schema says of each register that the current mode has."""
+        return registers.visible(await self._board.config())
+
+    async def read(self, *names: str) -> dict[str, int]:
+        """Several at once; all that can be read if none is named."""
+        return registers.values(await self._board.ask(calls.read_registers(names)))
+
+    async def write(self, values: dict[str, int], lease: str = "") -> dict[str, int]:
+        """Several in order, all checked before the first is written; returns what they hold then."""
+        return registers.values(await self._board.ask(calls.write_registers(values, lease)))
+
+    async def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:
+        """Only the bits in `mask`; returns the register's value."""
+        return (await self._board.ask(calls.write_masked(name, value, mask, lease))).values[0].value
+
+    def events(self, *names: str, timeout: float | None = None) -> EventStream[RegValues]:
+        """Every write from its opening on, by whomever, and what the registers hold after it; `names`: only of these.
+
+        Raises Timeout if none comes for `timeout` seconds (None: waits for ever).
+        """
+        subscription = self._board.subscribe(*RegisterEvents.topics)
+        return EventStream(self._board, subscription, RegisterEvents(subscription, timeout, names))
+
+    if not TYPE_CHECKING:  # for a type checker they would allow all
+
+        def __getitem__(self, name: str) -> int:
+            raise TypeError(f"await board.registers.read({name!r}), or get({name!r}): brackets cannot be awaited")
+
+        def __setitem__(self, name: str, value: int) -> None:
+            raise TypeError(f"await board.registers.write({{{name!r}: {value!r}}}): an assignment cannot be awaited")
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            if name.startswith("_"):
+                object.__setattr__(self, name, value)
+                return
+            raise AttributeError(f"await board.registers.write({{{name!r}: {value!r}}})")
+
+    def __repr__(self) -> str:
+        return f"<registers of {self._board!r}>"

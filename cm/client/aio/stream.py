@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Streams for asyncio: the twins of those in `cm.client.stream`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, TypeVar
+
+from cm.client.aio.link import Subscription
+from cm.client.aio.waiting import readable
+from cm.client.core.effects import DEFAULT, Limit, seconds
+from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
+from cm.client.errors import BoardClosed
+from cm.client.frame import Frame
+from cm.client.stream import LocalStream
+from cm.client.zmq_frames import Wanted
+from cm.errors import Timeout
+from cm.wire.plane import Geometry, Open
+
+if TYPE_CHECKING:
+    from cm.client.aio.board import Board
+
+Self = TypeVar("Self", bound="Stream")
+
+
+class Stream:
+    """Frames of one stream: ``async for``, or ``await read()``; also an async context manager."""
+
+    name: str
+
+    async def read(self, timeout: Limit = DEFAULT) -> Frame:
+        """The next frame. `timeout` in seconds (None waits for ever), else that of the stream. Raises Timeout."""
+        raise NotImplementedError
+
+    async def open(self) -> None:
+        """Connect; `read` does it by itself. Raises RequestNotFound for an unknown stream."""
+        raise NotImplementedError
+
+    async def close(self) -> None:
+        """Disconnect; twice is fine."""
+        raise NotImplementedError
+
+    async def aclose(self) -> None:
+        """`close`, for `contextlib.aclosing`."""
+        await self.close()
+
+    @property
+    def lost(self) -> int:
+        """Frames that came while we were too slow."""
+        raise NotImplementedError
+
+    async def __aiter__(self) -> AsyncIterator[Frame]:
+        while True:
+            yield await self.read()
+
+    async def __aenter__(self: Self) -> Self:
+        await self.open()
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        await self.close()
+
+
+class AsyncLocalStream(Stream):
+    """Frames in DMA memory; see `cm.client.stream.LocalStream`."""
+
+    def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None, newest: bool = False) -> None:
+        self._stream = LocalStream(folder, wanted, timeout, newest, owner=board)
+        self._timeout = timeout
+        self.name = wanted.name
+
+    async def open(self) -> None:
+        await asyncio.get_running_loop().run_in_executor(None, self._stream.open)
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """Shape, dtype, slots as they are now; None while the stream is stopped."""
+        return self._stream.geometry
+
+    @property
+    def lost(self) -> int:
+        return self._stream.lost
+
+    async def read(self, timeout: Limit = DEFAULT) -> Frame:
+        if not self._stream.is_open:
+            await self.open()
+        limit = seconds(timeout, self._timeout)
+        try:
+            return await asyncio.wait_for(self._next(), limit)
+        except asyncio.TimeoutError:
+            raise Timeout(self._stream.nothing(limit)) from None
+
+    async def _next(self) -> Frame:
+        while (frame := self._stream.poll()) is None:
+            await readable(self._stream.fileno())
+        return frame
+
+    async def close(self) -> None:
+        self._stream.close()
+
+    def end(self, because: BoardClosed) -> None:
+        """The board is closed; whatever is asked from here on raises that."""
+        self._stream.end(because)
+
+
+class AsyncRemoteStream(Stream):
+    """Frames over ZeroMQ; losses show in `sequence`."""
+
+    def __init__(self, board: Board, wanted: Wanted) -> None:
+        self.name = wanted.name
+        self._board = board  # what hangs on a board holds it
+        self._reader: Reader = NewestReader(wanted) if wanted.newest else PublishedReader(wanted, self._listen)
+
+    @property
+    def _listen(self) -> Callable[[bytes, int], Subscription]:
+        return lambda topic, depth: self._board.subscribe(topic, depth=depth)
+
+    @property
+    def lost(self) -> int:
+        return self._reader.lost
+
+    async def open(self) -> None:
+        try:
+            await self._board.run(self._reader.opening())
+        except BaseException:
+            await self.close()
+            raise
+
+    async def read(self, timeout: Limit = DEFAULT) -> Frame:
+        return await self._board.run(self._reader.reading(timeout))
+
+    async def close(self) -> None:
+        self._reader.close()

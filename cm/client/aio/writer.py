@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writing frames without copies, for asyncio: the twin of `cm.client.writer`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy.typing as npt
+
+from cm.client.aio.waiting import readable
+from cm.client.core.effects import DEFAULT, Limit, seconds
+from cm.client.errors import BoardClosed
+from cm.client.writer import Writer
+from cm.errors import InvalidRequest, Timeout
+from cm.wire.plane import Descriptor, Geometry, Open
+
+if TYPE_CHECKING:
+    from cm.client.aio.board import Board
+
+
+class AsyncWriter:
+    """Borrow slots, fill them, send them; see `Writer`. Entered with ``async with``."""
+
+    def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None) -> None:
+        self._board = board  # what hangs on a board holds it
+        self._folder, self._wanted, self._timeout = folder, wanted, timeout
+        self.name = wanted.name
+        self._ended: BoardClosed | None = None
+        self._writer: Writer | None = None
+
+    async def __aenter__(self) -> AsyncWriter:
+        make = asyncio.get_running_loop().run_in_executor
+        self._writer = await make(None, Writer, self._folder, self._wanted, self._timeout)
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Disconnect; frames under way still go. Twice is fine."""
+        if self._writer is not None:
+            self._writer.close()
+
+    def end(self, because: BoardClosed) -> None:
+        """The board is closed; whatever is asked from here on raises that."""
+        self._ended = because
+        if self._writer is not None:
+            self._writer.end(because)
+
+    def _entered(self) -> Writer:
+        if self._ended is not None:
+            raise self._ended
+        if self._writer is None:
+            raise InvalidRequest("enter the writer first: async with board.writer(…) as writer")
+        return self._writer
+
+    @asynccontextmanager
+    async def slot(self, length: int = 0, timeout: Limit = DEFAULT) -> AsyncIterator[npt.NDArray[Any]]:
+        """A free slot as an array to fill; it is sent when the block ends."""
+        writer = self._entered()
+        await self._until(lambda: writer.free > 0, timeout)
+        with writer.slot(length) as array:
+            yield array
+
+    async def write(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
+        """Copy a frame into a slot and send it. Raises as `slot` does."""
+        writer = self._entered()
+        await self._until(lambda: writer.free > 0, timeout)
+        writer.write(data)
+
+    @property
+    def under_way(self) -> int:
+        """Frames that the hardware has not taken yet."""
+        return self._entered().under_way
+
+    @property
+    def free(self) -> int:
+        """Slots that can be had at once."""
+        return self._entered().free
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """Shape, dtype, slots; None while the stream is stopped."""
+        return self._entered().geometry
+
+    async def round_trip(self, length: int = 0) -> Descriptor:
+        """Send a slot as it is and wait until it is done: what a frame costs beside its bytes."""
+        writer = self._entered()
+        await self._until(lambda: writer.free > 0, DEFAULT)
+        return await asyncio.get_running_loop().run_in_executor(None, writer.round_trip, length)
+
+    async def flush(self, timeout: Limit = DEFAULT) -> None:
+        """Wait until the hardware has taken all frames. Raises Timeout, TransferFailed."""
+        writer = self._entered()
+        await self._until(lambda: writer.under_way == 0, timeout)
+        writer.flush()
+
+    async def _until(self, ready: Callable[[], bool], timeout: Limit) -> None:
+        writer, limit = self._entered(), seconds(timeout, self._timeout)
+
+        async def wait() -> None:
+            while not ready():
+                if not writer.poll():
+                    await readable(writer.fileno())
+
+        try:
+            await asyncio.wait_for(wait(), limit)
+        except asyncio.TimeoutError:
+            raise Timeout(f"stream {self._wanted.name!r}: the hardware took nothing within {limit or 0:g} s") from None

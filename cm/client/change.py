@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A change of the blocking client that nobody waits for yet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from cm.client.core import calls
+from cm.client.core.change import ChangeWatch
+from cm.client.link import Subscription
+from cm.messages.status import Progress
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
+
+
+class ChangeHandle:
+    """A change under way. The change goes on where the handle is dropped."""
+
+    def __init__(self, board: Board, number: int, subscription: Subscription) -> None:
+        self._board = board
+        self._subscription = subscription
+        self._watch = ChangeWatch(number, subscription)
+
+    @property
+    def number(self) -> int:
+        """Of the change, as `status.last_change` tells it."""
+        return self._watch.number
+
+    @property
+    def progress(self) -> Progress | None:
+        """Of the newest status that was taken; None before the first."""
+        return self._watch.progress
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended, well or not."""
+        return self._board.run(self._watch.arrived())
+
+    def wait(self, timeout: float | None = None) -> float:
+        """Wait for its end; returns its seconds. Raises RequestFailed, Timeout after `timeout` seconds."""
+        return self._board.run(self._watch.waiting(timeout))
+
+    def cancel(self) -> None:
+        """Cancel it before its next load; the board goes back."""
+        self._board.ask(calls.cancel())
+
+    def __del__(self) -> None:
+        self._subscription.close()
+
+    def __repr__(self) -> str:
+        return f"<change {self.number}{', ended' if self._watch.has_ended else ''}>"

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a flow may wait for. Each client has one function that runs flows by its own way of waiting."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, Protocol, TypeVar
+
+from cm.client.core.calls import Call
+
+_T = TypeVar("_T")
+
+
+class Default(Enum):
+    """A time-out that was not given: that of the board, or of the stream."""
+
+    DEFAULT = "default"
+
+    def __repr__(self) -> str:
+        return "DEFAULT"
+
+
+DEFAULT = Default.DEFAULT
+Limit = float | None | Default  # seconds; None waits for ever
+
+
+def seconds(limit: Limit, default: float | None) -> float | None:
+    """A time-out in seconds; None waits for ever."""
+    return default if isinstance(limit, Default) else limit
+
+
+class Subscription(Protocol):
+    """Topics that are listened to; neither method waits."""
+
+    def unsubscribe(self, topic: bytes) -> None:
+        """Listen to one of them no more."""
+
+    def close(self) -> None:
+        """Listen no more; twice is fine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """A request; its result is what `Call.result` gives, or raises."""
+
+    call: Call[Any]
+    timeout: Limit = DEFAULT
+
+
+@dataclass(frozen=True, slots=True)
+class AskBeside:
+    """A request during which `take` is given the messages of a subscription."""
+
+    call: Call[Any]
+    timeout: Limit
+    subscription: Any
+    take: Callable[[list[bytes]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Receive:
+    """The next message of a subscription as its frames; None if there is none within `timeout` seconds."""
+
+    subscription: Any
+    timeout: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Pause:
+    """Nothing, for some seconds."""
+
+    seconds: float
+
+
+Effect = Call[Any] | Ask | AskBeside | Receive | Pause  # a call alone is asked with the time-out of the board
+Flow = Generator[Effect, Any, _T]
+
+
+class Deadline:
+    """A time-out that what comes meanwhile does not prolong. Seconds of CLOCK_MONOTONIC."""
+
+    def __init__(self, limit: float | None, clock: Callable[[], float] = time.monotonic) -> None:
+        self.limit = limit
+        self._clock = clock
+        self._until = None if limit is None else clock() + limit
+
+    @property
+    def left(self) -> float | None:
+        """Seconds that are left, never less than 0; None without a time-out."""
+        return None if self._until is None else max(0.0, self._until - self._clock())

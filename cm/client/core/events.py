@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a client is told unasked: statuses, register changes, interrupts; none is missed once one listens."""
+
+from __future__ import annotations
+
+from typing import Any, Generic, TypeVar
+
+from cm.client.core import calls
+from cm.client.core.effects import DEFAULT, Ask, Deadline, Flow, Limit, Receive, Subscription, seconds
+from cm.errors import Timeout
+from cm.messages.status import Irq, RegValues, Status
+from cm.wire import topics
+from cm.wire.encode import decode_event
+
+T = TypeVar("T")
+
+
+class Events(Generic[T]):
+    """Events of one kind on a subscription of one's own. `opening` comes first."""
+
+    topics: tuple[bytes, ...] = ()
+
+    def __init__(self, subscription: Subscription, timeout: float | None) -> None:
+        self.subscription = subscription
+        self._timeout = timeout
+
+    def opening(self) -> Flow[None]:
+        """Returns when nothing is missed any more."""
+        yield from ()
+
+    def accept(self, event: Any) -> T | None:
+        """The event as it is wanted; None if it is another."""
+        raise NotImplementedError
+
+    def nothing(self, limit: float | None) -> str:
+        """What is said when none came."""
+        return f"nothing came within {limit or 0:g} s"
+
+    def take(self, frames: list[bytes]) -> T | None:
+        """A message → the event; None if it is another."""
+        return self.accept(decode_event(frames))
+
+    def next(self, timeout: Limit = DEFAULT) -> Flow[T]:
+        """The next one. Raises Timeout; what others are told meanwhile does not prolong it."""
+        deadline = Deadline(seconds(timeout, self._timeout))
+        while True:
+            frames = yield Receive(self.subscription, deadline.left)
+            if frames is None:
+                raise Timeout(self.nothing(deadline.limit))
+            event = self.take(frames)
+            if event is not None:
+                return event
+
+    def _settled(self) -> Flow[None]:
+        """Wait until the manager counts us among its listeners.
+
+        It applies subscriptions in their order and answers that to its status with the current one at once, so
+        when this comes the topics subscribed to before it hold (docs/protocol.md).
+        """
+        deadline = Deadline(self._timeout)
+        while True:
+            frames = yield Receive(self.subscription, deadline.left)
+            if frames is None:
+                raise Timeout(f"the manager published no status within {deadline.limit or 0:g} s")
+            if isinstance(decode_event(frames), Status):
+                break
+        self.subscription.unsubscribe(topics.STATUS)
+
+
+class StatusEvents(Events[Status]):
+    """Every status from now on, the current one first."""
+
+    topics = (topics.STATUS,)
+
+    def accept(self, event: Any) -> Status | None:
+        return event if isinstance(event, Status) else None
+
+
+class RegisterEvents(Events[RegValues]):
+    """Every write of registers from now on, by whomever: what they hold after it. `names`: only these."""
+
+    topics = (topics.READ_REG, topics.STATUS)
+
+    def __init__(self, subscription: Subscription, timeout: float | None, names: tuple[str, ...]) -> None:
+        super().__init__(subscription, timeout)
+        self._names = frozenset(names)
+
+    def opening(self) -> Flow[None]:
+        yield from self._settled()
+
+    def accept(self, event: Any) -> RegValues | None:
+        if not isinstance(event, RegValues):
+            return None
+        if not self._names:
+            return event
+        values = tuple([v for v in event.values if v.name in self._names])
+        return RegValues(values, event.config_name, event.mode) if values else None
+
+
+class InterruptEvents(Events[Irq]):
+    """Each interrupt of one name from now on."""
+
+    topics = (topics.IRQ, topics.STATUS)
+
+    def __init__(self, subscription: Subscription, timeout: float | None, name: str) -> None:
+        super().__init__(subscription, timeout)
+        self._name = name
+        self._after = 0
+
+    def opening(self) -> Flow[None]:
+        yield from self._settled()
+        latest: Irq = yield Ask(calls.interrupt(self._name))
+        self._after = latest.timestamp_ns  # counts begin anew with each configuration, time does not
+
+    def accept(self, event: Any) -> Irq | None:
+        new = isinstance(event, Irq) and event.name == self._name and event.timestamp_ns > self._after
+        return event if new else None
+
+    def nothing(self, limit: float | None) -> str:
+        return f"interrupt {self._name!r} did not come within {limit or 0:g} s"

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Leases that are held now: within a with-block their holder's own calls pass."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from cm.client.core.calls import Call
+from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
+
+_T = TypeVar("_T")
+
+
+class HeldLeases:
+    """The ids of a board's own leases; they go along with each request that takes a lease and names none."""
+
+    def __init__(self) -> None:
+        self._ids: tuple[str, ...] = ()
+
+    def add(self, lease: str) -> None:
+        """One was taken."""
+        self._ids = (*self._ids, lease)
+
+    def remove(self, lease: str) -> None:
+        """One was given back."""
+        self._ids = tuple([held for held in self._ids if held != lease])
+
+    def named(self, lease: str) -> str:
+        """What goes along where `lease` was named: it, or all that are held."""
+        return lease or ",".join(self._ids)
+
+    def carried(self, call: Call[_T]) -> Call[_T]:
+        """The call with the leases that go along."""
+        request: Any = call.request
+        if not self._ids or getattr(request, "lease", None) != "":
+            return call
+        return replace(call, request=replace(request, lease=self.named("")))
+
+
+def wanted(scope: str, exclusive: bool, seconds: float, holder: str, local: bool) -> TakeLease:
+    """The request for a new one. On the manager's machine it ends with this process."""
+    pid = os.getpid() if local else 0  # a number of another machine would name somebody else here
+    return TakeLease(scope, exclusive, seconds, holder=holder or f"pid {os.getpid()}", pid=pid)
+
+
+def renewal(lease: TakeLease, identity: str) -> RenewLease:
+    """The request that begins its time anew."""
+    return RenewLease(identity, lease.seconds)
+
+
+def release(identity: str) -> ReleaseLease:
+    """The request that gives it back."""
+    return ReleaseLease(identity)

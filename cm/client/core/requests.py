@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests on a DEALER: numbers that go out, and come back with the replies, and what is said where none comes."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+from cm.client.core.calls import Call
+from cm.client.errors import ConnectionLost, NoAnswer
+from cm.wire.encode import decode_reply, encode_request
+
+_T = TypeVar("_T")
+
+
+class Requests:
+    """Those of one connection, which never mistakes the late reply of one for that of another."""
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        self._numbers = itertools.count(1)
+
+    def begin(self, call: Call[Any]) -> tuple[bytes, tuple[Any, ...]]:
+        """The number of a new request, and the frames that carry it."""
+        number = b"%d" % next(self._numbers)
+        return number, (number, b"", *encode_request(call.request))
+
+    def no_answer(self, limit: float | None) -> NoAnswer:
+        """Nothing came within `limit` seconds."""
+        return NoAnswer(f"no answer from a configuration manager at {self.address} within {limit or 0:g} s")
+
+    def lost(self) -> ConnectionLost:
+        """The manager went away."""
+        return ConnectionLost(f"the configuration manager at {self.address} went away")
+
+
+def result(call: Call[_T], frames: Sequence[Any]) -> _T:
+    """The result of a reply, without its number. Raises what the manager refused with."""
+    return call.result(decode_reply(frames))

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values that mean what they say: what would be turned into something else on its way to the hardware is refused."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import numpy as np
+
+from cm.errors import InvalidRequest
+
+_MOST = (1 << 64) - 1
+
+
+def register_value(name: str, value: Any) -> int:
+    """An integer from 0 to 2**64 - 1. Raises InvalidRequest for bool, float, str and all else."""
+    if isinstance(value, (bool, np.bool_)):
+        raise InvalidRequest(f"register {name!r} takes an integer, not {value!r}: write {int(value)}")
+    try:
+        number = operator.index(value)
+    except TypeError:
+        raise InvalidRequest(f"register {name!r} takes an integer, not {value!r} ({type(value).__name__})") from None
+    if not 0 <= number <= _MOST:
+        raise InvalidRequest(f"register {name!r} takes an integer from 0 on, not {number}")
+    return number
+
+
+def mode_name(mode: Any) -> str:
+    """The name of a mode. Raises InvalidRequest for None, the empty name and all else."""
+    if not isinstance(mode, str) or not mode:
+        raise InvalidRequest(f"a mode is named by a word, not {mode!r}; load(config) goes to its default mode")
+    return mode

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Events of the blocking client."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Generic, TypeVar
+
+from cm.client.core.effects import DEFAULT, Limit
+from cm.client.core.events import Events
+from cm.client.link import Subscription
+from cm.errors import Timeout
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
+
+T = TypeVar("T")
+
+
+class EventStream(Generic[T]):
+    """Every event from its making on, as an iterator and a context manager. Iterating ends only by an exception."""
+
+    def __init__(self, board: Board, subscription: Subscription, events: Events[T]) -> None:
+        self._board = board  # what hangs on a board holds it
+        self._subscription = subscription
+        self._events = events
+        try:
+            board.run(events.opening())
+        except BaseException:
+            subscription.close()
+            raise
+
+    def next(self, timeout: Limit = DEFAULT) -> T:
+        """The next one. `timeout` in seconds, None waits for ever. Raises Timeout, BoardClosed."""
+        return self._board.run(self._events.next(timeout))
+
+    def poll(self) -> T | None:
+        """The next one if it is there already; never waits."""
+        try:
+            return self.next(0.0)
+        except Timeout:
+            return None
+
+    def fileno(self) -> int:
+        """A descriptor that gets readable when something may have come: then `poll` until it gives None."""
+        return self._subscription.fileno()
+
+    def close(self) -> None:
+        """Listen no more; twice is fine."""
+        self._subscription.close()
+
+    def __iter__(self) -> EventStream[T]:
+        return self
+
+    def __next__(self) -> T:
+        return self.next()
+
+    def __enter__(self) -> EventStream[T]:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+    def __del__(self) -> None:
+        self.close()

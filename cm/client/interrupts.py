@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Interrupts of the blocking client: ``board.interrupts["frame_done"].wait(timeout=1.0)``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from cm.client.core import calls
+from cm.client.core.events import InterruptEvents
+from cm.client.events import EventStream
+from cm.messages.status import Irq
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
+
+
+class Interrupts:
+    """Interrupts of the loaded configuration by name."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    def __getitem__(self, name: str) -> Interrupt:
+        """The interrupt of that name; whether there is one shows when it is used."""
+        return Interrupt(self._board, name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.names
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those of the loaded configuration."""
+        return tuple([i.name for i in self._board.config().interrupts])
+
+    def __repr__(self) -> str:
+        return f"<interrupts of {self._board!r}>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return list(self.names)
+
+
+class Interrupt:
+    """One interrupt."""
+
+    def __init__(self, board: Board, name: str) -> None:
+        self._board = board
+        self.name = name
+
+    @property
+    def count(self) -> int:
+        """How often it came since the configuration was loaded."""
+        return self._board.ask(calls.interrupt(self.name)).count
+
+    def wait(self, timeout: float | None = None) -> Irq:
+        """Wait for the next one; `timeout` in seconds, None waits for ever. Raises Timeout."""
+        with self.events(timeout) as events:
+            return events.next()
+
+    def events(self, timeout: float | None = None) -> EventStream[Irq]:
+        """Each one from now on. Raises Timeout if none comes for `timeout` seconds."""
+        subscription = self._board.subscribe(*InterruptEvents.topics)
+        return EventStream(self._board, subscription, InterruptEvents(subscription, timeout, self.name))
+
+    def __repr__(self) -> str:
+        return f"<interrupt {self.name}>"

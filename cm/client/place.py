@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a client's board is, and how it is reached: what the blocking client and the asyncio one begin with."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.client.address import Keys, load_keys, resolve
+from cm.errors import InvalidRequest
+from cm.wire import plane as packets
+from cm.wire.topics import Endpoints
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Endpoints, keys, and the folder of the data socket, which only the manager's own machine has."""
+
+    endpoints: Endpoints
+    keys: Keys | None
+    data: Path | None
+
+    @property
+    def local(self) -> bool:
+        """Whether the manager runs on this machine."""
+        return self.endpoints.req.startswith("ipc://")
+
+    def data_folder(self, what: str) -> Path:
+        """The folder of the data socket. Raises InvalidRequest where there is none."""
+        if self.data is None:
+            raise InvalidRequest(f"{what} needs the manager's data socket, which only its own machine has")
+        return self.data
+
+
+def find(
+    endpoint: str | None, runtime_dir: str | os.PathLike[str] | None, keys: str | os.PathLike[str] | Keys | None
+) -> Place:
+    """As `connect` takes them. Raises InvalidRequest, NotFound."""
+    endpoints = resolve(endpoint, runtime_dir)
+    folder = Path(endpoints.req.removeprefix("ipc://")).parent
+    local = endpoints.req.startswith("ipc://")
+    data = folder if local and (folder / packets.SOCKET).exists() else None
+    return Place(endpoints, keys if keys is None or isinstance(keys, Keys) else load_keys(keys), data)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registers of the blocking client: ``board.registers["focus"] = 2``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, MutableMapping
+from typing import TYPE_CHECKING, Any
+
+from cm.client.core import calls, registers
+from cm.client.core.events import RegisterEvents
+from cm.client.errors import RequestNotFound
+from cm.client.events import EventStream
+from cm.messages.status import RegisterInfo, RegValues
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
+
+
+class Registers(MutableMapping[str, int]):
+    """Registers (``"focus"``) and fields (``"control.enable"``) of the current mode by name."""
+
+    def __init__(self, board: Board) -> None:
+        self._board = board
+
+    def __getitem__(self, name: str) -> int:
+        return self._board.ask(calls.read_registers((name,))).values[0].value
+
+    def __setitem__(self, name: str, value: int) -> None:
+        self.write({name: value})
+
+    def __delitem__(self, name: str) -> None:
+        raise TypeError("a register cannot be deleted")
+
+    def __iter__(self) -> Iterator[str]:
+        """Names of all that can be read now."""
+        return iter(self.read())
+
+    def __len__(self) -> int:
+        return len(self.read())
+
+    def __contains__(self, name: object) -> bool:
+        return registers.has(self.info, name)
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """A register's or field's value; `default` where the current mode has none of that name."""
+        try:
+            return self[name]
+        except RequestNotFound:
+            return default
+
+    @property
+    def info(self) -> dict[str, RegisterInfo]:
+        """What the schema says of each register that the current mode has."""
+        return registers.visible(self._board.config())
+
+    def read(self, *names: str) -> dict[str, int]:
+        """Several at once; all that can be read if none is named."""
+        return registers.values(self._board.ask(calls.read_registers(names)))
+
+    def write(self, values: dict[str, int], lease: str = "") -> dict[str, int]:
+        """Several in order, all checked before the first is written; returns what they hold then."""
+        return registers.values(self._board.ask(calls.write_registers(values, lease)))
+
+    def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:
+        """Only the bits in `mask`; returns the register's value."""
+        return self._board.ask(calls.write_masked(name, value, mask, lease)).values[0].value
+
+    def events(self, *names: str, timeout: float | None = None) -> EventStream[RegValues]:
+        """Every write from now on, by whomever, and what the registers hold after it; `names`: only of these.
+
+        Raises Timeout if none comes for `timeout` seconds (None: waits for ever).
+        """
+        subscription = self._board.subscribe(*RegisterEvents.topics)
+        return EventStream(self._board, subscription, RegisterEvents(subscription, timeout, names))
+
+    if not TYPE_CHECKING:  # for a type checker it would allow all
+
+        def __getattr__(self, name: str) -> int:
+            """``registers.focus``, for reading."""
+            if name.startswith("_"):
+                raise AttributeError(name)
+            try:
+                return self[name]
+            except RequestNotFound as error:
+                raise AttributeError(str(error)) from error
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            if name.startswith("_"):
+                object.__setattr__(self, name, value)
+                return
+            raise AttributeError(registers.not_by_attribute(name, value))
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *(n for n in self.info if n.isidentifier())]
+
+    def __repr__(self) -> str:
+        return f"<registers of {self._board!r}>"
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return registers.names(self.info)

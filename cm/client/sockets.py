@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ZeroMQ context of a client and all its sockets, which end together."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import zmq
+
+from cm.client.address import Keys
+from cm.client.errors import BoardClosed
+from cm.wire.topics import Endpoints
+
+Socket = zmq.Socket[bytes]
+_Socket = TypeVar("_Socket", bound="zmq.Socket[Any]")
+
+
+def prepare(socket: _Socket, keys: Keys | None, depth: int = 0) -> _Socket:
+    """Options that every client socket has, before it connects; `depth` messages wait (0: ZeroMQ's own number)."""
+    if depth:
+        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/daemon/xpub.py
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.IPV6, 1)
+    if keys is not None:
+        socket.curve_serverkey = keys.server_public
+        socket.curve_publickey = keys.public
+        socket.curve_secretkey = keys.secret
+    return socket
+
+
+class Sockets:
+    """Makes sockets, and holds them until they are closed.
+
+    A context waits for its sockets when it ends. Left to the garbage collector, it may end before them and
+    wait for ever, since sockets that are garbage themselves are no longer known to it; so whoever owns this
+    lets `close` be called when it is collected (`weakref.finalize`), and what is held here is no garbage.
+    """
+
+    def __init__(self, context: zmq.Context[Any], endpoints: Endpoints, keys: Keys | None) -> None:
+        self.endpoints = endpoints
+        self._context = context
+        self._keys = keys
+        self._open: set[Any] = set()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the board has been closed."""
+        return bool(self._context.closed)
+
+    def requests(self) -> Any:
+        """A DEALER for requests, and its monitor, which tells of a manager that went away. Raises BoardClosed."""
+        socket = self._new(zmq.DEALER)
+        # A lost peer must be heard of at once on ipc, and within seconds over a dead network.
+        socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
+        socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
+        monitor = socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        self._open.add(monitor)
+        socket.connect(self.endpoints.req)
+        return socket, monitor
+
+    def subscriber(self, topics: tuple[bytes, ...], depth: int = 0) -> Any:
+        """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number). Raises BoardClosed."""
+        socket = self._new(zmq.SUB, depth)
+        for topic in topics:
+            socket.setsockopt(zmq.SUBSCRIBE, topic)
+        socket.connect(self.endpoints.pub)
+        return socket
+
+    def _new(self, kind: int, depth: int = 0) -> Any:
+        if self.closed:
+            raise closed(self.endpoints.req)
+        socket = prepare(self._context.socket(kind), self._keys, depth)
+        self._open.add(socket)
+        return socket
+
+    def end(self, *sockets: Any) -> None:
+        """Close sockets before the rest; twice is fine."""
+        for socket in sockets:
+            self._open.discard(socket)
+            socket.close(0)
+
+    def close(self) -> None:
+        """Close all; twice is fine."""
+        self.end(*self._open)
+        self._context.destroy(linger=0)
+
+
+def closed(address: str) -> BoardClosed:
+    """What is raised for all that is asked of a board after its end."""
+    return BoardClosed(f"the board at {address} was closed: connect() again")

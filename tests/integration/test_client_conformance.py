@@ -1,0 +1,597 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a client promises, held by both: the blocking one and the asyncio one, over ipc and tcp."""
+
+from __future__ import annotations
+
+import gc
+import inspect
+import json
+import pickle
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from client_twins import PROPERTIES, connected
+from manager_process import CAMERA, Manager, served, until
+
+import cm
+from cm.client import board as blocking
+from cm.client import change, events, interrupts, lease, memories, registers, stream, writer
+from cm.client.aio import board as awaited
+from cm.client.aio import change as aio_change
+from cm.client.aio import events as aio_events
+from cm.client.aio import interrupts as aio_interrupts
+from cm.client.aio import lease as aio_lease
+from cm.client.aio import memories as aio_memories
+from cm.client.aio import registers as aio_registers
+from cm.client.aio import stream as aio_stream
+from cm.client.aio import writer as aio_writer
+from cm.client.errors import (
+    BoardClosed,
+    ConnectionLost,
+    RequestBusy,
+    RequestFailed,
+    RequestInvalid,
+    RequestNotFound,
+)
+from cm.errors import InvalidRequest, Timeout
+from cm.messages.status import Progress
+from cm.sim import Board as SimBoard
+
+PICTURE = (np.arange(480 * 640) % 251).astype(np.uint8).reshape(480, 640)
+
+
+@pytest.fixture(scope="module")
+def both() -> Iterator[tuple[Manager, SimBoard]]:
+    """A manager that listens on ipc and tcp."""
+    with served(arguments=("--listen", "tcp://127.0.0.1:0")) as served_:
+        yield served_
+
+
+def reached(manager: Manager, way: str) -> dict[str, Any]:
+    """How `connect` is called to reach it."""
+    if way == "ipc":
+        return {"runtime_dir": manager.runtime}
+    endpoints = json.loads((manager.runtime / "endpoints.json").read_text())["tcp"][0]
+    return {"endpoint": endpoints["pub"]}
+
+
+@pytest.fixture(params=[(kind, way) for kind in ("blocking", "asyncio") for way in ("ipc", "tcp")], ids="-".join)
+def reach(request: pytest.FixtureRequest, both: tuple[Manager, SimBoard]) -> tuple[str, dict[str, Any]]:
+    kind, way = request.param
+    return kind, reached(both[0], way)
+
+
+@pytest.fixture
+def board(reach: tuple[str, dict[str, Any]]) -> Iterator[Any]:
+    kind, how = reach
+    with connected(kind, timeout=20, **how) as connected_:
+        connected_.load("camera", "default", force=True)
+        yield connected_
+
+
+@pytest.fixture
+def other(reach: tuple[str, dict[str, Any]]) -> Iterator[Any]:
+    """Another client of the same board."""
+    with cm.connect(timeout=20, **reach[1]) as connected_:
+        yield connected_
+
+
+@pytest.fixture
+def sim(both: tuple[Manager, SimBoard]) -> SimBoard:
+    return both[1]
+
+
+# ---- state and changes ----------------------------------------------------------------------------
+
+
+def test_status_tells_what_is_loaded(board: Any) -> None:
+    status = board.status
+    assert (status.config_name, status.mode, status.fpga_busy) == ("camera", "default", False)
+    assert board.mode == "default"
+
+
+def test_configurations_can_be_listed_and_described(board: Any) -> None:
+    assert board.configs == ("camera",)
+    assert board.config().name == board.config("camera").name == "camera"
+    with pytest.raises(RequestNotFound, match="camra"):
+        board.config("camra")
+
+
+def test_a_mode_is_gone_to(board: Any) -> None:
+    assert board.set_mode("edge_detection", timeout=60) > 0
+    assert board.mode == "edge_detection"
+
+
+def test_progress_is_told_while_a_change_runs(board: Any) -> None:
+    told: list[Progress] = []
+    assert board.load("camera", "edge_detection", progress=told.append, timeout=60) > 0
+    assert {p.target_mode for p in told} <= {"edge_detection"}
+
+
+def test_an_unknown_mode_is_refused_with_its_name(board: Any) -> None:
+    with pytest.raises(RequestNotFound, match="edg_detection"):
+        board.set_mode("edg_detection")
+
+
+@pytest.mark.parametrize("mode", [None, "", 3, True])
+def test_what_is_no_name_of_a_mode_is_an_error_and_changes_nothing(board: Any, mode: Any) -> None:
+    board.set_mode("edge_detection")
+    with pytest.raises(InvalidRequest, match="mode is named by a word"):
+        board.set_mode(mode)
+    assert board.mode == "edge_detection"
+
+
+def test_a_change_can_be_followed(board: Any) -> None:
+    handle = board.load_async("camera", "edge_detection")
+    assert handle.wait(timeout=60) > 0
+    assert handle.done
+    assert handle.number == board.status.last_change
+    assert handle.progress is None
+    assert repr(handle) == f"<change {handle.number}, ended>"
+    assert board.mode == "edge_detection"
+
+
+def test_what_a_change_failed_with_is_raised_by_who_waits(board: Any, sim: SimBoard) -> None:
+    sim.control.inject("icap_crc", count=1)
+    handle = board.load_async("camera", "edge_detection")
+    with pytest.raises(RequestFailed, match="default"):
+        handle.wait(timeout=60)
+    assert handle.done
+    assert board.mode == "default"
+
+
+def test_what_nobody_runs_can_be_cancelled(board: Any) -> None:
+    handle = board.load_async("camera", "edge_detection")
+    handle.wait(timeout=60)
+    handle.cancel()
+    board.cancel()
+    assert board.mode == "edge_detection"
+
+
+def test_a_plan_says_what_would_be_done(board: Any) -> None:
+    plan = board.plan("edge_detection", "camera")
+    assert plan.mode == "edge_detection"
+    assert plan.bytes > 0
+    assert board.mode == "default"
+
+
+def test_watching_begins_with_what_is(board: Any) -> None:
+    with board.watch(timeout=20) as watch:
+        assert watch.next().config_name == "camera"
+        board.set_mode("edge_detection")
+        assert any(next(watch).mode == "edge_detection" for _ in range(40))
+        while watch.poll() is not None:
+            pass
+        assert watch.fileno() >= 0
+        with pytest.raises(Timeout, match=r"0\.05 s"):
+            watch.next(0.05)
+
+
+def test_a_configuration_can_be_sent(board: Any, sim: SimBoard, tmp_path: Path) -> None:
+    schema = tmp_path / "camera.yaml"
+    schema.write_text((CAMERA / "camera.yaml").read_text())
+    files = sorted((sim.root / "lib/firmware/cm/camera").iterdir())
+    assert board.provision(schema, *files).name == "camera"
+
+
+# ---- leases ---------------------------------------------------------------------------------------
+
+
+def test_within_a_lease_its_holders_own_calls_pass_and_others_do_not(board: Any, other: Any) -> None:
+    with board.lease("region:prr0", seconds=60, holder="the test") as lease_:
+        assert lease_.scope == "region:prr0"
+        assert lease_.id in repr(lease_)
+        with pytest.raises(RequestBusy, match="held by the test"):
+            other.set_mode("edge_detection")
+        board.set_mode("edge_detection")
+        lease_.renew()
+        other.set_mode("default", lease=lease_.id)
+    other.set_mode("edge_detection")
+
+
+def test_several_leases_go_along_together(board: Any, other: Any) -> None:
+    with board.lease("region:prr0"), board.lease("registers:focus"):
+        board.set_mode("edge_detection")
+        board.registers.write({"focus": 3})
+        with pytest.raises(RequestBusy):
+            other.registers.write({"focus": 4})
+
+
+def test_a_lease_can_be_taken_and_given_back_by_hand(board: Any, other: Any) -> None:
+    lease_ = board.lease("registers:focus", exclusive=True)
+    assert lease_.take()
+    with pytest.raises(RequestBusy):
+        other.registers.write({"focus": 4})
+    lease_.release()
+    lease_.release()
+    other.registers.write({"focus": 4})
+
+
+# ---- registers ------------------------------------------------------------------------------------
+
+
+def test_registers_are_read_and_written_by_name(board: Any) -> None:
+    assert board.registers.write({"focus": 2}) == {"focus": 2}
+    assert board.registers.read("focus") == {"focus": 2}
+    assert board.registers.read()["focus"] == 2
+    assert board.registers.write_masked("focus", 1, 3) & 3 == 1
+
+
+def test_an_unknown_register_is_an_error_or_the_default(board: Any) -> None:
+    board.registers.write({"focus": 2})
+    assert board.registers.get("focus") == 2
+    assert board.registers.get("focs") is None
+    assert board.registers.get("focs", 7) == 7
+    with pytest.raises(RequestNotFound, match="focs"):
+        board.registers.read("focs")
+
+
+@pytest.mark.parametrize("value", [2.9, True, "3", None, -1, 1 << 64, np.float64(2), np.bool_(True)])
+def test_a_value_that_would_be_turned_into_another_is_refused(board: Any, value: Any) -> None:
+    board.registers.write({"focus": 2})
+    with pytest.raises(InvalidRequest, match="focus"):
+        board.registers.write({"focus": value})
+    assert board.registers.read("focus") == {"focus": 2}
+
+
+@pytest.mark.parametrize("value", [5, np.uint8(5), np.int64(5)])
+def test_integers_of_every_kind_are_written(board: Any, value: Any) -> None:
+    assert board.registers.write({"focus": value}) == {"focus": 5}
+
+
+def test_registers_are_described(board: Any) -> None:
+    assert board.registers.info["focus"].name == "focus"
+
+
+def test_writes_are_told_to_who_listens(board: Any, other: Any) -> None:
+    with board.registers.events("focus", timeout=20) as listening:
+        other.registers.write({"zoom": 1})
+        other.registers.write({"focus": 6})
+        heard = [listening.next()]
+        while heard[-1].values[0].value != 6:
+            heard.append(listening.next())
+        assert {v.name for values in heard for v in values.values} == {"focus"}
+
+
+# ---- interrupts -----------------------------------------------------------------------------------
+
+
+def test_no_interrupt_is_lost_between_asking_and_waiting(board: Any, sim: SimBoard) -> None:
+    for _ in range(10):
+        with board.interrupts["frame_done"].events(timeout=20) as listening:
+            before = board.interrupts["frame_done"].count
+            sim.control.interrupt("frame_done")
+            assert listening.next().count == before + 1
+
+
+def test_others_interrupts_do_not_prolong_the_time_out(board: Any, sim: SimBoard) -> None:
+    board.set_mode("loopback")  # where the other interrupt can be acknowledged
+    ended = threading.Event()
+
+    def disturb() -> None:
+        while not ended.wait(0.02):
+            sim.control.interrupt("loop_done")
+
+    disturber = threading.Thread(target=disturb)
+    disturber.start()
+    begun = time.monotonic()
+    try:
+        with pytest.raises(Timeout, match=r"frame_done.*0\.4 s"):
+            board.interrupts["frame_done"].wait(timeout=0.4)
+        waited = time.monotonic() - begun
+    finally:
+        ended.set()
+        disturber.join()
+    assert waited < 30  # with a time-out that begins anew it would never have ended
+
+
+def test_interrupts_have_names(board: Any) -> None:
+    assert set(board.interrupts.names) == {"frame_done", "loop_done"}
+    assert board.interrupts["frame_done"].name == "frame_done"
+    with pytest.raises(RequestNotFound, match="frame_don"):
+        board.interrupts["frame_don"].wait(timeout=1)
+
+
+# ---- data -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("newest", [False, True])
+def test_frames_come_in_their_shape(board: Any, newest: bool) -> None:
+    with board.stream("camera", timeout=20, newest=newest) as frames:
+        assert frames.name == "camera"
+        sequences = [frames.read().sequence for _ in range(3)]
+        assert sequences == sorted(set(sequences))
+        frame = next(iter(frames))
+        assert (frame.shape, frame.info.mode) == ((480, 640), "default")
+        assert frames.lost >= 0
+
+
+def test_a_stream_without_frames_tells_its_own_time_out(board: Any) -> None:
+    board.set_mode("loopback")
+    with board.stream("from_pl", timeout=0.2) as frames:
+        with pytest.raises(Timeout, match=r"0\.2 s"):
+            frames.read()
+        with pytest.raises(Timeout, match=r"0\.1 s"):
+            frames.read(timeout=0.1)
+
+
+def test_an_unknown_stream_is_an_error_when_it_is_opened(board: Any) -> None:
+    with pytest.raises(RequestNotFound, match="camra"):
+        board.stream("camra").open()
+
+
+def test_frames_are_read_and_written_with_a_copy(board: Any) -> None:
+    board.set_mode("loopback")
+    with board.stream("from_pl", timeout=20) as frames:
+        frames.open()
+        until(lambda: next(s for s in board.status.streams if s.name == "from_pl").open)
+        assert board.write("to_pl", PICTURE).length == PICTURE.nbytes
+        assert (frames.read() == PICTURE).all()
+    board.set_mode("default")
+    assert board.read("camera", timeout=20.0).shape == (480, 640)
+
+
+def test_a_stream_can_be_set(board: Any) -> None:
+    board.set_mode("loopback")
+    assert board.configure_stream("from_pl", rate=50.0).limit == 50.0
+    with pytest.raises(RequestInvalid):
+        board.configure_stream("from_pl", dtype="float13")
+
+
+def test_slots_are_borrowed_filled_and_sent(board: Any, reach: tuple[str, dict[str, Any]]) -> None:
+    board.set_mode("loopback")
+    if "endpoint" in reach[1]:
+        with pytest.raises(InvalidRequest, match="only its own machine has"):
+            board.writer("to_pl").close()
+        with pytest.raises(InvalidRequest, match="only its own machine has"):
+            board.echo(100).close()
+        return
+    with board.stream("from_pl", timeout=20) as frames, board.writer("to_pl", timeout=20) as sender:
+        with sender.slot() as slot:
+            slot[...] = PICTURE
+        assert (frames.read() == PICTURE).all()
+        sender.write(PICTURE)
+        sender.flush()
+        assert sender.under_way == 0
+        assert (frames.read() == PICTURE).all()
+    with board.echo(4096, timeout=20) as echo:
+        assert echo.round_trip() is not None
+
+
+def test_memories_are_arrays_by_name(board: Any) -> None:
+    memory = board.memories["scratchpad"]
+    whole = memory.read()
+    assert memory.info.name == "scratchpad"
+    assert "scratchpad" in board.memories.info
+    values = np.arange(whole.size, dtype=whole.dtype).reshape(whole.shape)
+    assert memory.write(values) == values.nbytes
+    assert (memory.get(slice(0, 4)) == values[:4]).all()
+    memory.put(slice(0, 4), values[4:8])
+    assert (memory.read()[:4] == values[4:8]).all()
+    assert board.configure_memory("again", memory.info.address + 64, 64, dtype="uint8", access="ro").read().nbytes == 64
+
+
+# ---- the end --------------------------------------------------------------------------------------
+
+
+def test_after_its_end_a_board_says_so_whatever_is_asked(reach: tuple[str, dict[str, Any]]) -> None:
+    kind, how = reach
+    with connected(kind, timeout=20, **how) as board:
+        board.load("camera", "default")
+        stream_, watch = board.stream("camera", timeout=20), board.watch()
+        stream_.open()
+        handle = board.load_async("camera", "default")
+        assert "closed" not in repr(board)
+        board.close()
+        board.close()
+        assert "closed" in repr(board)
+        for ask in (
+            lambda: board.status,
+            lambda: board.set_mode("default"),
+            board.registers.read,
+            lambda: board.interrupts["frame_done"].wait(1),
+            board.memories["scratchpad"].read,
+            lambda: board.watch().next(1.0),
+            lambda: board.lease().take(),
+            lambda: board.stream("camera").read(),
+            stream_.read,
+            lambda: watch.next(1.0),
+            lambda: handle.wait(1.0),
+        ):
+            with pytest.raises(BoardClosed, match="was closed"):
+                ask()
+
+
+@pytest.mark.parametrize("kind", ["blocking", "asyncio"])
+@pytest.mark.parametrize("way", ["ipc", "tcp"])
+def test_who_waits_hears_at_once_of_a_manager_that_dies(kind: str, way: str) -> None:
+    with served(arguments=("--listen", "tcp://127.0.0.1:0")) as (manager, _), ExitStack() as clients:
+        board = clients.enter_context(connected(kind, timeout=20, **reached(manager, way)))
+        board.load("camera", "default")
+        asked: list[BaseException] = []
+
+        def wait() -> None:
+            try:
+                board.read("from_pl", timeout=60.0)
+            except (cm.CmError, OSError) as error:
+                asked.append(error)
+
+        board.set_mode("loopback")
+        waiter = threading.Thread(target=wait)
+        waiter.start()
+        until(lambda: next(s for s in _streams(manager) if s.name == "from_pl").open)
+        manager.kill()
+        waiter.join(timeout=60)
+        assert [type(error) for error in asked] == [ConnectionLost]
+
+
+def _streams(manager: Manager) -> Any:
+    with manager.connected() as board:
+        return board.status.streams
+
+
+# ---- the twins are twins --------------------------------------------------------------------------
+
+TWINS: list[tuple[type, type]] = [
+    (blocking.Board, awaited.Board),
+    (registers.Registers, aio_registers.Registers),
+    (interrupts.Interrupts, aio_interrupts.Interrupts),
+    (interrupts.Interrupt, aio_interrupts.Interrupt),
+    (events.EventStream, aio_events.EventStream),
+    (change.ChangeHandle, aio_change.ChangeHandle),
+    (lease.BoardLease, aio_lease.BoardLease),
+    (memories.Memory, aio_memories.Memory),
+    (memories.Memories, aio_memories.Memories),
+    (stream.Stream, aio_stream.Stream),
+    (writer.Writer, aio_writer.AsyncWriter),
+]
+ONLY = {  # of mappings, of event loops, and of what a thread has to do itself
+    "Registers": {"clear", "items", "keys", "pop", "popitem", "setdefault", "update", "values"},
+    "Memories": {"get", "items", "keys", "values"},
+    "EventStream": {"open"},
+    "Stream": {"aclose"},
+    "Writer": {"poll", "fileno"},
+}
+
+
+def public(owner: type) -> dict[str, Any]:
+    return {n: inspect.getattr_static(owner, n) for n in dir(owner) if not n.startswith("_")}
+
+
+@pytest.mark.parametrize(("one", "twin"), TWINS, ids=lambda owner: f"{owner.__module__}.{owner.__name__}")
+def test_both_have_the_same_names(one: type, twin: type) -> None:
+    differing = public(one).keys() ^ public(twin).keys()
+    assert differing <= ONLY.get(one.__name__, set())
+
+
+@pytest.mark.parametrize(("one", "twin"), TWINS, ids=lambda owner: f"{owner.__module__}.{owner.__name__}")
+def test_both_take_the_same_arguments_with_the_same_defaults(one: type, twin: type) -> None:
+    for name in public(one).keys() & public(twin).keys():
+        a, b = public(one)[name], public(twin)[name]
+        if isinstance(a, property):
+            assert isinstance(b, property) or name in PROPERTIES, name
+            continue
+        assert parameters(a) == parameters(b), name
+
+
+def parameters(function: Any) -> list[tuple[str, Any, Any]]:
+    found = inspect.signature(getattr(function, "__wrapped__", function)).parameters.values()
+    return [(p.name, p.kind, p.default) for p in found]
+
+
+def test_every_public_method_of_a_board_is_tried_here() -> None:
+    text = Path(__file__).read_text(encoding="utf-8")
+    names = {(owner.__name__, name) for owner, _ in TWINS for name in public(owner)}
+    beyond = {("Board", n) for n in ("ask", "run", "subscribe", "timeout")}
+    beyond |= {(owner, name) for owner, only in ONLY.items() for name in only}
+    beyond |= {("Writer", n) for n in ("end", "free", "geometry", "name")} | {("Stream", "close")}
+    missing = {f"{owner}.{name}" for owner, name in names - beyond if f".{name}" not in text}
+    assert not missing
+
+
+# ---- what only one of them has --------------------------------------------------------------------
+
+
+@pytest.fixture
+def plain(both: tuple[Manager, SimBoard]) -> Iterator[cm.Board]:
+    with cm.connect(runtime_dir=both[0].runtime, timeout=20) as board:
+        board.load("camera", "default", force=True)
+        yield board
+
+
+def test_brackets_and_properties_are_assigned_to_by_the_blocking_client(plain: cm.Board) -> None:
+    plain.mode = "edge_detection"
+    plain.registers["focus"] = 4
+    assert (plain.mode, plain.registers["focus"]) == ("edge_detection", 4)
+    assert "focus" in plain.registers
+    assert "focs" not in plain.registers
+    assert plain.registers.focus == 4  # type: ignore[attr-defined]
+    assert "focus" in dir(plain.registers)
+    with pytest.raises(AttributeError, match="focs"):
+        _ = plain.registers.focs  # type: ignore[attr-defined]
+
+
+def test_a_misspelt_name_never_changes_hardware_silently(plain: cm.Board) -> None:
+    with pytest.raises(AttributeError, match="did you mean 'mode'"):
+        plain.moed = "edge_detection"  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match=r"registers\['focus'\] = 9"):
+        plain.registers.focus = 9  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match="cannot be set"):
+        plain.status = 3  # type: ignore[assignment, misc]
+
+
+def test_asyncio_says_what_to_write_instead_of_an_assignment(both: tuple[Manager, SimBoard]) -> None:
+    with connected("asyncio", runtime_dir=both[0].runtime, timeout=20) as board:
+        with pytest.raises(AttributeError, match=r"await board\.set_mode"):
+            board.mode = "edge_detection"
+        with pytest.raises(TypeError, match=r"await board\.registers\.write"):
+            board.registers._target["focus"] = 3
+        with pytest.raises(AttributeError, match=r"await board\.registers\.write"):
+            board.registers.focus = 3
+
+
+def test_a_frame_keeps_what_is_known_of_it_when_it_is_pickled(plain: cm.Board) -> None:
+    with plain.stream("camera", timeout=20) as frames:
+        frame = frames.read()
+        again = pickle.loads(pickle.dumps(frame))
+        assert (again == frame).all()
+        assert (again.info, again.sequence, again.flags.writeable) == (frame.info, frame.sequence, False)
+        number = frame.sequence
+        frame.release()
+        assert repr(frame) == str(frame) == f"<frame {number} of 'camera', given back>"
+
+
+CHAINS = {
+    "stream": "cm.connect(runtime_dir=D).stream('camera', timeout=20)",
+    "newest": "cm.connect(runtime_dir=D).stream('camera', timeout=20, newest=True)",
+    "far": "cm.connect(E).stream('camera', timeout=20)",
+    "far newest": "cm.connect(E).stream('camera', timeout=20, newest=True)",
+}
+
+
+@pytest.mark.parametrize("chain", CHAINS)
+def test_a_stream_of_a_board_that_has_no_name_goes_on(both: tuple[Manager, SimBoard], chain: str) -> None:
+    with both[0].connected() as board:
+        board.load("camera", "default")
+    names = {"cm": cm, "D": both[0].runtime, "E": reached(both[0], "tcp")["endpoint"]}
+    with eval(CHAINS[chain], names) as frames:  # the temporary is what is tried
+        for _ in range(2):
+            gc.collect()
+            assert frames.read().shape == (480, 640)
+    del frames
+    gc.collect()
+
+
+def test_what_is_dropped_without_a_word_ends_at_the_next_collection(both: tuple[Manager, SimBoard]) -> None:
+    """In a process of its own: what it tries would hang, and its end must not wait either."""
+    script = f"""
+import gc, cm
+where = {str(both[0].runtime)!r}
+cm.connect(runtime_dir=where).load("camera", "default")
+gc.collect()
+board = cm.connect(runtime_dir=where)
+kept = [board.load_async(mode="default"), board.watch(), board.interrupts["frame_done"].events()]
+kept += [board.stream("camera"), kept]
+kept[3].read(timeout=20)
+del board, kept
+gc.collect()
+left = cm.connect(runtime_dir=where).stream("camera", timeout=20)
+left.read()
+print("done")
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr
+
+
+def test_the_asyncio_client_is_a_module_of_its_own() -> None:
+    import cm.aio
+
+    assert cm.aio.connect is awaited.connect
