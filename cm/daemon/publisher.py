@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,26 +26,18 @@ _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 class Publisher:
     """Keeps track of who subscribes to what; numbers statuses. The loop's thread."""
 
-    def __init__(
-        self,
-        loop: Loop,
-        socket: zmq.Socket[bytes],
-        status: Callable[[], Status],
-        changed: Callable[[], None],
-    ) -> None:
+    def __init__(self, loop: Loop, socket: zmq.Socket[bytes]) -> None:
         self._socket = socket
-        self._outbox = XpubSender(loop, socket)
+        self._sender = XpubSender(loop, socket)
         self._compressor = Compressor(loop, self._compressed)
-        self._status = status
-        self._changed = changed  # subscriptions changed: streams may be wanted or not
         self._subscriptions: set[bytes] = set()
         self._overruns: Counter[str] = Counter()
         self._numbers = itertools.count(1)
         self._started_ns = time.time_ns()
         self.sequence = 0
 
-    def subscription(self) -> None:
-        """Take subscription messages off the socket; a new subscriber to the status gets it at once."""
+    def take_subscriptions(self) -> bool:
+        """Take subscription messages off the socket; whether one of them wants the status, which it gets at once."""
         wanted = False
         while True:
             try:
@@ -58,9 +50,7 @@ class Publisher:
                 wanted = wanted or topics.STATUS.startswith(topic)
             else:
                 self._subscriptions.discard(topic)
-        if wanted:
-            self.status(self._status())
-        self._changed()
+        return wanted
 
     def has_subscriber(self, topic: bytes) -> bool:
         """Whether somebody subscribes to a topic."""
@@ -86,15 +76,15 @@ class Publisher:
     def status(self, status: Status) -> None:
         """Publish a status under a new number."""
         self.sequence = next(self._numbers)
-        self._outbox.send(encode.encode_status(self.complete(status)))
+        self._sender.send(encode.encode_status(self.complete(status)))
 
     def registers(self, values: RegValues) -> None:
         """Publish changed registers."""
-        self._outbox.send(encode.encode_registers(values))
+        self._sender.send(encode.encode_registers(values))
 
     def interrupt(self, irq: Irq) -> None:
         """Publish an interrupt."""
-        self._outbox.send(encode.encode_irq(irq))
+        self._sender.send(encode.encode_irq(irq))
 
     def frame(self, frame: Frame) -> None:
         """Publish a frame on every topic that somebody subscribes to; ZeroMQ copies it once for each."""
@@ -112,7 +102,7 @@ class Publisher:
             self._send_frame(info.stream, [topic, encode.encode_frame_info(info), data])
 
     def _send_frame(self, stream: str, message: Sequence[Any]) -> None:
-        if not self._outbox.send_frame(message):
+        if not self._sender.send_frame(message):
             self._overruns[stream] += 1
 
     def close(self) -> None:

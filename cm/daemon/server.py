@@ -34,6 +34,7 @@ from cm.daemon.streams.acceptor import Acceptor
 from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
 from cm.daemon.xpub import mark
+from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Store
 from cm.messages.requests import ChangeMode
@@ -66,36 +67,40 @@ class Server:
         self._loop = Loop()
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
-        self._streams = Streams(self._loop, self._devices, self._note_error)
-        self._door = Acceptor(self._loop, options.runtime_dir, self._streams.open_local, self._streams.echoes)
         self._provisioner = Provisioner(options.state_dir / "configs")
         self._store = Store(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
-        self._manager = self._make_manager()
-        waiting = mark(self._manager.configs.values(), options.queue_bytes)
+        configs = self._configs()
+        waiting = mark(configs.values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting)
-        self._publisher = Publisher(self._loop, self._sockets.pub, self._status, self._streams.refresh)
+        self._publisher = Publisher(self._loop, self._sockets.pub)
+        clock = MonotonicClock()
+        leases = Leases(clock)
+        self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)
+        self._acceptor = Acceptor(self._loop, options.runtime_dir, self._streams.open_local, self._streams.echoes)
+        self._manager = Manager(configs, self._environment(clock), leases)
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
-        self._leases = LeaseWatch(self._loop, self._manager.leases)
+        self._leases = LeaseWatch(self._loop, leases)
         self._memories = MemoryTransfers(self._loop, self._manager.memories)
         self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
         self._dispatcher = self._make_dispatcher()
         self._statuses: deque[Status] = deque()
-        self._doorkeeper: CurveAuthenticator | None = None
+        self._authenticator: CurveAuthenticator | None = None
         self._service = ServiceManager()
         self._reloader = self._make_reloader()
         self._last_logged = ""
 
-    def _make_manager(self) -> Manager:
-        o = self._options
+    def _configs(self) -> dict[str, Config]:
         self._provisioner.recover()
-        named = {**o.configs, **self._provisioner.configs()}
-        configs = {name: with_channels(config, o.root) for name, config in named.items()}
+        named = {**self._options.configs, **self._provisioner.configs()}
+        return {name: self._with_channels(config) for name, config in named.items()}
+
+    def _environment(self, clock: MonotonicClock) -> Environment:
+        o = self._options
         files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"), o.firmware_dir)
-        env = Environment(self._devices, files, self._store, self._streams, MonotonicClock(), self, o.settings)
-        return Manager(configs, env)
+        return Environment(self._devices, files, self._store, self._streams, clock, self, o.settings)
 
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
@@ -122,7 +127,7 @@ class Server:
             leases=self._leases,
             memories=self._memories,
             board=self._board,
-            status=self._complete_status,
+            status=lambda: self._publisher.complete(self._status()),
             complete=self._with_channels,
             aside=self._aside,
         )
@@ -133,10 +138,6 @@ class Server:
         """Bind, reconcile, serve. Returns after `stop()`. Raises CmError where it cannot begin."""
         try:
             self._bind()
-            self._streams.wanted_by(self._publisher.wants_stream, self._publisher.overruns)
-            self._streams.guarded_by(self._manager.leases.check)
-            self._streams.add_sink(self._publisher)
-            self._streams.begin()
             self._start_manager()
             self._loop.every(_TICK, self._tick)
             self._sockets.announce()
@@ -158,16 +159,16 @@ class Server:
 
     def _bind(self) -> None:
         self._sockets.bind_ipc()
-        self._door.open()
+        self._acceptor.open()
         security = self._options.security
         if security is not None:
-            self._doorkeeper = CurveAuthenticator(self._context, security.clients)
-            self._loop.add_socket(self._doorkeeper.socket, self._doorkeeper.answer)
-            self._reloader.doorkeeper = self._doorkeeper
+            self._authenticator = CurveAuthenticator(self._context, security.clients)
+            self._loop.add_socket(self._authenticator.socket, self._authenticator.answer)
+            self._reloader.authenticator = self._authenticator
         for address in self._options.listen:
             bound = self._sockets.bind_tcp(address, security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
-        self._loop.add_socket(self._sockets.pub, self._publisher.subscription)
+        self._loop.add_socket(self._sockets.pub, self._on_subscription)
         self._loop.add_socket(self._sockets.sub, self._dispatcher.on_message)
         self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
 
@@ -184,7 +185,7 @@ class Server:
     def _close(self) -> None:
         self._service.stopping()
         self._manager.stop()
-        self._door.close()
+        self._acceptor.close()
         self._streams.end()
         self._memories.close()
         self._interrupts.close()
@@ -194,12 +195,17 @@ class Server:
         self._devices.lost()
         self._store.close()
         self._sockets.close()
-        if self._doorkeeper is not None:
-            self._doorkeeper.close()
+        if self._authenticator is not None:
+            self._authenticator.close()
         self._context.term()
         self._loop.close()
         self._board_lock.release()
         self._lock.release()
+
+    def _on_subscription(self) -> None:
+        if self._publisher.take_subscriptions():
+            self._publisher.status(self._status())
+        self._streams.refresh()
 
     # ---- observer: any thread ---------------------------------------------------------
 
@@ -232,9 +238,6 @@ class Server:
 
     def _status(self) -> Status:
         return replace(self._manager.status(), streams=self._streams.status())
-
-    def _complete_status(self) -> Status:
-        return self._publisher.complete(self._status())
 
     # ---- regular work ---------------------------------------------------------------------
 

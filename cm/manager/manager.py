@@ -38,11 +38,12 @@ __all__ = ["Environment", "Manager", "Settings"]
 class Manager:
     """One per board. `start()` reconciles and starts the worker; `stop()` ends it between two changes."""
 
-    def __init__(self, configs: Mapping[str, Config], env: Environment) -> None:
+    def __init__(self, configs: Mapping[str, Config], env: Environment, leases: Leases | None = None) -> None:
+        """`leases` are those that the data plane knows too."""
         self._env = env
         self._state = state = ManagerState(configs, env.store)
         self._bus = RegisterBus(env.devices)
-        self.leases = Leases(env.clock)
+        self.leases = leases or Leases(env.clock)
         self._loaders = Loaders(env.devices, env.files, env.clock, env.settings.prefetch_bytes)
         self.registers = RegisterService(state, self._bus, self.leases)
         self.memories = MemoryService(state, self.registers, self._bus, self.leases)

@@ -51,7 +51,7 @@ class Reloader:
     def __init__(self, surroundings: Surroundings, configs: Mapping[str, Config]) -> None:
         """`configs`: those of the start; ones that a later reading lacks are forgotten."""
         self._s = surroundings
-        self.doorkeeper: CurveAuthenticator | None = None
+        self.authenticator: CurveAuthenticator | None = None
         self._waiting: dict[str, Config | None] = {}  # None: to be forgotten
         self._ours = frozenset(configs)
 
@@ -71,8 +71,8 @@ class Reloader:
         self._s.in_loop(lambda: self._apply(found, stored))
 
     def _apply(self, found: Reloaded, stored: Mapping[str, Config]) -> None:
-        if self.doorkeeper is not None and found.security is not None:
-            self.doorkeeper.let_in(found.security.clients)
+        if self.authenticator is not None and found.security is not None:
+            self.authenticator.let_in(found.security.clients)
         # One that is damaged has no name, so that nothing that was known is taken for removed meanwhile.
         gone = self._ours - found.configs.keys() - stored.keys() if found.whole else frozenset()
         # Configurations that clients provisioned stand over those of the search path, as at the start.

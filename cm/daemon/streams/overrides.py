@@ -9,7 +9,7 @@ from cm.messages.requests import ConfigureStream
 from cm.schema.model import Stream
 
 
-class Choices:
+class StreamOverrides:
     """Settings last until the mode changes; what was enabled runs on until another configuration is loaded."""
 
     def __init__(self) -> None:

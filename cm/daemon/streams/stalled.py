@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import os
 import select
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable
 
-from cm.device import AxiDma, DeviceTimeout
+from cm.device import AxiDma
 from cm.schema.model import Stream
 
 
-class Silence:
+class StalledChannels:
     """Remembers channels by their stream's name, until they answer. The loop's thread."""
 
     def __init__(self, probe: Callable[[str], int]) -> None:
@@ -21,34 +20,24 @@ class Silence:
         self._channels: dict[str, AxiDma] = {}  # open; an answer is overdue
         self._probes: dict[str, int] = {}  # could not be opened
 
-    def of(self, name: str) -> bool:
-        """Whether a stream's channel is known not to answer."""
-        return name in self._channels or name in self._probes
-
     def begin(self, name: str, channel: AxiDma) -> None:
         """An open channel did not answer; it is ours from here on."""
         self._channels[name] = channel
 
-    @contextmanager
-    def noticed(self, stream: Stream) -> Iterator[None]:
-        """Around opening a stream's channel."""
-        try:
-            yield
-        except DeviceTimeout:
-            with suppress(OSError):  # then the next who opens it finds out anew
-                self._probes[stream.name] = self._probe(stream.channel)
-            raise
+    def probe(self, stream: Stream) -> None:
+        """A stream's channel could not be opened, as nothing answered. Raises OSError where it cannot be watched."""
+        self._probes[stream.name] = self._probe(stream.channel)
 
-    def look(self) -> None:
+    def answered(self) -> list[str]:
         """Let go of channels that answer again: they can be opened anew. Does not block."""
-        for name, channel in list(self._channels.items()):
-            if channel.answers:
-                del self._channels[name]
-                channel.close()
+        back = [name for name, channel in self._channels.items() if channel.answers]
+        for name in back:
+            self._channels.pop(name).close()
         ready = _readable(self._probes.values())
-        for name, descriptor in list(self._probes.items()):
-            if descriptor in ready:
-                os.close(self._probes.pop(name))
+        probed = [name for name, descriptor in self._probes.items() if descriptor in ready]
+        for name in probed:
+            os.close(self._probes.pop(name))
+        return [*back, *probed]
 
     def close(self) -> None:
         """Close all."""

@@ -8,14 +8,12 @@ given memory, measured and closed, in the loop's thread.
 from __future__ import annotations
 
 import os
-import socket
-import struct
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
+from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.settings import frame_bytes, setup
 from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
 from cm.device.plane import Plane, StreamCounts
@@ -27,12 +25,6 @@ from cm.wire.plane import SLOTS_MAX, Descriptor, Geometry, encode_geometry, enco
 
 _RESERVE = 2  # slots that readers can never hold: the hardware fills one while the next waits
 DEPTH = 4  # frames that a local client may hold if it does not say
-
-
-class StreamStopped(Busy):
-    """The stream was stopped (its region is being changed) before the transfer ended."""
-
-    code = "stream_stopped"
 
 
 class NoSlots(Busy):
@@ -51,34 +43,9 @@ class Frame:
 
 Done = Callable[[Frame | CmError], None]
 
-_CREDENTIALS = struct.Struct("=iII")  # struct ucred
 
-
-@dataclass(frozen=True, slots=True)
-class Peer:
-    """The process at the other end of a client's socket."""
-
-    pid: int
-    name: str
-
-    @staticmethod
-    def of(connection: socket.socket) -> Peer:
-        """Who made a connection; its name is what the kernel calls it now."""
-        raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-        pid = _CREDENTIALS.unpack(raw)[0]
-        try:
-            return Peer(pid, Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip())
-        except OSError:  # it has gone, or is of another PID namespace (0)
-            return Peer(pid, "")
-
-    @staticmethod
-    def ourselves() -> Peer:
-        """The daemon's own taps."""
-        return Peer(os.getpid(), "cm (ZeroMQ)")
-
-
-class Pump:
-    """One open stream."""
+class OpenStream:
+    """An open stream."""
 
     def __init__(self, plane: Plane, dma: AxiDma, stream: Stream) -> None:
         """Take over an open channel; it is closed if this raises."""
@@ -91,7 +58,6 @@ class Pump:
         self._shared: list[int] = []  # descriptors as clients get them
         self._depths: dict[int, int] = {}
         self._peers: dict[int, Peer] = {}
-        self.lost = False
         try:
             self.setup = setup(dma.info, stream)
             self.id = plane.start(dma, self.setup)

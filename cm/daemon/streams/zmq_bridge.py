@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The daemon's own clients of the data plane: for who reads and writes frames over ZeroMQ.
+"""The ZeroMQ side of a stream: the daemon as a client of the data plane, for those who use frames over ZeroMQ.
 
-A tap is a client like any other, at the end of a socket pair.
+It is a client like any other, at the end of a socket pair.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from collections import deque
 from collections.abc import Callable, Iterator
 
 from cm.daemon.loop import Loop, Timer
+from cm.daemon.streams.policy import StreamStopped
 from cm.daemon.streams.settings import frame_bytes
-from cm.daemon.streams.stream import Done, Frame, Pump, StreamStopped
+from cm.daemon.streams.stream import Done, Frame, OpenStream
 from cm.device.plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
 from cm.wire import plane as packets
@@ -34,18 +35,18 @@ class TransferFailed(CmError):
     code = "transfer_failed"
 
 
-class _Tap:
+class _ZmqClient:
     """A client of the plane in this process."""
 
-    def __init__(self, loop: Loop, plane: Plane, pump: Pump, depth: int) -> None:
-        self._loop, self._plane, self._pump = loop, plane, pump
+    def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, depth: int) -> None:
+        self._loop, self._plane, self._stream = loop, plane, opened
         self._used_at = 0.0
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         self._socket = ours
         self.client = plane.adopt(theirs.detach())
         try:
-            pump.attach(self.client, depth)
+            opened.attach(self.client, depth)
         except BaseException:
             plane.drop(self.client)
             ours.close()
@@ -66,7 +67,7 @@ class _Tap:
         """Hang up."""
         self._loop.remove(self._socket.fileno())
         self._plane.drop(self.client)
-        self._pump.detached(self.client)
+        self._stream.detached(self.client)
         self._socket.close()
 
     def _readable(self) -> None:
@@ -81,13 +82,13 @@ class _Tap:
         raise NotImplementedError
 
 
-class ReadTap(_Tap):
+class ZmqReader(_ZmqClient):
     """Frames to the sinks, and to single reads."""
 
-    def __init__(self, loop: Loop, plane: Plane, pump: Pump, deliver: Callable[[Frame], None]) -> None:
+    def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, deliver: Callable[[Frame], None]) -> None:
         self._deliver = deliver
         self._readers: deque[tuple[Done, Timer]] = deque()
-        super().__init__(loop, plane, pump, _READ_DEPTH)
+        super().__init__(loop, plane, opened, _READ_DEPTH)
 
     @property
     def working(self) -> bool:
@@ -101,7 +102,7 @@ class ReadTap(_Tap):
         def expired() -> None:
             if entry[0] in self._readers:
                 self._readers.remove(entry[0])
-                done(Timeout(f"stream {self._pump.stream.name!r} gave no frame within {timeout:g} s"))
+                done(Timeout(f"stream {self._stream.stream.name!r} gave no frame within {timeout:g} s"))
 
         entry.append((done, self._loop.call_later(timeout, expired)))
         self._readers.append(entry[0])
@@ -116,10 +117,10 @@ class ReadTap(_Tap):
             self._socket.send(packet._replace(kind=packets.RELEASE).pack())
 
     def _hand_on(self, packet: Descriptor) -> None:
-        slot = self._pump.slots[packet.slot]
+        slot = self._stream.slots[packet.slot]
         slot.sync_begin(write=False)
         try:
-            frame = Frame(self._pump.info(packet), self._bytes(packet))
+            frame = Frame(self._stream.info(packet), self._bytes(packet))
             readers, self._readers = self._readers, deque()
             for done, timer in readers:
                 timer.cancel()
@@ -130,7 +131,7 @@ class ReadTap(_Tap):
 
     def _bytes(self, packet: Descriptor) -> memoryview:
         """The frame's bytes, one after the other; copied only where lines are apart."""
-        setup, slot = self._pump.setup, self._pump.slots[packet.slot]
+        setup, slot = self._stream.setup, self._stream.slots[packet.slot]
         view = slot.memoryview(writable=False)
         if setup.lines and setup.stride != setup.line_bytes:
             return memoryview(b"".join(view[line] for line in _lines(setup)))[: packet.length]
@@ -140,19 +141,19 @@ class ReadTap(_Tap):
         super().close()
         for done, timer in self._readers:
             timer.cancel()
-            done(StreamStopped(f"stream {self._pump.stream.name!r} was stopped before a frame came"))
+            done(StreamStopped(f"stream {self._stream.stream.name!r} was stopped before a frame came"))
         self._readers.clear()
 
 
-class WriteTap(_Tap):
+class ZmqWriter(_ZmqClient):
     """Written frames to the hardware."""
 
-    def __init__(self, loop: Loop, plane: Plane, pump: Pump) -> None:
+    def __init__(self, loop: Loop, plane: Plane, opened: OpenStream) -> None:
         self._free: deque[Descriptor] = deque()
         self._under_way: dict[int, tuple[Done, Timer]] = {}
         self._waiting: deque[tuple[bytes | memoryview, Done]] = deque()
         self._numbers = itertools.count()
-        super().__init__(loop, plane, pump, min(_WRITE_DEPTH, max(2, pump.stream.slots)))
+        super().__init__(loop, plane, opened, min(_WRITE_DEPTH, max(2, opened.stream.slots)))
 
     @property
     def working(self) -> bool:
@@ -163,19 +164,21 @@ class WriteTap(_Tap):
         """Send a frame. Raises InvalidRequest for a wrong size, Busy when too many wait."""
         self._check_size(memoryview(data).nbytes)
         if len(self._waiting) >= _WAITING:
-            name = self._pump.stream.name
+            name = self._stream.stream.name
             raise Busy(f"stream {name!r}: {_WAITING} frames wait already; the hardware takes none")
         self._used_at = time.monotonic()
         self._waiting.append((data, done))
         self._send()
 
     def _check_size(self, size: int) -> None:
-        s, frame = self._pump.stream, frame_bytes(self._pump.stream)
+        s, frame = self._stream.stream, frame_bytes(self._stream.stream)
         if frame and size != frame:
             text = f"{'×'.join(map(str, s.shape or ()))} {s.dtype}"
             raise InvalidRequest(f"stream {s.name!r} takes frames of {text}, {frame} bytes; this one has {size}")
-        if not 0 < size <= self._pump.setup.length:
-            raise InvalidRequest(f"stream {s.name!r} takes 1 to {self._pump.setup.length} bytes; this frame has {size}")
+        if not 0 < size <= self._stream.setup.length:
+            raise InvalidRequest(
+                f"stream {s.name!r} takes 1 to {self._stream.setup.length} bytes; this frame has {size}"
+            )
 
     def _send(self) -> None:
         while self._free and self._waiting:
@@ -189,7 +192,7 @@ class WriteTap(_Tap):
 
     def _fill(self, number: int, view: memoryview) -> int:
         """Put a frame into a slot; the bytes that the transfer has."""
-        setup, slot = self._pump.setup, self._pump.slots[number]
+        setup, slot = self._stream.setup, self._stream.slots[number]
         slot.sync_begin(write=True)
         try:
             memory = slot.memoryview()
@@ -209,7 +212,7 @@ class WriteTap(_Tap):
             self._under_way[number] = (lambda _: None, timer)
             done(
                 Timeout(
-                    f"stream {self._pump.stream.name!r}: the hardware took no data for {_WRITE_TIMEOUT:.0f} s; "
+                    f"stream {self._stream.stream.name!r}: the hardware took no data for {_WRITE_TIMEOUT:.0f} s; "
                     "is somebody reading what comes out, and is the region coupled?"
                 )
             )
@@ -223,20 +226,20 @@ class WriteTap(_Tap):
 
     def _keeps(self, packet: Descriptor) -> bool:
         """Whether the hardware repeats the frame, so that its slot is not free yet."""
-        return self._pump.setup.cyclic and packet.offset == 0
+        return self._stream.setup.cyclic and packet.offset == 0
 
     def _done(self, packet: Descriptor) -> None:
         done, timer = self._under_way.pop(packet.slot)
         timer.cancel()
         self._used_at = time.monotonic()
         if packet.offset:
-            done(_failure(self._pump.stream.name, packet.offset))
+            done(_failure(self._stream.stream.name, packet.offset))
         else:
-            done(Frame(self._pump.info(packet), memoryview(b"")))
+            done(Frame(self._stream.info(packet), memoryview(b"")))
 
     def close(self) -> None:
         super().close()
-        stopped = StreamStopped(f"stream {self._pump.stream.name!r} was stopped before the frame was taken")
+        stopped = StreamStopped(f"stream {self._stream.stream.name!r} was stopped before the frame was taken")
         for done, timer in self._under_way.values():
             timer.cancel()
             done(stopped)

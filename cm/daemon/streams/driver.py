@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Opens and closes streams as `policy` decides, and takes to it what comes of that. The loop's thread."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+from cm.daemon.host.devices import BoardDevices
+from cm.daemon.loop import Loop
+from cm.daemon.streams.echo import Echoes
+from cm.daemon.streams.local_clients import LocalClients
+from cm.daemon.streams.peer import Peer
+from cm.daemon.streams.policy import StreamEvent, StreamPolicy, Users
+from cm.daemon.streams.stalled import StalledChannels
+from cm.daemon.streams.stream import Frame, OpenStream
+from cm.daemon.streams.zmq_clients import ZmqClients
+from cm.device import DeviceTimeout
+from cm.device.plane import ClientGone, ClientLeaves, Plane
+from cm.errors import CmError
+from cm.messages.status import ErrorInfo
+from cm.schema.model import Direction, Stream
+
+_LOG = logging.getLogger(__name__)
+
+
+class Audience(Protocol):
+    """The subscribers to frames over ZeroMQ."""
+
+    def wants_stream(self, name: str) -> bool:
+        """Whether there are any to a stream."""
+
+    def overruns(self, stream: str) -> int:
+        """How often one began to lose a stream's frames."""
+
+    def frame(self, frame: Frame) -> None:
+        """Give them a frame; its memory is valid during the call only."""
+
+
+class StreamDriver:
+    """The open streams, their clients, and the plane that moves the frames."""
+
+    def __init__(
+        self,
+        loop: Loop,
+        devices: BoardDevices,
+        audience: Audience,
+        policy: StreamPolicy,
+        on_error: Callable[[ErrorInfo], None],
+    ) -> None:
+        self._loop = loop
+        self._devices = devices
+        self._audience = audience
+        self._policy = policy
+        self._on_error = on_error
+        self._plane = Plane()
+        self.echoes = Echoes(self._plane)
+        self.open: dict[str, OpenStream] = {}
+        self.locals = LocalClients(self._plane, on_error)
+        self.zmq = ZmqClients(loop, self._plane, audience.frame)
+        self._stalled = StalledChannels(devices.probe_dma)
+        loop.add(self._plane.fileno(), self._plane_event)
+
+    def refresh(self) -> None:
+        """Open what is wanted, close what is not wanted any more."""
+        for name in self._stalled.answered() if self._policy.stalled() else ():
+            self._policy.after(name, StreamEvent.ANSWER)
+        for event, stream in self._policy.due(self.users):
+            if event is StreamEvent.OPEN:
+                self._start_quietly(stream)
+            else:
+                self.stop(stream.name)
+        for opened in list(self.open.values()):
+            self.zmq.refresh(opened, self.has_subscriber(opened.stream))
+
+    def users(self, stream: Stream) -> Users:
+        """Who uses a stream now."""
+        name = stream.name
+        return Users(self.has_subscriber(stream), self.locals.use(name), self.zmq.busy(name))
+
+    def has_subscriber(self, stream: Stream) -> bool:
+        """Whether a stream's frames are subscribed to."""
+        return stream.direction is Direction.S2MM and self._audience.wants_stream(stream.name)
+
+    def settle(self) -> None:
+        """Clients that have just hung up do not use their stream any more when this returns."""
+        self._plane.settle()
+        self._plane_event()
+
+    def running(self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None) -> OpenStream:
+        """A stream, opened where it is not. Raises StreamStopped, Timeout, DeviceError, NoSlots."""
+        self._policy.check_may_run(stream.name)
+        return self.open.get(stream.name) or self._start(stream, first)
+
+    def attach(self, stream: Stream, client: int, depth: int, peer: Peer) -> str:
+        """To a stream that runs or may run; else the client waits. Returns the stream's name."""
+        opened = self.open.get(stream.name)
+        if opened is not None:
+            opened.attach(client, depth, peer)
+        elif self._policy.may_run(stream.name):
+            self._start(stream, lambda opened: opened.attach(client, depth, peer))
+        return stream.name
+
+    def stop(self, name: str, error: int = 0) -> None:
+        """Close a stream, if it is open; `error` (an errno) is what its clients are told."""
+        opened = self.open.pop(name, None)
+        if opened is None:
+            return
+        self._policy.after(name, StreamEvent.CLOSE)
+        try:
+            opened.close(error)
+        finally:
+            self.zmq.close(name)
+
+    def close(self) -> None:
+        """Hang up on all clients, end the plane's thread."""
+        self._stalled.close()
+        self._loop.remove(self._plane.fileno())
+        self._plane.close()
+
+    def _start(self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None) -> OpenStream:
+        """Open a stream; its clients, and what `first` attaches, get it from its first frame on."""
+        opened = self._opened(stream)
+        try:
+            config, mode = self._policy.config, self._policy.mode
+            opened.label(config.name if config else "", mode or "")
+            first(opened)
+            self.locals.attach_all(opened)
+            self.zmq.refresh(opened, self.has_subscriber(stream))
+            opened.start()
+        except BaseException:
+            self.stop(stream.name)
+            raise
+        return opened
+
+    def _opened(self, stream: Stream) -> OpenStream:
+        try:
+            opened = OpenStream(self._plane, self._devices.dma(stream.channel), stream)
+        except DeviceTimeout:
+            with suppress(OSError):  # then the next who opens it finds out anew
+                self._stalled.probe(stream)
+                self._policy.after(stream.name, StreamEvent.STALL)
+            raise
+        self.open[stream.name] = opened
+        self._policy.after(stream.name, StreamEvent.OPEN)
+        return opened
+
+    def _start_quietly(self, stream: Stream) -> None:
+        try:
+            self._start(stream)
+        except (CmError, OSError) as error:
+            code = error.code if isinstance(error, CmError) else "device_error"
+            self._on_error(ErrorInfo(code, f"stream {stream.name!r} cannot be opened: {error}"))
+
+    def _stall(self, name: str, error: int) -> None:
+        """As `_stop`, for a channel that does not answer: it is kept, and asked whether it does again."""
+        opened = self.open.pop(name)
+        self._policy.after(name, StreamEvent.STALL)
+        self._stalled.begin(name, opened.release(error))
+        self.zmq.close(name)
+
+    def _plane_event(self) -> None:
+        while (event := self._plane.event()) is not None:
+            if isinstance(event, ClientGone):
+                self._client_gone(event.client)
+            elif isinstance(event, ClientLeaves):
+                self.locals.leaves(event.client)
+                self.refresh()
+            else:
+                self._lost(event.stream, event.error)
+
+    def _client_gone(self, client: int) -> None:
+        self.echoes.gone(client)
+        opened = self.open.get(self.locals.gone(client) or "")
+        if opened is not None:
+            opened.detached(client)
+        self.refresh()
+
+    def _lost(self, number: int, error: int) -> None:
+        for name in [name for name, opened in self.open.items() if opened.id == number]:
+            text = os.strerror(error)
+            _LOG.warning("stream %s ended: %s", name, text)
+            if error == errno.ETIMEDOUT:
+                self._stall(name, error)
+            else:
+                self.stop(name, error)
+            self._on_error(ErrorInfo("device_error", f"stream {name!r} ended: {text}"))

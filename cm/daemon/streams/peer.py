@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process at the other end of a client's socket."""
+
+from __future__ import annotations
+
+import os
+import socket
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+_CREDENTIALS = struct.Struct("=iII")  # struct ucred
+
+
+@dataclass(frozen=True, slots=True)
+class Peer:
+    """A process, and what the kernel calls it."""
+
+    pid: int
+    name: str
+
+    @staticmethod
+    def of(connection: socket.socket) -> Peer:
+        """Who made a connection; its name is what the kernel calls it now."""
+        raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        pid = _CREDENTIALS.unpack(raw)[0]
+        try:
+            return Peer(pid, Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip())
+        except OSError:  # it has gone, or is of another PID namespace (0)
+            return Peer(pid, "")
+
+    @staticmethod
+    def ourselves() -> Peer:
+        """The daemon's own clients, for ZeroMQ."""
+        return Peer(os.getpid(), "cm (ZeroMQ)")

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When streams run: a table of phases and transitions, and what decides between them. No socket, no device.
+
+`cm.daemon.streams.registry` does what is decided here, and tells here what came of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from types import MappingProxyType
+
+from cm.daemon.streams.overrides import StreamOverrides
+from cm.errors import Busy, InvalidRequest, Timeout
+from cm.manager.errors import NothingLoaded, UnknownStream
+from cm.manager.planning.resolve import hint
+from cm.messages.requests import ConfigureStream
+from cm.schema.model import Config, Direction, Stream
+
+
+class StreamStopped(Busy):
+    """The stream was stopped (its region is being changed) before the transfer ended."""
+
+    code = "stream_stopped"
+
+
+class StreamPhase(str, Enum):
+    """Where a stream is."""
+
+    CLOSED = "closed"  # nobody needs it
+    OPEN = "open"  # its channel runs
+    HELD = "held"  # stopped while its region changes
+    STALLED = "stalled"  # its channel does not answer: a simulated board that is stopped
+    HELD_STALLED = "held_stalled"
+
+
+class StreamEvent(str, Enum):
+    """What happens to a stream."""
+
+    OPEN = "open"
+    CLOSE = "close"
+    HOLD = "hold"
+    RELEASE = "release"
+    STALL = "stall"
+    ANSWER = "answer"
+
+
+_P, _E = StreamPhase, StreamEvent
+
+TRANSITIONS: Mapping[tuple[StreamPhase, StreamEvent], StreamPhase] = MappingProxyType(
+    {
+        (_P.CLOSED, _E.OPEN): _P.OPEN,
+        (_P.OPEN, _E.CLOSE): _P.CLOSED,
+        (_P.CLOSED, _E.HOLD): _P.HELD,
+        (_P.HELD, _E.HOLD): _P.HELD,
+        (_P.STALLED, _E.HOLD): _P.HELD_STALLED,
+        (_P.HELD_STALLED, _E.HOLD): _P.HELD_STALLED,
+        (_P.HELD, _E.RELEASE): _P.CLOSED,
+        (_P.HELD_STALLED, _E.RELEASE): _P.STALLED,
+        (_P.CLOSED, _E.STALL): _P.STALLED,
+        (_P.OPEN, _E.STALL): _P.STALLED,
+        (_P.STALLED, _E.ANSWER): _P.CLOSED,
+        (_P.HELD_STALLED, _E.ANSWER): _P.HELD,
+    }
+)
+
+
+class IllegalTransition(RuntimeError):
+    """An event that the table has not: a defect of the daemon, never of a request."""
+
+
+@dataclass(frozen=True, slots=True)
+class Users:
+    """Who uses a stream now."""
+
+    subscriber: bool = False  # over ZeroMQ
+    client: bool = False  # of the data socket
+    transfer: bool = False  # a single read or write, now or a moment ago
+
+    def __bool__(self) -> bool:
+        return self.subscriber or self.client or self.transfer
+
+
+def decide(phase: StreamPhase, wanted: bool) -> StreamEvent | None:
+    """What is to be done with a stream."""
+    if phase is _P.CLOSED and wanted:
+        return _E.OPEN
+    if phase is _P.OPEN and not wanted:
+        return _E.CLOSE
+    return None
+
+
+class StreamPolicy:
+    """The streams of the loaded mode, their phases, and what clients have set of them."""
+
+    def __init__(self) -> None:
+        self.config: Config | None = None
+        self.mode: str | None = None
+        self.streams: Mapping[str, Stream] = {}
+        self._overrides = StreamOverrides()
+        self._phases: dict[str, StreamPhase] = {}
+
+    def phase(self, name: str) -> StreamPhase:
+        """Where a stream is; one never heard of is closed."""
+        return self._phases.get(name, _P.CLOSED)
+
+    def after(self, name: str, event: StreamEvent) -> None:
+        """Something happened to a stream. Raises IllegalTransition, and changes nothing then."""
+        phase = TRANSITIONS.get((self.phase(name), event))
+        if phase is None:
+            raise IllegalTransition(f"stream {name!r}, which is {self.phase(name).value}, cannot {event.value}")
+        self._phases[name] = phase
+
+    def enter(self, config: Config | None, mode: str | None) -> list[str]:
+        """The streams are those of this mode, and none is held; returns those that run and have to be closed for it."""
+        streams = dict(config.modes[mode].streams) if config and mode is not None and mode in config.modes else {}
+        if config is not None and (self.config is None or config.name != self.config.name):
+            self._overrides.config_changed()
+        if mode != self.mode:
+            self._overrides.mode_changed()
+        before, self.streams = self.streams, {n: self._overrides.of(s) for n, s in streams.items()}
+        self.config, self.mode = config, mode
+        for name in self._in(_P.HELD, _P.HELD_STALLED):
+            self.after(name, _E.RELEASE)
+        return [name for name in self._in(_P.OPEN) if self.streams.get(name) != before.get(name)]
+
+    def stalled(self) -> list[str]:
+        """Those whose channel does not answer."""
+        return self._in(_P.STALLED, _P.HELD_STALLED)
+
+    def _in(self, *phases: StreamPhase) -> list[str]:
+        return [name for name, phase in self._phases.items() if phase in phases]
+
+    def due(self, users: Callable[[Stream], Users]) -> Iterator[tuple[StreamEvent, Stream]]:
+        """What is to be done now: streams to open and to close."""
+        for name, stream in list(self.streams.items()):
+            event = decide(self.phase(name), self.is_wanted(stream, users(stream)))
+            if event is not None:
+                yield event, stream
+
+    def is_wanted(self, stream: Stream, users: Users) -> bool:
+        """Whether a stream shall run, if it can."""
+        runs = self._overrides.runs(stream.name)
+        return bool(users) if runs is None else runs
+
+    def is_held(self, name: str) -> bool:
+        """Whether a stream is stopped while its region changes."""
+        return self.phase(name) in (_P.HELD, _P.HELD_STALLED)
+
+    def may_run(self, name: str) -> bool:
+        """Whether a stream can be opened for whoever asks."""
+        return self.phase(name) in (_P.CLOSED, _P.OPEN) and self._overrides.runs(name) is not False
+
+    def check_may_run(self, name: str) -> None:
+        """Raise StreamStopped or Timeout with the reason where it cannot."""
+        if self.is_held(name):
+            raise StreamStopped(f"stream {name!r} is stopped while its region changes")
+        if self.phase(name) is _P.STALLED:
+            raise Timeout(f"stream {name!r}: the board does not answer; it goes on when the board does")
+        if self._overrides.runs(name) is False:
+            raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")
+
+    def set_to_run(self, name: str) -> bool:
+        """Whether a client has set a stream to run whoever listens."""
+        return bool(self._overrides.runs(name))
+
+    def override(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:
+        """A stream is as it is wanted from here on; the result takes that back."""
+        self.streams = {**self.streams, stream.name: wanted}
+        forget = self._overrides.take(stream, wanted, request)
+
+        def take_back() -> None:
+            forget()
+            self.streams = {**self.streams, stream.name: stream}
+
+        return take_back
+
+    def named(self, name: str, direction: Direction | None) -> Stream:
+        """A stream by name, or the only one of a direction. Raises UnknownStream, NothingLoaded, InvalidRequest."""
+        if self.config is None:
+            raise NothingLoaded("nothing is loaded, so there are no streams")
+        if not name and direction is not None:
+            return _only(direction, self.streams.values())
+        stream = self.streams.get(name)
+        if stream is None:
+            raise UnknownStream(f"no stream {name!r} in mode {self.mode!r}{hint(name, self.streams)}")
+        if direction is not None and stream.direction is not direction:
+            raise InvalidRequest(f"stream {name!r} is {stream.direction.value}: it cannot be used the other way")
+        return stream
+
+
+def _only(direction: Direction, streams: Collection[Stream]) -> Stream:
+    fitting = [s for s in streams if s.direction is direction]
+    if len(fitting) == 1:
+        return fitting[0]
+    names = ", ".join(s.name for s in fitting) or "none"
+    raise UnknownStream(f"name a stream; {direction.value} streams of this mode are {names}")
+
+
+def diagram() -> str:
+    """The table as a Mermaid state diagram, for the documentation."""
+    lines = ["stateDiagram-v2", "    [*] --> closed"]
+    lines += [f"    {a.value} --> {b.value}: {event.value}" for (a, event), b in TRANSITIONS.items() if a is not b]
+    return "\n".join(lines) + "\n"
