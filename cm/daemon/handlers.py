@@ -123,6 +123,7 @@ class Handlers:
 
     def _read_status(self, _: rq.ReadStatus, respond: Respond) -> None:
         respond(Reply(self._s.status()))
+        self._s.manager.status_read()
 
     def _read_config(self, request: rq.ReadConfig, respond: Respond) -> None:
         info = self._s.manager.describe(request.config_name, self._s.interrupts.counts)

@@ -40,6 +40,7 @@ from cm.manager.state.journal import Store
 from cm.messages.requests import ChangeMode
 from cm.messages.status import ErrorInfo, RegValues, Status
 from cm.schema.model import Config
+from cm.wire import topics
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two looks at streams, records and a lost board
@@ -224,6 +225,8 @@ class Server:
             if not status.fpga_busy:
                 self._interrupts.watch(self._manager.loaded_config())
             self._publisher.status(replace(status, streams=self._streams.status()))
+            if self._publisher.has_subscriber(topics.STATUS):
+                self._manager.status_read()
             self._log_error(status.last_error, status.last_change)
 
     def _log_error(self, error: ErrorInfo | None, change: int) -> None:

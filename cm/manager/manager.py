@@ -22,7 +22,7 @@ from cm.manager.execution.worker import Change, Worker
 from cm.manager.loaders import Loaders
 from cm.manager.planning import resolve
 from cm.manager.planning.plan import Goal
-from cm.manager.recovery.startup import destination, is_whole, take_stock
+from cm.manager.recovery.startup import destination, is_whole, repair, take_stock
 from cm.manager.reporting.descriptions import config_info
 from cm.manager.reporting.status import StatusReporter
 from cm.manager.state.board_state import ManagerState
@@ -79,7 +79,7 @@ class Manager:
         """Compare record and board (again). Called before the worker starts, or when it is idle."""
         finding = take_stock(self._state, self._env.devices, self._bus)
         if finding.notes:
-            self._reporter.set_error(ErrorInfo("reconciled", "; ".join(finding.notes)))
+            self._reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
         self._repair(finding.interrupted)
         self._env.data_plane.resume(self.loaded_config(), self.state.mode)
         self._reporter.note(self._state.try_record())  # a disk that is full is no reason not to serve
@@ -92,11 +92,7 @@ class Manager:
         if there is None:
             self._state.update(lambda state: replace(state, config=None, mode=None))
         elif interrupted is not None or not is_whole(self.state, there):
-            cut = interrupted or Pending(0, "", "", None, None)
-            values = {**self.state.values, **cut.values}
-            change = Change(self._state.next_number(), there.config.name, there.mode, static=there.static)
-            change.values, change.rates = values, cut.rates
-            self._worker.add(change)
+            self._worker.add(repair(self._state.next_number(), there, interrupted, self.state))
 
     def board_restarted(self) -> None:
         """The board was started anew: nothing that is recorded is true any more.
@@ -121,7 +117,7 @@ class Manager:
         there = destination(before, None, self.configs)
         self._bus.forget(lost=False)
         self._state.update(slept)
-        self._reporter.set_error(ErrorInfo("slept", "the machine slept: what the PL held is loaded again"))
+        self._reporter.set_notice(ErrorInfo("slept", "the machine slept: what the PL held is loaded again"))
         self._reporter.note(self._state.try_record())
         if there is not None:
             static = before.static_config if before.static_config in self.configs else None
@@ -176,6 +172,10 @@ class Manager:
     def loaded_config(self) -> Config | None:
         """The configuration that is loaded."""
         return self._state.loaded_config()
+
+    def status_read(self) -> None:
+        """A client has been told the status: what was found out at start need not be told for ever."""
+        self._reporter.was_read()
 
     def status(self) -> Status:
         """As it is told; streams, sequence and version are the daemon's to add."""

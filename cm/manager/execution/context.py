@@ -50,7 +50,10 @@ class StepContext:
     at: int = -1  # index of the step that is being taken
     port_seconds: float = 0.0  # that a port has taken for that step's image
     written: dict[str, int] = field(default_factory=dict)  # registers, by name
-    found: dict[str, int] = field(default_factory=dict)  # what registers held before, for the way back
+    found: dict[s.Place, int] = field(default_factory=dict)  # what registers held before, for the way back
+    sealed: set[str] = field(default_factory=set)  # regions that are cut off for certain
+    begun: set[str] = field(default_factory=set)  # regions whose load has begun
+    apart: set[str] = field(default_factory=set)  # regions of unknown content that stood cut off before
     rates: dict[str, int] = field(default_factory=dict)  # what clocks ran at before, in Hz, for the way back
 
     @property

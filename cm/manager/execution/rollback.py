@@ -7,7 +7,7 @@ Going back is a plan from wherever the board is now, like any other change.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from cm.errors import CmError
@@ -15,7 +15,7 @@ from cm.manager.access.register_bus import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
 from cm.manager.execution.context import Tools
 from cm.manager.planning.plan import Goal
-from cm.manager.state.steps import Step, hertz
+from cm.manager.state.steps import Place, Step, hertz
 from cm.manager.state.table import BoardState, RegionEvent, RegionPhase
 from cm.schema.model import Config, ConfigType, Region
 
@@ -26,14 +26,17 @@ _CUT = (RegionPhase.DECOUPLED, RegionPhase.LOADED)
 class Failure:
     """What went wrong on the way to a configuration, at which step, and what was there before it.
 
-    `found` are registers' values, `rates` what clocks ran at (Hz).
+    `values` and `found` are registers' values, by name and by place, `rates` what clocks ran at (Hz). `touched` are
+    regions whose load had begun, or that stood cut off before.
     """
 
     goal: Config
     step: Step | None
     error: Exception
-    found: Mapping[str, int]
+    values: Mapping[str, int]
+    found: Mapping[Place, int]
     rates: Mapping[str, int]
+    touched: frozenset[str]
 
     @property
     def code(self) -> str:
@@ -56,8 +59,11 @@ def sentence(error: Exception) -> str:
 class Rollback:
     """From where a failed change left the board to where it was `before`."""
 
-    def __init__(self, tools: Tools, before: BoardState, go_to: Callable[[Goal], None]) -> None:
-        """`go_to` plans and takes the steps to a goal, as well as that can be done."""
+    def __init__(
+        self, tools: Tools, before: BoardState, go_to: Callable[[Goal], None], sealed: Collection[str]
+    ) -> None:
+        """`go_to` plans and takes the steps to a goal, as well as that can be done; `sealed` as in StepContext."""
+        self._sealed = sealed
         self._tools = tools
         self._state = tools.state
         self._configs = tools.state.configs
@@ -70,7 +76,7 @@ class Rollback:
         try:
             if old is not None and before.mode is not None and before.mode in old.modes:
                 self._restore(old, before.mode, failure)
-                tail = "; ".join([f"the board is back in {before.config}/{before.mode}", *self._tidy(failure.goal)])
+                tail = "; ".join([f"the board is back in {before.config}/{before.mode}", *self._tidy(failure)])
                 return StepFailed(f"{failure.text}; {tail}", failure.code)
             end = self._give_up(failure)
             return StepFailed(f"{failure.text}; there was no mode to go back to; {end}", failure.code)
@@ -86,9 +92,9 @@ class Rollback:
 
     def _restore(self, old: Config, mode: str, failure: Failure) -> None:
         static = self._static_to_load(old)
-        values = {**failure.found, **self._before.values}
+        values = {**failure.values, **self._before.values}
         also = self._beside(old, mode)
-        self._go_to(Goal(old, mode, values=values, also=also, static=static, rates=failure.rates))
+        self._go_to(Goal(old, mode, False, values, also, static, failure.rates, failure.found))
         self._tools.data_plane.resume(old, mode)
 
     def _beside(self, old: Config, mode: str) -> tuple[str, ...]:
@@ -101,21 +107,22 @@ class Rollback:
         }
         return tuple(m.name for m in old.modules.values() if lost.get(m.name) == m.region)
 
-    def _tidy(self, goal: Config) -> list[str]:
+    def _tidy(self, failure: Failure) -> list[str]:
         """Regions that the mode before leaves alone and that the failed change has cut off.
 
-        What another configuration had loaded there, and is there still, is coupled again; the rest stays
-        cut off. Returns sentences on what is not as it was.
+        What is there still, of another configuration or of the image that the boot loader loaded, is coupled
+        again; the rest stays cut off. Returns sentences on what is not as it was.
         """
-        cut = [r for r in goal.regions.values() if self._state.board.region(r.name).phase in _CUT]
-        lost = [r for r in cut if not self._coupled_again(r)]
-        problems = isolate(self._tools, lost)
+        cut = [r for r in failure.goal.regions.values() if self._state.board.region(r.name).phase in _CUT]
+        lost = [r for r in cut if not self._coupled_again(r, failure)]
+        problems = isolate(self._tools, lost, self._sealed)
         return [*([f"regions left decoupled: {', '.join(r.name for r in lost)}"] if lost else []), *problems]
 
-    def _coupled_again(self, region: Region) -> bool:
-        held, now = self._before.region(region.name), self._state.board.region(region.name)
-        if held.phase is not RegionPhase.READY or held.sha256 is None or now.sha256 != held.sha256:
+    def _coupled_again(self, region: Region, failure: Failure) -> bool:
+        """Connect a region that holds what it held, and was connected."""
+        if not self._holds_still(region.name, failure) or not self._same_static():
             return False
+        held = self._before.region(region.name)
         try:
             if region.decoupler:
                 drive(self._tools.registers, region.decoupler, cut=False)
@@ -123,6 +130,12 @@ class Rollback:
             return False
         self._state.update(lambda state: state.with_region(region.name, held))
         return True
+
+    def _holds_still(self, name: str, failure: Failure) -> bool:
+        held, now = self._before.region(name), self._state.board.region(name)
+        if held.phase is RegionPhase.READY:
+            return held.sha256 is not None and now.sha256 == held.sha256
+        return held.phase is RegionPhase.UNKNOWN and name not in failure.touched
 
     def _static_to_load(self, old: Config) -> Config | None:
         """The full configuration to load first, where the device held one under a partial configuration.
@@ -142,8 +155,10 @@ class Rollback:
     def _give_up(self, failure: Failure) -> str:
         """Leave what is not ready cut off; says what is where."""
         before, same = self._before, self._same_static()
-        touched = [r for name, r in self._regions(failure.goal).items() if name in self._state.board.regions]
-        problems = isolate(self._tools, touched)
+        known = [r for name, r in self._regions(failure.goal).items() if name in self._state.board.regions]
+        cut = [r for r in known if self._state.board.region(r.name).phase in _CUT]
+        again = {r.name for r in cut if self._coupled_again(r, failure)}
+        problems = isolate(self._tools, [r for r in known if r.name not in again], self._sealed)
         if same:  # else the rates are those of the image that is there now
             problems += self._rates_again(failure.rates)
         mode = before.mode if self._holds_as_before() else None
@@ -198,24 +213,28 @@ class Rollback:
         )
 
 
-def isolate(tools: Tools, regions: Iterable[Region]) -> list[str]:
+def isolate(tools: Tools, regions: Iterable[Region], sealed: Collection[str]) -> list[str]:
     """After a failed way back: cut off every region that is not ready.
 
-    Returns a sentence for each that could not be cut off. A device that may not be configured is not
+    Returns a sentence for each that could not be cut off; of those that are not known to be so already nothing is
+    claimed any more. A device that may not be configured is not
     accessed at all: its bus would not answer, and the processor would hang.
     """
     problems = []
-    for region in regions:
+    for region in [] if tools.state.board.static_lost else regions:
         if tools.state.board.region(region.name).phase is RegionPhase.READY:
             continue
+        event = RegionEvent.ABANDON
         try:
-            if region.decoupler and not tools.state.board.static_lost:
+            if region.decoupler:
                 drive(tools.registers, region.decoupler, cut=True)
         except (CmError, OSError) as error:
             problems.append(f"{region.name} could not be decoupled: {error}")
-        _mark_failed(tools, region.name)
+            there = region.name in sealed or tools.state.board.region(region.name).phase is RegionPhase.FAILED
+            event = RegionEvent.ABANDON if there else RegionEvent.LOSE
+        _after(tools, region.name, event)
     return problems
 
 
-def _mark_failed(tools: Tools, name: str) -> None:
-    tools.state.update(lambda board: board.with_region(name, board.region(name).after(RegionEvent.ABANDON)))
+def _after(tools: Tools, name: str, event: RegionEvent) -> None:
+    tools.state.update(lambda board: board.with_region(name, board.region(name).after(event)))

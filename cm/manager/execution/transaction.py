@@ -7,6 +7,7 @@ A step that fails leaves the board where the record says. Going back is another 
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 from cm.manager.execution.actions import ACTIONS
@@ -43,17 +44,18 @@ class Transaction:
         try:
             _take_steps(run)
         except Exception as error:
-            rollback = Rollback(self._tools, before, self._go_back)
+            rollback = Rollback(self._tools, before, functools.partial(self._go_back, run.sealed), run.sealed)
             raise rollback.run(_failure(run, error)) from error  # in no variable: its traceback has this frame
 
-    def _go_back(self, goal: Goal) -> None:
+    def _go_back(self, sealed: set[str], goal: Goal) -> None:
         plan = plan_to(goal, self._tools)
-        _take_steps(StepContext(plan, self._tools, self._number, lambda: False, best_effort=True))
+        _take_steps(StepContext(plan, self._tools, self._number, lambda: False, best_effort=True, sealed=sealed))
 
 
 def _failure(run: StepContext, error: Exception) -> Failure:
     goal = run.plan.goal
-    return Failure(goal.config, run.step, error, {**goal.values, **run.found}, {**run.rates, **goal.rates})
+    values, found, rates = goal.values, {**run.found, **goal.found}, {**run.rates, **goal.rates}
+    return Failure(goal.config, run.step, error, values, found, rates, frozenset(run.begun | run.apart))
 
 
 def _take_steps(run: StepContext) -> None:

@@ -16,6 +16,8 @@ from cm.manager.execution.transaction import Transaction
 from cm.manager.planning import resolve
 from cm.manager.planning.plan import Goal
 from cm.manager.state.record import Pending
+from cm.manager.state.steps import Place
+from cm.manager.state.table import BoardState, RegionPhase
 from cm.messages.status import ErrorInfo
 from cm.schema.model import ConfigType
 
@@ -36,7 +38,9 @@ class Change:
     error: ErrorInfo | None = None
     seconds: float = 0.0
     on_done: Callable[[Change], None] | None = None
-    values: Mapping[str, int] = field(default_factory=dict)  # registers that the way back restores
+    also: tuple[str, ...] = ()  # modules of regions that the mode leaves alone, which the way back restores
+    values: Mapping[str, int] = field(default_factory=dict)  # registers that it restores
+    found: Mapping[Place, int] = field(default_factory=dict)  # others, likewise
     rates: Mapping[str, int] = field(default_factory=dict)  # clocks that it restores, in Hz
     _cancel: threading.Event = field(default_factory=threading.Event)
     _done: threading.Event = field(default_factory=threading.Event)
@@ -161,7 +165,9 @@ class Worker:
             board.config,
             board.mode,
             from_static=board.static_config,
+            held=_held(board),
             values={**board.values, **change.values},
+            found=tuple((*place, value) for place, value in change.found.items()),
             rates=change.rates,
         )
 
@@ -182,9 +188,15 @@ class Worker:
         config = configs[change.config]
         mode = resolve.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
         static = configs.get(change.static or "")
-        goal = Goal(config, mode, change.force, values=change.values, static=static, rates=change.rates)
+        also = tuple(name for name in change.also if name in config.modules)
+        goal = Goal(config, mode, change.force, change.values, also, static, change.rates, change.found)
         Transaction(self._tools, change.number, lambda: change.cancelled).run(goal)
 
 
 def _internal(problem: Exception) -> ErrorInfo:
     return ErrorInfo("internal", f"{type(problem).__name__}: {problem}")
+
+
+def _held(board: BoardState) -> dict[str, str]:
+    ready = {name: region.module for name, region in board.regions.items() if region.phase is RegionPhase.READY}
+    return {name: module for name, module in ready.items() if module is not None}

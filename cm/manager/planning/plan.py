@@ -20,7 +20,8 @@ class Goal:
     `values` overrides registers' defaults: the way back restores what was written. `also` are modules
     beside the mode's, in regions that the mode leaves alone: the way back restores what they held.
     `static` is the full configuration whose image a partial one was running in, for the way back to it.
-    `rates` are clocks' rates in Hz that the way back restores, whatever the configuration says of them.
+    `rates` are clocks' rates in Hz that the way back restores, whatever the configuration says of them; `found`
+    likewise what registers held, by physical address and width, which no name of the configuration has to reach.
     """
 
     config: Config
@@ -30,6 +31,7 @@ class Goal:
     also: tuple[str, ...] = ()
     static: Config | None = None
     rates: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
+    found: Mapping[s.Place, int] = field(default_factory=lambda: MappingProxyType({}))
 
     @property
     def base(self) -> Config | None:

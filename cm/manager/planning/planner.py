@@ -66,7 +66,8 @@ class _Planner:
         loads = [(m, images[m.name]) for m in changed]
         wanted = wanted_overlays(self._config, self._mode, self._files, [*whole, *images.values()])
         overlays = overlay_change(self._state, wanted, {m.region for m in changed}, static is not None)
-        writes = Writing(self._goal, self._state, {m.region for m in (*changed, *cut)}).steps()
+        writing = Writing(self._goal, self._state, {m.region for m in (*changed, *cut)})
+        writes = [*([] if static else writing.restored()), *writing.steps()]
         if not (static or changed or cut or overlays or writes or self._clocks or self._elsewhere()):
             return Plan(self._goal, ())
         return Plan(self._goal, tuple(self._order(static, loads, cut, overlays, writes)), full=static is not None)

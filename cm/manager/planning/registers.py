@@ -7,7 +7,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 
 from cm.manager.planning.plan import Goal
-from cm.manager.state.steps import SetRegister
+from cm.manager.state.steps import Place, SetRegister
 from cm.manager.state.table import BoardState, RegionPhase
 from cm.schema.model import Access, Register
 
@@ -27,8 +27,21 @@ class Writing:
     def steps(self) -> list[SetRegister]:
         """Where the region was reset, or where the value differs from what was written."""
         visible = self.goal.config.visible_registers(self.goal.mode).values()
-        values = [(r, self.goal.values.get(r.name, r.default)) for r in visible if self._can_write(r)]
+        values = [(r, self._value(r)) for r in visible if self._can_write(r)]
         return [SetRegister(r, value) for r, value in values if value is not None and self._is_due(r, value)]
+
+    def restored(self) -> list[SetRegister]:
+        """What a failed change wrote to registers of the static part that this mode has no name for."""
+        named = {place_of(r) for r in self.goal.config.visible_registers(self.goal.mode).values()}
+        found = {place: value for place, value in self.goal.found.items() if place not in named}
+        return [
+            SetRegister(Register(f"at {address:#x}", address, 0, width), value, restores=True)
+            for (address, width), value in found.items()
+        ]
+
+    def _value(self, register: Register) -> int | None:
+        value = self.goal.values.get(register.name)
+        return self.goal.found.get(place_of(register), register.default) if value is None else value
 
     def _can_write(self, register: Register) -> bool:
         return register.access not in (Access.RO, Access.W1C) and not self._nobody_answers(register)
@@ -43,4 +56,10 @@ class Writing:
     def _is_due(self, register: Register, value: int) -> bool:
         same_config = self.state.config == self.goal.config.name
         known = self.state.values.get(register.name) if same_config else None
-        return register.region in self.reset or known != value or self.goal.force
+        forced = self.goal.force or place_of(register) in self.goal.found
+        return register.region in self.reset or known != value or forced
+
+
+def place_of(register: Register) -> Place:
+    """Where a register lies, whatever it is called."""
+    return register.address, register.width

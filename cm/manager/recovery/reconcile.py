@@ -66,7 +66,7 @@ def _compare(record: Record | None, configs: Mapping[str, Config], devices: Devi
     if state.static_lost:
         notes.append("a load of a full image did not end well; nothing in the device is accessed")
     else:
-        state = _regions(state, configs.get(state.config or ""), registers, notes)
+        state = _regions(state, configs.get(state.config or ""), record.pending, registers, notes)
     if record.pending is not None:
         notes.append(
             f"the change to {record.pending.config}/{record.pending.mode} was cut short at {record.pending.step}"
@@ -164,8 +164,10 @@ def _error_of(devices: Devices, name: str | None) -> str:
     return said if "error" in said or said in _EMPTY else ""
 
 
-def _regions(state: BoardState, config: Config | None, registers: RegisterBus, notes: list[str]) -> BoardState:
-    used = _used(config, state.mode)
+def _regions(
+    state: BoardState, config: Config | None, pending: Pending | None, registers: RegisterBus, notes: list[str]
+) -> BoardState:
+    used = _used(config, state.mode) | (pending.held.keys() if pending else set())
     for name, region in state.regions.items():
         if region.phase is RegionPhase.READY:
             checked = _region(name, region, config, registers, notes)
@@ -198,7 +200,7 @@ def _used(config: Config | None, mode: str | None) -> set[str]:
 def _cut_short(name: str, region: RegionState, used: bool, notes: list[str]) -> RegionState:
     """Regions are cut off before a load begins and after it has ended; the record says so in between.
 
-    Those of the mode will be coupled again by the change that brings the board back to it.
+    Those of the mode, and those that were ready, will be coupled again by the change that brings the board back.
     """
     if used and region.phase in (RegionPhase.DECOUPLED, RegionPhase.LOADED) and region.sha256 is not None:
         notes.append(f"region {name} was {region.phase.value}, with {region.module} in it")

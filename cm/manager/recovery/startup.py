@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 from cm.manager.access.register_bus import RegisterBus
+from cm.manager.execution.worker import Change
 from cm.manager.ports import Devices
 from cm.manager.recovery.reconcile import Finding, reconcile
 from cm.manager.state.board_state import ManagerState
@@ -59,3 +60,29 @@ def is_whole(state: BoardState, there: Destination) -> bool:
     modules = there.config.modes[there.mode].modules
     clocked = all(name in state.clocks for name in there.config.clocks)
     return clocked and all(state.region(there.config.modules[m].region).phase is RegionPhase.READY for m in modules)
+
+
+def repair(number: int, there: Destination, cut: Pending | None, board: BoardState) -> Change:
+    """The change that brings the board back, with all that the record holds of what was there before."""
+    change = Change(number, there.config.name, there.mode, static=there.static, values=board.values)
+    if cut is None:
+        return change
+    change.also = tuple(_lost(there, cut, board))
+    change.found = {(address, width): value for address, width, value in cut.found}
+    change.rates = cut.rates
+    if cut.from_config == there.config.name:
+        change.values = {**board.values, **cut.values}
+    return change
+
+
+def _lost(there: Destination, cut: Pending, board: BoardState) -> Iterator[str]:
+    """Modules of regions that the mode leaves alone, but that the change that was cut short did not."""
+    config = there.config
+    named = {config.modules[m].region for m in config.modes[there.mode].modules}
+    for region, name in cut.held.items():
+        module = config.modules.get(name)
+        if module is None or module.region != region or region in named:
+            continue
+        now = board.region(region)
+        if now.phase is not RegionPhase.READY or now.module != name:
+            yield name

@@ -19,6 +19,8 @@ class StatusReporter:
         self._full = False  # the running change loads a whole image
         self._progress: Progress | None = None
         self._error: ErrorInfo | None = None
+        self._notice: ErrorInfo | None = None  # what was found out beside changes; told until a client has read it
+        self._notice_read = False
         self._failed = False
         self._last: tuple[int, float] = (0, 0.0)  # number and seconds of the last change
 
@@ -37,11 +39,21 @@ class StatusReporter:
         self._progress, self._running = None, False
         self._last = (number, seconds)
         self._error, self._failed = error, error is not None and error.code != "cancelled"
+        if self._notice_read:
+            self._notice = None
 
     def note(self, error: ErrorInfo | None) -> None:
         """An error beside changes; one that is already told is of more use."""
         if self._error is None:
             self._error = error
+
+    def set_notice(self, notice: ErrorInfo) -> None:
+        """What is to be told until a client has read it and a change has ended since; errors go before it."""
+        self._error, self._notice, self._notice_read = None, notice, False
+
+    def was_read(self) -> None:
+        """A client has been told the status."""
+        self._notice_read = self._error is None
 
     def set_error(self, error: ErrorInfo, failed: bool = False) -> None:
         """An error to be told from now on; `failed` where the board is in no good state for it."""
@@ -60,7 +72,7 @@ class StatusReporter:
             fpga_busy=running,
             pr_mode=self._pr_mode(running),
             progress=progress,
-            last_error=self._error,
+            last_error=self._error or self._notice,
             regions=region_states(self._state.loaded_config(), board),
             configs=tuple(sorted(self._state.configs)),
             last_change=self._last[0],

@@ -16,7 +16,7 @@ from cm.manager.errors import RecordFailed, StoreCorrupt
 from cm.manager.state.cost import Throughput
 from cm.manager.state.journal import Store
 from cm.manager.state.record import Pending, Record
-from cm.manager.state.steps import ApplyOverlay, RemoveOverlay, SetClock, Step
+from cm.manager.state.steps import ApplyOverlay, Place, RemoveOverlay, SetClock, Step
 from cm.manager.state.table import BoardState
 from cm.messages.status import ErrorInfo
 from cm.schema.model import Config, LoaderKind, Memory
@@ -68,11 +68,11 @@ class ManagerState:
             self._written[register] = value
             self._dirty = True
 
-    def note_found(self, register: str, value: int) -> None:
+    def note_found(self, place: Place, value: int) -> None:
         """Remember what a register held before the change that runs, for the way back after a crash."""
         with self.lock:
             if self.pending is not None:
-                self.pending = replace(self.pending, values={register: value, **self.pending.values})
+                self.pending = replace(self.pending, found=(*self.pending.found, (*place, value)))
 
     def written_value(self, register: str) -> int | None:
         """What was last written to a register since its region was loaded."""

@@ -30,7 +30,9 @@ class Pending:
     subject: str = ""
     overlay: str | None = None  # being applied or removed
     from_static: str | None = None  # the full configuration whose image the device held
+    held: Mapping[str, str] = field(default_factory=dict)  # modules of the regions that were ready before it
     values: Mapping[str, int] = field(default_factory=dict)  # registers as they were before it, for the way back
+    found: tuple[tuple[int, int, int], ...] = ()  # others: physical address, width and value
     rates: Mapping[str, int] = field(default_factory=dict)  # clocks, in Hz, likewise
 
 
@@ -105,13 +107,17 @@ def _to_plain(r: Record) -> dict[str, Any]:
 
 def _pending_to_plain(pending: Pending) -> dict[str, Any]:
     plain = {name: getattr(pending, name) for name in Pending.__slots__}
-    return {**plain, "values": dict(pending.values), "rates": dict(pending.rates)}
+    return {**plain, "held": dict(pending.held), "values": dict(pending.values), "rates": dict(pending.rates)}
+
+
+def _pending_from_plain(plain: Mapping[str, Any]) -> Pending:
+    return Pending(**{**plain, "found": tuple((int(a), int(w), int(v)) for a, w, v in plain.get("found", ()))})
 
 
 def _from_plain(plain: Mapping[str, Any]) -> Record:
     """Raises ValueError, KeyError, TypeError, IndexError or AttributeError for what is not of this version.
 
-    "seconds", "clocks", and "values" and "rates" of what is pending came later; what an older program wrote has none.
+    "seconds", "clocks" and what is pending beyond its step came later; what an older program wrote has none.
     """
     if plain["version"] != _VERSION:
         raise ValueError(plain["version"])
@@ -132,7 +138,7 @@ def _from_plain(plain: Mapping[str, Any]) -> Record:
             values=MappingProxyType(dict(state["values"])),
             clocks=MappingProxyType(dict(state.get("clocks", {}))),
         ),
-        pending=None if plain["pending"] is None else Pending(**plain["pending"]),
+        pending=None if plain["pending"] is None else _pending_from_plain(plain["pending"]),
         throughput=Throughput(
             MappingProxyType({LoaderKind(k): float(v) for k, v in plain["throughput"].items()}),
             MappingProxyType({str(k): float(v) for k, v in plain.get("seconds", {}).items()}),

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from cm.manager.ports import Image
 from cm.schema.model import Clock, LoaderKind, Module, Overlay, Region, Register
 
+Place = tuple[int, int]  # of a register: physical address, and width in bits
+
 
 @dataclass(frozen=True, slots=True)
 class Validate:
@@ -178,6 +180,7 @@ class SetRegister:
 
     register: Register
     value: int
+    restores: bool = False  # on the way back: a register that the configuration has no name for
     kind = "registers"
 
     @property

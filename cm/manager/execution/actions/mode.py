@@ -11,6 +11,7 @@ from cm.manager.errors import RecordFailed, VerifyFailed
 from cm.manager.execution.actions.regions import job_of
 from cm.manager.execution.context import StepContext
 from cm.manager.planning.plan import Goal
+from cm.manager.planning.registers import place_of
 from cm.manager.state import steps as s
 from cm.manager.state.table import BoardState
 from cm.schema.model import Access, Register
@@ -35,8 +36,8 @@ def set_register(run: StepContext, step: s.SetRegister) -> None:
     register = step.register
     _remember(run, register)
     run.tools.registers.write_address(register.address, register.width, step.value)
-    run.tools.state.note_written(register.name, step.value)
-    run.written[register.name] = step.value
+    if not step.restores:
+        _note(run, register, step.value)
     if not _keeps_its_value(register):
         return
     value = run.tools.registers.read(register)
@@ -44,15 +45,36 @@ def set_register(run: StepContext, step: s.SetRegister) -> None:
         raise VerifyFailed(f"register {register.name} reads {value:#x} after {step.value:#x} was written")
 
 
+def _note(run: StepContext, register: Register, value: int) -> None:
+    """Until the end the names that are known are those of the configuration before, and its registers."""
+    run.written[register.name] = value
+    if run.board.config in (None, run.plan.goal.config.name):
+        run.tools.state.note_written(register.name, value)
+    else:
+        run.update(lambda board: board.without_values(_names_before(run, register)))
+
+
+def _names_before(run: StepContext, register: Register) -> set[str]:
+    """What the configuration before calls a register."""
+    config = run.tools.state.loaded_config()
+    if config is None:
+        return set()
+    seen = (r for mode in config.modes for r in config.visible_registers(mode).values())
+    return {r.name for r in seen if place_of(r) == place_of(register)}
+
+
 def _remember(run: StepContext, register: Register) -> None:
     """What a register of the static part or of a region that stays held, where nobody wrote it yet."""
-    reset = register.region in run.plan.regions or run.plan.full
-    known = reset or run.tools.state.written_value(register.name) is not None
-    if not known and _keeps_its_value(register):
-        value = run.tools.registers.read(register)
-        run.found[register.name] = value
-        run.tools.state.note_found(register.name, value)
-        run.record(run.step)  # a kill between the write and the next step must not lose it
+    if register.region in run.plan.regions or run.plan.full or not _keeps_its_value(register):
+        return
+    same = run.board.config == run.plan.goal.config.name
+    names = {register.name} if same else _names_before(run, register)
+    if any(run.tools.state.written_value(name) is not None for name in names) or place_of(register) in run.found:
+        return
+    value = run.tools.registers.read(register)
+    run.found[place_of(register)] = value
+    run.tools.state.note_found(place_of(register), value)
+    run.record(run.step)  # a kill between the write and the next step must not lose it
 
 
 def _keeps_its_value(register: Register) -> bool:

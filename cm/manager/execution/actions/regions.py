@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cm.manager.access.register_bus import drive
+from cm.manager.access.register_bus import drive, is_cut
 from cm.manager.errors import IdentityMismatch
 from cm.manager.execution.actions.overlays import note_applied
 from cm.manager.execution.context import StepContext
 from cm.manager.loaders import Job, Start
 from cm.manager.state import steps as s
-from cm.manager.state.table import OverlayState, RegionEvent, all_lost, loading_overlay
+from cm.manager.state.table import OverlayState, RegionEvent, RegionPhase, all_lost, loading_overlay
 from cm.schema.model import LoaderKind
 
 
@@ -24,14 +24,20 @@ def job_of(run: StepContext, step: s.Load | s.LoadStatic) -> Job:
 
 def decouple(run: StepContext, step: s.Decouple) -> None:
     """Cut off; the state says so first: if it fails, the region may be cut off."""
-    run.region_event(step.region.name, RegionEvent.DECOUPLE)
-    if step.region.decoupler:
-        drive(run.tools.registers, step.region.decoupler, cut=True)
+    name, decoupler = step.region.name, step.region.decoupler
+    unknown = run.board.region(name).phase is RegionPhase.UNKNOWN
+    if decoupler and unknown and is_cut(run.tools.registers, decoupler):
+        run.apart.add(name)
+    run.region_event(name, RegionEvent.DECOUPLE)
+    if decoupler:
+        drive(run.tools.registers, decoupler, cut=True)
+        run.sealed.add(name)
 
 
 def recouple(run: StepContext, step: s.Recouple) -> None:
     """Connect; only then does the state say so. Its registers were reset: nothing is known of them."""
     run.update(lambda state: state.without_values(set(step.resets)))
+    run.sealed.discard(step.region.name)
     if step.region.decoupler:
         drive(run.tools.registers, step.region.decoupler, cut=False)
     run.region_event(step.region.name, RegionEvent.RECOUPLE)
@@ -43,6 +49,7 @@ def load(run: StepContext, step: s.Load) -> None:
     name = step.region.name
     with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
         _forget_content(run, step)
+        run.begun.add(name)
         try:
             _timed(run, step, start)
         except BaseException:

@@ -1,0 +1,240 @@
+# SPDX-License-Identifier: Apache-2.0
+"""After a failure, or a kill, the board is what the manager says: registers, regions, and what was found out."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+from manager_schemas import REGIONS, written
+from manager_support import Rig, make_rig, rig
+
+from cm.device import Root, Uio
+from cm.messages.requests import RegWrite
+from cm.messages.status import ErrorInfo
+from cm.schema import load
+from cm.schema.model import Config
+from cm.sim import Board as SimBoard
+
+SECOND = f"""
+config:
+  name: second
+  type: partial
+  device: xc7z020
+{REGIONS}
+  modules:
+    s0: {{region: prr0, identity: 0x50}}
+  mmio:
+    - base_address: 0x1000
+      registers:
+        led: {{offset: 0x24, default: 0x61}}
+        mixer: {{offset: 0x18, default: 0x62}}
+        tint: {{offset: 0x14, default: 0x63}}
+  modes:
+    default: {{modules: [s0]}}
+"""
+PLACES = {"led": 0x1018, "scratch": 0x1014, "led of second": 0x1024, "gain": 0x3010, "depth": 0x7010}
+
+
+@pytest.fixture(scope="module")
+def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
+    folder = tmp_path_factory.mktemp("configs")
+    (folder / "second.yaml").write_text(SECOND, encoding="utf-8")
+    return {**written(folder), "second": load(folder / "second.yaml")}
+
+
+@pytest.fixture
+def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[Rig]:
+    with rig(sim.root, tmp_path, *configs.values()) as started:
+        yield started
+        sim.control.clear()
+
+
+def held(sim: SimBoard) -> Mapping[str, int]:
+    """Registers as the board has them, looked at past the manager."""
+    found = {}
+    for uio in (Uio.open(path.name, Root.of(sim.root)) for path in sorted((sim.root / "dev").glob("uio*"))):
+        with uio:
+            for name, address in PLACES.items():
+                for index, window in enumerate(uio.maps):
+                    if window.address <= address < window.address + window.size:
+                        found[name] = uio.read(address - window.address, 32, index)
+    return found
+
+
+def written_by_hand(made: Rig) -> Mapping[str, int]:
+    """In duo/default, with values of its own in every register; what the board has then."""
+    assert made.go("default", config="duo") is None
+    values = {"led": 0x21, "gain": 0x29, "depth": 0x28}
+    made.manager.write_registers(tuple(RegWrite(name, value) for name, value in values.items()))
+    made.manager.flush()
+    return values
+
+
+def failing_at(made: Rig, number: int, config: str, mode: str) -> ErrorInfo | None:
+    made.arm(number)
+    error: ErrorInfo | None = made.go(mode, config=config)
+    made.fault.at = -1
+    return error
+
+
+def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, goal: tuple[str, str], number: int) -> bool:
+    """Die at an operation of the change, in a child; False if it lived."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            made = make_rig(sim.root, state, *configs.values())
+            made.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
+            made.manager.start()
+            made.manager.wait_idle()
+            failing_at(made, number, *goal)
+        finally:
+            os._exit(0)
+    return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
+
+
+# ---- registers --------------------------------------------------------------------------
+
+
+def test_registers_of_the_static_part_are_what_they_were_when_another_configuration_failed(
+    made: Rig, sim: SimBoard
+) -> None:
+    """Under other names, under the same name elsewhere, and where the mode before has no name for them."""
+    values, failed = written_by_hand(made), 0
+    before = held(sim)
+    assert {name: before[name] for name in values} == values
+    for number in range(100):
+        error = failing_at(made, number, "second", "default")
+        if error is None:
+            break
+        assert "the board is back in duo/default" in error.message or "store" in error.code, error
+        assert held(sim) == before, f"operation {number}: {error}"
+        failed += 1
+    assert failed > 20
+    assert {name: held(sim)[name] for name in ("led of second", "led", "scratch")} == {
+        "led of second": 0x61,
+        "led": 0x62,
+        "scratch": 0x63,
+    }
+
+
+@pytest.mark.parametrize("goal", [("duo", "both"), ("second", "default")])
+def test_registers_are_what_they_were_after_a_kill(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, goal: tuple[str, str]
+) -> None:
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        written_by_hand(first)
+        before = held(sim)
+    number, back = 0, 0
+    while killed_at(sim, configs, tmp_path, goal, number):
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            status = again.manager.status()
+            if (status.config_name, status.mode) == ("duo", "default"):
+                assert held(sim) == before, f"killed at operation {number}: {again.notes}"
+                back += 1
+            else:
+                assert (status.config_name, status.mode) == goal
+                written_by_hand(again)
+        number += 4
+    assert back > 5
+
+
+# ---- regions ----------------------------------------------------------------------------
+
+
+def test_a_region_of_the_image_that_was_there_is_coupled_again_unless_its_load_had_begun(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    ends = set()
+    for number in range(60):
+        sim.control.reset()
+        with rig(sim.root, tmp_path / str(number), *configs.values()) as fresh:
+            error = failing_at(fresh, number, "duo", "default")
+            begun = {"prr0", "prr1"} if fresh.fault.names.count("icap.load") > 1 else set()
+            begun |= {"prr0"} if "icap.load" in fresh.fault.names else set()
+            if error is None:
+                break
+            for region in fresh.manager.status().regions:
+                real = sim.control.state()["regions"][region.name]["decoupled"]
+                assert real == (region.state == "failed"), f"{number}: {error}: {region}"
+                assert region.state != "unknown" or region.name not in begun, f"{number}: {error}: {region}"
+                ends.add((region.state, region.name in begun))
+    assert {("unknown", False), ("failed", True)} <= ends
+
+
+def test_a_region_that_stood_cut_off_before_is_not_coupled_by_a_failure(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    sim.control.reset()
+    with Uio.open(0x1000, Root.of(sim.root)) as uio:
+        uio.write(0, 0b01)
+    with rig(sim.root, tmp_path, *configs.values()) as fresh:
+        fresh.arm(-1)
+        fresh.fault.watch = lambda name: fresh.arm(0) if name == "icap.allocate" else None
+        assert fresh.go("default", config="duo") is not None
+        fresh.fault.watch = lambda _: None
+        regions = sim.control.state()["regions"]
+        assert (regions["prr0"]["decoupled"], regions["prr1"]["decoupled"]) == (True, False)
+
+
+def test_after_a_failed_whole_image_nothing_is_claimed_of_any_region(made: Rig, sim: SimBoard) -> None:
+    assert made.go("default", config="duo") is None
+    sim.control.inject("fpga_manager_error", count=0)
+    error = made.go("default", config="whole")
+    assert error is not None
+    assert made.manager.state.static_lost
+    assert {r.state for r in made.manager.status().regions} == {"unknown"}
+    sim.control.clear()
+    assert made.go("default", config="whole") is None
+
+
+@pytest.mark.parametrize("mode", ["both", "lit"])
+def test_a_region_that_the_mode_before_leaves_alone_is_whole_after_a_kill(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path, mode: str
+) -> None:
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        for before in ("default", "other"):
+            assert first.go(before, config="duo") is None
+    number = 0
+    while killed_at(sim, configs, tmp_path, ("duo", mode), number):
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            there, real = again.manager.status(), sim.control.state()["regions"]
+            assert {r.name: (r.module, r.state) for r in there.regions} == {
+                name: (real[name]["module"], "ready") for name in ("prr0", "prr1")
+            }, f"killed at {number}: {again.notes}"
+            assert not any(region["decoupled"] for region in real.values())
+            if there.mode == "other":
+                assert real["prr1"]["module"] == "a1"
+            else:
+                assert again.go("default", config="duo") is None
+                assert again.go("other", config="duo") is None
+        number += 3
+    assert number > 8
+
+
+# ---- what was found out -------------------------------------------------------------------
+
+
+def test_what_was_found_at_start_is_told_until_a_client_has_read_it(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        assert first.go("default", config="duo") is None
+    assert killed_at(sim, configs, tmp_path, ("duo", "both"), 20)
+    with rig(sim.root, tmp_path, *configs.values()) as again:
+        again.manager.wait_idle()
+        assert again.go("other", config="duo") is None
+        told = again.manager.status().last_error
+        assert told is not None
+        assert told.code == "reconciled"
+        assert "the change to duo/both was cut short" in told.message
+        assert again.manager.status().pr_mode.value == "idle"
+        again.manager.status_read()
+        assert again.manager.status().last_error == told  # until something has happened since
+        assert again.go("default", config="duo") is None
+        assert again.manager.status().last_error is None
