@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* What the units behind bitstream.h share. */
+/* What the units behind bitstream.h share. bitstream.c calls bitstream_writes.c, both call bitstream_crc.c. */
 #ifndef CM_BITSTREAM_PRIVATE_H
 #define CM_BITSTREAM_PRIVATE_H
 

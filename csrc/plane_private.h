@@ -1,5 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Inside of the data plane: shared by plane.c, plane_stream.c and plane_client.c only. */
+/*
+ * Inside of the data plane: shared by plane.c, plane_stream.c and plane_client.c only. The three call each
+ * other on purpose: a slot that a client gives back goes to its stream's hardware, a frame of a stream goes
+ * to its clients, and both tell the plane. They are one state under one lock, cut by size, not by layer.
+ */
 #ifndef CM_SHIM_PLANE_PRIVATE_H
 #define CM_SHIM_PLANE_PRIVATE_H
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from cm.schema.compiled import ready
+from cm.schema.json_schema import follow, for_values, normal_form, without_references
 from cm.schema.listing import fold, lift_overlays, windows
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.tree import Entry, Items, Mark, Node, Scalar, Table, plain
@@ -22,7 +23,6 @@ from cm.schema.values import Finding, findings
 
 SCHEMA_FILE = Path(__file__).parent / "data" / "runtime.schema.json"
 _WINDOW = "#/definitions/window"
-_BY_WALK = ("required", "propertyNames", "patternProperties", "default", "additionalProperties")
 
 Report = Callable[[Mark, KeyPath, str, str, str], None]  # position, path, code, message, hint
 
@@ -55,7 +55,7 @@ class Structure:
             self._good(data)
         except ValueError:
             if self._explain is None:
-                self._explain = _compile(_without_references(for_values(self._normal)))
+                self._explain = _compile(without_references(for_values(self._normal)))
             return findings(data, self._explain)
         return []
 
@@ -73,58 +73,6 @@ def _compile(schema: dict[str, Any]) -> Callable[[Any], Any]:
     return validate
 
 
-def normal_form(schema: Any) -> Any:
-    """`schema` with each ``anyOf`` replaced by its last choice; the others are kept as ``short``."""
-    if isinstance(schema, list):
-        return [normal_form(item) for item in schema]
-    if not isinstance(schema, dict):
-        return schema
-    result = {key: normal_form(value) for key, value in schema.items() if key != "anyOf"}
-    if "anyOf" in schema:
-        *short, last = schema["anyOf"]
-        result = normal_form(last) | result | {"short": short}
-    return result
-
-
-def for_values(schema: Any) -> Any:
-    """`schema` without the rules that the walk has checked, and without defaults."""
-    if isinstance(schema, list):
-        return [for_values(item) for item in schema]
-    if not isinstance(schema, dict):
-        return schema
-    keep = {key: value for key, value in schema.items() if key not in _BY_WALK or isinstance(value, dict)}
-    keep.pop("patternProperties", None)
-    keep.pop("propertyNames", None)
-    keep.pop("short", None)
-    return {key: for_values(value) for key, value in keep.items()}
-
-
-def _without_references(schema: dict[str, Any]) -> dict[str, Any]:
-    """`schema`, which is not recursive, with every definition in place of the ``$ref`` to it."""
-
-    def inline(part: Any) -> Any:
-        if isinstance(part, list):
-            return [inline(item) for item in part]
-        if not isinstance(part, dict):
-            return part
-        if "$ref" in part:
-            return inline(_follow(schema, part))
-        return {key: inline(value) for key, value in part.items() if key != "definitions"}
-
-    whole: dict[str, Any] = inline(schema)
-    return whole
-
-
-def _follow(root: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
-    """The definition that ``$ref`` names."""
-    while "$ref" in schema:
-        steps = schema["$ref"].removeprefix("#/").split("/")
-        schema = root
-        for step in steps:
-            schema = schema[step]
-    return schema
-
-
 class _Walk:
     def __init__(self, root: dict[str, Any], report: Report) -> None:
         self._root, self._report = root, report
@@ -140,7 +88,7 @@ class _Walk:
     def _resolve(self, schema: dict[str, Any]) -> dict[str, Any]:
         """Follow ``$ref``; what a choice was made from stays beside it."""
         short = schema.get("short", [])
-        schema = _follow(self._root, schema)
+        schema = follow(self._root, schema)
         return schema | {"short": short} if short else schema
 
     def _object(self, node: Node, shape: dict[str, Any], path: KeyPath) -> Node:

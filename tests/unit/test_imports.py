@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Imports run one way: the table of docs/architecture.md, held."""
+"""Imports run one way, and never in a circle; tests/unit/test_architecture.py holds the pages that say so."""
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
-from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+from import_graph import ImportGraph
 
 PACKAGE = Path(__file__).resolve().parents[2] / "cm"
+GRAPH = ImportGraph(PACKAGE)
 BASE = {"errors", "_version"}
 
 # subpackage → subpackages that it may import
@@ -33,6 +33,7 @@ MAY = {
     "wire": BASE | {"messages"},
     "daemon": BASE
     | {"fdt", "loop", "messages", "device", "bitstream", "schema", "manager", "wire", "native", "multipart"},
+    "aio": {"client"},
     "client": BASE | {"messages", "wire", "native", "multipart"},
     "sim": BASE | {"child", "fdt", "loop", "native", "schema", "bitstream", "hwh"},
     "importers": BASE | {"fdt", "schema", "bitstream", "hwh"},
@@ -40,65 +41,140 @@ MAY = {
 }
 
 
-def imports(path: Path) -> set[str]:
-    """Names below `cm` that a file imports, wherever in it."""
-    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
-    package = parts[:-1]
-    found = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            found |= {a.name for a in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            base = ".".join(package[: len(package) - node.level + 1]) if node.level else ""
-            module = ".".join(filter(None, (base, node.module)))
-            found |= {module} if node.module else {f"{module}.{a.name}" for a in node.names}
-    return {name.removeprefix("cm.") for name in found if name.startswith("cm.")}
+# Library → packages that may import it; what is not named here is no dependency.
+LIBRARIES = {
+    "PIL": {"cli", "demo", "sim"},
+    "cffi": {"native"},
+    "fastjsonschema": {"schema"},
+    "google": {"wire"},
+    "jinja2": {"build"},
+    "lz4": {"client", "daemon"},
+    "numpy": {"bench", "bitstream", "build", "cli", "client", "daemon", "demo", "device", "native", "sim"},
+    "pyslang": {"build"},
+    "scipy": {"build"},
+    "systemrdl": {"build"},
+    "tree_sitter": {"build"},
+    "tree_sitter_vhdl": {"build"},
+    "yaml": {"build", "schema"},
+    "zmq": {"bench", "cli", "client", "daemon", "demo", "multipart"},
+}
+FREE = {"bench", "cli", "demo"}  # may import all of ours; the baselines of the bench are libraries of their own
+
+
+def owner_of(module: str) -> str:
+    return module.split(".")[1]
 
 
 def allowed(name: str, owner: str) -> bool:
-    head = name.split(".", maxsplit=1)[0]
-    return head == owner or head in MAY[owner] or any(name.startswith(m) for m in MAY[owner] if "." in m)
+    inner = name.removeprefix("cm.")
+    head = inner.split(".", maxsplit=1)[0]
+    return head == owner or head in MAY[owner] or any(f"{inner}.".startswith(f"{m}.") for m in MAY[owner] if "." in m)
+
+
+def test_every_package_is_in_the_table() -> None:
+    assert GRAPH.children("cm") - {"__main__"} == MAY.keys() | FREE
 
 
 @pytest.mark.parametrize("owner", sorted(MAY))
 def test_imports_run_one_way(owner: str) -> None:
-    place = PACKAGE / owner
-    files = sorted(place.rglob("*.py")) if place.is_dir() else [place.with_suffix(".py")]
+    modules = [name for name in GRAPH.modules if f"{name}.".startswith(f"cm.{owner}.")]
+    assert modules
+    wrong = {f"{name} imports {of}" for name in modules for of in GRAPH.inside[name] if not allowed(of, owner)}
+    assert not wrong
+
+
+# What a Board hands out (a change, its registers) holds the Board and names its type: one object in several files.
+WHOLES = {"cm.client.board", "cm.client.aio.board"}
+
+
+def test_nothing_is_imported_in_a_circle() -> None:
+    assert GRAPH.circle(except_types_of=WHOLES) == []
+
+
+def test_libraries_are_imported_where_they_belong() -> None:
     wrong = {
-        f"{path.relative_to(PACKAGE)} imports cm.{name}"
-        for path in files
-        for name in imports(path)
-        if not allowed(name, owner)
+        f"{name} imports {library}"
+        for name in GRAPH.modules
+        for library in {full.split(".")[0] for full in GRAPH.outside[name]} - sys.stdlib_module_names - {"cm"}
+        if "." in name and owner_of(name) != "bench" and owner_of(name) not in LIBRARIES.get(library, ())
     }
     assert not wrong
 
 
-def test_the_modules_of_the_manager_import_each_other_in_one_direction() -> None:
-    modules = {_module(path): path for path in (PACKAGE / "manager").rglob("*.py")}
-    graph = {name: imports(path) & modules.keys() - {name} for name, path in modules.items()}
-    assert len(graph["manager.manager"]) > 10
-    order = list(TopologicalSorter(graph).static_order())  # raises CycleError
-    assert order[-1] == "manager.manager"
-
-
-def _module(path: Path) -> str:
-    parts = path.relative_to(PACKAGE).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-
-
 def test_only_the_bindings_import_the_compiled_module() -> None:
-    users = {p.relative_to(PACKAGE).parts[0] for p in PACKAGE.rglob("*.py") if "native._cm" in p.read_text("utf-8")}
+    users = {
+        owner_of(name) for name, found in GRAPH.outside.items() if any(f.startswith("cm.native._cm") for f in found)
+    }
+    users |= {owner_of(name) for name in GRAPH.modules if "native._cm" in GRAPH.modules[name].read_text("utf-8")}
     assert users == {"native"}
 
 
 def test_only_the_codec_knows_protobuf() -> None:
-    users = {p.relative_to(PACKAGE).parts[0] for p in PACKAGE.rglob("*.py") if "cm_pb2" in p.read_text("utf-8")}
+    users = {owner_of(name) for name, path in GRAPH.modules.items() if "cm_pb2" in path.read_text("utf-8")}
     assert users <= {"wire", "demo", "bench"}
 
 
-def test_the_manager_knows_no_sockets() -> None:
-    users = {p.relative_to(PACKAGE).parts[0] for p in PACKAGE.rglob("*.py") if "import zmq" in p.read_text("utf-8")}
-    assert not users & {"manager", "schema", "bitstream", "device", "native", "messages", "sim", "wire"}
+# ---- the reader of imports itself -------------------------------------------------------
+
+
+def tree(folder: Path, files: dict[str, str]) -> ImportGraph:
+    """A package ``p`` of modules (``q.b`` is q/b.py) with their sources."""
+    for name, text in files.items():
+        path = folder / "p" / f"{name.replace('.', '/')}.py"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for package in (folder / "p", path.parent):
+            (package / "__init__.py").touch()
+        path.write_text(text)
+    return ImportGraph(folder / "p")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import p.b",
+        "import p.b as other",
+        "from p import b",
+        "from p.b import name",
+        "from . import b",
+        "from .b import name",
+        "def f():\n    from p import b",
+        "if TYPE_CHECKING:\n    from p.b import Name",
+    ],
+)
+def test_every_form_of_an_import_is_seen(tmp_path: Path, line: str) -> None:
+    graph = tree(tmp_path, {"a": line, "b": ""})
+    assert graph.edges()["p.a"] == {"p.b"}
+
+
+@pytest.mark.parametrize("line", ["import zmq", "from zmq import Context", "from google.protobuf import message"])
+def test_every_form_of_an_import_of_a_library_is_seen(tmp_path: Path, line: str) -> None:
+    assert {name.split(".")[0] for name in tree(tmp_path, {"a": line}).outside["p.a"]} <= {"zmq", "google"}
+    assert tree(tmp_path, {"a": line}).outside["p.a"]
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        {"a": "from p import b", "b": "import p.a"},
+        {"a": "from p.b import x", "b": "def f():\n    from p import a"},
+        {"q.__init__": "from p.q.b import x", "q.b": "from p import a", "a": "from p.q import x"},
+        {"q.__init__": "from p.q.b import x", "q.b": "from p import q"},
+        {"q.__init__": "from p.q.b import x", "q.b": "from p import a", "q.c": "", "a": "from p.q.c import x"},
+    ],
+)
+def test_a_circle_is_found_through_the_face_of_a_package_too(tmp_path: Path, files: dict[str, str]) -> None:
+    assert tree(tmp_path, files).circle()
+
+
+def test_a_circle_of_types_is_one_unless_it_is_excepted(tmp_path: Path) -> None:
+    graph = tree(tmp_path, {"a": "import p.b", "b": "if TYPE_CHECKING:\n    from p.a import A"})
+    assert graph.circle()
+    assert graph.circle(except_types_of={"p.a"}) == []
+
+
+def test_what_is_no_circle_is_none(tmp_path: Path) -> None:
+    files = {"q.__init__": "from p.q.b import x", "q.b": "from p.q.c import x", "q.c": "from p import a", "a": ""}
+    assert tree(tmp_path, files).circle() == []
 
 
 _WITHOUT_SHIMS = """

@@ -13,10 +13,7 @@ from cm.bitstream.devices import DEVICES, Device, device_by_name
 from cm.bitstream.module import default_footprint
 from cm.schema.model import (
     Config,
-    Decoupler,
     Direction,
-    FrameRange,
-    Identity,
     Interrupt,
     Memory,
     Mode,
@@ -25,6 +22,7 @@ from cm.schema.model import (
 )
 from cm.sim.errors import SimError
 from cm.sim.hardware.channels import ChannelSpec, channels_of
+from cm.sim.hardware.regions import RegionSpec
 from cm.sim.hardware.windows import WindowSpec, windows_of
 
 STATIC = "static"
@@ -32,16 +30,6 @@ DEFAULT_DEVICE = "xc7z020"
 _SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
 
 REGION_BYTES = 256 * 1024  # of a region whose schema gives no footprint
-
-
-@dataclass(frozen=True, slots=True)
-class RegionSpec:
-    """A region of the board; its columns of frames are nobody else's."""
-
-    name: str
-    footprint: tuple[FrameRange, ...]
-    decoupler: Decoupler | None = None
-    identity: Identity | None = None
 
 
 @dataclass(frozen=True, slots=True)

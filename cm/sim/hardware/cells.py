@@ -7,7 +7,8 @@ import mmap
 from collections.abc import Iterator, Mapping
 
 from cm.schema.model import Access, Memory, Register
-from cm.sim.hardware.board import ModuleSpec, RegionSpec
+from cm.sim.hardware.board import ModuleSpec
+from cm.sim.hardware.regions import RegionSpec
 from cm.sim.hardware.windows import WindowSpec
 from cm.sim.transport.mirror import Mirror
 

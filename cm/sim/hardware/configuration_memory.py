@@ -13,9 +13,10 @@ from cm.bitstream.far import FrameAddress
 from cm.bitstream.module import ModuleIdentity
 from cm.bitstream.port import FrameWrite
 from cm.schema.model import FrameRange
-from cm.sim.hardware.board import BoardSpec, ModuleSpec, RegionSpec
+from cm.sim.hardware.board import BoardSpec, ModuleSpec
 from cm.sim.hardware.cells import Region
 from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.regions import RegionSpec
 
 _log = logging.getLogger(__name__)
 _SYNC = b"\x66\x55\x99\xaa"

@@ -6,12 +6,9 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from cm.schema.model import Interrupt, Memory, Register
-
-if TYPE_CHECKING:
-    from cm.sim.hardware.board import RegionSpec
+from cm.sim.hardware.regions import RegionSpec
 
 PAGE = 0x1000
 

@@ -6,24 +6,51 @@ from __future__ import annotations
 import errno
 import json
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 from cm.sim.errors import NodeError
-from cm.sim.faults import KINDS
-from cm.sim.hardware.links import CameraLink
+from cm.sim.faults import KINDS, Faults
+from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.interrupts import Interrupts
+from cm.sim.hardware.links import CameraLink, Link
 from cm.sim.nodes.attributes import AttributeNode
-from cm.sim.process.control import PATH
-
-if TYPE_CHECKING:
-    from cm.sim.process.machine import Machine
+from cm.sim.transport.protocol import CONTROL_PATH
+from cm.sim.transport.root import Root
+from cm.sim.transport.server import Server
 
 Order = dict[str, Any]
+
+
+class Owner(Protocol):
+    """The process that the simulator belongs to."""
+
+    def replace(self, pid: int) -> None:
+        """Belong to another one; NodeError while the present owner lives."""
+
+
+class Controlled(Protocol):
+    """What of the board takes orders."""
+
+    fabric: Fabric
+    faults: Faults
+    interrupts: Interrupts
+    links: dict[str, Link]
+
+    @property
+    def parent(self) -> Owner | None:
+        """None: it was started by hand."""
+
+    def kick(self) -> None:
+        """Look whether data can move."""
+
+    def state(self) -> dict[str, object]:
+        """What the board holds now."""
 
 
 class ControlNode:
     """Fault injection, and what the hardware alone decides: frames, interrupts."""
 
-    def __init__(self, machine: Machine) -> None:
+    def __init__(self, machine: Controlled) -> None:
         self._machine = machine
         self._orders: dict[str, Callable[[Order], None]] = {
             "inject": self._inject,
@@ -36,10 +63,9 @@ class ControlNode:
             "adopt": self._adopt,
         }
 
-    def serve(self) -> None:
+    def serve(self, server: Server, root: Root) -> None:
         """Listen."""
-        node = AttributeNode(self._read, self._write)
-        self._machine.server.listen(self._machine.root.bind(PATH), node)
+        server.listen(root.bind(CONTROL_PATH), AttributeNode(self._read, self._write))
 
     def _read(self) -> bytes:
         return json.dumps(self._machine.state()).encode()

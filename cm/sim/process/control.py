@@ -13,7 +13,6 @@ from cm.sim.errors import SimError
 from cm.sim.faults import KINDS
 from cm.sim.transport import protocol
 
-PATH = "sim/control"
 _TIMEOUT = 10.0
 
 
@@ -86,7 +85,7 @@ class Control:
         sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         sock.settimeout(_TIMEOUT)
         try:
-            fd = os.open(self.root / PATH, os.O_PATH)
+            fd = os.open(self.root / protocol.CONTROL_PATH, os.O_PATH)
             try:
                 sock.connect(f"/proc/self/fd/{fd}")
             finally:

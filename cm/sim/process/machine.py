@@ -96,7 +96,7 @@ class Machine:
         self.manager.serve(self.server)
         self.overlays.serve(self.server)
         self.clocks.serve(self.server)
-        ControlNode(self).serve()
+        ControlNode(self).serve(self.server, self.root)
 
     def kick(self) -> None:
         """Have every link look whether data can move."""

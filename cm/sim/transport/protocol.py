@@ -17,6 +17,7 @@ REPLY = struct.Struct("<IiII")  # cm_node_reply: op, error, length, flags
 REG = struct.Struct("<IIQQ")  # cm_node_reg: map, width, offset, value
 MIRROR = struct.Struct("<IiQ")  # cm_node_mirror: map, fd, size
 BLOCK = struct.Struct("<IIQ")  # cm_node_block: map, length, offset
+CONTROL_PATH = "sim/control"  # below the root: the simulator's own attribute
 PAYLOAD_MAX = 65536
 BLOCK_MAX = PAYLOAD_MAX - BLOCK.size
 
