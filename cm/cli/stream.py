@@ -67,8 +67,7 @@ def run_list(args: argparse.Namespace) -> int:
             )
         if s.exact:
             print(
-                f"  {s.name}: its DMA has no scatter/gather, so it cannot tell how much arrived: a frame that ends "
-                "early is handed on as a whole one"
+                f"  {s.name}: its DMA cannot tell how much arrived: a frame that ends early is handed on as a whole one"
             )
         if s.overruns:
             print(f"  {s.name}: subscribers over ZeroMQ fell behind {s.overruns} times")

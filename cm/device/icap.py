@@ -33,6 +33,7 @@ class IcapErrors(enum.Flag):
     DMA = native.ERR_DMA
     TIMEOUT = native.ERR_TIMEOUT
     NOSYNC = native.ERR_NOSYNC
+    PORT = native.ERR_PORT
 
 
 _SENTENCES = {
@@ -41,18 +42,23 @@ _SENTENCES = {
     IcapErrors.DMA: "the DMA engine reported an error",
     IcapErrors.TIMEOUT: "the port did not finish",
     IcapErrors.NOSYNC: "no sync word was seen",
+    IcapErrors.PORT: "the port tells an error, and not its cause",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class IcapInfo:
-    """A port; ``clock_hz`` and ``idcode`` are 0 where the driver does not know them."""
+    """A port; ``clock_hz`` and ``idcode`` are 0 where the driver does not know them.
+
+    ``denied``: the platform's firmware did not give the port when the driver asked, and loads end with EACCES.
+    """
 
     word_bits: int
     clock_hz: int
     max_length: int
     idcode: int
     has_status: bool
+    denied: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +101,7 @@ class IcapCompletion:
 
 
 def _errors(bits: int) -> IcapErrors:
-    return IcapErrors(bits & 0x1F)
+    return IcapErrors(bits & 0x3F)
 
 
 def _completion(raw: native.Completion) -> IcapCompletion:
@@ -126,8 +132,8 @@ class Icap(Device):
             raw = native.info(self._handle)
         except OSError as error:
             raise self._error(error, "describe") from error
-        status = bool(raw.caps & native.CAP_STATUS)
-        return IcapInfo(raw.word_bits, raw.clock_hz, raw.max_length, raw.idcode, status)
+        status, denied = bool(raw.caps & native.CAP_STATUS), bool(raw.caps & native.CAP_DENIED)
+        return IcapInfo(raw.word_bits, raw.clock_hz, raw.max_length, raw.idcode, status, denied)
 
     def allocate(self, length: int) -> DmaBuffer:
         """Return a new buffer of at least ``length`` bytes that the port can load from."""

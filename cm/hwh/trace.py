@@ -56,10 +56,10 @@ class DmaChannel:
         """What an engine without scatter/gather cannot do; empty where it has that."""
         if self.scatter_gather:
             return ""
-        text = f"no scatter/gather (c_include_sg=0): one transfer of at most {self.longest} bytes at a time"
-        if self.direction == "s2mm":
-            text += ", and nothing tells how many bytes arrived: give it a shape whose frames end with TLAST"
-        return text
+        return (
+            f"no scatter/gather (c_include_sg=0): one transfer of at most {self.longest} bytes at a time, and between "
+            "two of them nothing is taken"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -106,6 +106,12 @@ class LoadFailed(CmError):
     code = "load_failed"
 
 
+class NoPort(CmError):
+    """No port of the board can load the region."""
+
+    code = "no_port"
+
+
 class LoadUnsupported(CmError):
     """This kernel cannot load that way."""
 

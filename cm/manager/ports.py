@@ -84,6 +84,10 @@ class PortInfo(Protocol):
     def idcode(self) -> int:
         """Of its device; 0 where the driver does not know it."""
 
+    @property
+    def denied(self) -> bool:
+        """Whether the platform's firmware does not let the port be used."""
+
 
 class PortStatus(Protocol):
     """What a configuration port does."""

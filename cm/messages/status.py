@@ -49,6 +49,7 @@ class RegionStatus:
     name: str
     module: str | None
     state: str
+    loader: str = ""  # the port of `loader: auto`: icap, or fpga_manager with the reason; else empty
 
 
 @dataclass(frozen=True, slots=True)

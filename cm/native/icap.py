@@ -10,6 +10,7 @@ from cm.native._cm import ffi, lib
 from cm.native.call import Handle, check, encode, last_error, owned, wait
 
 CAP_STATUS: int = lib.CM_ICAP_CAP_STATUS
+CAP_DENIED: int = lib.CM_ICAP_CAP_DENIED
 LOAD_FULL: int = lib.CM_ICAP_LOAD_FULL
 LOAD_ENCRYPTED: int = lib.CM_ICAP_LOAD_ENCRYPTED
 STATE_IDLE: int = lib.CM_ICAP_STATE_IDLE
@@ -20,6 +21,7 @@ ERR_ID: int = lib.CM_ICAP_ERR_ID
 ERR_DMA: int = lib.CM_ICAP_ERR_DMA
 ERR_TIMEOUT: int = lib.CM_ICAP_ERR_TIMEOUT
 ERR_NOSYNC: int = lib.CM_ICAP_ERR_NOSYNC
+ERR_PORT: int = lib.CM_ICAP_ERR_PORT
 
 
 class Info(NamedTuple):

@@ -54,6 +54,7 @@ class LoaderKind(str, Enum):
     ICAP = "icap"
     FPGA_MANAGER = "fpga_manager"
     OVERLAY = "overlay"
+    AUTO = "auto"  # the first that the board has, of ICAP and fpga_manager; replaced when a change is planned
 
 
 class Direction(str, Enum):

@@ -36,6 +36,8 @@ struct cm_icap_info {
 };
 
 #define CM_ICAP_CAP_STATUS (1u << 0) /* the port's own status register can be read */
+/* the platform's firmware said no when the driver asked for the port; loads end with -EACCES */
+#define CM_ICAP_CAP_DENIED (1u << 1)
 
 #define CM_ICAP_LOAD_FULL (1u << 0)	 /* not partial */
 #define CM_ICAP_LOAD_ENCRYPTED (1u << 1) /* payload is encrypted with the device's key */
@@ -54,6 +56,8 @@ struct cm_icap_info {
  * the sync word reads 66 55 99 AA in memory order (a word-swapped .bin).
  *
  * -EBUSY while a load runs, or when 64 completions of this file wait to be read.
+ * -EACCES where the platform's firmware does not give the port: nothing was
+ * touched then, and bridges are as they were.
  */
 struct cm_icap_load {
 	__u32 size;
@@ -75,6 +79,7 @@ struct cm_icap_load {
 #define CM_ICAP_ERR_DMA (1u << 2)     /* the DMA engine reported an error */
 #define CM_ICAP_ERR_TIMEOUT (1u << 3) /* the port did not finish */
 #define CM_ICAP_ERR_NOSYNC (1u << 4)  /* no sync word was seen */
+#define CM_ICAP_ERR_PORT (1u << 5)    /* the port tells an error, and not its cause */
 
 /**
  * struct cm_icap_status - what the port does now

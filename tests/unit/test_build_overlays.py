@@ -176,7 +176,7 @@ def test_the_merged_trees_are_what_the_bindings_allow(built: tuple[System, Path]
 def test_a_region_of_loader_overlay_names_its_firmware(tmp_path: Path) -> None:
     folder = copy_examples(tmp_path)
     path = folder / "camera/build.yaml"
-    path.write_text(path.read_text().replace("loader: icap", "loader: overlay"))
+    path.write_text(path.read_text().replace("loader: auto", "loader: overlay"))
     _, out = generated(folder, "camera")
     text = (out / "dts/module_edge.dtso").read_text()
     assert 'firmware-name = "cm/camera/edge.bin";' in text

@@ -22,7 +22,7 @@ def test_the_shipped_examples_are_good(name: str) -> None:
 def test_a_small_schema_gets_its_defaults(tmp_path: Path) -> None:
     found = load_project(project(tmp_path))
     region, module = found.regions["prr0"], found.modules["one"]
-    assert (region.clock, region.loader, region.pblock, region.window) == ("fclk0", LoaderKind.ICAP, (), 0x10000)
+    assert (region.clock, region.loader, region.pblock, region.window) == ("fclk0", LoaderKind.AUTO, (), 0x10000)
     assert (module.top, module.regions, module.sources) == ("one", ("prr0",), (tmp_path / "one.v",))
     assert found.modes["one"].modules == {"prr0": "one"}
     assert found.default_mode == "one"

@@ -235,10 +235,11 @@ def test_an_engine_whose_length_register_the_tree_does_not_say_is_wrong(pynq: Tr
 
 
 def test_a_channel_without_scatter_gather_is_told(pynq: Tree) -> None:
-    pynq.put("sys/class/cm_dma/camera/caps", "simple\n").put("sys/class/cm_dma/camera/max_length", "16383\n")
+    folder = "sys/class/cm_dma/cm_dma!camera"
+    pynq.put(f"{folder}/caps", "residue simple\n").put(f"{folder}/max_length", "16383\n")
     found = pynq.one("channel")
-    assert (found.state, found.detail) == (State.WRONG, "simple, at most 16383 bytes")
-    assert "TLAST" in found.advice
+    assert (found.state, found.name, found.detail) == (State.WRONG, "camera", "residue simple, at most 16383 bytes")
+    assert "Enable Scatter Gather Engine" in found.advice
 
 
 # ---- ports, clocks, others ----------------------------------------------------------

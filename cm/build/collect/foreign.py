@@ -22,7 +22,7 @@ from cm.build.errors import BuildError
 from cm.build.hdl.register_maps import identifier
 from cm.build.platforms import platform_of
 from cm.schema import dump
-from cm.schema.model import Config, ConfigType, Decoupler, Mode, Module, Overlay, Region, Register
+from cm.schema.model import Config, ConfigType, Decoupler, LoaderKind, Mode, Module, Overlay, Region, Register
 
 _HEAD = "# SPDX-License-Identifier: Apache-2.0\n# Written by cm build collect.\n"
 _NAME_LENGTH = 64
@@ -126,7 +126,8 @@ def _instance(region: str, whole: hwh.Hwh | None, count: int) -> str | None:
 
 
 def _region(name: str, images: list[Image], whole: hwh.Hwh | None, count: int) -> Region:
-    return Region(name=name, decoupler=_decoupler(name, whole, count), footprint=footprint(images))
+    decoupler = _decoupler(name, whole, count)
+    return Region(name=name, loader=LoaderKind.AUTO, decoupler=decoupler, footprint=footprint(images))
 
 
 def _decoupler(region: str, whole: hwh.Hwh | None, count: int) -> Decoupler | None:

@@ -109,7 +109,7 @@ class _Planner:
             )
 
     def _icap(self, clock: str) -> Dma | None:
-        if not any(region.loader is LoaderKind.ICAP for region in self._project.regions.values()):
+        if not any(region.loader in (LoaderKind.ICAP, LoaderKind.AUTO) for region in self._project.regions.values()):
             return None
         rate, limit = self._project.clocks[clock].rate, self._platform.icap_rate_max
         if rate > limit:

@@ -181,7 +181,7 @@ class _Builder:
             pblock=() if pblock == ("auto",) else pblock,
             resources=Resources(**spec.get("resources") or {}),
             decoupling=spec.get("decoupling", True),
-            loader=LoaderKind(spec.get("loader", "icap")),
+            loader=LoaderKind(spec.get("loader", "auto")),
             window=spec.get("window", 0x10000),
             interfaces={key: _connection(value or {}) for key, value in (spec.get("interfaces") or {}).items()},
             doc=spec.get("doc", ""),

@@ -104,7 +104,7 @@ class RegionSpec:
     pblock: tuple[str, ...] = ()
     resources: Resources = Resources()
     decoupling: bool = True
-    loader: LoaderKind = LoaderKind.ICAP
+    loader: LoaderKind = LoaderKind.AUTO
     window: int = 0x10000
     interfaces: Mapping[str, ConnectionSpec] = field(default_factory=empty)
     doc: str = ""

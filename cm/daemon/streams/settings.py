@@ -81,8 +81,8 @@ def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
         raise InvalidRequest(f"{name} cannot be cyclic: channel {info.name} cannot repeat a transfer")
     if not (write or frame or info.frame_length or info.tells_length):
         raise InvalidRequest(
-            f"{name} has no shape, and channel {info.name} cannot tell how many bytes arrived (its DMA has no "
-            "scatter/gather): give the stream the shape of its frames, each of which must end with TLAST"
+            f"{name} has no shape, and channel {info.name} cannot tell how many bytes arrived: "
+            "give the stream the shape of its frames, each of which must end with TLAST"
         )
     length = frame or info.frame_length or min(_FLAT, info.max_length)
     one, what = (line_bytes, "a line") if video else (length, "a frame")

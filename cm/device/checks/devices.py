@@ -89,9 +89,9 @@ def _channels(machine: Machine) -> Iterator[Finding]:
         detail = f"{' '.join(caps) or 'nothing beside transfers'}, at most {longest or '?'} bytes"
         if "simple" in caps:
             advice = (
-                "the engine has no scatter/gather: a stream needs a shape whose frames end with TLAST, and nothing "
-                "repeats; 'Enable Scatter Gather Engine' in the design changes that"
+                "the engine has no scatter/gather: one transfer at a time, and between two nothing is taken, so a "
+                "source that cannot wait loses data; 'Enable Scatter Gather Engine' in the design changes that"
             )
-            yield Finding("channel", name, path, State.WRONG, detail, advice)
+            yield Finding("channel", name.removeprefix("cm_dma!"), path, State.WRONG, detail, advice)
         else:
-            yield Finding("channel", name, path, State.OK, detail)
+            yield Finding("channel", name.removeprefix("cm_dma!"), path, State.OK, detail)

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 
 from cm.manager.execution.actions import ACTIONS
 from cm.manager.execution.context import StepContext, Tools
 from cm.manager.execution.rollback import Failure, Rollback
+from cm.manager.loaders.choice import resolved
 from cm.manager.planning.plan import Goal, Plan
 from cm.manager.planning.planner import make_plan
 from cm.manager.state.steps import Step
@@ -21,6 +23,11 @@ from cm.manager.state.steps import Step
 def plan_to(goal: Goal, tools: Tools) -> Plan:
     """What going there would do from here; touches nothing. Raises what is wrong with the files."""
     state = tools.state
+    mode = goal.config.modes[goal.mode]
+    wanted = {goal.config.modules[name].region for name in (*mode.modules, *goal.also)}
+    config, choices = resolved(goal.config, wanted, tools.devices)
+    state.choose(goal.config.name, choices)
+    goal = replace(goal, config=config)
     old = state.configs.get(state.board.config or "")
     return make_plan(goal, state.board, old, tools.files, state.throughput, tools.devices)
 

@@ -7,6 +7,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Iterator
 
 from cm.errors import CmError
+from cm.manager.loaders.choice import resolved
 from cm.manager.loaders.fpga_manager import FpgaManagerLoader
 from cm.manager.loaders.icap import IcapLoader
 from cm.manager.loaders.job import Job, Loader, Start
@@ -21,7 +22,7 @@ class Loaders:
     """One loader of each kind."""
 
     def __init__(self, devices: Devices, files: Files, clock: Clock, prefetch_bytes: int) -> None:
-        self._files = files
+        self._files, self._devices = files, devices
         self._icap = IcapLoader(devices, files, clock, prefetch_bytes)
         self._all: dict[LoaderKind, Loader] = {
             LoaderKind.ICAP: self._icap,
@@ -39,6 +40,7 @@ class Loaders:
 
     def prefetch_modules(self, config: Config | None, go_on: Callable[[], bool]) -> None:
         """The same for the images of a configuration's modules. What is wrong with one shows when it is used."""
+        config = resolved(config, (), self._devices)[0] if config else None
         jobs = list(self._jobs(config, go_on)) if config else []
         if config is not None and go_on():
             with contextlib.suppress(CmError, OSError):

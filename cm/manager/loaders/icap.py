@@ -41,8 +41,14 @@ class IcapLoader:
                     self._dispose(held)
 
     def check(self, job: Job) -> None:
-        """The port knows its device: a bitstream for another one never reaches it."""
-        there, wanted = self._devices.icap(job.port).info.idcode, job.image.idcode
+        """The port is asked: whether it may be used, and for its device, so that no other's bitstream reaches it."""
+        info = self._devices.icap(job.port).info
+        if info.denied:
+            raise LoadFailed(
+                f"{job.image.path.name}: the platform's firmware does not let the ICAP be selected; build it with "
+                "SECURE_ACCESS, or write loader: auto or fpga_manager"
+            )
+        there, wanted = info.idcode, job.image.idcode
         if there and wanted is not None and (there ^ wanted) & ~_REVISION:
             raise WrongDevice(
                 f"{job.image.path}: made for IDCODE {wanted:#010x}, but the port is that of {there:#010x}"

@@ -13,6 +13,7 @@ from types import MappingProxyType
 
 from cm.errors import CmError
 from cm.manager.access.register_bus import RegisterBus, is_cut
+from cm.manager.loaders.choice import resolved
 from cm.manager.ports import Devices
 from cm.manager.state.record import Pending, Record
 from cm.manager.state.steps import hertz
@@ -148,6 +149,7 @@ def _port(state: BoardState, configs: Mapping[str, Config], devices: Devices, no
         notes.append(f"the fpga_manager says {said!r}, so what {static.name} loaded is not trusted")
         return all_lost(state)
     config = configs.get(state.config or "")
+    config = resolved(config, (), devices)[0] if config else None
     for name, region in config.regions.items() if config else ():
         if region.loader in by_kernel and name in state.regions and (said := _error_of(devices, region.loader_name)):
             notes.append(f"the fpga_manager says {said!r}, so the content of region {name} is not trusted")

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from cm.manager.state.choice import Choice
 from cm.manager.state.table import BoardState
 from cm.messages.status import (
     ClockStatus,
@@ -52,10 +53,21 @@ def stream_status(stream: Stream) -> StreamStatus:
     )
 
 
-def region_states(config: Config | None, state: BoardState) -> tuple[RegionStatus, ...]:
+def region_states(
+    config: Config | None, state: BoardState, choices: Mapping[tuple[str, str], Choice]
+) -> tuple[RegionStatus, ...]:
     """All regions that are known, those of the loaded configuration first."""
     names = dict.fromkeys([*(config.regions if config else ()), *state.regions])
-    return tuple(RegionStatus(n, state.region(n).module, state.region(n).phase.value) for n in names)
+    chosen = {n: choices.get((config.name, n)) for n in names} if config else {}
+    return tuple(
+        RegionStatus(n, state.region(n).module, state.region(n).phase.value, _loader(chosen.get(n))) for n in names
+    )
+
+
+def _loader(choice: Choice | None) -> str:
+    if choice is None:
+        return ""
+    return f"{choice.kind.value} ({choice.why})" if choice.why else choice.kind.value
 
 
 def clock_states(config: Config | None, state: BoardState) -> tuple[ClockStatus, ...]:

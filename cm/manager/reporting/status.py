@@ -73,7 +73,7 @@ class StatusReporter:
             pr_mode=self._pr_mode(running),
             progress=progress,
             last_error=self._error or self._notice,
-            regions=region_states(self._state.loaded_config(), board),
+            regions=region_states(self._state.loaded_config(), board, self._state.choices),
             configs=tuple(sorted(self._state.configs)),
             last_change=self._last[0],
             last_change_seconds=self._last[1],

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from cm.manager.errors import RecordFailed, StoreCorrupt
+from cm.manager.state.choice import Choice
 from cm.manager.state.cost import Throughput
 from cm.manager.state.journal import Store
 from cm.manager.state.record import Pending, Record
@@ -40,6 +41,7 @@ class ManagerState:
         self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
         self.latest = BoardState()  # what the board holds, but for `_written`
         self.throughput = Throughput()
+        self.choices: Mapping[tuple[str, str], Choice] = MappingProxyType({})  # by configuration and region
         self.lock = threading.RLock()
         self.pending: Pending | None = None  # the change under way
         self.locked = LockedRegions()
@@ -94,6 +96,11 @@ class ManagerState:
     def forget_config(self, name: str) -> None:
         """Make a configuration unknown."""
         self.configs = MappingProxyType({known: config for known, config in self.configs.items() if known != name})
+
+    def choose(self, config: str, choices: Mapping[str, Choice]) -> None:
+        """Keep which ports load the regions of a configuration whose schema leaves that open."""
+        if choices:
+            self.choices = MappingProxyType({**self.choices, **{(config, name): c for name, c in choices.items()}})
 
     def next_number(self) -> int:
         """The number of a new change."""

@@ -36,6 +36,7 @@ class ChannelSpec:
     partner: str | None = None
     vdma: bool = False  # moves lines only
     simple: int = 0  # bits of the length register of an engine without scatter/gather; 0: it has that
+    blind: bool = False  # its driver cannot tell how much arrived
 
     @property
     def frame_length(self) -> int:

@@ -167,8 +167,8 @@ class Channel:
     def complete(self, length: int, status: int = 0) -> None:
         """The transfer at the head has moved `length` bytes, or failed."""
         transfer = self.queue[0]
-        if self.spec.simple and status == 0:
-            length = transfer.length  # the kernel's driver knows no other without scatter/gather
+        if self.spec.blind and status == 0:
+            length = transfer.length
         self.moved += length
         if transfer.cyclic and status == 0:
             assert self.completions is not None

@@ -99,8 +99,6 @@ class DmaSession:
         if self._channel.spec.vdma:
             raise NodeError(errno.EOPNOTSUPP, "a VDMA moves frames of lines")
         cyclic = bool(flags & protocol.SUBMIT_CYCLIC)
-        if cyclic and self._channel.spec.simple:
-            raise NodeError(errno.EOPNOTSUPP, "without scatter/gather nothing repeats by itself")
         buffer = self._buffer(handle)
         _check_range(buffer, offset, length, _kind(self._channel.spec)[2])
         if cyclic != bool(period) or (cyclic and length % period):
@@ -146,7 +144,8 @@ def _kind(spec: ChannelSpec) -> tuple[int, int, int]:
     if spec.vdma:
         return protocol.TYPE_VDMA, _VDMA_CAPS, MAX_LINE
     if spec.simple:
-        return protocol.TYPE_AXIDMA, protocol.CAP_SIMPLE, (1 << spec.simple) - 1
+        told = 0 if spec.blind else protocol.CAP_RESIDUE
+        return protocol.TYPE_AXIDMA, protocol.CAP_SIMPLE | protocol.CAP_CYCLIC | told, (1 << spec.simple) - 1
     return protocol.TYPE_AXIDMA, _CAPS, MAX_LENGTH
 
 

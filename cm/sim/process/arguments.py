@@ -9,11 +9,13 @@ from pathlib import Path
 PCAP_RATE = 145e6  # bytes per second that the kernel's driver reaches through PCAP
 
 
-def _simple(text: str) -> tuple[str, int]:
-    name, _, bits = text.partition(":")
+def _simple(text: str) -> tuple[str, tuple[int, bool]]:
+    name, bits, blind = [*text.split(":"), "", ""][:3]
+    if blind not in ("", "blind"):
+        raise argparse.ArgumentTypeError(f"{blind!r}: what may follow the bits is blind")
     if bits and not (bits.isdecimal() and 8 <= int(bits) <= 26):
         raise argparse.ArgumentTypeError(f"{bits!r} bits: an AXI DMA's length register has 8 to 26 (PG021)")
-    return name, int(bits or 14)
+    return name, (int(bits or 14), bool(blind))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--vdma", action="append", default=[], metavar="CHANNEL",
         help="that channel is a VDMA's: it moves frames of lines only; may be repeated")  # fmt: skip
-    add("--simple-dma", action="append", type=_simple, default=[], metavar="CHANNEL[:BITS]",
-        help="its engine has no scatter/gather, and a length register of so many bits (default: 14)")  # fmt: skip
+    add("--simple-dma", action="append", type=_simple, default=[], metavar="CHANNEL[:BITS[:blind]]",
+        help="no scatter/gather, a length register of so many bits (14); blind: lengths are not told")  # fmt: skip
     add("--non-coherent", action="store_true",
         help="DMA memory that has to be synchronised (docs/simulator.md)")  # fmt: skip
     add("--seed", type=int, default=1, help="of the garbage")

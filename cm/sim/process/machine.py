@@ -55,7 +55,7 @@ class Options:
     bitstream_size: int | None = None
     seed: int = 1
     vdma: Collection[str] = ()  # channels that are a VDMA's
-    simple: Mapping[str, int] = field(default_factory=dict)  # without scatter/gather: bits of their length register
+    simple: Mapping[str, tuple[int, bool]] = field(default_factory=dict)  # bits of the length register, and if blind
     coherent: bool = True  # memory: if not, every access of the processor has to be synchronised
 
 
@@ -207,8 +207,9 @@ def _with_engines(spec: BoardSpec, options: Options) -> dict[str, ChannelSpec]:
         if name in options.vdma and name in options.simple:
             raise SimError(f"channel {name} is a VDMA's or has a length register, not both")
     return {
-        name: replace(channel, vdma=name in options.vdma, simple=options.simple.get(name, 0))
+        name: replace(channel, vdma=name in options.vdma, simple=bits, blind=blind)
         for name, channel in spec.channels.items()
+        for bits, blind in [options.simple.get(name, (0, False))]
     }
 
 
@@ -222,5 +223,5 @@ def _clock_names(spec: BoardSpec) -> set[str]:
 def _icap_names(spec: BoardSpec) -> list[str]:
     """The ports that regions name; all of them lead to the one configuration engine."""
     regions = [region for config in spec.configs for region in config.regions.values()]
-    named = {r.loader_name for r in regions if r.loader is LoaderKind.ICAP and r.loader_name}
+    named = {r.loader_name for r in regions if r.loader in (LoaderKind.ICAP, LoaderKind.AUTO) and r.loader_name}
     return sorted({"cm_icap0", *named})
