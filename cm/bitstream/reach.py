@@ -17,6 +17,7 @@ from cm.bitstream.geometry import Geometry, Row
 from cm.bitstream.report import Refusal
 from cm.native import bitstream as native
 
+_IN_ROWS = (0, 1)  # block types whose frames lie in rows of the device
 _ROW_PADDING = {Family.SERIES7: 1, Family.ULTRASCALE_PLUS: 4}  # beside the one of every run
 
 
@@ -47,7 +48,8 @@ def reach(events: native.Events, family: Family, geometry: Geometry) -> dict[tup
         row = geometry.row(address.block_type, address.row)
         if row is not None and address.column < row.columns:
             key = (address.block_type, address.row, address.column)
-            last = _last_column(row, address, frames, _ROW_PADDING[family])
+            padding = _ROW_PADDING[family] if address.block_type in _IN_ROWS else 0
+            last = _last_column(row, address, frames, padding)
             found[key] = max(found.get(key, 0), last)
     return found
 

@@ -224,6 +224,14 @@ def test_one_frame_more_than_a_column_has_is_refused(column: int) -> None:
     assert codes(assemble("xc7z020", [FrameRun(address, frames(width + more))]), expect) == ["footprint_outside"]
 
 
+@pytest.mark.parametrize(("device", "count"), [("xc7z020", 228), ("xc7a100t", 228), ("xc7a35t", 132)])
+def test_block_type_2_holds_what_vivado_writes_and_no_frame_more(device: str, count: int) -> None:
+    expect = Expectation(footprint=(FrameRange(block_type=2, row=0, column_first=0, column_last=0),))
+    assert codes(assemble(device, [FrameRun(FrameAddress(2, 0, 0), frames(count))]), expect) == []
+    longer = assemble(device, [FrameRun(FrameAddress(2, 0, 0), frames(count + 1))])
+    assert codes(longer, expect) == ["footprint_outside"]
+
+
 def test_author_who_takes_every_column_for_36_frames_is_refused() -> None:
     """Column 34 of row 32 of an xc7z020 is 28 or 30 frames wide; 36 of them write into the next one."""
     geometry = geometry_of("xc7z020")
