@@ -26,8 +26,6 @@ from cm.bitstream.inspect import inspect as inspect
 from cm.bitstream.module import ModuleIdentity as ModuleIdentity
 from cm.bitstream.module import assemble_module as assemble_module
 from cm.bitstream.module import default_footprint as default_footprint
-from cm.bitstream.port import ConfigPort as ConfigPort
-from cm.bitstream.port import PortError as PortError
 from cm.bitstream.report import CrcResult as CrcResult
 from cm.bitstream.report import Footprint as Footprint
 from cm.bitstream.report import Refusal as Refusal

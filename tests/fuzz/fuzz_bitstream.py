@@ -18,7 +18,6 @@ import atheris
 with atheris.instrument_imports(include=["cm.bitstream"]):
     from cm.bitstream import (
         BitstreamError,
-        ConfigPort,
         Container,
         FrameAddress,
         FrameRun,
@@ -28,6 +27,9 @@ with atheris.instrument_imports(include=["cm.bitstream"]):
         inspect,
         open_image,
     )
+
+with atheris.instrument_imports(include=["cm.sim.hardware"]):
+    from cm.sim.hardware.packets import ConfigPort
 
 _DEVICE = device_by_name("xc7z020")
 

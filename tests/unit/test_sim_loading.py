@@ -176,3 +176,30 @@ def test_an_ultrascale_device_has_its_own_frames_and_idcode(tmp_path):
         assert load(board, board.root / "lib/firmware/cm/lab/ours.bit") == 0
         assert held(board) == "ours"
         assert load(board, assemble("xc7z020", [frames(4)])) != 0
+
+
+TWO = """\
+config:
+  name: prio
+  device: xc7z020
+  regions:
+    pr_0: {footprint: [{block_type: 0, row: 0, columns: [4, 4]}, {block_type: 2, row: 0, columns: [0, 0]}]}
+    pr_1: {footprint: [{block_type: 0, row: 0, columns: [9, 9]}, {block_type: 2, row: 0, columns: [0, 0]}]}
+  modules:
+    first: {region: pr_0, bitstream: first.bit}
+    second: {region: pr_1, bitstream: second.bit}
+  modes: {default: {modules: [first, second]}}
+"""
+
+
+def test_block_type_2_which_all_partials_of_7_series_write_tells_no_region_from_another(tmp_path):
+    """As those of PYNQ-PRIO do: the modules of the other regions stay."""
+    (tmp_path / "prio.yaml").write_text(TWO)
+    shared = FrameRun(FrameAddress(2, 0, 0), bytes(228 * FRAME))
+    for name, column in (("first", 4), ("second", 9)):
+        data = assemble("xc7z020", [shared, frames(column, column, row=0)], design=name)
+        (tmp_path / f"{name}.bit").write_bytes(data)
+    with Board([tmp_path], arguments=["--icap-rate", "0"]) as board:
+        for name in ("first", "second"):
+            assert load(board, tmp_path / f"{name}.bit") == 0
+        assert (held(board, "pr_0"), held(board, "pr_1")) == ("first", "second")

@@ -133,3 +133,19 @@ def test_channels_are_paired_within_their_region():
     assert {name: channel.partner for name, channel in board.channels.items()} == {
         "camera": None, "to_a": "from_a", "from_a": "to_a", "to_b": "from_b", "from_b": "to_b",
     }  # fmt: skip
+
+
+def test_what_a_mode_has_in_the_static_part_is_there_with_one_region_too():
+    text = """
+    config:
+      name: one
+      modules: {edge: {}}
+      modes:
+        default:
+          modules: [edge]
+          mmio:
+            - {base_address: 0x1000, region: static, registers: {led: {offset: 0x0}}}
+            - {base_address: 0x2000, registers: {gain: {offset: 0x0}}}
+    """
+    spec = BoardSpec.from_configs([schema.loads(text)])
+    assert {register.name: register.region for register in spec.registers} == {"led": None, "gain": "prr0"}

@@ -16,7 +16,6 @@ from cm.schema.model import (
     Direction,
     Interrupt,
     Memory,
-    Mode,
     Register,
     Stream,
 )
@@ -168,27 +167,15 @@ def _registers(configs: Iterable[Config]) -> Iterator[Register]:
     for config in configs:
         yield from config.registers.values()
         for module in config.modules.values():
-            for register in module.registers.values():
-                yield replace(register, region=register.region or module.region)
+            yield from module.registers.values()
         for mode in config.modes.values():
-            owner = _owner(mode, config)
-            for register in mode.registers.values():
-                yield replace(register, region=register.region or owner)
+            yield from mode.registers.values()
 
 
 def _memories(configs: Iterable[Config]) -> Iterator[Memory]:
     for config in configs:
         yield from config.memories.values()
         for module in config.modules.values():
-            for memory in module.memories.values():
-                yield replace(memory, region=memory.region or module.region)
+            yield from module.memories.values()
         for mode in config.modes.values():
-            owner = _owner(mode, config)
-            for memory in mode.memories.values():
-                yield replace(memory, region=memory.region or owner)
-
-
-def _owner(mode: Mode, config: Config) -> str | None:
-    """The region that a mode's registers and memories belong to: the one that the mode is about, if there is one."""
-    regions = {config.modules[name].region for name in mode.modules if name in config.modules}
-    return next(iter(regions)) if len(regions) == 1 else None
+            yield from mode.memories.values()

@@ -11,14 +11,15 @@ from dataclasses import dataclass, field
 
 from cm.bitstream.far import FrameAddress
 from cm.bitstream.module import ModuleIdentity
-from cm.bitstream.port import FrameWrite
 from cm.schema.model import FrameRange
 from cm.sim.hardware.board import BoardSpec, ModuleSpec
 from cm.sim.hardware.cells import Region
 from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.packets import FrameWrite
 from cm.sim.hardware.regions import RegionSpec
 
 _log = logging.getLogger(__name__)
+_SHARED = 2  # from this block type on, frames are nobody's: partial bitstreams of all regions write the same ones
 _SYNC = b"\x66\x55\x99\xaa"
 _NOP = b"\x00\x00\x00\x20"
 
@@ -44,6 +45,8 @@ class ConfigMemory:
     def apply(self, writes: Iterable[FrameWrite], full: bool) -> None:
         """Frames have arrived: the regions they lie in hold no module any more."""
         for write in writes:
+            if write.address.block_type >= _SHARED:
+                continue
             region = self._region_at(write.address)
             if region is None:
                 self.outside += not full
@@ -109,10 +112,12 @@ def _covered(region: RegionSpec, addresses: list[FrameAddress]) -> bool:
     return all(
         (frames.block_type, frames.row, column) in written
         for frames in region.footprint
+        if frames.block_type < _SHARED
         for column in range(frames.column_first, frames.column_last + 1)
     )
 
 
 def _begun(region: RegionSpec, addresses: list[FrameAddress]) -> bool:
     """Whether something was written in every range; other tools' runs go on over columns."""
-    return all(any(_inside(address, frames) for address in addresses) for frames in region.footprint)
+    own = (frames for frames in region.footprint if frames.block_type < _SHARED)
+    return all(any(_inside(address, frames) for address in addresses) for frames in own)

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from cm.bitstream.devices import Device
-from cm.bitstream.port import ConfigPort, PortError
 from cm.loop import Loop
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.hardware.configuration_memory import ConfigMemory
 from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.packets import ConfigPort, PortError
 from cm.sim.transport import protocol
 
 if TYPE_CHECKING:

@@ -4,12 +4,18 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from bitstream_support import compressed, frames, small, two_sections
+from bitstream_support import compressed, frames, slow_crc, small, two_sections
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cm.bitstream import ConfigPort, Device, ModuleIdentity, PortError, assemble_module, device_by_name, to_dma_words
+from cm.bitstream import Device, ModuleIdentity, assemble_module, device_by_name, inspect, to_dma_words
+from cm.bitstream.errors import BitstreamError
 from cm.bitstream.module import identify_words
+from cm.native import bitstream as native
+from cm.sim.hardware import crc
+from cm.sim.hardware.packets import ConfigPort, PortError
+
+WORD = st.integers(0, 2**32 - 1)
 
 
 def device(name: str = "xc7z020") -> Device:
@@ -118,3 +124,36 @@ def test_names_that_do_not_fit_a_frame_are_refused() -> None:
 def test_foreign_frames_name_no_module() -> None:
     data = frames(1)
     assert identify_words([int.from_bytes(data[at : at + 4], "big") for at in range(0, 404, 4)]) is None
+
+
+@given(
+    words_=st.lists(st.integers(0, 0xFFFFFFFF), max_size=70),
+    register=st.integers(0, 31),
+    start=st.integers(0, 2**32 - 1),
+)
+def test_crc_by_folding_is_that_of_the_bits_and_of_the_c_code(words_: list[int], register: int, start: int) -> None:
+    import numpy as np
+
+    data = np.array(words_, dtype=np.uint32)
+    expected = slow_crc(register, words_, start)
+    assert crc.run(start, register, data) == expected
+    assert native.crc(start, register, data.astype(">u4").tobytes()) == expected
+
+
+@given(source=st.sampled_from([small, two_sections, compressed]), flip=st.data())
+def test_what_verification_lets_through_the_port_takes(source: object, flip: st.DataObject) -> None:
+    """Two readers that share no code: a flip that one takes for good and the other does not shows a mistake."""
+    data = bytearray(source())  # type: ignore[operator]
+    at = flip.draw(st.integers(0, len(data) - 1))
+    data[at] ^= 1 << flip.draw(st.integers(0, 7))
+    try:
+        report = inspect(bytes(data))
+    except BitstreamError:
+        return
+    if report.problems:
+        return
+    port = ConfigPort(device())
+    port.feed(to_dma_words(bytes(data)))
+    assert port.complete
+    assert port.sections == len(report.sections)
+    assert report.compressed or port.frames == report.frames
