@@ -19,7 +19,7 @@ OUT ?= demo
 IMAGES ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo layer clean distclean check-system
+.PHONY: help setup demo test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb layer clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -100,6 +100,26 @@ kmod-lint: ## checkpatch --strict, sparse and W=1 over the kernel modules
 
 kmod-matrix: ## the kernel modules against all supported kernels
 	$(MAKE) -C kmod matrix
+
+ARCHES ?= amd64 arm64 armhf
+RELEASE := build/release
+SDIST = $(RELEASE)/fpga_cm-$(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' cm/_version.py).tar.gz
+export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1577836800)
+
+sdist: $(STAMP) ## the archive of the sources, into build/release
+	@mkdir -p $(RELEASE)
+	@PYTHONPATH=release $(BIN)/python -c "import backend; backend.build_sdist('$(RELEASE)')" >$(RELEASE)/sdist.log 2>&1 || \
+		{ cat $(RELEASE)/sdist.log; exit 1; }
+	@rm -f $(RELEASE)/sdist.log
+
+wheel: sdist ## wheels for ARCHES (amd64 arm64 armhf), into build/release
+	@rm -f $(RELEASE)/*.whl
+	@python3 release/wheels.py $(ARCHES:%=--arch %) --out $(RELEASE) $(SDIST)
+
+deb: wheel ## Debian packages for ARCHES, checked by lintian, into build/release
+	@rm -f $(RELEASE)/*.deb
+	@status=0; release/deb.sh $(SDIST) $(RELEASE) $(ARCHES) || status=$$?; \
+		if [ $$status = 77 ]; then echo "SKIPPED: Debian packages (see above)"; exit 0; fi; exit $$status
 
 layer: $(STAMP) ## the sources into the Yocto layer, and the layer as an archive into build/release
 	@release/layer.sh $(BIN)/python

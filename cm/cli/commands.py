@@ -46,6 +46,7 @@ COMMANDS = (
     Command("data", "cm.cli.data", "configure the data channels"),
     Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams"),
     Command("import", "cm.cli.import_", "make a runtime schema from a dfx-mgr or PYNQ package, or unpack an archive"),
+    Command("config", "cm.cli.config", "list and roll back versions of imported configurations"),
     Command("build", "cm.cli.build", "make bitstreams, overlays and runtime schemas from HDL"),
     Command("keygen", "cm.cli.keygen", "make keys for connections over TCP"),
     Command("doctor", "cm.cli.doctor", "say what this machine has, and what to do about what it lacks"),

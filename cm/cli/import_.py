@@ -31,6 +31,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     packed = formats.add_parser("archive", help="an archive of `cm build collect`, onto the board")
     packed.add_argument("source", type=Path, metavar="FILE.tar.gz")
     packed.add_argument("--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"below this folder ({FIRMWARE})")
+    packed.add_argument("--keep", type=_count, metavar="N", help="earlier versions to keep for a rollback (default: 3)")
     add_json_option(packed)
     packed.set_defaults(run=run_archive)
     for each in (dfx, pynq):
@@ -57,13 +58,30 @@ def run(args: argparse.Namespace) -> int:
 
 def run_archive(args: argparse.Namespace) -> int:
     """Unpack; 0 unless the archive is refused."""
-    done = unpack(args.source, args.out)
+    done = unpack(args.source, args.out, _keep() if args.keep is None else args.keep)
     if args.json:
         print_json({"config": done.config.name, "folder": str(done.folder), "files": list(done.files)})
     else:
         counts = f"{len(done.config.modules)} modules, {len(done.config.modes)} modes, {len(done.files)} files"
         print(f"{done.folder}: configuration {done.config.name}, {counts}")
     return 0
+
+
+def _count(text: str) -> int:
+    if not text.isascii() or not text.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of versions")
+    return int(text)
+
+
+def _keep() -> int:
+    """What the system's settings say, where there are some."""
+    from cm.settings.model import FILE, Settings
+
+    if not FILE.exists():
+        return Settings().imports.keep
+    from cm.settings import load_settings
+
+    return load_settings().imports.keep
 
 
 def _report(imported: Imported, files: list[Path]) -> dict[str, object]:

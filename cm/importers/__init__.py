@@ -6,9 +6,13 @@ What a package says that the runtime schema has no word for is told in `Imported
 """
 
 from cm.importers.archive import Unpacked as Unpacked
+from cm.importers.archive import back as back
 from cm.importers.archive import unpack as unpack
 from cm.importers.dfx_mgr import import_dfx_mgr as import_dfx_mgr
 from cm.importers.pynq import import_pynq as import_pynq
 from cm.importers.result import Imported as Imported
 from cm.importers.result import ImportRefused as ImportRefused
 from cm.importers.result import write as write
+from cm.importers.versions import NoSuchVersion as NoSuchVersion
+from cm.importers.versions import Version as Version
+from cm.importers.versions import versions as versions

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from cm.importers.result import ImportRefused
+from cm.importers.versions import KEEP, locked, put_in_force, roll_back, versions
 from cm.schema import load_folder
 from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import Config
@@ -33,23 +34,39 @@ class Unpacked:
     files: tuple[str, ...]
 
 
-def unpack(archive: Path, out: Path) -> Unpacked:
+def unpack(archive: Path, out: Path, keep: int = KEEP) -> Unpacked:
     """Put an archive's configuration into ``out/<config>/``, in place of what was there under its name.
 
     The archive holds ``<config>/<file>…`` and nothing else. Schema, files and hashes are checked aside, then the
-    folder is renamed: a killed import leaves the old one, or the next one brings it back.
-    Raises ImportRefused, SchemaError, OSError; `out` is then as before.
+    folder takes its place in one step: a killed import leaves the old one or the new one. The last `keep` before
+    it stay for a rollback. Raises ImportRefused, SchemaError, OSError; `out` is then as before.
     """
     out = out.resolve()  # what a schema names is compared by its whole path
-    out.mkdir(parents=True, exist_ok=True)
-    aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
-    try:
-        name, files = _extract(archive, aside)
-        _checked(archive, aside / name)
-        _swap(aside / name, out / name)
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
-    return Unpacked(_only(archive, out / name), out / name, files)
+    with locked(out):
+        aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
+        try:
+            name, files = _extract(archive, aside)
+            _checked(archive, aside / name)
+            put_in_force(aside / name, out / name, keep)
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+        return Unpacked(_only(archive, out / name), out / name, files)
+
+
+def back(place: Path, number: int | None = None) -> Unpacked:
+    """Put an earlier version of the configuration at `place` in force, checked as an archive is.
+
+    Raises NoSuchVersion, ImportRefused, SchemaError, OSError; what was in force is then still.
+    """
+    place = place.parent.resolve() / place.name
+    with locked(place.parent):
+        for version in versions(place.parent, place.name):
+            if number in (None, version.number):
+                _checked(version.folder, version.folder, place.name)
+                break
+        roll_back(place, number)
+        files = tuple(sorted(path.name for path in place.iterdir()))
+        return Unpacked(_only(place, place), place, files)
 
 
 def _extract(archive: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
@@ -117,17 +134,17 @@ def _write(tar: tarfile.TarFile, member: tarfile.TarInfo, place: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _only(archive: Path, folder: Path) -> Config:
-    configs = load_folder(folder)
-    if list(configs) != [folder.name]:
+def _only(archive: Path, folder: Path, name: str = "") -> Config:
+    configs, name = load_folder(folder), name or folder.name
+    if list(configs) != [name]:
         found = " and ".join(configs) or "none"
-        raise ImportRefused(f"{archive}: the schema of configuration {folder.name!r} is expected; there is {found}")
-    return configs[folder.name]
+        raise ImportRefused(f"{archive}: the schema of configuration {name!r} is expected; there is {found}")
+    return configs[name]
 
 
-def _checked(archive: Path, folder: Path) -> None:
+def _checked(archive: Path, folder: Path, name: str = "") -> None:
     """Every file that the schema names is there, with the hash that it names."""
-    config = _only(archive, folder)
+    config = _only(archive, folder, name)
     wanted = [(bitstream_path(config, module, folder), module.sha256) for module in config.modules.values()]
     if config.bitstream is not None:
         wanted.append((bitstream_path(config, None, folder), config.sha256))
@@ -146,32 +163,3 @@ def _sha256(path: Path) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
-
-
-def _swap(new: Path, place: Path) -> None:
-    old = place.with_name(f".{place.name}.old")
-    if old.exists():
-        if place.exists():
-            shutil.rmtree(old)
-        else:  # an import was killed between its two renames
-            old.rename(place)
-    new.chmod(0o755)
-    _sync(new)
-    if place.exists():
-        place.rename(old)
-    try:
-        new.rename(place)
-    except BaseException:
-        if old.exists():
-            old.rename(place)
-        raise
-    _sync(place.parent)
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

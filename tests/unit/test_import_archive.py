@@ -6,8 +6,14 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import os
+import shutil
+import subprocess
+import sys
 import tarfile
 from collections.abc import Callable, Mapping
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -17,9 +23,11 @@ from hypothesis import strategies as st
 from cm.build.collect.layout import archive
 from cm.cli.main import main
 from cm.errors import CmError
-from cm.importers import unpack
+from cm.importers import back, unpack, versions
 from cm.schema import load_folder
+from cm.settings import find_configs
 
+VERSIONS = import_module("cm.importers.versions")
 EDGE, GREY = b"the edge circuit" * 100, b"the grey one" * 70
 SCHEMA = f"""
 config:
@@ -103,17 +111,130 @@ def test_scripts_can_read_what_was_done(tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_a_newer_one_takes_the_place_of_the_old_with_nothing_left_of_it(tmp_path: Path) -> None:
     out = tmp_path / "firmware"
-    unpack(packed(tmp_path, {**GOOD, "notes.txt": b"old"}), out)
-    unpack(packed(tmp_path, GOOD), out)
+    unpack(packed(tmp_path, {**GOOD, "notes.txt": b"old"}), out, keep=0)
+    unpack(packed(tmp_path, GOOD), out, keep=0)
     assert held(out) == laid_out(GOOD)
 
 
-def test_what_a_killed_import_moved_away_is_not_in_the_way_of_the_next(tmp_path: Path) -> None:
-    out = tmp_path / "firmware"
-    unpack(packed(tmp_path, GOOD), out)
-    (out / "vision").rename(out / ".vision.old")
-    unpack(packed(tmp_path, GOOD), out)
-    assert held(out) == laid_out(GOOD)
+def note(out: Path) -> bytes:
+    return (out / "vision/notes.txt").read_bytes()
+
+
+def imported(tmp_path: Path, *notes: bytes, keep: int = 3) -> Path:
+    """A folder into which archives with these notes were unpacked, one after the other."""
+    for text in notes:
+        unpack(packed(tmp_path, {**GOOD, "notes.txt": text}), tmp_path / "firmware", keep)
+    return tmp_path / "firmware"
+
+
+def test_the_last_versions_are_kept(tmp_path: Path) -> None:
+    out = imported(tmp_path, b"1", b"2", b"3", b"4", b"5", keep=2)
+    kept = [(version.folder / "notes.txt").read_bytes() for version in versions(out, "vision")]
+    assert kept == [b"4", b"3"]
+    assert note(out) == b"5"
+
+
+def test_a_rollback_goes_to_the_youngest_and_the_next_one_forward_again(tmp_path: Path) -> None:
+    out = imported(tmp_path, b"1", b"2", b"3")
+    assert main(["config", "rollback", "vision", "--out", str(out)]) == 0
+    assert note(out) == b"2"
+    assert main(["config", "rollback", "vision", "--out", str(out)]) == 0
+    assert note(out) == b"3"
+
+
+def test_a_rollback_goes_to_the_version_that_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = imported(tmp_path, b"1", b"2", b"3")
+    main(["config", "versions", "vision", "--out", str(out), "--json"])
+    oldest = json.loads(capsys.readouterr().out)["versions"][-1]["number"]
+    assert main(["config", "rollback", "vision", "--to", str(oldest), "--out", str(out)]) == 0
+    assert note(out) == b"1"
+
+
+def test_a_rollback_without_an_earlier_version_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = imported(tmp_path, b"1")
+    assert main(["config", "rollback", "vision", "--out", str(out)]) == 1
+    assert "no earlier version" in capsys.readouterr().err
+
+
+def test_a_version_that_was_damaged_does_not_come_back(tmp_path: Path) -> None:
+    out = imported(tmp_path, b"1", b"2")
+    (versions(out, "vision")[0].folder / "edge.bin").write_bytes(b"rotten")
+    with pytest.raises(CmError, match="not the file that the schema was made for"):
+        back(out / "vision")
+    assert note(out) == b"2"
+
+
+def test_the_service_does_not_see_earlier_versions(tmp_path: Path) -> None:
+    out = imported(tmp_path, b"1", b"2")
+    found = find_configs([f"{out}/*"])
+    assert [config.source for config in found.configs.values()] == [out / "vision/vision.yaml"]
+    assert not found.left_out
+
+
+def killed_at(step: int, work: Callable[[], object]) -> bool:
+    """Do `work` in a process that ends, as if killed, before its n-th call that changes names; whether it did."""
+    pid = os.fork()
+    if pid == 0:
+        left = [step]
+
+        def counted(call: Callable[..., object]) -> Callable[..., object]:
+            def wrapper(*arguments: object, **options: object) -> object:
+                left[0] -= 1
+                if left[0] < 0:
+                    os._exit(9)
+                return call(*arguments, **options)
+
+            return wrapper
+
+        for owner, name in ((VERSIONS, "exchange"), (os, "fsync"), (Path, "rename"), (shutil, "rmtree")):
+            setattr(owner, name, counted(getattr(owner, name)))
+        work()
+        os._exit(0)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 9
+
+
+@pytest.mark.parametrize("rolls_back", [False, True], ids=["import", "rollback"])
+def test_killed_at_any_step_the_old_one_or_the_new_one_is_in_force(tmp_path: Path, rolls_back: bool) -> None:
+    archive_of_new = packed(tmp_path, {**GOOD, "notes.txt": b"new"}).rename(tmp_path / "new.tar.gz")
+    seen = set()
+    for step in range(100):
+        (tmp_path / str(step)).mkdir()
+        out = imported(tmp_path / str(step), b"older", b"old")
+        place = out / "vision"
+        died = killed_at(step, partial(back, place) if rolls_back else partial(unpack, archive_of_new, out))
+        now = note(out)
+        assert held_files(place) == {**GOOD, "notes.txt": now}
+        seen.add(now)
+        imported(tmp_path / str(step), b"newest")
+        assert note(out) == b"newest"
+        if not died:
+            break
+    else:
+        raise AssertionError("it never came to its end")
+    assert seen == {b"old", b"older" if rolls_back else b"new"}
+
+
+def held_files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_rauc_handler_imports_all_or_none(tmp_path: Path) -> None:
+    handler = Path(__file__).resolve().parents[2] / "system/rauc/cm-configs.sh"
+    out = imported(tmp_path, b"old")
+    bundle = tmp_path / "bundle"
+    bundle.mkdir()
+    packed(tmp_path, {**GOOD, "notes.txt": b"new"}).rename(bundle / "a.tar.gz")
+    (bundle / "b.tar.gz").write_bytes(b"cut off")
+    environment = {
+        **os.environ, "RAUC_BUNDLE_MOUNT_POINT": str(bundle), "CM_CONFIGS": str(out), "CM_RELOAD": "true",
+        "CM": f"{sys.executable} -m cm.cli.main", "PYTHONPATH": str(handler.parents[2]),
+    }  # fmt: skip
+    refused = subprocess.run([handler], env=environment, capture_output=True, text=True, check=False)
+    assert refused.returncode == 1, refused.stderr
+    assert note(out) == b"old"
+    (bundle / "b.tar.gz").unlink()
+    subprocess.run([handler], env=environment, check=True, capture_output=True)
+    assert note(out) == b"new"
 
 
 HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {

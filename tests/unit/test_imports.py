@@ -36,7 +36,7 @@ MAY = {
     "aio": {"client"},
     "client": BASE | {"messages", "wire", "native", "multipart"},
     "sim": BASE | {"child", "fdt", "loop", "native", "schema", "bitstream", "hwh"},
-    "importers": BASE | {"fdt", "schema", "bitstream", "hwh"},
+    "importers": BASE | {"fdt", "native", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim"},
 }
 
