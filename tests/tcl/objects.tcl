@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 #
 # What the stand-in of Vivado knows of its objects. An object is a word `type:name`, so that a command
-# can refuse one of the wrong type, and a pin is there only if its cell is configured to have it. The
-# messages are those that Vivado has for such mistakes; sources are listed in docs/build-vivado.md.
+# can refuse one of the wrong type, and a pin is there only if its cell is configured to have it. Messages
+# with a number are Vivado's; where users have met them is listed in docs/build-vivado.md.
 
 set vivado [dict create project 0 design "" opened 0 cells {} config {} ports {} interfaces {} nets {} pblocks {} segments {}]
 
@@ -22,10 +22,10 @@ proc split_call {name words} {
     for {set i 0} {$i < [llength $words]} {incr i} {
         set word [lindex $words $i]
         if {![regexp {^-[a-z]} $word]} { lappend plain $word; continue }
-        if {![dict exists $::switches $name $word]} { refuse "\[Common 17-170\] Unknown option '$word', please type '$name -help' for usage info." }
+        if {![dict exists $::switches $name $word]} { refuse "$name has no switch $word" }
         if {![dict get $::switches $name $word]} { dict set given $word 1; continue }
         incr i
-        if {$i >= [llength $words]} { refuse "\[Common 17-157\] Missing value for option '$word'" }
+        if {$i >= [llength $words]} { refuse "$name $word lacks its value" }
         dict set given $word [lindex $words $i]
     }
     return [list $given $plain]

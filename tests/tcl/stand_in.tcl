@@ -6,21 +6,21 @@
 namespace eval vivado {}
 
 proc typed {name objects args} {
-    if {[llength $objects] == 0} { refuse "\[Common 17-55\] '$name' expects at least one object." }
+    if {[llength $objects] == 0} { refuse "'$name' expects at least one object" }
     foreach object $objects {
-        if {[lsearch -glob [lmap type $args {expr {[is $type $object]}}] 1] < 0} { refuse "\[Common 17-161\] Invalid option value '$object' specified for '$name': not a [join $args { or }]" }
+        if {[lsearch -glob [lmap type $args {expr {[is $type $object]}}] 1] < 0} { refuse "'$name': $object is not a [join $args { or }]" }
     }
 }
 
 # -- projects and files
 proc vivado::create_project {given plain} { dict set ::vivado project 1; return project:current }
 proc vivado::close_project {given plain} { dict set ::vivado project 0 }
-proc vivado::current_project {given plain} { if {![state project]} { refuse "\[Common 17-53\] User Exception: No open project." }; return project:current }
-proc vivado::current_design {given plain} { if {![state opened]} { refuse "\[Common 17-53\] User Exception: No open design." }; return design:current }
+proc vivado::current_project {given plain} { if {![state project]} { refuse "No open project." }; return project:current }
+proc vivado::current_design {given plain} { if {![state opened]} { refuse "No open design." }; return design:current }
 proc vivado::get_files {given plain} { return [lmap file $plain {set file file:$file}] }
 proc vivado::get_board_parts {given plain} { return [expr {[info exists ::env(CM_NO_BOARD)] ? "" : "board_part:$plain"}] }
 proc vivado::get_ips {given plain} { return ip:all }
-proc readable {paths} { foreach path $paths { if {$path eq "" || ![file exists $path]} { refuse "\[Common 17-55\] the file '$path' does not exist" } } }
+proc readable {paths} { foreach path $paths { if {$path eq "" || ![file exists $path]} { refuse "the file '$path' does not exist" } } }
 proc vivado::read_verilog {given plain} { readable $plain }
 proc vivado::read_vhdl {given plain} { readable $plain }
 proc vivado::read_xdc {given plain} { readable $plain }
@@ -46,7 +46,7 @@ proc vivado::set_property {given plain} {
     }
     if {[llength $objects] == 0} { refuse "\[Common 17-55\] 'set_property' expects at least one object." }
     foreach object $objects {
-        if {![regexp {^\w+:} $object]} { refuse "\[Common 17-161\] 'set_property': '$object' is no object" }
+        if {![regexp {^\w+:} $object]} { refuse "'set_property': '$object' is no object" }
         foreach {key value} $pairs { dict set ::vivado config $object $key $value }
     }
 }
@@ -66,7 +66,7 @@ proc vivado::get_ipdefs {given plain} {
 }
 proc vivado::create_bd_cell {given plain} {
     set name [lindex $plain 0]
-    if {[dict exists $::vivado cells $name]} { refuse "\[BD 5-216\] VLNV or name '$name' is already used in the design" }
+    if {[dict exists $::vivado cells $name]} { refuse "cell '$name' is already in the design" }
     dict set ::vivado cells $name [lindex [split [dict get $given -vlnv] :] 2]
     return bd_cell:$name
 }
@@ -75,13 +75,13 @@ proc vivado::create_bd_port {given plain} { return [new_port bd_port ports $give
 proc vivado::create_bd_intf_port {given plain} { return [new_port bd_intf_port interfaces $given $plain] }
 proc new_port {type kind given plain} {
     set name [lindex $plain 0]
-    if {[dict exists $::vivado ports $name] || [dict exists $::vivado interfaces $name]} { refuse "\[BD 41-1061\] port '$name' exists already" }
+    if {[dict exists $::vivado ports $name] || [dict exists $::vivado interfaces $name]} { refuse "port '$name' exists already" }
     dict set ::vivado $kind $name $given
     return $type:$name
 }
 proc found_pins {type plain} {
     set found {}
-    foreach path $plain { if {[has_pin $path]} { lappend found $type:[string trimleft $path /] } else { puts stderr "WARNING: \[BD 5-235\] No pins matched 'get_bd_pins $path'" } }
+    foreach path $plain { if {[has_pin $path]} { lappend found $type:[string trimleft $path /] } else { puts stderr "WARNING: \[[expr {$type eq {bd_pin} ? {BD 5-235} : {BD 5-232}}]\] No [expr {$type eq {bd_pin} ? {} : {interface }}]pins matched '$path'" } }
     return $found
 }
 proc vivado::get_bd_pins {given plain} { return [found_pins bd_pin $plain] }
@@ -89,18 +89,18 @@ proc vivado::get_bd_intf_pins {given plain} { return [found_pins bd_intf_pin $pl
 proc vivado::get_bd_ports {given plain} { return [lmap name $plain {if {![dict exists $::vivado ports $name]} continue; set name bd_port:$name}] }
 proc vivado::get_bd_intf_ports {given plain} { return [lmap name $plain {if {![dict exists $::vivado interfaces $name]} continue; set name bd_intf_port:$name}] }
 proc vivado::connect_bd_net {given plain} {
+    if {[lsearch -exact $plain {}] >= 0 || [llength $plain] < 2} { refuse "\[BD 41-701\] connect_bd_net requires at least two pins/ports, or one pin/port and a net" }
     foreach end $plain { typed connect_bd_net $end bd_pin bd_port }
-    if {[llength $plain] < 2} { refuse "\[BD 5-3\] connect_bd_net: two ends are needed" }
     lassign $plain source target
-    if {[dict exists $::vivado nets $target]} { refuse "\[BD 41-1306\] '$target' is driven by '[dict get $::vivado nets $target]' already" }
-    if {[regexp {_introut$|aresetn$|/dout$|/FCLK_|/pl_clk|/pl_resetn} $target] && ![is bd_port $target] && ![regexp {axi_resetn$|/aresetn$} $target]} { refuse "\[BD 41-1306\] '$target' is an output: '$source' cannot drive it" }
+    if {[dict exists $::vivado nets $target]} { refuse "'$target' is driven by '[dict get $::vivado nets $target]' already" }
+    if {[regexp {_introut$|aresetn$|/dout$|/FCLK_|/pl_clk|/pl_resetn} $target] && ![is bd_port $target] && ![regexp {axi_resetn$|/aresetn$} $target]} { refuse "'$target' is an output: '$source' cannot drive it" }
     dict set ::vivado nets $target $source
 }
 proc vivado::connect_bd_intf_net {given plain} {
     foreach end $plain {
-        if {[llength $end] == 0} { refuse "\[BD 5-106\] Arguments to the connect_bd_intf_net command cannot be empty." }
+        if {[llength $end] == 0} { refuse "connect_bd_intf_net: no such interface pin" }
         typed connect_bd_intf_net $end bd_intf_pin bd_intf_port
-        if {[dict exists $::vivado nets $end]} { refuse "\[BD 41-1306\] '$end' is connected already" }
+        if {[dict exists $::vivado nets $end]} { refuse "'$end' is connected already" }
         dict set ::vivado nets $end 1
     }
 }
@@ -111,10 +111,10 @@ proc vivado::assign_bd_address {given plain} {
     typed assign_bd_address [lindex $plain 0] bd_addr_seg
     set from [expr {[dict get $given -offset]}]
     set size [expr {[dict get $given -range]}]
-    if {$size & ($size - 1) || $from % $size} { refuse "\[BD 41-1075\] range [dict get $given -range] at [dict get $given -offset] is no aligned power of two" }
+    if {$size & ($size - 1) || $from % $size} { refuse "range [dict get $given -range] at [dict get $given -offset] is no aligned power of two" }
     foreach other [state segments] {
         lassign $other base bytes who
-        if {$from < $base + $bytes && $base < $from + $size} { refuse "\[BD 41-1051\] [lindex $plain 0] overlaps $who" }
+        if {$from < $base + $bytes && $base < $from + $size} { refuse "[lindex $plain 0] overlaps $who" }
     }
     dict lappend ::vivado segments [list $from $size [lindex $plain 0]]
 }
@@ -130,7 +130,7 @@ proc vivado::validate_bd_design {given plain} {
         }
     }
     dict for {name given} [state interfaces] {
-        if {![dict exists $::vivado nets bd_intf_port:$name]} { refuse "\[BD 41-759\] interface port '$name' is not connected" }
+        if {![dict exists $::vivado nets bd_intf_port:$name]} { refuse "interface port '$name' is not connected" }
         set clock ""
         dict for {port _} [state ports] { if {$name in [split [config bd_port:$port CONFIG.ASSOCIATED_BUSIF ""] :]} { set clock $port } }
         if {$clock eq ""} { refuse "\[BD 41-967\] AXI interface port /$name is not associated to any clock port. It may not work correctly." }
@@ -145,14 +145,14 @@ proc vivado::synth_design {given plain} { dict set ::vivado opened 1 }
 proc vivado::open_checkpoint {given plain} { readable $plain; dict set ::vivado opened 1 }
 proc vivado::read_checkpoint {given plain} { readable $plain; opened read_checkpoint }
 proc vivado::write_checkpoint {given plain} { opened write_checkpoint; written [lindex $plain 0] }
-proc opened {name} { if {![state opened]} { refuse "\[Common 17-53\] User Exception: No open design. Please open one before $name." } }
+proc opened {name} { if {![state opened]} { refuse "No open design. Please open one before $name." } }
 proc vivado::get_cells {given plain} { return cell:[lindex $plain 0] }
 proc vivado::get_pins {given plain} { return pin:all }
 proc vivado::get_ports {given plain} { return port:[lindex $plain 0] }
 proc vivado::create_pblock {given plain} {
     opened create_pblock
     set name [lindex $plain 0]
-    if {$name in [state pblocks]} { refuse "\[Vivado 12-1815\] a pblock '$name' exists already" }
+    if {$name in [state pblocks]} { refuse "a pblock '$name' exists already" }
     dict lappend ::vivado pblocks $name
     return pblock:$name
 }
@@ -164,7 +164,7 @@ proc vivado::pr_verify {given plain} { readable [list [dict get $given -initial]
 proc vivado::write_bitstream {given plain} { opened write_bitstream; written [lindex $plain 0] }
 proc vivado::write_cfgmem {given plain} { readable [list [lindex [dict get $given -loadbit] 2]]; written [lindex $plain 0] }
 proc vivado::write_hw_platform {given plain} {
-    if {[info exists ::env(CM_NO_XSA)]} { refuse "\[Common 17-69\] Command failed: write_hw_platform" }
+    if {[info exists ::env(CM_NO_XSA)]} { refuse "Command failed: write_hw_platform" }
     written [dict get $given -file]
 }
 proc vivado::get_timing_paths {given plain} { return timing_path:[expr {[dict exists $given -hold] ? "hold" : "setup"}] }

@@ -4,18 +4,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from build_support import MINIMAL, STREAM_MODULE, copy_examples, project
+from build_support import AXIL_MODULE, MINIMAL, STREAM_MODULE, copy_examples, project
 
 from cm.build.boards import boards
+from cm.build.check.block_design import check_block_design
 from cm.build.check.rules import check_system
 from cm.build.errors import BuildError
+from cm.build.generate.block_design import context
 from cm.build.generate.outputs import render_all
 from cm.build.generate.tree import generate, load_design
 from cm.build.partition.parts import part_of
 from cm.build.plan.floorplan import DEVICES, Rectangle, device_sites, rectangle
+from cm.build.plan.system import System
 from cm.build.platforms import device_of
 from cm.build.project.load import load_project
 from cm.build.runtime.answers import Answers
@@ -57,11 +62,11 @@ def test_two_regions_that_are_apart_are_good(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("SLICE_X0Y0:SLICE_X21Y49", "SLICE_X40Y90:SLICE_X45Y110", "DRC HDPR-3: SLICE_X26Y50:SLICE_X43Y99 lies on"),
-        ("SLICE_X0Y0:SLICE_X21Y49", "RAMB18_X2Y30:RAMB18_X2Y31", "DRC HDPR-3: RAMB36_X2Y10:RAMB36_X2Y19 lies on"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "SLICE_X40Y90:SLICE_X45Y110", "overlap: SLICE_X26Y50:SLICE_X43Y99 lies on"),
+        ("SLICE_X0Y0:SLICE_X21Y49", "RAMB18_X2Y30:RAMB18_X2Y31", "overlap: RAMB36_X2Y10:RAMB36_X2Y19 lies on"),
         ("SLICE_X0Y0:SLICE_X21Y49", "CLOCKREGION_X0Y1:CLOCKREGION_X1Y1", "lies on"),
-        ("lut: 100", "dsp: 3", "Place 30-640: module one needs 3 DSP, the pblock of a has 0"),
-        ("lut: 100", "bram: 11", "Place 30-640: module one needs 11 block RAM (36 Kbit), the pblock of a has 10"),
+        ("lut: 100", "dsp: 3", "DRC HDPR-18: module one needs 3 DSP, the pblock of a has 0"),
+        ("lut: 100", "bram: 11", "DRC UTLZ-1: module one needs 11 block RAM (36 Kbit), the pblock of a has 10"),
         ("lut: 100", "lut: 3601", "DRC UTLZ-1: module one needs 3601 LUT, the pblock of a has 3600"),
         ("SLICE_X0Y0:SLICE_X21Y49", "SLICE_X0Y0:SLICE_X200Y49", "reaches beyond xc7z020"),
         ("SLICE_X0Y0:SLICE_X21Y49", "BUFGCTRL_X0Y0:BUFGCTRL_X0Y15", "UG909: BUFGCTRL sites cannot be reconfigured"),
@@ -168,6 +173,63 @@ def test_check_lists_clocks_and_resets_with_what_they_get(tmp_path: Path, capsys
     said = capsys.readouterr().out
     assert "rx_clk: clock → nothing says what drives it" in said
     assert "clk_resetn: reset, active low" in said
+
+
+def block_design_of(folder: Path) -> tuple[System, dict[str, Any]]:
+    system = load_design(project(folder, one=AXIL_MODULE)).system
+    return system, context(system)
+
+
+def spoil(found: dict[str, Any], what: str) -> None:
+    """One mistake in a block design that has none."""
+    dma, segment, clock = found["dmas"][0], found["segments"][0], found["clocks"][0]
+    if what == "length":
+        found["dmas"][0] = replace(dma, settings=tuple((n, 27 if "length" in n else v) for n, v in dma.settings))
+    elif what == "width":
+        found["dmas"][0] = replace(dma, settings=tuple((n, 24 if "tdata" in n else v) for n, v in dma.settings))
+    elif what == "narrow":
+        found["dmas"][0] = replace(dma, settings=tuple((n, 64 if "tdata" in n else v) for n, v in dma.settings))
+    elif what == "name":
+        found["dmas"][0] = replace(dma, settings=(*dma.settings, ("c_include_sgg", 1)))
+    elif what == "unassociated":
+        found["clocks"][0] = replace(clock, buses=())
+    elif what == "overlap":
+        found["segments"].append(segment)
+    elif what == "alignment":
+        window = replace(segment.window, base=segment.window.base + 4)
+        found["segments"][0] = replace(segment, window=window)
+    elif what == "outside":
+        found["segments"][0] = replace(segment, window=replace(segment.window, base=0x8000_0000))
+    elif what == "fclk":
+        found["ps_settings"].append(("PCW_FPGA0_PERIPHERAL_FREQMHZ", "300"))
+    elif what == "ports":
+        found["masters"] = ["x"] * 17
+    elif what == "lines":
+        found["interrupts"][0] = replace(found["interrupts"][0], sources=("x",) * 17)
+
+
+@pytest.mark.parametrize(
+    ("what", "said"),
+    [
+        ("length", "PG021: dma_icap: c_sg_length_width is 27 (it may be 8 to 26)"),
+        ("width", "PG021: dma_icap: c_m_axis_mm2s_tdata_width is 24"),
+        ("narrow", "PG021: dma_icap: the stream has 64 bits, the way to memory 32"),
+        ("name", "PG021: dma_icap has no parameter c_include_sgg"),
+        ("unassociated", "BD 41-967: axis_icap runs on fclk0, but is associated with no clock"),
+        ("overlap", "address: domain_fclk0 and domain_fclk0 overlap at 0x40000000"),
+        ("alignment", "address: domain_fclk0: 0x1000000 bytes at 0x40000004 (a range is a power of two"),
+        ("outside", "address: domain_fclk0 at 0x80000000 is outside the window of M_AXI_GP0"),
+        ("fclk", "PG082: PCW_FPGA0_PERIPHERAL_FREQMHZ is 300 MHz"),
+        ("ports", "PG247: control_interconnect has 17 ports"),
+        ("lines", "17 interrupts go to IRQ_F2P, which has 16 lines"),
+    ],
+)
+def test_a_block_design_with_a_mistake_is_refused(what: str, said: str, tmp_path: Path) -> None:
+    system, design = block_design_of(tmp_path)
+    assert list(check_block_design(system, design)) == []
+    spoil(design, what)
+    told = [f"{f.rule}: {f.message}{f' ({f.hint})' if f.hint else ''}" for f in check_block_design(system, design)]
+    assert any(said in text for text in told)
 
 
 @pytest.mark.parametrize("name", boards())

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
-from build_support import MINIMAL, STREAM_MODULE, project
+from build_support import MINIMAL, STREAM_MODULE, needs, project
 
 from cm.build.generate.outputs import render_all
 from cm.build.generate.tree import load_design
+from cm.build.hdl import load_component_xml
 from cm.build.runtime.answers import Answers
 from cm.cli.main import main
+from cm.schema.problems import SchemaError
 
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 
@@ -90,3 +93,82 @@ def test_bitstreams_are_written_as_the_build_schema_says(
     script = written(project(tmp_path, MINIMAL + setting))["tcl/step_bitstreams_run_1.tcl"]
     assert (f"BITSTREAM.GENERAL.COMPRESS {str(compressed).upper()} " in script) is True
     assert ("BITSTREAM.GENERAL.PERFRAMECRC YES " in script) is per_frame
+
+
+XCI = """\
+{"schema": "xilinx.com:schema:json_instance:1.0",
+ "ip_inst": {"xci_name": "fifo_8", "component_reference": "xilinx.com:ip:axis_data_fifo:2.0",
+  "boundary": {"ports": {
+   "s_axis_aresetn": [{"direction": "in"}], "s_axis_aclk": [{"direction": "in"}],
+   "s_axis_tvalid": [{"direction": "in"}], "s_axis_tready": [{"direction": "out"}],
+   "s_axis_tdata": [{"direction": "in", "size_left": "7", "size_right": "0"}], "s_axis_tlast": [{"direction": "in"}],
+   "m_axis_tvalid": [{"direction": "out"}], "m_axis_tready": [{"direction": "in"}],
+   "m_axis_tdata": [{"direction": "out", "size_left": "7", "size_right": "0"}], "m_axis_tlast": [{"direction": "out"}]
+ }}}}
+"""
+
+
+def test_an_ip_instance_tells_its_ports_and_its_name(tmp_path: Path) -> None:
+    (tmp_path / "fifo_8.xci").write_text(XCI)
+    files = written(project(tmp_path, MINIMAL.replace("sources: [one.v]", "ip: [fifo_8.xci]")))
+    wrapper = files["wrappers/one/cm_region_prr0.v"]
+    assert "fifo_8 inner (" in wrapper
+    assert ".s_axis_tdata(s_axis_tdata)" in wrapper
+    assert 'read_ip "$cm_source/fifo_8.xci"' in files["tcl/step_synth_one.tcl"]
+
+
+@needs("iverilog")
+def test_the_wrapper_of_an_ip_instance_elaborates(tmp_path: Path) -> None:
+    (tmp_path / "fifo_8.xci").write_text(XCI)
+    files = written(project(tmp_path, MINIMAL.replace("sources: [one.v]", "ip: [fifo_8.xci]")))
+    (tmp_path / "wrapper.v").write_text(files["wrappers/one/cm_region_prr0.v"])
+    stub = (
+        STREAM_MODULE.format(name="fifo_8", high=7)
+        .replace("clk,", "s_axis_aclk,")
+        .replace("resetn,", "s_axis_aresetn,")
+    )
+    (tmp_path / "stub.v").write_text(stub)
+    command = [
+        "iverilog",
+        "-g2005",
+        "-Wall",
+        "-Wno-timescale",
+        "-s",
+        "cm_region_prr0",
+        "-o",
+        "out",
+        "wrapper.v",
+        "stub.v",
+    ]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_ip_instance_without_ports_says_what_would_tell_them(tmp_path: Path) -> None:
+    (tmp_path / "old.xci").write_text("<spirit:design/>\n")
+    path = project(tmp_path, MINIMAL.replace("sources: [one.v]", "ip: [old.xci]"))
+    with pytest.raises(SchemaError, match=r"give component: \(IP-XACT\) or sim_sources"):
+        load_design(path)
+
+
+COMPONENT = """\
+<?xml version="1.0" encoding="UTF-8"?>
+<spirit:component xmlns:spirit="http://www.spiritconsortium.org/XMLSchema/SPIRIT/1685-2009"
+ xmlns:xilinx="http://www.xilinx.com">
+ <spirit:name>one</spirit:name>
+ <spirit:model><spirit:ports>{ports}</spirit:ports></spirit:model>
+</spirit:component>
+"""
+WIRE = "<spirit:wire><spirit:direction>in</spirit:direction></spirit:wire>"
+PORT = f"<spirit:port><spirit:name>{{}}</spirit:name>{WIRE}{{}}</spirit:port>"
+HIDDEN = (
+    "<spirit:vendorExtensions><xilinx:portInfo><xilinx:enablement>"
+    '<xilinx:isEnabled xilinx:id="PORT_ENABLEMENT.hidden">{}</xilinx:isEnabled>'
+    "</xilinx:enablement></xilinx:portInfo></spirit:vendorExtensions>"
+)
+
+
+def test_ports_that_a_component_hides_are_not_there(tmp_path: Path) -> None:
+    ports = PORT.format("seen", HIDDEN.format("true")) + PORT.format("hidden", HIDDEN.format("false"))
+    (tmp_path / "component.xml").write_text(COMPONENT.format(ports=ports))
+    assert [port.name for port in load_component_xml(tmp_path / "component.xml").ports] == ["seen"]

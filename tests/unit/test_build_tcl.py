@@ -178,13 +178,13 @@ def test_a_flow_without_the_block_designs_wrapper_says_what_is_missing(out: Path
         (r"set_property CONFIG.FREQ_HZ \S+ \[get_bd_intf_ports m_axi_\w+\]", "", "BD 41-237"),
         (r"set_property CONFIG.ASSOCIATED_BUSIF .*", "", "BD 41-967"),
         (r"connect_bd_net \S+ \S+ \[get_bd_pins dma_icap/m_axi_sg_aclk\]", "", "BD 41-758"),
-        (r"set_property CONFIG.NUM_MI .*", "", "BD 5-106"),
+        (r"set_property CONFIG.NUM_MI .*", "", "BD 5-232"),
         (
             r"set_property CONFIG.PCW_EN_CLK0_PORT .*|set_property CONFIG.PSU__FPGA_PL0_ENABLE .*",
             "",
-            "expects at least one",
+            "BD 41-701",
         ),
-        (r"-offset 0x\w+", "-offset 0x40000004", "BD 41-1075"),
+        (r"-offset 0x\w+", "-offset 0x40000004", "is no aligned power of two"),
     ],
 )
 def test_a_block_design_that_vivado_would_refuse_is_refused(

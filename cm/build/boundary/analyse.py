@@ -65,8 +65,13 @@ class Analysis:
 
     def completed(self, project: Project) -> Project:
         """`project` with the registers of its modules' register maps; what the build schema says goes first."""
-        modules = {name: _with_registers(project, spec) for name, spec in project.modules.items()}
+        modules = {name: _with_registers(project, self._named(spec)) for name, spec in project.modules.items()}
         return replace(project, modules=modules)
+
+    def _named(self, spec: ModuleSpec) -> ModuleSpec:
+        """Vendor IP by the name of its instance, which is that of the module that synthesis sees."""
+        known = spec.ip and not spec.readable and spec.component is None
+        return replace(spec, top=self.modules[spec.name].name) if known else spec
 
 
 def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
@@ -111,6 +116,8 @@ def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) 
 
 def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:
     if not spec.readable:
+        if spec.component is None and spec.ip:
+            return hdl.load_xci(spec.ip[0], protocols), ()
         if spec.component is None:
             raise hdl.HdlError(f"{spec.name}: nothing tells its interfaces; give sources, sim_sources or component")
         return hdl.load_component_xml(spec.component), ()

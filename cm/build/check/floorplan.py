@@ -40,7 +40,7 @@ def _kinds(region: RegionPlan, areas: list[Rectangle], system: System, device: D
             yield Finding("UG909", key, message, f"ranges of {', '.join(allowed)} are possible")
         limits = device.limits(area.kind) if device and area.kind != CLOCK_REGION else None
         if limits and (area.right > limits.right or area.top > limits.top):
-            yield Finding("Vivado 12-2285", key, f"{area} reaches beyond {system.device}", f"its sites are {limits}")
+            yield Finding("site-range", key, f"{area} reaches beyond {system.device}", f"its sites are {limits}")
     kinds = {area.kind for area in areas}
     for have, lack in (("RAMB18", "RAMB36"), ("RAMB36", "RAMB18")):
         if have in kinds and lack not in kinds:
@@ -64,7 +64,7 @@ def _room(region: RegionPlan, areas: list[Rectangle], system: System, device: De
             if wanted > there:
                 message = f"{what} needs {wanted:g} {name}, the pblock of {region.name} has {there:g}"
                 hint = _hint(attribute, there, system)
-                rule = "Place 30-640" if attribute in ("bram", "dsp") else "DRC UTLZ-1"
+                rule = "DRC UTLZ-1" if there else "DRC HDPR-18"
                 yield Finding(rule, ("regions", region.name, "pblock"), message, hint)
 
 
@@ -87,6 +87,6 @@ def _overlap(one: str, other: str, areas: dict[str, list[Rectangle]]) -> Iterato
         for theirs in areas[other]:
             if mine.meets(theirs):
                 message = f"{mine} lies on {theirs} of region {one if mine is theirs else other}"
-                yield Finding("DRC HDPR-3", ("regions", other, "pblock"), message.replace(f" of region {other}", ""),
+                yield Finding("overlap", ("regions", other, "pblock"), message.replace(f" of region {other}", ""),
                               f"{one} and {other} must not share a site")  # fmt: skip
                 return

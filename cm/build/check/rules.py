@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
+from cm.build.check.block_design import check_block_design
 from cm.build.check.clocks import check_clocks
 from cm.build.check.finding import Finding
 from cm.build.check.floorplan import check_floorplan
 from cm.build.check.pins import check_pins
 from cm.build.errors import BuildError
+from cm.build.generate import block_design
 from cm.build.plan.system import System
 
 
 def check_system(system: System) -> list[Finding]:
     """What Vivado would refuse, and what a designer should know, in the order of the flow."""
-    return [*check_clocks(system), *check_floorplan(system), *check_pins(system)]
+    design = check_block_design(system, block_design.context(system))
+    return [*check_clocks(system), *design, *check_floorplan(system), *check_pins(system)]
 
 
 def refuse_errors(system: System) -> None:

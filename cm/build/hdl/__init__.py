@@ -32,6 +32,7 @@ from cm.build.hdl.model import (
     Reset,
 )
 from cm.build.hdl.protocols import Binding, UserProtocol, load_protocols, parse_protocols
+from cm.build.hdl.xci import load_xci
 
 __all__ = [
     "Binding",
@@ -60,6 +61,7 @@ __all__ = [
     "extract",
     "load_component_xml",
     "load_protocols",
+    "load_xci",
     "parse_protocols",
     "read",
     "roots",

@@ -77,6 +77,7 @@ class _Component:
 
     def info(self) -> ModuleInfo:
         buses = [bus for group in _children(self._root, "busInterfaces") for bus in _children(group, "busInterface")]
+        buses = [bus for bus in buses if not _disabled(bus, "BUSIF_ENABLEMENT")]
         kinds = {id(bus): _bus_type(bus) for bus in buses}
         plain = [bus for bus in buses if kinds[id(bus)].get("library") != "signal" or not self._signal(bus)]
         clocks = tuple(self._clock(bus) for bus in buses if self._signal(bus) == "clock" and _port_map(bus))
@@ -115,7 +116,8 @@ class _Component:
         for model in _children(self._root, "model"):
             for group in _children(model, "ports"):
                 for node in _children(group, "port"):
-                    yield self._port(node)
+                    if not _disabled(node, "PORT_ENABLEMENT"):
+                        yield self._port(node)
 
     def _port(self, node: ElementTree.Element) -> Port:
         wire = next(_children(node, "wire"), node)
@@ -227,14 +229,25 @@ def _port_map(bus: ElementTree.Element) -> dict[str, str]:
 
 
 def _bus_parameters(bus: ElementTree.Element) -> dict[str, str]:
-    """The interface's parameters; ENABLED is "false" where Vivado hides the interface with today's parameters."""
+    """The interface's parameters."""
     found = {}
     for group in _children(bus, "parameters"):
         for node in _children(group, "parameter"):
             found[_text(node, "name").upper()] = _text(node, "value")
-    if any(_local(node.tag) == "isEnabled" and (node.text or "").strip() == "false" for node in bus.iter()):
-        found["ENABLED"] = "false"
     return found
+
+
+def _disabled(node: ElementTree.Element, what: str) -> bool:
+    """Vivado hides the port or interface with the component's parameters as they are: the HDL's instance has it not.
+
+    Parameters of an interface have an enablement of their own, which says whether they may be changed.
+    """
+    for child in node.iter():
+        if _local(child.tag) == "isEnabled" and (child.text or "").strip() == "false":
+            named = next((value for key, value in child.attrib.items() if _local(key) == "id"), what)
+            if named.startswith(what):
+                return True
+    return False
 
 
 def _span(left: str, right: str) -> int | None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from itertools import pairwise
+from pathlib import Path
 
 from cm.build.errors import BuildError
 from cm.build.platforms import platform_of
@@ -97,12 +98,18 @@ def _module(project: Project, module: ModuleSpec, report: Report) -> None:
             unknown(report, (*key, "regions", index), "region", region, project.regions)
     if not (module.sources or module.libraries or module.ip or module.tcl):
         report(key, "missing_key", "nothing to build it from", "give sources, ip or tcl")
-    if module.ip and not (module.sources or module.sim_sources or module.component):
+    has_ports = bool(module.ip) and _lists_ports(module.ip[0])
+    if module.ip and not (module.readable or module.component or has_ports):
         hint = "give component: (IP-XACT) or sim_sources: with a module of the same ports"
         report((*key, "ip"), "missing_key", "vendor IP cannot be parsed for its interfaces", hint)
     for register in module.registers.values():
         _register(register, (*key, "registers", register.name), report)
     _overlaps(module, key, report)
+
+
+def _lists_ports(path: Path) -> bool:
+    """An .xci of Vivado 2020.2 or newer; an older one has no ports."""
+    return path.is_file() and path.read_text(encoding="utf-8", errors="replace").lstrip().startswith("{")
 
 
 def _overlaps(module: ModuleSpec, key: KeyPath, report: Report) -> None:
