@@ -148,6 +148,12 @@ class ClockRate(CmError):
     code = "clock_rate"
 
 
+class WrongStatic(CmError):
+    """The device holds another static design than the one that the modules were made with."""
+
+    code = "wrong_static"  # as of a bitstream whose header says so
+
+
 class StaticUnknown(CmError):
     """Nobody knows which static part the device holds, so no partial bitstream may be loaded."""
 

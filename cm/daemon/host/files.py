@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cm.bitstream import Expectation, footprint_of, to_dma_words
+from cm.bitstream import expect_module, expect_static, footprint_of, to_dma_words
 from cm.daemon.host.bitstreams import BitstreamReader, image_of
 from cm.daemon.host.firmware import FirmwareFolder
 from cm.daemon.host.footprints import Footprints, Frames, Lesson
@@ -41,13 +41,8 @@ class BoardFiles:
         that of the first good module of the region.
         """
         region = config.regions[module.region]
-        expect = Expectation(
-            device=config.device,
-            partial=True,
-            footprint=region.footprint or self._learned(config, region),
-            allow_encrypted=region.allow_encrypted,
-            sha256=module.sha256,
-        )
+        learned = () if region.footprint else self._learned(config, region)
+        expect = expect_module(config, module, learned)
         path = bitstream_path(config, module, self._root)
         report = self._reader.validated(path, expect)
         if not region.footprint:
@@ -66,11 +61,8 @@ class BoardFiles:
 
     def static_image(self, config: Config) -> Image:
         """Find and validate the image of a full configuration."""
-        expect = Expectation(
-            device=config.device, partial=False, allow_encrypted=config.allow_encrypted, sha256=config.sha256
-        )
         path = bitstream_path(config, None, self._root)
-        return image_of(path, self._reader.validated(path, expect))
+        return image_of(path, self._reader.validated(path, expect_static(config)))
 
     def port_bytes(self, image: Image) -> bytes:
         """Words in the order a DMA-fed port takes them. Raises Sha256Mismatch if the file changed since."""

@@ -119,6 +119,9 @@ class _Planner:
         joined = [*changed, *cut]
         regions = {m.region for m in joined}
         yield s.Validate((*((static,) if static else ()), *(image for _, image in loads)))
+        asked = self._static_check() if loads else ()
+        if not static:
+            yield from asked
         streams = self._streams(regions, everything=static is not None)
         if streams:
             yield s.Quiesce(streams)
@@ -126,6 +129,7 @@ class _Planner:
         if static:  # it runs from the first moment: its clocks are right by then
             yield from self._clocks
             yield self._load_static(static)
+            yield from asked
         yield from (s.Decouple(self._region(m)) for m in changed)
         if not static:
             yield from self._clocks
@@ -136,6 +140,11 @@ class _Planner:
         yield from (s.CheckIdentity(self._region(m), m) for m in joined if self._has_identity(m))
         yield from (w for w in writes if w.register.region in regions)
         yield s.Publish(self._config.name, self._goal.mode)
+
+    def _static_check(self) -> tuple[s.CheckStatic, ...]:
+        """Whether the modules belong to the static part that is there; of an image of ours that need not be asked."""
+        check = s.CheckStatic(self._config.name, self._config.static)
+        return (check,) if check.known or self._goal.base is None else ()
 
     def _region(self, module: Module) -> Region:
         return self._config.regions[module.region]

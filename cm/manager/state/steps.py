@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cm.manager.ports import Image
-from cm.schema.model import Clock, LoaderKind, Module, Overlay, Region, Register
+from cm.schema.model import Clock, LoaderKind, Module, Overlay, Region, Register, StaticIdentity
 
 Place = tuple[int, int]  # of a register: physical address, and width in bits
 
@@ -25,6 +25,30 @@ class Validate:
     @property
     def text(self) -> str:
         return f"check {self.subject or 'nothing to load'}"
+
+
+@dataclass(frozen=True, slots=True)
+class CheckStatic:
+    """Ask the static part who it is, before a partial bitstream is loaded into it."""
+
+    config: str
+    static: StaticIdentity | None  # None, or one without a register: nothing can be asked
+    kind = "static"
+
+    @property
+    def known(self) -> bool:
+        """Whether the board can be asked, and what it has to say is known."""
+        return self.static is not None and self.static.identity is not None and self.static.base_address is not None
+
+    @property
+    def subject(self) -> str:
+        return self.config
+
+    @property
+    def text(self) -> str:
+        if not self.known or self.static is None:
+            return f"take the static part for the one that {self.config} was made with (its identity is not known)"
+        return f"check that the static part is {self.static.identity:#x}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,6 +265,7 @@ class Publish:
 
 Step = (
     Validate
+    | CheckStatic
     | Quiesce
     | RemoveOverlay
     | Decouple

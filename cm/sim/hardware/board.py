@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from cm.bitstream.devices import DEVICES, Device, device_by_name
 from cm.bitstream.module import default_footprint
 from cm.schema.model import (
+    Access,
     Config,
     Direction,
     Interrupt,
@@ -164,12 +165,27 @@ def _modules(configs: Iterable[Config]) -> Iterator[ModuleSpec]:
 
 
 def _registers(configs: Iterable[Config]) -> Iterator[Register]:
+    yield from _static_identities(configs)
     for config in configs:
         yield from config.registers.values()
         for module in config.modules.values():
             yield from module.registers.values()
         for mode in config.modes.values():
             yield from mode.registers.values()
+
+
+def _static_identities(configs: Iterable[Config]) -> Iterator[Register]:
+    """Where the static part says which one it is: that of the first configuration which says so of a register."""
+    places = set()
+    for static in (config.static for config in configs):
+        if static is None or static.base_address is None or static.identity is None:
+            continue
+        if (address := static.base_address + static.offset) not in places:
+            places.add(address)
+            name = f"static:{address:#x}"  # no schema can use the colon
+            yield Register(
+                name, static.base_address, static.offset, static.width, Access.RO, reset=static.identity, volatile=True
+            )
 
 
 def _memories(configs: Iterable[Config]) -> Iterator[Memory]:

@@ -14,6 +14,7 @@ from cm.manager.state import steps as s
 ACTIONS: Mapping[type, Callable[[StepContext, Any], None]] = MappingProxyType(
     {
         s.Validate: mode.validate,
+        s.CheckStatic: regions.check_static,
         s.Quiesce: mode.quiesce,
         s.RemoveOverlay: overlays.remove,
         s.Decouple: regions.decouple,

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from cm.manager.access.register_bus import drive, is_cut
-from cm.manager.errors import IdentityMismatch
+from cm.manager.errors import IdentityMismatch, WrongStatic
 from cm.manager.execution.actions.overlays import note_applied
 from cm.manager.execution.context import StepContext
 from cm.manager.loaders import Job, Start
@@ -97,6 +97,19 @@ def _timed(run: StepContext, step: s.Load | s.LoadStatic, start: Start) -> None:
     start(run.tell)
     run.port_seconds = run.tools.clock.monotonic() - started
     run.tools.state.observed(step.port_kind, step.image.length, run.port_seconds)
+
+
+def check_static(run: StepContext, step: s.CheckStatic) -> None:
+    """The static part's identity register has to read what the modules were made with."""
+    static = step.static
+    if not step.known or static is None or static.base_address is None:
+        return
+    value = run.tools.registers.read_address(static.base_address + static.offset, static.width)
+    if value != static.identity:
+        raise WrongStatic(
+            f"{step.config} was made with another static design than the device holds: "
+            f"expected {static.identity:#x}, the board has {value:#x}; load the image that belongs to it"
+        )
 
 
 def check_identity(run: StepContext, step: s.CheckIdentity) -> None:
