@@ -28,14 +28,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         add_json_option(action)
 
 
-def _assignment(text: str) -> tuple[str, int]:
+def _assignment(text: str) -> tuple[str, int | str]:
     name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE, such as focus=2, led.on=0x1 or led.colour=red")
     try:
-        if not equals or not name:
-            raise ValueError
         return name, number(value)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is not NAME=VALUE, such as focus=2 or led.on=0x1") from None
+        return name, value  # a field's value by its name
 
 
 def run_list(args: argparse.Namespace) -> int:
@@ -45,9 +45,18 @@ def run_list(args: argparse.Namespace) -> int:
     if args.json:
         print_json([plain(r) for r in found])
         return 0
-    rows = [(r.name, f"{r.address:#x}", r.width, r.access, _limits(r), r.region or "static", r.doc) for r in found]
+    rows = [row for r in found for row in _rows(r)]
     print_table(rows, ("NAME", "ADDRESS", "WIDTH", "ACCESS", "RANGE", "REGION", "MEANING"))
     return 0
+
+
+def _rows(r: RegisterInfo) -> list[tuple[str, str, int, str, str, str, str]]:
+    """A register, and its fields below it."""
+    rows = [(r.name, f"{r.address:#x}", r.width, r.access, _limits(r), r.region or "static", r.doc)]
+    for f in r.fields:
+        names = ", ".join(f"{name}={value}" for name, value in f.values)
+        rows.append((f"  .{f.name}", f"bit {f.lsb}", f.width, "", names, "", f.doc))
+    return rows
 
 
 def run_read(args: argparse.Namespace) -> int:
@@ -65,6 +74,9 @@ def run_write(args: argparse.Namespace) -> int:
             print("cm reg write: --mask goes with one register")
             return 2
         name, value = args.writes[0]
+        if not isinstance(value, int):
+            print("cm reg write: with --mask the value is a number")
+            return 2
         return _show(args, {name: board.registers.write_masked(name, value, args.mask)})
 
 

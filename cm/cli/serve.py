@@ -50,6 +50,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "--config", type=Path, action="append", default=[], metavar="DIR", help="schema file, or a folder of them"
     )
     parser.add_argument("--load", metavar="CONFIG[/MODE]", help="enter this where nothing is loaded at start")
+    parser.add_argument("--name", metavar="NAME", help="the board's name, told in its status (default: of its host)")
     parser.add_argument("--runtime-dir", type=Path, metavar="DIR", help="folder of the sockets (default: /run/cm)")
     parser.add_argument("--state-dir", type=Path, metavar="DIR", help="folder of the state (default: /var/lib/cm)")
     parser.add_argument("--root", metavar="DIR", help="where the board's /dev and /sys begin (default: $CM_ROOT, /)")
@@ -151,6 +152,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         configs=configs,
         listen=tuple(listen),
         security=security_of(listen, keys, insecure),
+        name=args.name or said.name,
         load=args.load or said.load or ("camera" if example else ""),
         settings=ManagerSettings(prefetch_bytes=prefetch << 20),
         queue_bytes=queue,

@@ -32,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
 def show(status: Status) -> None:
     """Print a status for people."""
     loaded = f"{status.config_name}/{status.mode}" if status.config_name else "nothing loaded"
-    print(f"{loaded}   {headline(status)}")
+    print(f"{f'{status.board}: ' if status.board else ''}{loaded}   {headline(status)}")
     if status.last_error:
         print(f"last error: {status.last_error.code}: {status.last_error.message}")
     if status.regions:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, MutableMapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from typing import TYPE_CHECKING, Any
 
 from cm.client.core import calls, registers
@@ -25,7 +25,7 @@ class Registers(MutableMapping[str, int]):
     def __getitem__(self, name: str) -> int:
         return self._board.ask(calls.read_registers((name,))).values[0].value
 
-    def __setitem__(self, name: str, value: int) -> None:
+    def __setitem__(self, name: str, value: int | str) -> None:
         self.write({name: value})
 
     def __delitem__(self, name: str) -> None:
@@ -57,8 +57,11 @@ class Registers(MutableMapping[str, int]):
         """Several at once; all that can be read if none is named."""
         return registers.values(self._board.ask(calls.read_registers(names)))
 
-    def write(self, values: dict[str, int], lease: str = "") -> dict[str, int]:
-        """Several in order, all checked before the first is written; returns what they hold then."""
+    def write(self, values: Mapping[str, int | str], lease: str = "") -> dict[str, int]:
+        """Several in order, all checked before the first is written; returns what they hold then.
+
+        Values are integers, or names that the schema gives to a field's values: ``{"led.colour": "red"}``.
+        """
         return registers.values(self._board.ask(calls.write_registers(values, lease)))
 
     def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:

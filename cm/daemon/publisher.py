@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -26,8 +27,9 @@ _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 class Publisher:
     """Keeps track of who subscribes to what; numbers statuses. The loop's thread."""
 
-    def __init__(self, loop: Loop, socket: zmq.Socket[bytes]) -> None:
+    def __init__(self, loop: Loop, socket: zmq.Socket[bytes], board: str = "") -> None:
         self._socket = socket
+        self._board = board or os.uname().nodename
         self._sender = XpubSender(loop, socket)
         self._compressor = Compressor(loop, self._compressed)
         self._subscriptions: set[bytes] = set()
@@ -71,7 +73,14 @@ class Publisher:
 
     def complete(self, status: Status) -> Status:
         """A status with what only the daemon knows."""
-        return replace(status, sequence=self.sequence, version=__version__, started_ns=self._started_ns)
+        return replace(
+            status,
+            sequence=self.sequence,
+            version=__version__,
+            started_ns=self._started_ns,
+            board=self._board,
+            realtime_offset_ns=time.time_ns() - time.monotonic_ns(),
+        )
 
     def status(self, status: Status) -> None:
         """Publish a status under a new number."""

@@ -74,7 +74,7 @@ class Server:
         configs = self._configs()
         waiting = mark(configs.values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting)
-        self._publisher = Publisher(self._loop, self._sockets.pub)
+        self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         clock = MonotonicClock()
         leases = Leases(clock)
         self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)

@@ -85,11 +85,12 @@ class ReadReg:
 
 @dataclass(frozen=True, slots=True)
 class RegWrite:
-    """One write; with `mask`, a read-modify-write of the bits set in it."""
+    """One write; with `mask`, a read-modify-write of the bits set in it; `named`: a field's value by its name."""
 
     name: str
     value: int
     mask: int | None = None
+    named: str = ""
 
 
 @dataclass(frozen=True, slots=True)

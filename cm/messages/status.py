@@ -122,6 +122,8 @@ class Status:
     last_change: int = 0
     last_change_seconds: float = 0.0
     clocks: tuple[ClockStatus, ...] = ()
+    board: str = ""  # the board's name
+    realtime_offset_ns: int = 0  # CLOCK_REALTIME less CLOCK_MONOTONIC of the manager's machine
 
 
 class RegValue(NamedTuple):
@@ -148,6 +150,7 @@ class FieldInfo:
     lsb: int
     width: int
     doc: str = ""
+    values: tuple[tuple[str, int], ...] = ()  # names of values
 
 
 @dataclass(frozen=True, slots=True)

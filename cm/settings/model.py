@@ -40,6 +40,7 @@ class Settings:
     insecure: bool = False
     configs: tuple[str, ...] = SEARCH_PATH
     load: str = ""
+    name: str = ""
     runtime_dir: Path | None = None
     state_dir: Path | None = None
     firmware_dir: Path | None = None

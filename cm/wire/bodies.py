@@ -34,6 +34,8 @@ def status_to_pb(s: st.Status) -> pb.Status:
         last_change=s.last_change,
         last_change_seconds=s.last_change_seconds,
         clocks=_clocks_to_pb(s.clocks),
+        board=s.board,
+        realtime_offset_ns=s.realtime_offset_ns,
     )
     if s.progress is not None:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
@@ -59,6 +61,8 @@ def status_from_pb(m: pb.Status) -> st.Status:
         last_change=m.last_change,
         last_change_seconds=m.last_change_seconds,
         clocks=_clocks_from_pb(m.clocks),
+        board=m.board,
+        realtime_offset_ns=m.realtime_offset_ns,
     )
 
 
@@ -218,10 +222,19 @@ def _register_to_pb(r: st.RegisterInfo) -> pb.RegisterInfo:
         minimum=r.minimum,
         maximum=r.maximum,
         doc=r.doc,
-        fields=[pb.FieldInfo(name=f.name, lsb=f.lsb, width=f.width, doc=f.doc) for f in r.fields],
+        fields=[_field_to_pb(f) for f in r.fields],
         modes=r.modes,
         region=r.region,
     )
+
+
+def _field_to_pb(f: st.FieldInfo) -> pb.FieldInfo:
+    values = [pb.FieldValue(name=name, value=value) for name, value in f.values]
+    return pb.FieldInfo(name=f.name, lsb=f.lsb, width=f.width, doc=f.doc, values=values)
+
+
+def _field_from_pb(m: pb.FieldInfo) -> st.FieldInfo:
+    return st.FieldInfo(m.name, m.lsb, m.width, m.doc, tuple((v.name, v.value) for v in m.values))
 
 
 def _register_from_pb(m: pb.RegisterInfo) -> st.RegisterInfo:
@@ -234,7 +247,7 @@ def _register_from_pb(m: pb.RegisterInfo) -> st.RegisterInfo:
         m.minimum if m.HasField("minimum") else None,
         m.maximum if m.HasField("maximum") else None,
         m.doc,
-        tuple(st.FieldInfo(f.name, f.lsb, f.width, f.doc) for f in m.fields),
+        tuple(_field_from_pb(f) for f in m.fields),
         tuple(m.modes),
         m.region,
     )

@@ -127,7 +127,7 @@ def _write_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     m = _parse(pb.WriteReg, "cm_write_reg", message)
     if not m.writes:
         raise InvalidRequest("cm_write_reg: no register is named; writes must hold at least one")
-    writes = tuple(rq.RegWrite(w.name, w.value, w.mask if w.HasField("mask") else None) for w in m.writes)
+    writes = tuple(rq.RegWrite(w.name, w.value, w.mask if w.HasField("mask") else None, w.named) for w in m.writes)
     return rq.WriteReg(writes, m.lease)
 
 

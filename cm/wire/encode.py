@@ -53,7 +53,7 @@ def _write_reg(r: rq.WriteReg) -> list[Frame]:
     for write in r.writes:
         if not 0 <= write.value < 1 << 64:
             raise InvalidRequest(f"register {write.name!r}: value {write.value} does not fit 64 bits, unsigned")
-    writes = [pb.RegWrite(name=w.name, value=w.value, mask=w.mask) for w in r.writes]
+    writes = [pb.RegWrite(name=w.name, value=w.value, mask=w.mask, named=w.named) for w in r.writes]
     return [topics.WRITE_REG, pb.WriteReg(writes=writes, lease=r.lease).SerializeToString()]
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import gc
 import inspect
 import json
+import os
 import pickle
 import subprocess
 import sys
@@ -96,6 +97,13 @@ def test_status_tells_what_is_loaded(board: Any) -> None:
     status = board.status
     assert (status.config_name, status.mode, status.fpga_busy) == ("camera", "default", False)
     assert board.mode == "default"
+
+
+def test_the_status_names_the_board_and_tells_wall_time_from_its_own_clock(board: Any) -> None:
+    status = board.status
+    assert status.board == os.uname().nodename
+    now = time.time_ns() - time.monotonic_ns()
+    assert abs(status.realtime_offset_ns - now) < 3_600 * 10**9  # one machine: the clocks are the same
 
 
 def test_configurations_can_be_listed_and_described(board: Any) -> None:
@@ -249,6 +257,23 @@ def test_integers_of_every_kind_are_written(board: Any, value: Any) -> None:
 
 def test_registers_are_described(board: Any) -> None:
     assert board.registers.info["focus"].name == "focus"
+
+
+def test_a_fields_value_is_written_by_its_name(board: Any) -> None:
+    assert board.registers.write({"led.blink": "fast"}) == {"led": board.registers.read("led")["led"]}
+    assert board.registers.read("led.blink") == {"led.blink": 2}
+    [blink] = [f for f in board.registers.info["led"].fields if f.name == "blink"]
+    assert dict(blink.values) == {"steady": 0, "slow": 1, "fast": 2}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"), [("led.blink", "fsat", "did you mean 'fast'"), ("focus", "3", "integer")]
+)
+def test_a_name_that_a_value_has_not_is_refused(board: Any, name: str, value: str, says: str) -> None:
+    before = board.registers.read(name)
+    with pytest.raises(RequestInvalid, match=says):
+        board.registers.write({name: value})
+    assert board.registers.read(name) == before
 
 
 def test_writes_are_told_to_who_listens(board: Any, other: Any) -> None:

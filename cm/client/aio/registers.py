@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from cm.client.aio.events import EventStream
@@ -36,8 +37,11 @@ class Registers:
         """Several at once; all that can be read if none is named."""
         return registers.values(await self._board.ask(calls.read_registers(names)))
 
-    async def write(self, values: dict[str, int], lease: str = "") -> dict[str, int]:
-        """Several in order, all checked before the first is written; returns what they hold then."""
+    async def write(self, values: Mapping[str, int | str], lease: str = "") -> dict[str, int]:
+        """Several in order, all checked before the first is written; returns what they hold then.
+
+        Values are integers, or names that the schema gives to a field's values: ``{"led.colour": "red"}``.
+        """
         return registers.values(await self._board.ask(calls.write_registers(values, lease)))
 
     async def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from cm.client.core.values import register_value
+from cm.client.core.values import register_value, register_write
 from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
@@ -93,9 +93,9 @@ def read_registers(names: tuple[str, ...]) -> Call[RegValues]:
     return Call(rq.ReadReg(names), lambda r: _body(r, RegValues))
 
 
-def write_registers(values: dict[str, int], lease: str = "") -> Call[RegValues]:
-    """Registers by name, in order, all checked before the first is written."""
-    writes = tuple(rq.RegWrite(name, register_value(name, value)) for name, value in values.items())
+def write_registers(values: Mapping[str, int | str], lease: str = "") -> Call[RegValues]:
+    """Registers by name, in order, all checked before the first is written; a field's value may be named."""
+    writes = tuple(register_write(name, value) for name, value in values.items())
     return Call(rq.WriteReg(writes, lease), lambda r: _body(r, RegValues))
 
 

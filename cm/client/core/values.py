@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from cm.errors import InvalidRequest
+from cm.messages.requests import RegWrite
 
 _MOST = (1 << 64) - 1
 
@@ -24,6 +25,13 @@ def register_value(name: str, value: Any) -> int:
     if not 0 <= number <= _MOST:
         raise InvalidRequest(f"register {name!r} takes an integer from 0 on, not {number}")
     return number
+
+
+def register_write(name: str, value: Any) -> RegWrite:
+    """A write of an integer, or of a field's value by its name, which the manager looks up. Raises InvalidRequest."""
+    if isinstance(value, str) and value:
+        return RegWrite(name, 0, named=value)
+    return RegWrite(name, register_value(name, value))
 
 
 def mode_name(mode: Any) -> str:

@@ -67,6 +67,8 @@ def checked_write(
     if register.access is Access.RO:
         raise AccessDenied(f"register {register.name!r} is read-only")
     full = (1 << register.width) - 1
+    if write.named:
+        write = _by_name(write, field)
     if field is not None:
         limit = (1 << field.width) - 1
         if write.mask is not None:
@@ -82,6 +84,16 @@ def checked_write(
     if not 0 <= write.mask <= full:
         raise OutOfRange(f"register {write.name!r}: mask {write.mask:#x} does not fit {register.width} bits")
     return register, write.value & write.mask, write.mask
+
+
+def _by_name(write: RegWrite, field: BitField | None) -> RegWrite:
+    """A write of a value that was named, with the value. Raises OutOfRange."""
+    names = field.values if field is not None else {}
+    if not names:
+        raise OutOfRange(f"register {write.name!r} takes an integer, not {write.named!r}: its values have no names")
+    if write.named not in names:
+        raise OutOfRange(f"register {write.name!r} has no value {write.named!r}{_nearest(write.named, names)}")
+    return RegWrite(write.name, names[write.named], write.mask)
 
 
 def _in_range(name: str, value: int, low: int, high: int) -> None:

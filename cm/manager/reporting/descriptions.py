@@ -100,7 +100,7 @@ def _register(r: Register, modes: list[str], of_modes: int) -> RegisterInfo:
         minimum=r.minimum,
         maximum=r.maximum,
         doc=r.doc,
-        fields=tuple(FieldInfo(f.name, f.lsb, f.width, f.doc) for f in r.fields.values()),
+        fields=tuple(FieldInfo(f.name, f.lsb, f.width, f.doc, tuple(f.values.items())) for f in r.fields.values()),
         modes=() if len(modes) == of_modes else tuple(modes),
         region=r.region or "",
     )
