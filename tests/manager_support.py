@@ -27,13 +27,18 @@ CAMERA = Path(__file__).resolve().parents[1] / "cm" / "data" / "camera" / "camer
 
 
 class Clock:
-    """The system's, but tests may put it forward."""
+    """The system's, but tests may put it forward, or have no other time than that."""
 
     def __init__(self) -> None:
         self.ahead = 0.0
+        self._standing: float | None = None
+
+    def stand_still(self) -> None:
+        """Only `ahead` moves it from now on: what the machine takes does not count."""
+        self._standing = time.monotonic()
 
     def monotonic(self) -> float:
-        return time.monotonic() + self.ahead
+        return (time.monotonic() if self._standing is None else self._standing) + self.ahead
 
 
 class Nobody:

@@ -19,7 +19,7 @@ from cm.errors import CmError, Timeout
 from cm.sim import Board as SimBoard
 
 LIMIT = 3  # seconds: CM_NODE_TIMEOUT_MS where CM_SIM_TIMEOUT says nothing better
-AT_ONCE = 2.5  # a busy machine's idea of it: less than that
+TIMES = 12  # requests in a row: if each waited for the board, they would take that many times LIMIT
 Own = tuple[Manager, SimBoard]
 
 
@@ -48,14 +48,16 @@ def stopped(sim: SimBoard) -> Iterator[None]:
         os.kill(sim.pid, signal.SIGCONT)
 
 
-def took(begun: float) -> float:
-    return time.monotonic() - begun
-
-
-def answers(board: cm.Board, within: float) -> None:
+def at_once(call: Callable[[], object]) -> None:
+    """None of many calls waits for the board: a third of what they would take then is enough for any machine."""
     begun = time.monotonic()
+    for _ in range(TIMES):
+        call()
+    assert time.monotonic() - begun < TIMES * LIMIT / 3
+
+
+def answers(board: cm.Board) -> None:
     assert board.status.config_name == "camera"
-    assert took(begun) < within
 
 
 def again(call: Callable[[], object]) -> None:
@@ -76,20 +78,22 @@ def test_a_stream_whose_board_is_stopped_ends_and_goes_on_with_it(board: cm.Boar
         held = [stream.read(timeout=20) for _ in range(3)]
         with stopped(own[1]):
             held.clear()  # what is given back goes to the board
-            answers(board, LIMIT + AT_ONCE)
-            until(lambda: board.status.last_error is not None, LIMIT + AT_ONCE)
+            answers(board)
+            until(lambda: board.status.last_error is not None)
             error = board.status.last_error
             assert error is not None
             assert "'camera' ended: Connection timed out" in error.message
-            for _ in range(30):  # ticks of the manager come and go
-                answers(board, AT_ONCE)
-                time.sleep(0.1)
+            for _ in range(3):  # ticks of the manager come and go
+                at_once(lambda: answers(board))
+                time.sleep(1.0)
             with pytest.raises(Timeout, match="it is stopped"):
                 list(stream)  # those that had come before
-            begun = time.monotonic()
-            with pytest.raises(Timeout, match="board does not answer"):
-                board.read("camera")
-            assert took(begun) < AT_ONCE
+
+            def read() -> None:
+                with pytest.raises(Timeout, match="board does not answer"):
+                    board.read("camera")
+
+            at_once(read)
         assert stream.read(timeout=20).shape == (480, 640)
         assert board.read("camera", timeout=5).shape == (480, 640)
 
@@ -97,12 +101,14 @@ def test_a_stream_whose_board_is_stopped_ends_and_goes_on_with_it(board: cm.Boar
 def test_registers_are_an_error_after_a_while_and_at_once_then(board: cm.Board, own: Own) -> None:
     board.registers["focus"] = 2
     with stopped(own[1]):
-        for longest in (LIMIT + AT_ONCE, AT_ONCE):
-            begun = time.monotonic()
+
+        def write() -> None:
             with pytest.raises(Timeout, match="0x5"):
                 board.registers["focus"] = 5
-            assert took(begun) < longest
-        answers(board, AT_ONCE)
+
+        write()
+        at_once(write)
+        at_once(lambda: answers(board))
     again(lambda: board.registers.write({"focus": 7}))
     assert board.registers["focus"] == 7
 
@@ -126,24 +132,24 @@ def test_a_writer_is_told_and_writes_again(board: cm.Board, own: Own) -> None:
 
 def test_who_comes_while_it_is_stopped_is_refused_and_keeps_nobody_else_waiting(board: cm.Board, own: Own) -> None:
     with stopped(own[1]):
-        for longest in (LIMIT + AT_ONCE, AT_ONCE):
-            begun = time.monotonic()
+
+        def read() -> None:
             with pytest.raises(CmError) as caught:
                 board.read("camera")
-            assert took(begun) < longest
             assert caught.value.code == "timeout"
-        answers(board, AT_ONCE)
+
+        read()
+        at_once(read)
+        at_once(lambda: answers(board))
     again(lambda: board.read("camera"))
 
 
 def test_a_change_of_mode_ends_too(board: cm.Board, own: Own) -> None:
     board.registers["focus"] = 2
     with stopped(own[1]):
-        begun = time.monotonic()
         with pytest.raises(CmError):
             board.load("camera", "edge_detection")
-        assert took(begun) < 60
-        answers(board, LIMIT + AT_ONCE)
+        answers(board)
     again(lambda: board.registers.write({"scratch": 1}))
     board.load("camera", "edge_detection", force=True)
     assert (board.mode, board.status.fpga_busy) == ("edge_detection", False)

@@ -555,6 +555,7 @@ def test_a_plan_expects_what_such_changes_took_even_after_a_restart(
     request = ChangeMode(config_name="duo", mode="both")
     at(made, "duo/default")
     first = made.manager.plan(request).seconds
+    made.clock.stand_still()
     made.fault.watch = slowly
     at(made, *("duo/both", "duo/default") * 6)
     made.fault.watch = lambda _: None

@@ -275,10 +275,11 @@ def test_a_camera_keeps_its_rate(tmp_path):
         Dma(board.root, "dev/cm_dma/camera") as channel,
     ):
         handle, _ = channel.alloc(480 * 640)
+        begun = time.monotonic_ns()
         for _ in range(21):
             channel.submit(handle, 480 * 640)
         times = [channel.done()[2] for _ in range(21)]
-        assert times[-1] - times[0] > 0.19e9
+        assert times[-1] - begun >= 0.2e9  # twenty of 10 ms; late ones make it longer, never shorter
 
 
 ALL_NODES = [
@@ -323,13 +324,21 @@ def test_whatever_is_asked_every_request_has_a_reply_and_the_board_lives(small, 
 
 
 def test_an_idle_board_uses_no_processor_time(board):
+    def wakes() -> int:
+        """How often its threads went to sleep: a number that no other process changes."""
+        tasks = Path(f"/proc/{board.pid}/task").iterdir()
+        lines = [line for task in tasks for line in (task / "status").read_text().splitlines()]
+        return sum(int(line.split()[1]) for line in lines if line.startswith("voluntary_ctxt_switches"))
+
     def used() -> float:
         fields = Path(f"/proc/{board.pid}/stat").read_text().rpartition(")")[2].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
-    before, begun = used(), time.monotonic()
+    time_before, before, begun = used(), wakes(), time.monotonic()
     select.select([], [], [], 1.0)
-    assert (used() - before) / (time.monotonic() - begun) < 0.05
+    passed = time.monotonic() - begun
+    assert wakes() - before < 20 * passed  # it looks after its parent four times a second
+    assert used() - time_before < 0.25 * passed  # and does not spin
 
 
 def test_a_board_ends_when_its_parent_has_died_and_nobody_uses_it(tmp_path):

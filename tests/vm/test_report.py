@@ -16,7 +16,7 @@ from vmboard.cache import Cache, digest
 from vmboard.errors import EXIT_MISSING, MissingError
 from vmboard.main import main
 from vmboard.payload import closure
-from vmboard.shell import require
+from vmboard.shell import require, run
 
 CLEAN = """\
 [    0.000000] Linux version 6.1.192-cm
@@ -163,4 +163,15 @@ def test_a_host_without_qemu_exits_distinctly(
 ) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert main(["--cache", str(tmp_path), "test", "--tier", "stock"]) == EXIT_MISSING
-    assert "qemu-system-aarch64" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "not installed: qemu-system-aarch64, depmod" in said
+    assert "apt install" in said
+    assert "kmod" in said
+
+
+def test_a_program_that_is_missing_when_it_is_run_is_named_with_its_package(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(MissingError, match=r"depmod \(apt install kmod;"):
+        run(["depmod", "-b", tmp_path, "6.1"])

@@ -39,7 +39,7 @@ def machine(
     cache: Cache, tier: Tier, arguments: tuple[str, ...] = (), forwards: dict[int, int] | None = None
 ) -> qemu.Machine:
     """Build what a board needs, and describe it."""
-    require(tier.arch.qemu)
+    require(tier.arch.qemu, "depmod", "mke2fs", "protoc")  # what is missing is told before anything is fetched
     kernel = tier.kernel(cache)
     accelerated = tier.kvm and kvm.works(cache, kernel)
     slow = 1 if accelerated else tier.slow

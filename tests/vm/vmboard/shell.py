@@ -12,13 +12,25 @@ from pathlib import Path
 from .errors import MissingError, VmError
 
 Argument = str | Path
+PACKAGES = {  # of Debian, where they are called otherwise than the program
+    "depmod": "kmod",
+    "dpkg-deb": "dpkg",
+    "dtc": "device-tree-compiler",
+    "mke2fs": "e2fsprogs",
+    "protoc": "protobuf-compiler",
+    "qemu-system-aarch64": "qemu-system-arm",
+    "qemu-system-x86_64": "qemu-system-x86",
+    "aarch64-linux-gnu-gcc": "gcc-aarch64-linux-gnu",
+}
 
 
 def require(*programs: str) -> None:
     """Raise MissingError naming every program that is not on the PATH."""
     missing = [name for name in programs if shutil.which(name) is None]
     if missing:
-        raise MissingError(f"not installed: {', '.join(missing)} (tests/vm/packages.txt lists the Debian packages)")
+        packages = " ".join(sorted({PACKAGES.get(name, name) for name in missing}))
+        names = ", ".join(missing)
+        raise MissingError(f"not installed: {names} (apt install {packages}; tests/vm/packages.txt has all)")
 
 
 def run(
@@ -28,8 +40,12 @@ def run(
     log: Path | None = None,
     env: Mapping[str, str] | None = None,
 ) -> str:
-    """Run a program and return its standard output, or append all output to `log`; VmError where it fails."""
+    """Run a program and return its standard output, or append all output to `log`.
+
+    Raises VmError where it fails, MissingError where it is not there.
+    """
     arguments = [str(argument) for argument in command]
+    require(arguments[0])
     environment = None if env is None else {**os.environ, **env}
     if log is None:
         done = subprocess.run(arguments, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
