@@ -15,10 +15,10 @@ from cm.build.boards import boards
 from cm.build.check.block_design import check_block_design
 from cm.build.check.rules import check_system
 from cm.build.errors import BuildError
-from cm.build.generate.block_design import context
 from cm.build.generate.outputs import render_all
 from cm.build.generate.tree import generate, load_design
 from cm.build.partition.parts import part_of
+from cm.build.plan.block_design import context
 from cm.build.plan.floorplan import DEVICES, Rectangle, device_sites, rectangle
 from cm.build.plan.system import System
 from cm.build.platforms import device_of

@@ -13,7 +13,7 @@ from itertools import combinations
 from typing import Any
 
 from cm.build.check.finding import Finding
-from cm.build.generate.block_design import ClockPin, DmaCell, Segment
+from cm.build.plan.block_design import ClockPin, DmaCell, Segment
 from cm.build.plan.system import System
 from cm.schema.problems import KeyPath
 
@@ -39,7 +39,7 @@ _FCLK = re.compile(r"PCW_FPGA\d_PERIPHERAL_FREQMHZ")
 
 
 def check_block_design(system: System, context: Mapping[str, Any]) -> Iterator[Finding]:
-    """Findings of the block design that `context` describes (`cm.build.generate.block_design.context`)."""
+    """Findings of the block design that `context` describes (`cm.build.plan.block_design.context`)."""
     for dma in context["dmas"]:
         yield from _dma(dma)
     yield from _settings(context)

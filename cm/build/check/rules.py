@@ -9,7 +9,7 @@ from cm.build.check.finding import Finding
 from cm.build.check.floorplan import check_floorplan
 from cm.build.check.pins import check_pins
 from cm.build.errors import BuildError
-from cm.build.generate import block_design
+from cm.build.plan import block_design
 from cm.build.plan.system import System
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cm.build.generate.ports import memory_ports
+from cm.build.plan.ports import memory_ports
 from cm.build.plan.system import System
 
 _AFI_FS, _AFI_FS_128 = 14, 0xA00

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.build.generate import block_design, inputs
+from cm.build.generate import inputs
 from cm.build.generate.software import software_outputs
 from cm.build.generate.static_part.module import static_part
 from cm.build.generate.top import top
 from cm.build.generate.wrapper import black_box, wrapper
-from cm.build.plan import flow
+from cm.build.plan import block_design, flow
 from cm.build.plan.floorplan import KINDS, rectangle
 from cm.build.plan.pins import placements
 from cm.build.plan.system import System

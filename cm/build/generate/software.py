@@ -8,8 +8,7 @@ from typing import Any
 
 from cm.bitstream import device_by_name
 from cm.build.generate import afi
-from cm.build.generate.static_part.module import used_clocks
-from cm.build.plan.system import Implementation, RegionPlan, System
+from cm.build.plan.system import Implementation, RegionPlan, System, used_clocks
 from cm.build.runtime.answers import Answers
 from cm.build.runtime.schema import REGION_BLOCK, REGION_STRIDE, runtime_config
 from cm.build.runtime.text import runtime_text

@@ -194,3 +194,10 @@ class System:
     def implementation(self, module: str, region: str) -> Implementation:
         """The implementation of a module in a region."""
         return next(i for i in self.implementations if i.module.name == module and i.region.name == region)
+
+
+def used_clocks(system: System) -> list[str]:
+    """Clocks that something runs on, in the order of the build schema."""
+    used = {domain.clock for domain in system.domains} | {region.spec.clock for region in system.regions}
+    used |= {clock for region in system.regions for clock in region.clocks.values() if clock}
+    return [clock for clock in system.project.clocks if clock in used]

@@ -7,7 +7,7 @@ from cm.build.generate.lite import LITE, PER_SLAVE, SHARED, slave_port
 from cm.build.generate.netlist import Netlist, concat, zeros
 from cm.build.generate.static_part.region import add_region
 from cm.build.hdl.model import PortDirection
-from cm.build.plan.system import Domain, System, Window
+from cm.build.plan.system import Domain, System, Window, used_clocks
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 
@@ -26,13 +26,6 @@ def static_part(system: System) -> Netlist:
     if system.icap:
         _icap(net, system)
     return net
-
-
-def used_clocks(system: System) -> list[str]:
-    """Clocks that something runs on, in the order of the build schema."""
-    used = {domain.clock for domain in system.domains} | {region.spec.clock for region in system.regions}
-    used |= {clock for region in system.regions for clock in region.clocks.values() if clock}
-    return [clock for clock in system.project.clocks if clock in used]
 
 
 def _interconnect(net: Netlist, domain: Domain) -> None:

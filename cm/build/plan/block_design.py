@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cm.build.errors import BuildError
-from cm.build.generate.ports import HPM_WIDTH, MAX_SLAVES, WIDTH, MemoryPort, memory_ports
-from cm.build.generate.static_part.module import used_clocks
 from cm.build.hdl.model import Interface
-from cm.build.plan.system import Dma, System, Window
+from cm.build.plan.ports import HPM_WIDTH, MAX_SLAVES, WIDTH, MemoryPort, memory_ports
+from cm.build.plan.system import Dma, System, Window, used_clocks
 from cm.schema.model import Direction
 
 
