@@ -19,7 +19,7 @@ OUT ?= demo
 IMAGES ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb layer clean distclean check-system
+.PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb layer clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -63,6 +63,14 @@ test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Ica
 
 test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
+
+device-suite: $(STAMP) ## tests of the device layer: BOARD=sim, or BOARD=hw TARGET=user@host (or LAB=labgrid.yaml; BOARD_FILE, BOARD_PYTHON)
+ifeq ($(BOARD),hw)
+	$(BIN)/python tests/device/over_ssh.py $(if $(LAB),--lab $(LAB),--target $(or $(TARGET),$(error device-suite: say TARGET=user@host or LAB=file))) \
+		$(if $(BOARD_FILE),--board-file $(BOARD_FILE)) $(if $(BOARD_PYTHON),--python $(BOARD_PYTHON)) --sudo $(PYTEST_ARGS)
+else
+	$(PYTEST) tests/device --board=sim $(PYTEST_ARGS)
+endif
 
 vm: $(STAMP) ## a shell on that board, with a manager running and its ports forwarded
 	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)"
