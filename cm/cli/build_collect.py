@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import os
+import time
+from dataclasses import replace
 from pathlib import Path
 
 from cm.build.collect.collected import Collected
@@ -29,6 +32,17 @@ def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentPars
     parser.add_argument("--out", type=Path, metavar="DIR", help="the build schema's output folder")
     parser.add_argument("--name", help="name of the configuration (default: that of the design)")
     parser.add_argument("--target", "-o", type=Path, default=Path("target"), metavar="DIR", help="default: target/")
+    parser.add_argument(
+        "--sign",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="KEY.pem",
+        help="sign with this ed25519 key (again: with several)",
+    )
+    parser.add_argument(
+        "--bundle-version", type=int, metavar="N", help="of the signed files; a newer one is higher (default: the time)"
+    )
     add_json_option(parser)
     parser.set_defaults(run=run_collect)
 
@@ -36,6 +50,8 @@ def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentPars
 def run_collect(args: argparse.Namespace) -> int:
     """Write the folder and the archive."""
     found = _ours(args) if args.schema else collect(args.paths, args.name)
+    if args.sign:
+        found = _signed(found, args.sign, args.bundle_version)
     args.target.mkdir(parents=True, exist_ok=True)
     folder, packed = write(found, args.target)
     if args.json:
@@ -53,6 +69,16 @@ def run_collect(args: argparse.Namespace) -> int:
         print(f"note: {note}")
     print(f"without a board: cm serve --sim --config {folder}")
     return 0
+
+
+def _signed(found: Collected, keys: list[Path], version: int | None) -> Collected:
+    """The same with a manifest of all files, and its signatures."""
+    from cm.signing import add_manifest, sign
+    from cm.signing.manifest import MANIFEST, SIGNATURES
+
+    number = int(os.environ.get("SOURCE_DATE_EPOCH") or time.time()) if version is None else version
+    files = add_manifest(found.config.name, number, found.files)
+    return replace(found, files={**files, SIGNATURES: sign(files[MANIFEST], keys)})
 
 
 def _ours(args: argparse.Namespace) -> Collected:

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from cm.cli.common import add_json_option, print_json
 from cm.importers import Imported, import_dfx_mgr, import_pynq, unpack, write
 from cm.schema import dump
+from cm.settings.model import Settings
 
 FIRMWARE = Path("/lib/firmware/cm")  # where the manager looks for a configuration's files
 
@@ -32,6 +34,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     packed.add_argument("source", type=Path, metavar="FILE.tar.gz")
     packed.add_argument("--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"below this folder ({FIRMWARE})")
     packed.add_argument("--keep", type=_count, metavar="N", help="earlier versions to keep for a rollback (default: 3)")
+    packed.add_argument("--settings", type=Path, metavar="FILE", help="whose policy counts (/etc/cm/cm.yaml)")
     add_json_option(packed)
     packed.set_defaults(run=run_archive)
     for each in (dfx, pynq):
@@ -58,10 +61,27 @@ def run(args: argparse.Namespace) -> int:
 
 def run_archive(args: argparse.Namespace) -> int:
     """Unpack; 0 unless the archive is refused."""
-    done = unpack(args.source, args.out, _keep() if args.keep is None else args.keep)
+    from cm.cli.signatures import policy_of
+    from cm.signing import judge
+    from cm.signing.policy import Judgement
+
+    settings = _settings(args.settings)
+    policy, found = policy_of(settings), [Judgement()]
+
+    def asked(folder: Path, name: str, installed: Path) -> None:
+        found.append(judge(folder, name, policy, installed))
+
+    done = unpack(args.source, args.out, settings.imports.keep if args.keep is None else args.keep, asked)
+    signer, warning = found[-1].signer, found[-1].warning
     if args.json:
-        print_json({"config": done.config.name, "folder": str(done.folder), "files": list(done.files)})
+        files = list(done.files)
+        told = {key: value for key, value in (("signer", signer), ("warning", warning)) if value}
+        print_json({"config": done.config.name, "folder": str(done.folder), "files": files, **told})
     else:
+        if warning:
+            print(f"warning: {warning}", file=sys.stderr)
+        elif signer:
+            print(f"{args.source}: signed by {signer}, version {found[-1].version}")
         counts = f"{len(done.config.modules)} modules, {len(done.config.modes)} modes, {len(done.files)} files"
         print(f"{done.folder}: configuration {done.config.name}, {counts}")
     return 0
@@ -73,15 +93,15 @@ def _count(text: str) -> int:
     return int(text)
 
 
-def _keep() -> int:
-    """What the system's settings say, where there are some."""
-    from cm.settings.model import FILE, Settings
+def _settings(path: Path | None) -> Settings:
+    """The settings that are named, else the system's, where there are some."""
+    from cm.settings.model import FILE
 
-    if not FILE.exists():
-        return Settings().imports.keep
+    if path is None and not FILE.exists():
+        return Settings()
     from cm.settings import load_settings
 
-    return load_settings().imports.keep
+    return load_settings(path or FILE)
 
 
 def _report(imported: Imported, files: list[Path]) -> dict[str, object]:

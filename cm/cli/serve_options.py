@@ -59,12 +59,21 @@ def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[s
 
     What somebody named on the command line must be right; what lies on the search path may be left out.
     """
+    from cm.cli.signatures import policy_of, signed_only
+
+    left_out: tuple[str, ...] = ()
     if not paths and settings is not None:
         from cm.settings import find_configs
 
-        found = find_configs(settings.configs)
-        return found.configs, found.left_out
-    return load_configs(paths), ()
+        along = find_configs(settings.configs)
+        configs, left_out = along.configs, along.left_out
+    else:
+        configs = load_configs(paths)
+    policy = policy_of(settings)
+    if policy.signatures == "off":
+        return configs, left_out
+    signed, told = signed_only(configs, policy)
+    return signed, (*left_out, *told)
 
 
 def load_configs(paths: Sequence[Path]) -> dict[str, Config]:

@@ -10,9 +10,10 @@ import shutil
 import tarfile
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from typing import TypeAlias
 
 from cm.importers.result import ImportRefused
 from cm.importers.versions import KEEP, locked, put_in_force, roll_back, versions
@@ -20,6 +21,7 @@ from cm.schema import load_folder
 from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import Config
 
+Judge: TypeAlias = "Callable[[Path, str, Path], object]"
 MAX_BYTES = 1 << 30  # of all files together, unpacked
 MAX_FILES = 4096
 _PADDING = 16  # MiB of zeros that may follow the last file
@@ -34,12 +36,13 @@ class Unpacked:
     files: tuple[str, ...]
 
 
-def unpack(archive: Path, out: Path, keep: int = KEEP) -> Unpacked:
+def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = None) -> Unpacked:
     """Put an archive's configuration into ``out/<config>/``, in place of what was there under its name.
 
     The archive holds ``<config>/<file>…`` and nothing else. Schema, files and hashes are checked aside, then the
     folder takes its place in one step: a killed import leaves the old one or the new one. The last `keep` before
-    it stay for a rollback. Raises ImportRefused, SchemaError, OSError; `out` is then as before.
+    it stay for a rollback. `judge` is asked last, with the new folder, the configuration's name and the folder
+    in force; what it raises is a refusal. Raises ImportRefused, SchemaError, OSError; `out` is then as before.
     """
     out = out.resolve()  # what a schema names is compared by its whole path
     with locked(out):
@@ -47,6 +50,8 @@ def unpack(archive: Path, out: Path, keep: int = KEEP) -> Unpacked:
         try:
             name, files = _extract(archive, aside)
             _checked(archive, aside / name)
+            if judge is not None:
+                judge(aside / name, name, out / name)
             put_in_force(aside / name, out / name, keep)
         finally:
             shutil.rmtree(aside, ignore_errors=True)

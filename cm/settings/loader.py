@@ -15,11 +15,11 @@ from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
-from cm.settings.model import FILE, DmaSettings, ImportSettings, Settings, StreamSettings
+from cm.settings.model import FILE, DmaSettings, ImportSettings, PolicySettings, Settings, StreamSettings
 
 SCHEMA = Path(__file__).with_name("settings.schema.json")
-_GROUPS = {"streams": StreamSettings, "dma": DmaSettings, "imports": ImportSettings}
-_PATHS = ("keys", "runtime_dir", "state_dir", "firmware_dir")
+_GROUPS = {"streams": StreamSettings, "dma": DmaSettings, "imports": ImportSettings, "policy": PolicySettings}
+_PATHS = ("keys", "signers", "runtime_dir", "state_dir", "firmware_dir")
 
 
 class SettingsError(SchemaError):
@@ -65,7 +65,7 @@ def _settings(values: Mapping[str, Any]) -> Settings:
 
 def _value(name: str, value: Any) -> Any:
     if name in _GROUPS:
-        return _GROUPS[name](**value)
+        return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in value.items()})
     if name in _PATHS:
         return Path(value)
     return tuple(value) if isinstance(value, list) else value

@@ -32,6 +32,18 @@ class ImportSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class PolicySettings:
+    """Configurations that nobody signed: `signatures` off, warn or require; `signers` the folder of public keys.
+
+    `older`: whether an import of an older version than the one in force is allowed.
+    """
+
+    signatures: str = "off"
+    signers: Path = Path("/etc/cm/signers")
+    older: str = "allow"
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """What an operator may say of the service; each key is described in ``settings.schema.json``."""
 
@@ -48,3 +60,4 @@ class Settings:
     streams: StreamSettings = StreamSettings()
     dma: DmaSettings = DmaSettings()
     imports: ImportSettings = ImportSettings()
+    policy: PolicySettings = PolicySettings()

@@ -169,6 +169,23 @@ def test_the_command_writes_a_configuration_that_loads(
     assert main(["check", str(target / "adder/adder.yaml")]) == 0
 
 
+def test_a_signed_configuration_is_taken_by_who_trusts_the_key(theirs: Path, tmp_path: Path) -> None:
+    pytest.importorskip("cryptography", reason="the extra sign is not installed")
+    from test_signing import key_pair
+
+    from cm.signing import Policy, judge
+
+    signers, target = tmp_path / "signers", tmp_path / "target"
+    key = key_pair(tmp_path, "release", signers)
+    options = ["--target", str(target), "--name", "cam", "--sign", str(key), "--bundle-version", "3"]
+    assert main(["build", "collect", str(theirs), *options]) == 0
+    found = judge(target / "cam", "cam", Policy("require", signers))
+    assert (found.signer, found.version) == ("release", 3)
+    (tmp_path / "cm.yaml").write_text(f"policy: {{signatures: require, signers: {signers}}}\n")
+    archive, out = str(target / "cam.tar.gz"), str(tmp_path / "firmware")
+    assert main(["import", "archive", archive, "--out", out, "--settings", str(tmp_path / "cm.yaml")]) == 0
+
+
 def test_nothing_to_collect_is_told(tmp_path: Path) -> None:
     with pytest.raises(BuildError, match="neither"):
         collect([tmp_path])

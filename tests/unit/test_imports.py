@@ -29,6 +29,7 @@ MAY = {
     "hwh": BASE,
     "schema": BASE,
     "settings": BASE | {"schema"},
+    "signing": BASE,
     "manager": BASE | {"messages", "schema.model"},
     "wire": BASE | {"messages"},
     "daemon": BASE
@@ -45,6 +46,7 @@ MAY = {
 LIBRARIES = {
     "PIL": {"cli", "demo", "sim"},
     "cffi": {"native"},
+    "cryptography": {"signing"},
     "fastjsonschema": {"schema"},
     "google": {"wire"},
     "jinja2": {"build"},
