@@ -7,7 +7,6 @@ of `event_dtype`; what their fields mean for each kind stands in ``csrc/bitstrea
 
 from __future__ import annotations
 
-import sys
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -101,9 +100,3 @@ class Port:
     def head(self) -> tuple[int, ...]:
         """The first words (at most one frame) of the newest FDRI run."""
         return tuple(self._port.head[0 : self._port.head_count])
-
-    @property
-    def head_bytes(self) -> bytes:
-        """The same as they stand in a `.bit`, most significant byte first."""
-        raw = bytes(ffi.buffer(self._port.head, 4 * self._port.head_count))
-        return raw if sys.byteorder == "big" else swap(raw)

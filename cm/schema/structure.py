@@ -32,7 +32,6 @@ class Structure:
 
     def __init__(self, schema: dict[str, Any], good: Callable[[Any], Any] | None = None) -> None:
         """`good`: a validator of values made before (`cm.schema.compiled`), which raises ValueError."""
-        self._schema = schema
         self._normal: dict[str, Any] = normal_form(schema)
         self._good = good
         self._explain: Callable[[Any], Any] | None = None

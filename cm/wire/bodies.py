@@ -208,10 +208,6 @@ def config_from_pb(m: pb.Config) -> st.ConfigInfo:
     )
 
 
-def _mode_to_pb(x: st.ModeInfo) -> pb.ModeInfo:
-    return pb.ModeInfo(name=x.name, modules=x.modules, registers=x.registers, overlays=x.overlays)
-
-
 def _register_to_pb(r: st.RegisterInfo) -> pb.RegisterInfo:
     return pb.RegisterInfo(
         name=r.name,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cm.build.errors import BuildError
-from cm.build.hdl.model import Interface, PortDirection
+from cm.build.hdl.model import Interface
 
 ADDRESS = ("ADDR", "SIZE", "BURST", "LOCK", "CACHE", "PROT", "QOS", "REGION")
 STREAM = ("TDATA", "TKEEP", "TSTRB", "TID", "TDEST", "TUSER")
@@ -42,9 +42,3 @@ def width_of(interface: Interface, logical: str) -> int:
     if not width:
         raise BuildError(f"{interface.name}: the width of {logical} could not be evaluated")
     return width
-
-
-def static_direction(interface: Interface, logical: str) -> PortDirection:
-    """Direction of a port of the static part that carries `logical` of a region's interface to or from outside."""
-    region_drives = (logical in FROM_SLAVE) == (interface.mode.value == "slave")
-    return PortDirection.OUT if region_drives else PortDirection.IN

@@ -16,9 +16,6 @@ from typing import Any, TypeVar
 
 _Named = TypeVar("_Named", "Port", "Interface")
 
-AXI_PROTOCOLS = ("axi4", "axi3", "axi4lite")
-STREAM_PROTOCOL = "axis"
-
 
 def _empty() -> Mapping[Any, Any]:
     return MappingProxyType({})

@@ -141,10 +141,6 @@ class BoardState:
         """A copy with one region changed."""
         return replace(self, regions=MappingProxyType({**self.regions, name: region}))
 
-    def with_value(self, register: str, value: int) -> BoardState:
-        """A copy that remembers a register's written value."""
-        return replace(self, values=MappingProxyType({**self.values, register: value}))
-
     def with_clock(self, name: str, rate: int) -> BoardState:
         """A copy that remembers what a clock runs at."""
         return replace(self, clocks=MappingProxyType({**self.clocks, name: rate}))
