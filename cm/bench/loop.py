@@ -18,7 +18,7 @@ from cm.client.writer import Writer
 from cm.errors import CmError
 
 # One slot each way, as the C program has it: with back-pressure no others are kept for the hardware to go on with.
-# No interrupt: the baselines tell nobody but the other end either.
+# No interrupt: the baselines only tell the other end, too.
 SCHEMA = """
 config:
   name: loop

@@ -123,7 +123,7 @@ class Peer:
 
 
 def _end_with_parent(parent: int) -> None:
-    """The bench may be killed: nobody is left behind then."""
+    """The bench may be killed: then no process is left behind."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)

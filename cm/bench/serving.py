@@ -91,7 +91,7 @@ def settle(board: Board) -> None:
 
 
 def free_ports(count: int) -> int:
-    """The first of so many TCP ports in a row that nobody listens on now."""
+    """The first of so many TCP ports in a row that are free now."""
     while True:
         with ExitStack() as stack:
             first = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]

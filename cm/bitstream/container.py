@@ -58,7 +58,7 @@ class BitHeader:
     def user_id(self) -> int | None:
         """The 32-bit ``UserID`` of the design (Vivado: BITSTREAM.CONFIG.USERID); None if it says none.
 
-        FFFFFFFF is what Vivado writes where nobody set one.
+        FFFFFFFF is what Vivado writes where none was set.
         """
         text = self.field("UserID") or ""
         number = int(text, 16) if _HEX.fullmatch(text) else NO_USER_ID

@@ -93,7 +93,7 @@ class Report:
 
     @property
     def user_id(self) -> int | None:
-        """The USERID in the header, where somebody set one."""
+        """The USERID in the header, where one was set."""
         return self.header.user_id if self.header else None
 
     @property

@@ -75,7 +75,7 @@ class Progress:
         """Show `fraction` (0 to 1; what lies outside is clipped) and a word about what goes on."""
         if not self._visible:
             return
-        import shutil  # half a MiB, for who shows no bar
+        import shutil  # half a MiB, needed only for a progress bar
 
         line = bar(self._label, fraction, note, shutil.get_terminal_size().columns - 1)
         if line != self._drawn:

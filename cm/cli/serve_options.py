@@ -57,7 +57,7 @@ def _flags(args: argparse.Namespace) -> dict[str, Any]:
 def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[str, Config], tuple[str, ...]]:
     """The configurations of ``--config``, else those along the settings' search path; and what was left out.
 
-    What somebody named on the command line must be right; what lies on the search path may be left out.
+    What was named on the command line must be right; what lies on the search path may be left out.
     """
     from cm.cli.signatures import policy_of, signed_only
 
@@ -107,7 +107,7 @@ def security_of(listen: Sequence[str], keys: Path | None, insecure: bool) -> Sec
 
 
 def default_state_dir(runtime: Path, sim: bool) -> Path:
-    """Where the state lies if nobody says: with the board where that is simulated, else what the service
+    """Where the state lies by default: with the board where that is simulated, else what the service
     manager made for us, the system's folder, or the user's."""
     if sim:
         return runtime / "state"
@@ -121,7 +121,7 @@ def default_state_dir(runtime: Path, sim: bool) -> Path:
 
 
 def default_runtime_dir() -> Path:
-    """Where the sockets lie if nobody says: what the service manager made for us, else as clients look for it."""
+    """Where the sockets lie by default: what the service manager made for us, else as clients look for it."""
     given = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
     if given:
         return Path(given)

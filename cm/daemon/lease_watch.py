@@ -59,7 +59,7 @@ class LeaseWatch:
         self._fds[lease] = fd
 
     def _refuse(self, lease: str, error: OSError) -> NoReturn:
-        """Nobody would notice the holder's death: it could keep others out until its time is over."""
+        """The holder's death would go unnoticed: it could keep others out until its time is over."""
         self._leases.drop(lease)
         raise Unwatched(f"no lease now: its holder cannot be watched ({error.strerror})") from error
 

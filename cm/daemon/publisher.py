@@ -55,11 +55,11 @@ class Publisher:
         return wanted
 
     def has_subscriber(self, topic: bytes) -> bool:
-        """Whether somebody subscribes to a topic."""
+        """Whether a topic has a subscriber."""
         return any(topic.startswith(prefix) for prefix in self._subscriptions)
 
     def wants_stream(self, name: str) -> bool:
-        """Whether somebody listens to a stream's frames."""
+        """Whether a stream's frames have a subscriber."""
         return self._wants_compressed(name) or any(map(self.has_subscriber, _topics(name)))
 
     def _wants_compressed(self, name: str) -> bool:
@@ -96,7 +96,7 @@ class Publisher:
         self._sender.send(encode.encode_irq(irq))
 
     def frame(self, frame: Frame) -> None:
-        """Publish a frame on every topic that somebody subscribes to; ZeroMQ copies it once for each."""
+        """Publish a frame on every topic that has a subscriber; ZeroMQ copies it once for each."""
         name, message = frame.info.stream, None
         for topic in _topics(name):
             if self.has_subscriber(topic):

@@ -21,7 +21,7 @@ import zmq
 from cm.daemon.loop import Loop
 from cm.schema.model import ITEM_BYTES, Config, Stream
 
-BYTES = 32 << 20  # of frames that wait for one subscriber, where nobody says
+BYTES = 32 << 20  # of frames that wait for one subscriber, unless set otherwise
 _FEWEST, _MOST = 2, 1000  # messages
 _FLAT = 1 << 20  # bytes of a frame that no schema describes, or that may grow
 

@@ -164,7 +164,7 @@ class AxiDma(Device):
         return DmaBuffer(raw, self._free, self.path)
 
     def import_buffer(self, fd: int, length: int | None = None) -> DmaBuffer:
-        """Attach somebody else's dma-buf; ``fd`` stays the caller's.
+        """Attach a foreign dma-buf; ``fd`` stays the caller's.
 
         With ``length`` (bytes) raises DeviceInvalid if the buffer is shorter.
         """

@@ -44,7 +44,7 @@ class DeviceTimeout(DeviceError, Timeout):
 
 
 class DeviceGone(DeviceError):
-    """The device went away, or nobody serves the simulated one (ENODEV, ENXIO, EPIPE, ECONNRESET)."""
+    """The device went away, or the simulated one has no server (ENODEV, ENXIO, EPIPE, ECONNRESET)."""
 
     code = "device_gone"
 

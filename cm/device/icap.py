@@ -144,7 +144,7 @@ class Icap(Device):
         return DmaBuffer(raw, self._free, self.path)
 
     def import_buffer(self, fd: int) -> DmaBuffer:
-        """Attach somebody else's dma-buf; ``fd`` stays the caller's."""
+        """Attach a foreign dma-buf; ``fd`` stays the caller's."""
         try:
             raw = native.import_fd(self._handle, fd)
         except (OSError, OverflowError) as error:

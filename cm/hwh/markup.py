@@ -10,5 +10,5 @@ def root_of(data: bytes) -> ElementTree.Element:
     """The root element. Raises ValueError with what is wrong, whichever part of the parser found it."""
     try:
         return ElementTree.fromstring(data)
-    except (ElementTree.ParseError, LookupError) as error:  # LookupError: an encoding that nobody knows
+    except (ElementTree.ParseError, LookupError) as error:  # LookupError: an unknown encoding
         raise ValueError(str(error)) from error

@@ -99,7 +99,7 @@ def _extract(archive: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def _read_to_the_end(archive: Path, tar: tarfile.TarFile) -> None:
-    """Behind the last file stands the compression's checksum, which nobody has looked at yet."""
+    """Behind the last file stands the compression's checksum, which has not been checked yet."""
     assert tar.fileobj is not None
     for _ in range(_PADDING):
         if not tar.fileobj.read(1 << 20):

@@ -82,7 +82,7 @@ def alloc(handle: Handle, length: int) -> Handle:
 
 
 def import_fd(handle: Handle, fd: int) -> Handle:
-    """Attach somebody else's memory; the descriptor stays the caller's."""
+    """Attach foreign memory; the descriptor stays the caller's."""
     buffer = native_buffer.new()
     check(lib.cm_dma_import(handle, fd, buffer))
     return buffer

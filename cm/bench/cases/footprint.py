@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a manager costs that nobody asks for anything: time to start, memory, processor."""
+"""What an idle manager costs: time to start, memory, processor."""
 
 from __future__ import annotations
 

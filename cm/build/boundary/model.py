@@ -30,8 +30,8 @@ class Fit(str, Enum):
     INVERT = "invert"  # a reset of the other polarity
     EXTEND = "extend"  # driven side is wider: the missing high bits are 0
     TRUNCATE = "truncate"  # driven side is narrower: the high bits are dropped (known to be 0 or without meaning)
-    TIE = "tie"  # nobody drives it: `value` on all bits
-    OPEN = "open"  # nobody reads it
+    TIE = "tie"  # undriven: `value` on all bits
+    OPEN = "open"  # unread
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,7 +98,7 @@ def _connect_input(net: Netlist, connection: Connection, pins: dict[str, str | N
 
 
 def _absent_slaves(region: RegionPlan, adaptation: Adaptation) -> list[Interface]:
-    """AXI slaves of the boundary that this module has not: somebody must answer there."""
+    """AXI slaves of the boundary that this module does not have: a stub must answer there."""
     present = {connection.boundary for connection in adaptation.connections if connection.module}
     return [
         interface

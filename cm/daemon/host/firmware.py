@@ -61,7 +61,7 @@ class FirmwareFolder:
         return f"{_CONVERTED}/{image.sha256}.bin"
 
     def _custom(self) -> Path | None:
-        """The folder that the kernel looks in first, where somebody told it of one."""
+        """The folder that the kernel looks in first, if it was told of one."""
         with contextlib.suppress(OSError, UnicodeDecodeError):
             custom = (self._root / _CUSTOM).read_text(encoding="utf-8").strip()
             if custom:
@@ -121,8 +121,8 @@ class FirmwareFolder:
 
 
 def _write(target: Path, data: bytes) -> None:
-    """Whole or not at all, also after a loss of power; never through a link that somebody left."""
-    import tempfile  # 1 MiB, for who loads without the kernel's firmware loader
+    """Whole or not at all, also after a loss of power; never through a link that was left there."""
+    import tempfile  # 1 MiB, not needed without the kernel's firmware loader
 
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".new")
     new = Path(name)

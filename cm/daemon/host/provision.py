@@ -76,7 +76,7 @@ class Provisioner:
         if sum(len(f.data) for f in files) > MAX_BYTES:
             raise InvalidRequest(f"files of {config.name!r} have more than {MAX_BYTES >> 20} MiB together")
         self._folder.mkdir(parents=True, exist_ok=True)
-        import tempfile  # with shutil 1 MiB, for who provisions nothing
+        import tempfile  # with shutil 1 MiB, which most managers never need
 
         new = Path(tempfile.mkdtemp(prefix=f".{config.name}-", dir=self._folder))
         try:

@@ -27,7 +27,7 @@ def checks(machine: Machine) -> Iterator[Finding]:
         detail = f"runs (pid {pid}), and may load the PL behind the manager's back"
         yield Finding("other", comm, f"/proc/{pid}", State.WRONG, detail, _OTHERS[comm])
     if not found:
-        yield Finding("other", "managers", "/proc", State.OK, "nobody else is known to load this PL")
+        yield Finding("other", "managers", "/proc", State.OK, "no other program is known to load this PL")
 
 
 def _processes(machine: Machine) -> Iterator[tuple[str, str]]:

@@ -24,7 +24,7 @@ class ChannelSpec:
     """A DMA channel.
 
     A memory-to-stream channel feeds its region, and `partner` is the channel that takes the result
-    (None: nobody, the data is consumed). A stream-to-memory one without a partner is a camera.
+    (None: the data is consumed). A stream-to-memory one without a partner is a camera.
     """
 
     name: str

@@ -19,7 +19,9 @@ from cm.sim.hardware.packets import FrameWrite
 from cm.sim.hardware.regions import RegionSpec
 
 _log = logging.getLogger(__name__)
-_SHARED = 2  # from this block type on, frames are nobody's: partial bitstreams of all regions write the same ones
+_SHARED = (
+    2  # from this block type on, frames belong to no region: partial bitstreams of all regions write the same ones
+)
 _SYNC = b"\x66\x55\x99\xaa"
 _NOP = b"\x00\x00\x00\x20"
 

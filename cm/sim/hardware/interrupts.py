@@ -129,7 +129,7 @@ class Interrupts:
         self._wiring[name] = _Wired(line, status, interrupt.bit, owner)
 
     def _owner(self, index: int) -> str | None:
-        """The region whose registers, and nobody else's, are in a window."""
+        """The region that alone has registers in a window."""
         cells = [cell for here in self._fabric.windows[index].cells.values() for cell in here]
         owners = {cell.region.name if cell.region else None for cell in cells}
         return owners.pop() if len(owners) == 1 else None

@@ -38,11 +38,11 @@ class Link:
 
     @property
     def lent(self) -> int:
-        """How often the channels were handed to somebody who is faster."""
+        """How often the channels were lent to a faster server."""
         return 0
 
     def take_back(self) -> None:
-        """Have the channels here; they may be with somebody who is faster."""
+        """Have the channels here; they may be lent to a faster server."""
 
     def close(self) -> None:
         """End what runs beside us."""
@@ -126,7 +126,7 @@ class LoopLink(Link):
 
     @property
     def _plain(self) -> bool:
-        """Whether nothing happens to data but that it is passed on, and nobody is told."""
+        """Whether data is only passed on, without an interrupt."""
         told = self._interrupts.of_packets(self._sink.spec.name, self._sink.spec.region)
         return not (self._slow or self._faults.waiting or told) and self._path.flows and self._path.plain
 

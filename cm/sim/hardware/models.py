@@ -99,7 +99,7 @@ class Colorise:
 
 
 class Models:
-    """Models by name; a name nobody knows passes data as it is."""
+    """Models by name; an unknown name passes data as it is."""
 
     def __init__(self, models: Mapping[str, Model] | None = None) -> None:
         self._standard: dict[str, Model] = dict(models or {})

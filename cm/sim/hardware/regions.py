@@ -10,7 +10,7 @@ from cm.schema.model import Decoupler, FrameRange, Identity
 
 @dataclass(frozen=True, slots=True)
 class RegionSpec:
-    """A region of the board; its columns of frames are nobody else's."""
+    """A region of the board; its columns of frames are its own."""
 
     name: str
     footprint: tuple[FrameRange, ...]

@@ -28,7 +28,7 @@ class Board:
 
     `configs` are schema files or folders of them. Without `root` a folder in memory is made, and
     removed at the end whatever happened to the process. If this process dies, the board ends by
-    itself when nobody has used it for five seconds.
+    itself when no client has used it for five seconds.
     """
 
     def __init__(

@@ -60,7 +60,7 @@ class Control:
         """Make this process the owner of a simulator whose owner has died.
 
         Raises:
-            SimError: its owner is alive, or it has none, or nobody serves the root.
+            SimError: its owner is alive, or it has none, or there is no simulator at the root.
         """
         self._order("adopt", pid=os.getpid())
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bitstreams and overlays that a schema names and nobody has built yet: assembled for the board."""
+"""Bitstreams and overlays that a schema names and that are not built yet: assembled for the board."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class Adopted:
                 signal.pidfd_send_signal(self._fd, number)
 
     def wait(self, timeout: float) -> int:
-        """Wait for its end; nobody but its parent learns the status."""
+        """Wait for its end; only its parent learns the status."""
         if not self._ended(timeout):
             raise subprocess.TimeoutExpired("cm sim", timeout)
         if self._fd >= 0:

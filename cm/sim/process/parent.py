@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose the simulator is: it may end when its owner has died and nobody uses it, or find a new owner."""
+"""Who owns the simulator: it may end when its owner has died and it has no clients, or find a new owner."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Parent:
 
 
 class Linger:
-    """Stops the loop when the parent is dead and nobody was connected for a while."""
+    """Stops the loop when the parent is dead and no client was connected for a while."""
 
     def __init__(self, loop: Loop, connections: Callable[[], int], parent: Parent, seconds: float) -> None:
         self._loop, self._connections, self._parent = loop, connections, parent

@@ -15,7 +15,7 @@ SIOCOUTQ = 0x5411  # bytes sent and not yet read, linux/sockios.h
 
 
 class Line(Protocol):
-    """A connection that may be served by somebody else for a while."""
+    """A connection that may be lent to another server for a while."""
 
     @property
     def lendable(self) -> bool:

@@ -131,7 +131,7 @@ class Root:
         os.close(self._lock)
         os.close(self._dir)
         if self._fresh:
-            remove(self.path)  # nobody else's: what clients wrote goes too
+            remove(self.path)  # ours alone: what clients wrote goes too
         elif self._own:
             _remove(self.path)
 
