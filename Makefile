@@ -19,7 +19,7 @@ OUT ?= demo
 IMAGES ?=
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb layer clean distclean check-system
+.PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -128,6 +128,12 @@ deb: wheel ## Debian packages for ARCHES, checked by lintian, into build/release
 	@rm -f $(RELEASE)/*.deb
 	@status=0; release/deb.sh $(SDIST) $(RELEASE) $(ARCHES) || status=$$?; \
 		if [ $$status = 77 ]; then echo "SKIPPED: Debian packages (see above)"; exit 0; fi; exit $$status
+
+release-check: $(LINT_STAMP) ## changelog, versions, licences, links, the same bytes from two folders; writes the SBOM (TAG=v1.2.3)
+	@$(BIN)/python release/check.py $(if $(TAG),--tag $(TAG))
+	@$(PYTEST) -q tests/release/test_backend.py
+	@mkdir -p $(RELEASE)
+	@$(BIN)/python release/sbom.py $(RELEASE)/fpga-cm.cdx.json
 
 layer: $(STAMP) ## the sources into the Yocto layer, and the layer as an archive into build/release
 	@release/layer.sh $(BIN)/python

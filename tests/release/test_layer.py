@@ -107,6 +107,14 @@ def test_the_packagegroup_names_every_module_and_leaves_the_simulated_pl_apart()
     assert board == wanted - simulated
 
 
+def test_bitbake_is_told_beforehand_of_the_packages_that_modules_become() -> None:
+    group = variables(LAYER / "recipes-cm/packagegroups/packagegroup-cm.bb")
+    pattern = variables(LAYER / f"recipes-cm/fpga-cm/cm-kmod_{__version__}.bb")["PACKAGES_DYNAMIC"]
+    names = [name for value in group.values() for name in value.split() if name.startswith("kernel-module-")]
+    assert names
+    assert all(re.match(pattern, name) for name in names)
+
+
 def provided() -> set[str]:
     """Every package that the layer makes."""
     names = set()

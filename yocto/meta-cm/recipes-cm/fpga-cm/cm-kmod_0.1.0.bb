@@ -12,4 +12,7 @@ S = "${UNPACKDIR}/fpga_cm-${PV}/kmod"
 
 inherit module
 
+# the modules' packages are made in do_package: this says beforehand that they will be here
+PACKAGES_DYNAMIC += "^kernel-module-cm-.*"
+
 MODULES_MODULE_SYMVERS_LOCATION = "."
