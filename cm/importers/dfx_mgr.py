@@ -13,7 +13,7 @@ from cm.importers.dfx_slots import import_slots
 from cm.importers.fields import Fields
 from cm.importers.images import find_image, find_overlay
 from cm.importers.names import to_name
-from cm.importers.result import Imported, ImportRefused, frozen
+from cm.importers.result import Imported, ImportRefused, frozen, static_of
 from cm.schema.model import Config, ConfigType, Mode, Overlay
 
 _KNOWN = ("XRT_FLAT", "PL_FLAT", "PL_DFX")
@@ -87,4 +87,5 @@ def _static(folder: Path, shell: Fields, notes: list[str]) -> Config | None:
         overlays=(Overlay(to_name(overlay.path.stem), overlay.path),) if overlay else (),
         modes=frozen({"default": Mode("default")}),
         doc=f"From the dfx-mgr base {folder.name} ({shell.text('shell_type')}, uid {shell.text('uid') or 'none'})",
+        static=static_of(shell.text("uid"), image.report),
     )

@@ -13,7 +13,7 @@ from cm.importers.accel import accel_registers, accel_streams
 from cm.importers.fields import Fields, to_number
 from cm.importers.images import FoundImage, FoundOverlay, find_image, find_overlay
 from cm.importers.names import Names, to_name
-from cm.importers.result import frozen
+from cm.importers.result import frozen, static_of
 from cm.schema.model import Config, ConfigType, Decoupler, FrameRange, LoaderKind, Mode, Module, Overlay, Region
 
 _SLOT = re.compile(r"(.+)_slot(\d+)$")
@@ -54,6 +54,7 @@ def import_slots(folder: Path, shell: Fields, device: str | None, notes: list[st
         modules=frozen(modules),
         modes=frozen({item.name: _mode(item, notes) for item in fitting}),
         doc=f"Accelerators of the dfx-mgr base {folder.name}; runs while configuration {base} is loaded",
+        static=static_of(shell.text("uid")),
     )
     return (config,)
 

@@ -17,7 +17,7 @@ from cm.importers.memories import memories
 from cm.importers.names import Names, to_name
 from cm.importers.pynq_regions import import_regions
 from cm.importers.registers import RegisterBank
-from cm.importers.result import Imported, ImportRefused, frozen
+from cm.importers.result import Imported, ImportRefused, frozen, static_of
 from cm.schema.model import Clock, Config, ConfigType, Direction, Interrupt, Mode, Overlay, Register, Stream
 
 # Their registers belong to kernel drivers; written behind a driver's back they hang the bus.
@@ -63,6 +63,7 @@ def _static(bit: Path, report: Report, hwh: Hwh, notes: list[str]) -> Config:
         device=report.device,
         bitstream=bit,
         sha256=report.sha256,
+        static=static_of(None, report),
         registers=frozen(_registers(hwh, notes)),
         overlays=_overlays(bit, notes),
         streams=frozen(streams),

@@ -18,7 +18,7 @@ from cm.hwh import DecouplerInfo, Hwh, HwhError
 from cm.importers.memories import memories, within
 from cm.importers.names import Names, to_name
 from cm.importers.registers import RegisterBank
-from cm.importers.result import frozen
+from cm.importers.result import frozen, static_of
 from cm.schema.model import (
     Config,
     ConfigType,
@@ -70,6 +70,7 @@ def import_regions(bit: Path, report: Report, hwh: Hwh, static: str, notes: list
         modules=frozen(modules),
         modes=frozen({name: Mode(name, modules=(name,)) for name in modules}),
         doc=f"Partial bitstreams of the PYNQ overlay {bit.name}; runs while configuration {static} is loaded",
+        static=static_of(None, report),
     )
     return (config,)
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TypeVar
 
+from cm.bitstream import Report
 from cm.errors import CmError
 from cm.schema import dump, loads
-from cm.schema.model import Config, Mode, Module, Overlay
+from cm.schema.model import Config, Mode, Module, Overlay, StaticIdentity
 
 _T = TypeVar("_T")
 
@@ -88,3 +89,9 @@ def _relative(config: Config, folder: Path) -> Config:
         },
         modes={name: mode(item) for name, item in config.modes.items()},
     )
+
+
+def static_of(uid: str | None, report: Report | None = None) -> StaticIdentity | None:
+    """What a package says of its static design: a name of its own, the USERID of the image; None where nothing does."""
+    user_id = report.user_id if report is not None else None
+    return StaticIdentity(user_id=user_id, uid=uid or None) if uid or user_id is not None else None

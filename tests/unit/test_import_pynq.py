@@ -285,3 +285,10 @@ def test_damaged_files_are_refused_by_their_readers(overlay: Path) -> None:
     overlay.write_bytes(overlay.read_bytes()[:-40])
     with pytest.raises(BitstreamError):
         import_pynq(overlay)
+
+
+def test_the_static_designs_user_id_goes_into_both_configurations(dfx: Path) -> None:
+    assert [config.static for config in import_pynq(dfx).configs] == [None, None]
+    dfx.write_bytes(dfx.read_bytes().replace(b"UserID=0XFFFFFFFF", b"UserID=0X00C0FFEE"))
+    found = import_pynq(dfx).configs
+    assert [config.static.user_id for config in found if config.static] == [0xC0FFEE, 0xC0FFEE]

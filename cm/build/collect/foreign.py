@@ -22,7 +22,18 @@ from cm.build.errors import BuildError
 from cm.build.hdl.register_maps import identifier
 from cm.build.platforms import platform_of
 from cm.schema import dump
-from cm.schema.model import Config, ConfigType, Decoupler, LoaderKind, Mode, Module, Overlay, Region, Register
+from cm.schema.model import (
+    Config,
+    ConfigType,
+    Decoupler,
+    LoaderKind,
+    Mode,
+    Module,
+    Overlay,
+    Region,
+    Register,
+    StaticIdentity,
+)
 
 _HEAD = "# SPDX-License-Identifier: Apache-2.0\n# Written by cm build collect.\n"
 _NAME_LENGTH = 64
@@ -80,6 +91,8 @@ def _partial(inputs: Inputs, name: str, static: Image | None, partial: list[Imag
     config = Config(name=name, type=ConfigType.PARTIAL, regions=regions, modules=modules, modes=modes, **fields)
     if static is not None:
         files[f"{name}_full.bin"] = to_bin(static)
+        if static.report.user_id is not None:
+            config = replace(config, static=StaticIdentity(user_id=static.report.user_id))
     bare = [region for region, found in regions.items() if not found.decoupler]
     notes += [
         f"region {region}: no register of the PL decouples it: write decoupler: if there is one" for region in bare
