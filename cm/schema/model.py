@@ -291,7 +291,7 @@ class Config:
     idcode: int | None = None  # of the bitstreams, for a device that `cm.bitstream` does not know
     bitstream: Path | None = None  # static image of a full configuration
     sha256: str | None = None
-    loader: LoaderKind = LoaderKind.FPGA_MANAGER  # of the static image
+    loader: LoaderKind = LoaderKind.FPGA_MANAGER  # of the static image; never AUTO
     timeout: float | None = None  # seconds for loading it
     allow_encrypted: bool = False  # of the static image
     default_mode: str | None = None  # None: "default" if there is one, else the first
