@@ -17,6 +17,8 @@ COMMA := ,
 SUITES ?= tests/unit tests/release tests/integration tests/device tests/soak tests/vm
 OUT ?= demo
 IMAGES ?=
+COUNT ?= 400
+SEED ?= 1
 
 .DEFAULT_GOAL := help
 .PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer clean distclean check-system
@@ -77,6 +79,10 @@ vm: $(STAMP) ## a shell on that board, with a manager running and its ports forw
 
 soak: $(STAMP) ## ten thousand changes of mode, and a minute of killed readers
 	$(PYTEST) tests/soak --changes=10000 --stress=60 $(PYTEST_ARGS)
+
+mutation: $(STAMP) ## whether the unit tests notice defects: 400 mutants, drawn with a fixed seed (COUNT=…, SEED=…)
+	$(call install,mutation)
+	nice $(BIN)/python tests/mutation/sample.py --count $(COUNT) --seed $(SEED)
 
 bench: $(BENCH_STAMP) ## measure latency and throughput beside the alternatives
 	$(BIN)/cm bench --json bench.json --plots bench-plots
