@@ -17,6 +17,7 @@ SECTIONS = {
     "static_identity": "static",
     "region": "regions.NAME",
     "decoupler": "regions.NAME.decoupler",
+    "isolation_step": "regions.NAME.decoupler.sequence[]",
     "identity": "regions.NAME.identity",
     "frames": "regions.NAME.footprint[]",
     "module": "modules.NAME",

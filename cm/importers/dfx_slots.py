@@ -14,7 +14,18 @@ from cm.importers.fields import Fields, to_number
 from cm.importers.images import FoundImage, FoundOverlay, find_image, find_overlay
 from cm.importers.names import Names, to_name
 from cm.importers.result import frozen, static_of
-from cm.schema.model import Config, ConfigType, Decoupler, FrameRange, LoaderKind, Mode, Module, Overlay, Region
+from cm.schema.model import (
+    Config,
+    ConfigType,
+    Decoupler,
+    FrameRange,
+    IsolationStep,
+    LoaderKind,
+    Mode,
+    Module,
+    Overlay,
+    Region,
+)
 
 _SLOT = re.compile(r"(.+)_slot(\d+)$")
 _SUPPORTED = ("XRT_PL_DFX", "SIHA_PL_DFX", "")
@@ -167,7 +178,11 @@ def _region(
 
 
 def _decoupler(slot: int, shell: Fields, notes: list[str]) -> Decoupler | None:
-    """dfx-mgr isolates a slot by a list of register writes; one write of one bit is what a decoupler is."""
+    """dfx-mgr writes a list of values to a list of registers to connect a slot, and 0 to each to cut it off.
+
+    Source: `acapd_shell_release_isolation` and `acapd_shell_assert_isolation` in its src/shell.c. It reads
+    nothing back, so whether these registers can be read is not known.
+    """
     slots = shell.items("isolation_slots")
     isolation = slots[slot] if slot < len(slots) else None
     name = shell.text("device_name")
@@ -175,13 +190,20 @@ def _decoupler(slot: int, shell: Fields, notes: list[str]) -> Decoupler | None:
     if isolation is None or base is None:
         notes.append(f"slot{slot}: no isolation is described; it is loaded without being cut off")
         return None
-    offsets, values = isolation.texts("offset"), isolation.texts("values")
-    value = to_number(values[0], "isolation value") if len(values) == 1 else None
-    if len(offsets) != 1 or not value or value & (value - 1):
-        notes.append(
-            f"slot{slot}: its isolation is {len(offsets)} register writes at 0x{base:08x}, a decoupler is one bit;"
-            " it is loaded without being cut off"
-        )
+    offsets = [to_number(text, "isolation offset") for text in isolation.texts("offset")]
+    values = [to_number(text, "isolation value") for text in isolation.texts("values")]
+    writes = [(offset, value) for offset, value in zip(offsets, values, strict=False) if None not in (offset, value)]
+    if not writes or len(offsets) != len(values) or len(writes) != len(values):
+        counts = f"{len(offsets)} offsets and {len(values)} values"
+        notes.append(f"slot{slot}: its isolation has {counts}; it is loaded without being cut off")
         return None
-    offset = to_number(offsets[0], "isolation offset") or 0
-    return Decoupler(base_address=base, offset=offset, bit=value.bit_length() - 1)
+    return _sequence(slot, base, [(offset or 0, value or 0) for offset, value in writes], notes)
+
+
+def _sequence(slot: int, base: int, writes: list[tuple[int, int]], notes: list[str]) -> Decoupler:
+    first = min(offset for offset, _ in writes)
+    if len(writes) == 1 and writes[0][1].bit_count() == 1:
+        return Decoupler(base, first, bit=writes[0][1].bit_length() - 1, active_high=False)
+    notes.append(f"slot{slot}: {len(writes)} registers isolate it; they are written and not read back, as by dfx-mgr")
+    steps = (IsolationStep(offset - first, cut=0, couple=value, verify=False) for offset, value in writes)
+    return Decoupler(base, first, sequence=tuple(steps))

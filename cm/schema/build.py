@@ -24,6 +24,7 @@ from cm.schema.model import (
     FrameRange,
     Identity,
     Interrupt,
+    IsolationStep,
     LoaderKind,
     Mode,
     Module,
@@ -90,12 +91,22 @@ def _regions(data: dict[str, Any], kind: ConfigType) -> dict[str, Region]:
     return regions
 
 
+def _decoupler(values: dict[str, Any]) -> Decoupler:
+    own = _integers({key: value for key, value in values.items() if key != "sequence"})
+    return Decoupler(**own, sequence=tuple(_isolation(step) for step in values.get("sequence", ())))
+
+
+def _isolation(values: dict[str, Any]) -> IsolationStep:
+    numbers = _integers({key: value for key, value in values.items() if key != "timeout"})
+    return IsolationStep(**numbers, timeout=float(values.get("timeout", 1)))
+
+
 def _region(name: str, values: dict[str, Any]) -> Region:
     return Region(
         name=name,
         loader=LoaderKind(values.get("loader", "icap")),
         loader_name=values.get("loader_name"),
-        decoupler=Decoupler(**_integers(values["decoupler"])) if "decoupler" in values else None,
+        decoupler=_decoupler(values["decoupler"]) if "decoupler" in values else None,
         footprint=tuple(_frames(_integers(frames)) for frames in values.get("footprint", ())),
         identity=Identity(**_integers(values["identity"])) if "identity" in values else None,
         timeout=_float(values.get("timeout")),

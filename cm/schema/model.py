@@ -135,14 +135,37 @@ class Memory:
 
 
 @dataclass(frozen=True, slots=True)
+class IsolationStep:
+    """One access of a sequence that cuts a region off, or connects it again.
+
+    A register at `offset` from the decoupler's is written `cut` or `couple`, in the bits of `mask`, and read back
+    if it can be (`verify`); with `poll` it is read until it has that value, for `timeout` seconds.
+    """
+
+    offset: int
+    cut: int
+    couple: int
+    mask: int | None = None  # None: all bits
+    poll: bool = False
+    verify: bool = True
+    timeout: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
 class Decoupler:
-    """The bit that cuts a region off while it is loaded (PG375 DFX decoupler, or an own register)."""
+    """What cuts a region off while it is loaded: a bit (PG375 DFX decoupler, or an own register), or a `sequence`."""
 
     base_address: int
     offset: int
     bit: int = 0
     width: int = 32
     active_high: bool = True
+    sequence: tuple[IsolationStep, ...] = ()  # in place of the bit
+
+    @property
+    def size(self) -> int:
+        """Bytes of registers that belong to it."""
+        return max((step.offset for step in self.sequence), default=0) + self.width // 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +185,11 @@ class Identity:
     base_address: int
     offset: int
     width: int = 32
+
+    @property
+    def size(self) -> int:
+        """Bytes."""
+        return self.width // 8
 
 
 @dataclass(frozen=True, slots=True)

@@ -92,6 +92,14 @@ def _check_decoupler(decoupler: Decoupler, path: KeyPath, context: Context) -> N
         message = f"bit {decoupler.bit} of a register of {decoupler.width} bits"
         context.report((*path, "bit"), "value_range", message, f"0 to {decoupler.width - 1}")
 
+    for index, step in enumerate(decoupler.sequence):
+        where = (*path, "sequence", index)
+        _check_aligned(decoupler.base_address + decoupler.offset + step.offset, decoupler.width, where, context)
+        for key, value in (("cut", step.cut), ("couple", step.couple), ("mask", step.mask or 0)):
+            if value >> decoupler.width:
+                message = f"{value:#x} does not fit a register of {decoupler.width} bits"
+                context.report((*where, key), "value_range", message, f"at most {decoupler.width} bits")
+
 
 def _report_shared(what: str, other: str, name: str, path: KeyPath, context: Context) -> None:
     if other != name:

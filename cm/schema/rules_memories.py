@@ -142,7 +142,7 @@ class _Places:
                 if part is not None:
                     start = part.base_address + part.offset
                     what = f"the {key} of region {name}"
-                    yield _Span(start, start + part.width // 8, what, ("config", "regions", name, key))
+                    yield _Span(start, start + part.size, what, ("config", "regions", name, key))
 
     def _own_over(self, span: _Span) -> Iterator[_Span]:
         """The configuration's registers in the place of `span`; there may be many, in order."""

@@ -71,7 +71,9 @@ def _simple(thing: Any, *without: str) -> dict[str, Any]:
 def _region(region: Region) -> dict[str, Any]:
     data = _simple(region, "decoupler", "identity", "footprint")
     if region.decoupler is not None:
-        data["decoupler"] = _simple(region.decoupler)
+        data["decoupler"] = _simple(region.decoupler, "sequence")
+        steps = [{"offset": Hex(x.offset), **_simple(x, "offset")} for x in region.decoupler.sequence]
+        _put(data["decoupler"], "sequence", steps)
     if region.identity is not None:
         data["identity"] = _simple(region.identity)
     frames = [

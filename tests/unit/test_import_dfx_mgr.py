@@ -15,7 +15,7 @@ from cm.bitstream import to_dma_words
 from cm.cli.main import main
 from cm.importers import ImportRefused, import_dfx_mgr, write
 from cm.importers.overlay_info import overlay_info
-from cm.schema import load
+from cm.schema import dump, load, loads
 from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import ConfigType, Decoupler, Direction, FrameRange, LoaderKind
 
@@ -143,19 +143,37 @@ def test_data_mover_channels_become_streams_of_the_mode(base: Path) -> None:
     assert any("direction 'both'" in note for note in imported.notes)
 
 
-def test_isolation_of_one_bit_is_a_decoupler(base: Path) -> None:
+def test_isolation_of_one_bit_is_a_decoupler_that_the_value_connects(base: Path) -> None:
+    """dfx-mgr writes the value to release the isolation, and 0 to assert it."""
     put_json(base / "shell.json", SHELL | {"isolation_slots": [{"offset": ["0x4000"], "values": ["0x04"]}]})
     config = import_dfx_mgr(base).configs[1]
-    assert config.regions["slot0"].decoupler == Decoupler(base_address=0xA0100000, offset=0x4000, bit=2)
+    assert config.regions["slot0"].decoupler == Decoupler(0xA0100000, 0x4000, bit=2, active_high=False)
     assert config.regions["slot1"].decoupler is None
 
 
-def test_isolation_of_several_writes_is_told(base: Path) -> None:
-    slots = [{"offset": ["0x4000", "0x4004"], "values": ["0x01", "0x0b"]}]
-    put_json(base / "shell.json", SHELL | {"isolation_slots": slots})
+def test_isolation_of_several_writes_is_a_sequence(base: Path) -> None:
+    """As in the shell.json of Kria's 2RP base."""
+    offsets, values = ["0x4000", "0x4004", "0x4008", "0x400c"], ["0x01", "0x01", "0x0b", "0x02"]
+    put_json(base / "shell.json", SHELL | {"isolation_slots": [{"offset": offsets, "values": values}]})
+    imported = import_dfx_mgr(base)
+    found = imported.configs[1].regions["slot0"].decoupler
+    assert found is not None
+    assert (found.base_address, found.offset) == (0xA0100000, 0x4000)
+    assert [(step.offset, step.cut, step.couple, step.verify) for step in found.sequence] == [
+        (0x0, 0, 0x01, False),
+        (0x4, 0, 0x01, False),
+        (0x8, 0, 0x0B, False),
+        (0xC, 0, 0x02, False),
+    ]
+    assert any("not read back" in note for note in imported.notes)
+    assert loads(dump(imported.configs[1])).regions["slot0"].decoupler == found
+
+
+def test_isolation_with_more_offsets_than_values_is_told(base: Path) -> None:
+    put_json(base / "shell.json", SHELL | {"isolation_slots": [{"offset": ["0x4000", "0x4004"], "values": ["1"]}]})
     imported = import_dfx_mgr(base)
     assert imported.configs[1].regions["slot0"].decoupler is None
-    assert any("its isolation is 2 register writes at 0xa0100000" in note for note in imported.notes)
+    assert any("2 offsets and 1 values" in note for note in imported.notes)
 
 
 def test_accelerator_for_other_frames_is_left_out(base: Path) -> None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import difflib
 import threading
+import time
 from collections.abc import Callable, Mapping
 
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister, VerifyFailed
 from cm.manager.ports import Devices, Window
 from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue
-from cm.schema.model import Access, BitField, Decoupler, Memory, Register
+from cm.schema.model import Access, BitField, Decoupler, IsolationStep, Memory, Register
 
 _WO = Access.WO
 
@@ -195,25 +196,59 @@ def value_of(register: Register, value: int) -> RegValue:
     )
 
 
-# ---- decouplers: the bit by which a region is cut off from the static part --------------
+# ---- decouplers: what cuts a region off from the static part -----------------------------
+
+_BETWEEN = 0.001  # seconds between two looks at a register that is waited for
 
 
 def drive(registers: RegisterBus, decoupler: Decoupler, cut: bool) -> None:
-    """Set a decoupler's bit and read it back: a region believed cut off must be. Raises VerifyFailed, DeviceError."""
-    address, bit = _address(decoupler), 1 << decoupler.bit
-    before = registers.read_address(address, decoupler.width)
-    wanted = before | bit if cut == decoupler.active_high else before & ~bit
-    registers.write_address(address, decoupler.width, wanted)
-    after = registers.read_address(address, decoupler.width)
-    if (after ^ wanted) & bit:
-        raise VerifyFailed(f"the decoupler at {address:#x} bit {decoupler.bit} reads {after:#x} after {wanted:#x}")
+    """Cut a region off, or connect it: a region believed cut off must be, so what is written is read back.
+
+    Raises VerifyFailed, DeviceError; of a sequence some steps may have been taken then.
+    """
+    address = decoupler.base_address + decoupler.offset
+    for step in decoupler.sequence or (_of_bit(decoupler),):
+        value = step.cut if cut else step.couple
+        mask = (1 << decoupler.width) - 1 if step.mask is None else step.mask
+        if step.poll:
+            _await(registers, address + step.offset, decoupler.width, (value & mask, mask, step.timeout))
+        else:
+            _set(registers, address + step.offset, decoupler.width, (value & mask, mask, step.verify))
 
 
 def is_cut(registers: RegisterBus, decoupler: Decoupler) -> bool:
-    """Whether the region is cut off now. Raises DeviceError."""
-    value = registers.read_address(_address(decoupler), decoupler.width)
-    return bool(value >> decoupler.bit & 1) == decoupler.active_high
+    """Whether the region is cut off now; False where its registers cannot be read back. Raises DeviceError."""
+    address, all_bits = decoupler.base_address + decoupler.offset, (1 << decoupler.width) - 1
+    told = [step for step in decoupler.sequence or (_of_bit(decoupler),) if step.verify or step.poll]
+    for step in told:
+        mask = all_bits if step.mask is None else step.mask
+        if (registers.read_address(address + step.offset, decoupler.width) ^ step.cut) & mask:
+            return False
+    return bool(told)
 
 
-def _address(decoupler: Decoupler) -> int:
-    return decoupler.base_address + decoupler.offset
+def _of_bit(decoupler: Decoupler) -> IsolationStep:
+    bit = 1 << decoupler.bit
+    cut, couple = (bit, 0) if decoupler.active_high else (0, bit)
+    return IsolationStep(0, cut, couple, mask=bit)
+
+
+def _set(registers: RegisterBus, address: int, width: int, wanted: tuple[int, int, bool]) -> None:
+    value, mask, verify = wanted
+    whole = mask == (1 << width) - 1
+    written = value if whole else registers.read_address(address, width) & ~mask | value
+    registers.write_address(address, width, written)
+    after = registers.read_address(address, width) if verify else written
+    if (after ^ written) & mask:
+        raise VerifyFailed(f"the decoupler at {address:#x} reads {after:#x} after {written:#x} (bits {mask:#x})")
+
+
+def _await(registers: RegisterBus, address: int, width: int, wanted: tuple[int, int, float]) -> None:
+    value, mask, timeout = wanted
+    until = time.monotonic() + timeout
+    while ((there := registers.read_address(address, width)) ^ value) & mask:
+        if time.monotonic() >= until:
+            raise VerifyFailed(
+                f"the decoupler at {address:#x} reads {there:#x} after {timeout:g} s, not {value:#x} (bits {mask:#x})"
+            )
+        time.sleep(_BETWEEN)

@@ -116,4 +116,4 @@ def _fixed(config: Config) -> Iterator[_Span]:
         for what, part, owner in (("decoupler", region.decoupler, None), ("identity", region.identity, name)):
             if part is not None:
                 start = part.base_address + part.offset
-                yield start, start + part.width // 8, f"the {what} of region {name!r}", owner
+                yield start, start + part.size, f"the {what} of region {name!r}", owner

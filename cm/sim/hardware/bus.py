@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import errno
+from collections.abc import Iterator
 
-from cm.schema.model import Access
+from cm.schema.model import Access, Decoupler
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.hardware.cells import Area, Cell, Region, Window, answers, writable
@@ -83,22 +84,34 @@ class Bus:
 
 
 class _DecouplerBit:
-    """Watches the bit that cuts a region off."""
+    """Watches what cuts a region off: a bit, or all registers that a sequence writes."""
 
     def __init__(self, fabric: Fabric, region: Region) -> None:
         decoupler = region.spec.decoupler
         assert decoupler is not None
         self._fabric, self._region = fabric, region
-        self._active = decoupler.active_high
-        address = decoupler.base_address + decoupler.offset + decoupler.bit // 8
-        self._window = fabric.window_at(address)
-        self._byte = address - self._window.spec.address if self._window else 0
-        self._mask = 1 << decoupler.bit % 8
+        self._window = fabric.window_at(decoupler.base_address + decoupler.offset)
+        self._cells = list(self._watched(decoupler)) if self._window else []
+
+    def _watched(self, decoupler: Decoupler) -> Iterator[tuple[int, int, int, int]]:
+        """Offset in the window, bytes, mask, and the bits that stand while the region is cut off."""
+        assert self._window is not None
+        at, length = decoupler.base_address + decoupler.offset - self._window.spec.address, decoupler.width // 8
+        bit = 1 << decoupler.bit
+        if not decoupler.sequence:
+            yield at, length, bit, bit if decoupler.active_high else 0
+        for step in decoupler.sequence:
+            mask = (1 << decoupler.width) - 1 if step.mask is None else step.mask
+            if not step.poll:
+                yield at + step.offset, length, mask, step.cut & mask
 
     def update(self, window: Window) -> None:
         if window is self._window:
-            is_set = bool(window.memory[self._byte] & self._mask)
-            self._fabric.set_decoupled(self._region, is_set == self._active)
+            cut = all(
+                int.from_bytes(window.memory[at : at + length], "little") & mask == bits
+                for at, length, mask, bits in self._cells
+            )
+            self._fabric.set_decoupled(self._region, cut)
 
 
 def _check(window: Window, offset: int, width: int) -> int:

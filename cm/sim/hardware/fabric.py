@@ -168,13 +168,16 @@ class Fabric:
             identity[0].value = module.identity
 
     def _set_decoupler_bit(self, region: Region) -> None:
+        """After a reset regions are connected: the registers of their decouplers say so."""
         decoupler = region.spec.decoupler
-        if decoupler is None or decoupler.active_high:
+        window = self.window_at(decoupler.base_address + decoupler.offset) if decoupler else None
+        if decoupler is None or window is None:
             return
-        window = self.window_at(decoupler.base_address + decoupler.offset)
-        if window is not None:
-            offset = decoupler.base_address + decoupler.offset - window.spec.address
-            window.memory[offset + decoupler.bit // 8] |= 1 << decoupler.bit % 8
+        at, length = decoupler.base_address + decoupler.offset - window.spec.address, decoupler.width // 8
+        for step in decoupler.sequence:
+            window.memory[at + step.offset : at + step.offset + length] = step.couple.to_bytes(length, "little")
+        if not (decoupler.sequence or decoupler.active_high):
+            window.memory[at + decoupler.bit // 8] |= 1 << decoupler.bit % 8
 
 
 def _identity_name(region: str) -> str:

@@ -49,9 +49,7 @@ def windows_of(
     for region in regions:
         for part in (region.decoupler, region.identity):
             if part is not None:
-                need(
-                    part.base_address, part.offset + part.width // 8, None if part is region.decoupler else region.name
-                )
+                need(part.base_address, part.offset + part.size, None if part is region.decoupler else region.name)
     lines = list(interrupts)
     for interrupt in lines:
         if interrupt.base_address is not None and interrupt.base_address & ~(PAGE - 1) not in reach:
