@@ -157,6 +157,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         settings=ManagerSettings(prefetch_bytes=prefetch << 20),
         queue_bytes=queue,
         firmware_dir=said.firmware_dir,
+        unsigned=said.policy.signatures != "require",
         reload=partial(read_again, args, paths, settings),
     )
 

@@ -29,5 +29,6 @@ class Options:
     name: str = ""  # of the board, for people and to tell several apart; empty: that of its host
     queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
     firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
+    unsigned: bool = True  # whether clients may provision configurations, which nobody can have signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
     settings: Settings = Settings()  # noqa: RUF009 (frozen)

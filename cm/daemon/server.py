@@ -68,7 +68,7 @@ class Server:
         self._loop = Loop()
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
-        self._provisioner = Provisioner(options.state_dir / "configs")
+        self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned)
         self._store = Store(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         configs = self._configs()

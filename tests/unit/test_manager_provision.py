@@ -112,3 +112,12 @@ def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
     again.recover()
     assert content(again)["one.bit"] == (b"new" if after == 2 else b"1")
     assert [p.name for p in (tmp_path / "configs").iterdir()] == ["sent"]
+
+
+def test_where_only_signed_configurations_are_taken_none_comes_over_the_wire(tmp_path: Path) -> None:
+    text = "config: {name: mine, modules: {a: {}}, modes: {default: {modules: [a]}}}\n"
+    assert Provisioner(tmp_path / "configs").store(text, ()).name == "mine"
+    closed = Provisioner(tmp_path / "configs", unsigned=False)
+    assert closed.configs() == {}
+    with pytest.raises(InvalidRequest, match="requires signed configurations"):
+        closed.store(text, ())

@@ -17,6 +17,7 @@ from cm.schema.model import Config
 _LOG = logging.getLogger("cm")
 
 SCHEMA_FILE = "schema.yaml"
+_SIGNED_ONLY = "policy.signatures requires signed configurations; bring it by `cm import archive`"
 MAX_BYTES = 512 << 20
 
 
@@ -42,8 +43,10 @@ def check_paths(config: Config) -> None:
 class Provisioner:
     """Keeps provisioned configurations below a folder, one subfolder each."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, unsigned: bool = True) -> None:
+        """`unsigned`: whether what nobody signed may be used; what comes over the wire is never signed."""
         self._folder = folder
+        self._unsigned = unsigned
 
     def stored(self) -> list[Path]:
         """The schema files of all configurations that were provisioned."""
@@ -51,8 +54,12 @@ class Provisioner:
 
     def configs(self) -> dict[str, Config]:
         """All configurations that were provisioned, by name; one that cannot be read is left out and logged."""
-        found = {}
-        for path in self.stored():
+        found: dict[str, Config] = {}
+        stored = self.stored()
+        if stored and not self._unsigned:
+            _LOG.error("%d provisioned configurations are left out: %s", len(stored), _SIGNED_ONLY)
+            return found
+        for path in stored:
             try:
                 config = load(path)
             except CmError as error:
@@ -64,9 +71,12 @@ class Provisioner:
     def store(self, schema: str, files: tuple[File, ...], allowed: Callable[[str], None] = lambda _: None) -> Config:
         """Check the schema and put it with its files in place of what was there under its name.
 
-        Raises SchemaError, InvalidRequest, and what `allowed` raises for the configuration's name. The
-        folder is written aside and renamed, so a killed manager leaves the old one or the new one.
+        Raises SchemaError, InvalidRequest (also where only signed ones are taken), and what `allowed`
+        raises for the configuration's name. The folder is written aside and renamed, so a killed manager
+        leaves the old one or the new one.
         """
+        if not self._unsigned:
+            raise InvalidRequest(f"a configuration over the wire is refused: {_SIGNED_ONLY}")
         config = loads(schema)
         check_paths(config)
         allowed(config.name)
