@@ -31,6 +31,18 @@ static int read_number(const char *root, const char *folder, const char *leaf, u
 	return 0;
 }
 
+/*
+ * A window that does not begin at a page: sysfs has the address and the size of
+ * the pages, and where in them the device begins (uio_pdrv_genirq.c).
+ */
+static void begin_at_device(struct cm_uio_map *map)
+{
+	if (map->offset >= map->size)
+		return;
+	map->address += map->offset;
+	map->size -= map->offset;
+}
+
 static int read_map(const char *root, unsigned int number, unsigned int index,
 		    struct cm_uio_map *map)
 {
@@ -42,6 +54,7 @@ static int read_map(const char *root, unsigned int number, unsigned int index,
 		return -1;
 	if (read_number(root, folder, "offset", &map->offset))
 		map->offset = 0; /* kernels before 2.6.38 do not have it */
+	begin_at_device(map);
 	snprintf(path, sizeof(path), "%s/name", folder);
 	if (cm_path_read_text(root, path, map->name, sizeof(map->name)))
 		map->name[0] = '\0';

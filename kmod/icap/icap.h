@@ -63,6 +63,7 @@ enum cm_icap_select {
  * @select: how the port is selected
  * @full: it takes full bitstreams
  * @timeout_ms: longest load
+ * @hvc: ZynqMP: the firmware is called by HVC, not SMC
  * @devcfg: Zynq-7000: CTRL
  * @pcap_pr: Zynq-7000: PCAP_PR as it was before the load
  * @manager: FPGA manager
@@ -91,6 +92,7 @@ struct cm_icap {
 	enum cm_icap_select select;
 	bool full;
 	u32 timeout_ms;
+	bool hvc;
 	void __iomem *devcfg;
 	u32 pcap_pr;
 	struct fpga_manager *manager;

@@ -45,9 +45,10 @@ static u32 port_errors(struct cm_icap *icap)
 		return 0;
 	}
 	ret = read_poll_timeout(read_status, word,
-				word & (CM_ICAP_SR_DONE | CM_ICAP_SR_ERRORS), POLL_US,
-				PORT_TIMEOUT_US, false, icap);
+				word & (CM_ICAP_SR_DONE | CM_ICAP_SR_FAILED | CM_ICAP_SR_ERRORS),
+				POLL_US, PORT_TIMEOUT_US, false, icap);
 	return (word & CM_ICAP_SR_ERRORS) >> CM_ICAP_SR_ERRORS_SHIFT |
+	       (word & CM_ICAP_SR_FAILED ? CM_ICAP_ERR_PORT : 0) |
 	       (ret ? CM_ICAP_ERR_TIMEOUT : 0);
 }
 
@@ -190,11 +191,12 @@ static int check(struct cm_icap *icap, const struct cm_icap_request *request)
 	return request->length > icap->info.max_length ? -EMSGSIZE : 0;
 }
 
-static int begin(struct cm_icap *icap, const struct cm_icap_request *request)
+static int begin(struct cm_icap *icap, const struct cm_icap_request *request, u32 *before)
 {
 	int ret = 0;
 
 	mutex_lock(&icap->lock);
+	*before = icap->status.state;
 	if (icap->gone)
 		ret = -ENODEV;
 	else if (icap->status.state == CM_ICAP_STATE_LOADING)
@@ -209,20 +211,29 @@ static int begin(struct cm_icap *icap, const struct cm_icap_request *request)
 	return ret;
 }
 
-static void withdraw(struct cm_icap *icap)
+static void withdraw(struct cm_icap *icap, u32 state)
 {
 	mutex_lock(&icap->lock);
-	icap->status.state = CM_ICAP_STATE_ERROR;
+	icap->status.state = state;
 	icap->request.buffer = NULL;
 	mutex_unlock(&icap->lock);
 	wake_up_all(&icap->idle);
 }
 
+/* the port is asked for before anything is decoupled: it may be refused */
 static int prepare(struct cm_icap *icap, const struct cm_icap_request *request)
 {
-	int ret = request->own_bridges ? cm_icap_bridges_disable(icap) : 0;
+	int ret = cm_icap_select_port(icap);
 
-	return ret ?: cm_icap_select_port(icap);
+	if (ret || !request->own_bridges)
+		return ret;
+	ret = cm_icap_bridges_disable(icap);
+	if (ret) {
+		/* those that were closed before the one that could not be */
+		cm_icap_bridges_enable(icap);
+		cm_icap_deselect_port(icap);
+	}
+	return ret;
 }
 
 /* all of it before the buffer, by which the work sees that there is a load */
@@ -249,19 +260,22 @@ static void arm(struct cm_icap *icap, const struct cm_icap_request *request)
  *
  * Return: 0, and @request's done will be called; or a negative errno, and it
  * will not: -EINVAL for a range that is not made of words or lies outside the
- * buffer, -EMSGSIZE above the longest load, -EBUSY while one runs.
+ * buffer, -EMSGSIZE above the longest load, -EBUSY while one runs, -EACCES or
+ * -EIO where the platform does not give the port.
  */
 int cm_icap_start(struct cm_icap *icap, const struct cm_icap_request *request)
 {
 	int ret = check(icap, request);
+	u32 before;
 
 	if (!ret)
-		ret = begin(icap, request);
+		ret = begin(icap, request, &before);
 	if (ret)
 		return ret;
 	ret = prepare(icap, request);
 	if (ret) {
-		withdraw(icap);
+		/* nothing was touched */
+		withdraw(icap, before);
 		return ret;
 	}
 	arm(icap, request);
@@ -272,7 +286,7 @@ int cm_icap_start(struct cm_icap *icap, const struct cm_icap_request *request)
 		cm_channel_cancel(icap->channel);
 		cancel_delayed_work_sync(&icap->work);
 		cm_icap_deselect_port(icap);
-		withdraw(icap);
+		withdraw(icap, CM_ICAP_STATE_ERROR);
 		cm_buffer_put(request->buffer);
 	}
 	return ret;

@@ -14,23 +14,26 @@
  * PM_SIP_SVC | 19, first register address and, above it, mask, second register
  * value; the status is in the low word.  The PMU firmware allows the address
  * in pmAccessTable of its pm_mmio_access.c only if it was built with
- * SECURE_ACCESS, and says XST_PM_NO_ACCESS (2002) otherwise.
+ * SECURE_ACCESS, and says XST_PM_NO_ACCESS (2002) otherwise.  So it is asked
+ * for the register (PM_MMIO_READ, 20) when the driver starts.  Whether by SMC or
+ * HVC says the firmware's node, as to the kernel's own driver.
  *
  * None of it was run on silicon.
  */
 #include <linux/arm-smccc.h>
 #include <linux/io.h>
 #include <linux/of.h>
+#include <linux/of_address.h>
 #include <linux/property.h>
 
 #include "icap.h"
 
-#define ZYNQ_DEVCFG_CTRL 0xF8007000
 #define ZYNQ_PCAP_PR BIT(27)
 
 #define ZYNQMP_CSU_PCAP_CTRL 0xFFCA3008
 #define ZYNQMP_PCAP_PR BIT(0)
 #define ZYNQMP_PM_MMIO_WRITE 0xC2000013 /* PM_SIP_SVC | PM_MMIO_WRITE */
+#define ZYNQMP_PM_MMIO_READ 0xC2000014
 #define ZYNQMP_XST_PM_NO_ACCESS 2002
 
 static void zynq_select(struct cm_icap *icap)
@@ -49,12 +52,14 @@ static void zynq_restore(struct cm_icap *icap)
 }
 
 #ifdef CONFIG_ARM64
-static int zynqmp_set(u32 bit)
+static int zynqmp_call(const struct cm_icap *icap, u32 function, u64 first, u64 second)
 {
 	struct arm_smccc_res result;
-	u64 address_and_mask = ZYNQMP_CSU_PCAP_CTRL | (u64)ZYNQMP_PCAP_PR << 32;
 
-	arm_smccc_smc(ZYNQMP_PM_MMIO_WRITE, address_and_mask, bit, 0, 0, 0, 0, 0, &result);
+	if (icap->hvc)
+		arm_smccc_hvc(function, first, second, 0, 0, 0, 0, 0, &result);
+	else
+		arm_smccc_smc(function, first, second, 0, 0, 0, 0, 0, &result);
 	switch (lower_32_bits(result.a0)) {
 	case 0:
 		return 0;
@@ -64,12 +69,66 @@ static int zynqmp_set(u32 bit)
 		return -EIO;
 	}
 }
+
+static int zynqmp_set(const struct cm_icap *icap, u32 bit)
+{
+	return zynqmp_call(icap, ZYNQMP_PM_MMIO_WRITE,
+			   ZYNQMP_CSU_PCAP_CTRL | (u64)ZYNQMP_PCAP_PR << 32, bit);
+}
+
+static int zynqmp_ask(const struct cm_icap *icap)
+{
+	return zynqmp_call(icap, ZYNQMP_PM_MMIO_READ, ZYNQMP_CSU_PCAP_CTRL, 0);
+}
 #else
-static int zynqmp_set(u32 bit)
+static int zynqmp_set(const struct cm_icap *icap, u32 bit)
+{
+	return -EOPNOTSUPP;
+}
+
+static int zynqmp_ask(const struct cm_icap *icap)
 {
 	return -EOPNOTSUPP;
 }
 #endif
+
+static int zynqmp_init(struct cm_icap *icap)
+{
+	struct device_node *node = of_find_compatible_node(NULL, NULL, "xlnx,zynqmp-firmware");
+	const char *method;
+	int ret = -EINVAL;
+
+	if (node && !of_property_read_string(node, "method", &method)) {
+		icap->hvc = !strcmp(method, "hvc");
+		ret = icap->hvc || !strcmp(method, "smc") ? 0 : -EINVAL;
+	}
+	of_node_put(node);
+	if (ret)
+		return dev_err_probe(icap->dev, ret, "no firmware node with a method\n");
+	icap->select = CM_SELECT_ZYNQMP;
+	ret = zynqmp_ask(icap);
+	if (ret) {
+		icap->info.caps |= CM_ICAP_CAP_DENIED;
+		dev_warn(icap->dev, "the platform's firmware does not give the port (%d): load through the FPGA manager, or build the firmware with SECURE_ACCESS\n",
+			 ret);
+	}
+	return 0;
+}
+
+static int zynq_init(struct cm_icap *icap)
+{
+	struct device_node *node = of_find_compatible_node(NULL, NULL, "xlnx,zynq-devcfg-1.0");
+	struct resource range;
+	int ret = node ? of_address_to_resource(node, 0, &range) : -EINVAL;
+
+	of_node_put(node);
+	if (ret)
+		return dev_err_probe(icap->dev, ret, "no devcfg node\n");
+	icap->select = CM_SELECT_ZYNQ;
+	/* CTRL is its first register */
+	icap->devcfg = devm_ioremap(icap->dev, range.start, sizeof(u32));
+	return icap->devcfg ? 0 : -ENOMEM;
+}
 
 /**
  * cm_icap_select_init() - read how this port is selected
@@ -83,17 +142,11 @@ int cm_icap_select_init(struct cm_icap *icap)
 
 	if (device_property_read_string(icap->dev, "fpga-cm,select", &way) || !strcmp(way, "none"))
 		return 0;
-	if (!strcmp(way, "zynq") && of_machine_is_compatible("xlnx,zynq-7000")) {
-		icap->select = CM_SELECT_ZYNQ;
-		icap->devcfg = devm_ioremap(icap->dev, ZYNQ_DEVCFG_CTRL, 4);
-		return icap->devcfg ? 0 : -ENOMEM;
-	}
-	if (!strcmp(way, "zynqmp") && of_machine_is_compatible("xlnx,zynqmp")) {
-		icap->select = CM_SELECT_ZYNQMP;
-		return 0;
-	}
-	return dev_err_probe(icap->dev, -EINVAL, "fpga-cm,select \"%s\" is not of this machine\n",
-			     way);
+	if (!strcmp(way, "zynq"))
+		return zynq_init(icap);
+	if (!strcmp(way, "zynqmp"))
+		return zynqmp_init(icap);
+	return dev_err_probe(icap->dev, -EINVAL, "fpga-cm,select \"%s\" is unknown\n", way);
 }
 
 /**
@@ -107,7 +160,7 @@ int cm_icap_select_port(struct cm_icap *icap)
 {
 	if (icap->select == CM_SELECT_ZYNQ)
 		zynq_select(icap);
-	return icap->select == CM_SELECT_ZYNQMP ? zynqmp_set(0) : 0;
+	return icap->select == CM_SELECT_ZYNQMP ? zynqmp_set(icap, 0) : 0;
 }
 
 /**
@@ -118,6 +171,6 @@ void cm_icap_deselect_port(struct cm_icap *icap)
 {
 	if (icap->select == CM_SELECT_ZYNQ)
 		zynq_restore(icap);
-	if (icap->select == CM_SELECT_ZYNQMP && zynqmp_set(ZYNQMP_PCAP_PR))
+	if (icap->select == CM_SELECT_ZYNQMP && zynqmp_set(icap, ZYNQMP_PCAP_PR))
 		dev_warn(icap->dev, "PCAP could not be selected again\n");
 }

@@ -19,7 +19,7 @@ int cm_icap_verdict(u32 errors)
 		return -ENODEV;
 	if (errors & CM_ICAP_ERR_CRC)
 		return -EILSEQ;
-	if (errors & CM_ICAP_ERR_NOSYNC)
+	if (errors & (CM_ICAP_ERR_NOSYNC | CM_ICAP_ERR_PORT))
 		return -EIO;
 	if (errors & CM_ICAP_ERR_TIMEOUT)
 		return -ETIMEDOUT;

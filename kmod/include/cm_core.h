@@ -19,9 +19,12 @@
 
 #include "cm_dma.h"
 
+struct cm_active;
+struct cm_engine;
+struct cm_pool;
+struct cm_traits;
 struct dma_buf;
 struct dma_buf_attachment;
-struct cm_pool;
 struct dentry;
 struct sg_table;
 
@@ -186,6 +189,7 @@ struct cm_channel_config {
  * @completed: completions without an error, periods of cyclic ones included
  * @failed: completions with an error of the engine
  * @cancelled: requests ended by a cancel
+ * @rearmed: times that the end of another channel of the engine reset this one
  * @bytes: bytes moved
  * @short_packets: completions with fewer bytes than asked for
  */
@@ -194,6 +198,7 @@ struct cm_channel_stats {
 	u64 completed;
 	u64 failed;
 	u64 cancelled;
+	u64 rearmed;
 	u64 bytes;
 	u64 short_packets;
 };
@@ -206,11 +211,18 @@ struct cm_channel_stats {
  * @dma_dev: the engine's device; a reference is held
  * @chan: the engine's channel; NULL once the device is gone
  * @info: what user space is told
- * @lock: orders submit, cancel, claim and the device's end
+ * @engine: what it shares with other channels; its lock orders submit, cancel,
+ *          claim and the device's end
+ * @traits: how the engine behaves
+ * @siblings: in the engine's list
  * @claimed: somebody has the channel
  * @active_lock: protects the members below
  * @active: requests under way, in order
- * @stopping: a cancel is under way, nothing is repeated any more
+ * @in_engine: transfers that the engine has
+ * @stopping: nothing is given to the engine any more
+ * @over: a frame that has ended, while the engine is being stopped
+ * @settle: stops the engine, and tells the end of @over
+ * @watch: looks for an error that nobody tells
  * @stats: counters
  * @waiting: for the holder's use; woken when the device goes away
  */
@@ -221,11 +233,17 @@ struct cm_channel {
 	struct device *dma_dev;
 	struct dma_chan *chan;
 	struct cm_dma_info info;
-	struct mutex lock; /* orders submit, cancel, claim and the device's end */
+	struct cm_engine *engine;
+	struct cm_traits *traits;
+	struct list_head siblings;
 	bool claimed;
 	spinlock_t active_lock; /* protects the members below */
 	struct list_head active;
+	u32 in_engine;
 	bool stopping;
+	struct cm_active *over;
+	struct work_struct settle;
+	struct delayed_work watch;
 	struct cm_channel_stats stats;
 	wait_queue_head_t waiting;
 };

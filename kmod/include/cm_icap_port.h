@@ -7,11 +7,15 @@
 #include <linux/types.h>
 
 /*
- * The status register: bits 0 and 2 as in HWICAP and HBICAP (SR, 0x110).  The
- * error bits are zero there; a wrapper that reads the port's own outputs may
- * have them.
+ * The status register: the one definition, which cm_control.v, cm_plsim, the
+ * binding and the tests are compared with (tests/unit/test_icap_status.py).
+ *
+ * Bits 0 and 2 as in HWICAP and HBICAP (SR, 0x110), which have no others.
+ * FAILED: the port has an error output, and no cause of it (ICAPE2: CFGERR_B,
+ * ICAPE3: PRERROR).  ERRORS: a wrapper that knows the cause.
  */
 #define CM_ICAP_SR_DONE BIT(0)
+#define CM_ICAP_SR_FAILED BIT(1)
 #define CM_ICAP_SR_EOS BIT(2)
 #define CM_ICAP_SR_ERRORS_SHIFT 8
 #define CM_ICAP_SR_ERRORS GENMASK(12, 8) /* CM_ICAP_ERR_* */

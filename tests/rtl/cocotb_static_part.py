@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 import random
+import re
+from pathlib import Path
 
 import cocotb
 import numpy as np
@@ -243,4 +245,28 @@ async def the_configuration_port_gets_every_word_bits_swapped(dut: object) -> No
 
     assert taken == [swapped(word) for word in words]
     assert (await board.read(CONTROL + 0x18))[0] == len(words)
-    assert (await board.read(CONTROL + 0x14))[0] & 0b101 == 0b101
+    assert (await board.read(CONTROL + 0x14))[0] == status_bits("DONE", "EOS")
+
+
+def status_bits(*names: str) -> int:
+    """Bits of the port's status register, as the kernel's driver defines them."""
+    header = (Path(__file__).parents[2] / "kmod/include/cm_icap_port.h").read_text()
+    bits = dict(re.findall(r"#define CM_ICAP_SR_([A-Z]+) BIT\((\d+)\)", header))
+    return sum(1 << int(bits[name]) for name in names)
+
+
+@cocotb.test()
+async def an_error_of_the_configuration_port_is_in_the_bit_that_its_driver_reads(dut: object) -> None:
+    board = Board(dut)
+    await board.start()
+    port = dut.icap.series7.port
+    port.cfgerr_b.value = 0
+    assert (await board.read(CONTROL + 0x14))[0] == 0  # of no load yet
+    dut.axis_icap_tvalid.value, dut.axis_icap_tdata.value, dut.axis_icap_tlast.value = 1, 0xAA995566, 1
+    await RisingEdge(dut.clk_fclk0)
+    dut.axis_icap_tvalid.value = 0
+    await ClockCycles(dut.clk_fclk0, 5)
+    assert (await board.read(CONTROL + 0x14))[0] == status_bits("DONE", "FAILED", "EOS")
+    port.cfgerr_b.value = 1
+    await ClockCycles(dut.clk_fclk0, 2)
+    assert (await board.read(CONTROL + 0x14))[0] == status_bits("DONE", "EOS")

@@ -36,7 +36,7 @@ def test_a_module_works_in_its_region(module: str, camera: tuple[Design, Path], 
     sources = [*static_sources(out), out / f"wrappers/{module}/cm_region_prr0.v", *one.module.sources]
     environment = {"CM_MODULE": module, "CM_IDENTITY": str(one.identity)}
     ran = simulate("cm_static", sources, "cocotb_static_part", tmp_path, **environment)
-    assert len(ran) == (8 if module == "edge" else 7)
+    assert len(ran) == (9 if module == "edge" else 8)
 
 
 def test_garbage_of_a_region_is_kept_from_the_static_part(camera: tuple[Design, Path], tmp_path: Path) -> None:

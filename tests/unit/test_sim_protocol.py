@@ -68,6 +68,7 @@ NUMBERS = {
     "CM_DMA_COMPLETION_OVERRUN": p.COMPLETION_OVERRUN,
     "CM_DMA_CAP_RESIDUE": p.CAP_RESIDUE,
     "CM_ICAP_ERR_NOSYNC": p.ERR_NOSYNC,
+    "CM_ICAP_ERR_PORT": p.ERR_PORT,
     "CM_ICAP_ERR_TIMEOUT": p.ERR_TIMEOUT,
     "CM_ICAP_STATE_ERROR": p.STATE_ERROR,
     **{f"CM_{name}": getattr(p, name) for name in dir(p) if name.startswith(("DMA_IOC_", "ICAP_IOC_"))},

@@ -13,8 +13,9 @@ module ICAPE2 #(
     output wire [31:0] O
 );
     reg [31:0] last = 32'd0;
+    reg cfgerr_b = 1'b1; // UG470 table 2-7, O[7]: a test sets it
     always @(posedge CLK) if (!CSIB && !RDWRB) last <= I;
-    assign O = 32'h000000_9F | (last & 32'd0);
+    assign O = {24'd0, cfgerr_b, 7'h1F} | (last & 32'd0);
     wire unused = ICAP_WIDTH != "X32";
 endmodule
 

@@ -36,6 +36,7 @@ LOOK: dict[str, Callable[[], bool]] = {
     "dma_debug": lambda: Path("/sys/kernel/debug/dma-api").exists(),
     "kasan": lambda: _log_says("KernelAddressSanitizer initialized"),
     "kmemleak": lambda: "kmemleak=on" in Path("/proc/cmdline").read_text(),
+    "xilinx_dma": lambda: Path("/sys/kernel/debug/cm_axi").exists(),  # the kernel's own, on modelled engines
     "kvm": lambda: _log_says("Hypervisor detected: KVM"),
 }
 EXPECTED = set(filter(None, os.environ.get("CM_VM_EXPECTS", "").split(",")))

@@ -31,7 +31,9 @@ board_up() {
 	if modprobe cm_overlay 2>/dev/null && [ -e /proc/device-tree/__symbols__ ]; then
 		modprobe uio_pdrv_genirq of_id=fpga-cm,uio
 		modprobe -a cm_dma cm_icap cm_plsim
-		overlay static /opt/cm/firmware/qemu-virt/static.dtbo
+		# the kernel's own driver of the engines, and what stands behind it
+		[ "${CM_VM_STATIC:-static}" = static ] || modprobe -a cm_axi_model xilinx_dma xilinx-pr-decoupler
+		overlay static "/opt/cm/firmware/qemu-virt/${CM_VM_STATIC:-static}.dtbo"
 		mkdir -p /lib/firmware/cm/camera
 		cp /opt/cm/firmware/qemu-virt/*.dtbo /lib/firmware/cm/camera
 	else
@@ -55,7 +57,7 @@ board_configfs() {
 
 # every load takes a while that tests can meet, as on a real port
 slow_port() {
-	for delay in /sys/kernel/debug/cm_plsim/*/icap/delay_us; do
+	for delay in /sys/kernel/debug/cm_plsim/*/icap/delay_us /sys/kernel/debug/cm_axi/icap/delay_us; do
 		[ -e "$delay" ] && echo "$CM_VM_LOAD_US" >"$delay"
 	done
 }

@@ -19,7 +19,7 @@ CM_VM_QUIET=$((20 * slow))
 		-c /opt/cm/guest/pytest.ini --rootdir /opt/cm/tests -v --tb=short --timeout=$((100 * slow)) -o faulthandler_timeout=$((80 * slow)) \
 		--no-summary --durations=8 \
 		${CM_VM_KEYWORD:+-k "$(echo "$CM_VM_KEYWORD" | tr + ' ')"} \
-		--board=vm --board-file=/tmp/board.json --junit-xml=/tmp/results/cases.xml vm/cases device
+		--board=vm --board-file=/tmp/board.json --junit-xml=/tmp/results/cases.xml $(echo "${CM_VM_CASES:-vm/cases+device}" | tr + ' ')
 	echo "status=$?" >>/tmp/results/facts
 } >/tmp/output 2>&1 &
 tests=$!

@@ -21,16 +21,18 @@ SHARED_TESTS = ("device", "data")
 def image(cache: Cache, kernel: Kernel) -> Path:
     """The ext4 image with our software, tests and kernel modules for one kernel."""
     package = software.python_package(cache, kernel.arch)
-    modules = software.kernel_modules(cache, kernel)
+    modules = [software.kernel_modules(cache, kernel)]
+    silicon = software.silicon_modules(cache, kernel)
+    modules += [silicon] if silicon else []
     trees = software.overlays(cache)
     programs = software.programs(cache, kernel.arch)
     tests = [REPOSITORY / "tests" / name for name in SHARED_TESTS if (REPOSITORY / "tests" / name).exists()]
-    made = [package.name, modules.name, trees.name, programs.name]
+    made = [package.name, *(folder.name for folder in modules), trees.name, programs.name]
     inputs = [kernel.release, str(kernel.build), *made, HERE, *tests]
 
     def build(place: Path) -> None:
         root = place / "root"
-        _copy_software(root, package, modules, trees, tests)
+        _copy_software(root, package, trees, tests)
         shutil.copytree(programs, root / "bin", ignore=shutil.ignore_patterns(".*"))
         _copy_modules(root, kernel, modules)
         filesystem = ["-t", "ext4", "-O", "^has_journal", "-L", "cm-payload"]
@@ -40,7 +42,7 @@ def image(cache: Cache, kernel: Kernel) -> Path:
     return cache.entry(f"payload-{kernel.release}", inputs, build) / "payload.ext4"
 
 
-def _copy_software(root: Path, package: Path, modules: Path, trees: Path, tests: list[Path]) -> None:
+def _copy_software(root: Path, package: Path, trees: Path, tests: list[Path]) -> None:
     shutil.copytree(package / "cm", root / "python/cm")
     shutil.copytree(HERE / "guest", root / "guest")
     shutil.copytree(HERE / "cases", root / "tests/vm/cases", ignore=shutil.ignore_patterns("__pycache__"))
@@ -53,7 +55,7 @@ def _copy_software(root: Path, package: Path, modules: Path, trees: Path, tests:
         shutil.copy2(tree, target)
 
 
-def _copy_modules(root: Path, kernel: Kernel, ours: Path) -> None:
+def _copy_modules(root: Path, kernel: Kernel, ours: list[Path]) -> None:
     """lib/modules for modprobe: a custom kernel's own, or the few drivers of the stock one; and ours."""
     target = root / "lib/modules" / kernel.release
     source = kernel.modules / "lib/modules" / kernel.release
@@ -66,7 +68,7 @@ def _copy_modules(root: Path, kernel: Kernel, ours: Path) -> None:
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(path, copy)
     (target / "updates").mkdir()
-    for path in sorted(ours.rglob("*.ko")):
+    for path in sorted(path for folder in ours for path in folder.rglob("*.ko")):
         shutil.copy2(path, target / "updates" / path.name)
     run(["depmod", "-b", root, kernel.release])
 

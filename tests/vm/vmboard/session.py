@@ -46,6 +46,7 @@ def machine(
     if tier.kvm and not accelerated:
         say(f"{tier.name}: no working /dev/kvm here, the board is emulated")
     own = (f"cm.tier={tier.name}", f"cm.expects={','.join(tier.expects)}", f"cm.slow={slow}")
+    own += (f"cm.static={tier.static}", f"cm.cases={'+'.join(tier.cases)}")
     return qemu.Machine(
         arch=tier.arch,
         image=kernel.image,

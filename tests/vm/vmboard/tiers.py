@@ -28,6 +28,8 @@ class Tier:
     kvm: bool = False  # where the host's works; emulated otherwise
     append: str = ""  # more arguments of the kernel
     remote: bool = False  # tests run on the host and talk to the board over TCP
+    static: str = "static"  # overlay of the board's own engines, where the kernel takes overlays
+    cases: tuple[str, ...] = ("vm/cases", "device")  # what is run there, below tests/
 
     def kernel(self, cache: Cache) -> kernel.Kernel:
         """Build or fetch the kernel."""
@@ -47,6 +49,17 @@ TIERS = {
         Tier("stock", ARM64, (), BASIC, memory_mb=768, slow=6),
         Tier("custom", ARM64, CUSTOM, (*FULL, "kmemleak"), memory_mb=512, slow=6, changes=1000, append="kmemleak=on"),
         Tier("sanitize", ARM64, SANITIZE, (*FULL, *SANITIZERS), memory_mb=768, slow=12),
+        Tier(
+            "silicon",
+            ARM64,
+            SANITIZE,
+            (*BASIC, "overlay", "fpga", "uio_genirq", *SANITIZERS, "xilinx_dma"),
+            memory_mb=768,
+            slow=12,
+            changes=20,
+            static="silicon",
+            cases=("vm/cases/test_silicon.py", "vm/cases/test_board.py", "vm/cases/test_manager.py", "device"),
+        ),
         Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, slow=6, remote=True),
         Tier("x86", AMD64, (), BASIC, memory_mb=768, slow=6, kvm=True),
     )

@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: GPL-2.0-only
+/*
+ * The engines that a device tree describes as they were built, and the
+ * interrupt controller that their lines go to.
+ */
+#include <linux/debugfs.h>
+#include <linux/io.h>
+#include <linux/irq_sim.h>
+#include <linux/module.h>
+#include <linux/of.h>
+#include <linux/of_address.h>
+#include <linux/platform_device.h>
+#include <linux/slab.h>
+#include <linux/vmalloc.h>
+
+#include "model.h"
+
+#define LINES 32
+#define S2MM_OFFSET 0x30
+
+static struct dentry *root;
+
+static int read_pl(struct device_node *node, struct axi_engine *engine)
+{
+	static const char * const kinds[] = {
+		[AXI_BENCH] = "bench",
+		[AXI_LOOP] = "loop",
+		[AXI_CAMERA] = "camera",
+		[AXI_PORT] = "port",
+	};
+	const char *kind;
+	u32 status;
+	int ret = of_property_read_string(node, "fpga-cm,pl", &kind);
+
+	if (!ret)
+		ret = match_string(kinds, ARRAY_SIZE(kinds), kind);
+	if (ret < 0)
+		return ret;
+	engine->pl = ret;
+	of_property_read_u32(node, "fpga-cm,frame-length", &engine->frame_length);
+	of_property_read_u32(node, "fpga-cm,interval-us", &engine->interval_us);
+	of_property_read_u32(node, "fpga-cm,idcode", &engine->port.port.idcode);
+	if (of_property_read_u32(node, "fpga-cm,status", &status))
+		return 0;
+	engine->port.status = ioremap(status, sizeof(u32));
+	return engine->port.status ? 0 : -ENOMEM;
+}
+
+static int read_engine(struct device_node *node, struct axi_engine *engine)
+{
+	u32 address, bits = 26, lines[2];
+	int ret;
+
+	ret = of_property_read_u32(node, "reg", &address);
+	if (!ret)
+		ret = of_property_read_string(node, "label", &engine->label);
+	if (!ret)
+		ret = of_property_read_u32_array(node, "fpga-cm,lines", lines, 2);
+	if (ret)
+		return ret;
+	engine->address = address;
+	engine->vdma = of_property_read_bool(node, "fpga-cm,vdma");
+	engine->sg = of_property_read_bool(node, "fpga-cm,sg");
+	engine->fstores = 3;
+	of_property_read_u32(node, "fpga-cm,length-width", &bits);
+	engine->length_mask = GENMASK(bits - 1, 0);
+	engine->channels[0].there = !of_property_read_bool(node, "fpga-cm,no-mm2s");
+	engine->channels[1].there = !of_property_read_bool(node, "fpga-cm,no-s2mm");
+	engine->channels[0].irq = lines[0];
+	engine->channels[1].irq = lines[1];
+	return read_pl(node, engine);
+}
+
+static void engine_free(void *data)
+{
+	struct axi_engine *engine = data;
+
+	debugfs_remove_recursive(engine->debugfs);
+	cancel_delayed_work_sync(&engine->camera);
+	axi_bus_remove(engine);
+	cancel_delayed_work_sync(&engine->work);
+	axi_stream_clear(&engine->channels[0]);
+	axi_stream_clear(&engine->channels[1]);
+	axi_packet_drop(engine->channels[0].packet);
+	if (engine->port.status)
+		iounmap(engine->port.status);
+	iounmap(engine->mirror);
+	kvfree(engine->trace);
+	kfree(engine);
+}
+
+static int engine_start(struct device *dev, struct axi_engine *engine, struct irq_domain *irqs)
+{
+	int i;
+
+	spin_lock_init(&engine->lock);
+	engine->irqs = irqs;
+	for (i = 0; i < 2; i++) {
+		struct axi_channel *channel = &engine->channels[i];
+
+		channel->engine = engine;
+		channel->receives = i;
+		channel->offset = i * S2MM_OFFSET;
+		INIT_LIST_HEAD(&channel->stream);
+		axi_reset_channel(channel);
+	}
+	axi_mirror(engine);
+	axi_pl_init(engine);
+	axi_bus_add(engine);
+	return devm_add_action_or_reset(dev, engine_free, engine);
+}
+
+static int add_engine(struct device *dev, struct device_node *node, struct irq_domain *irqs)
+{
+	struct axi_engine *engine = kzalloc(sizeof(*engine), GFP_KERNEL);
+	int ret;
+
+	if (!engine)
+		return -ENOMEM;
+	ret = read_engine(node, engine);
+	if (ret) {
+		kfree(engine);
+		return dev_err_probe(dev, ret, "%pOF is not understood\n", node);
+	}
+	engine->trace = kvcalloc(AXI_TRACE, sizeof(*engine->trace), GFP_KERNEL);
+	engine->mirror = ioremap(engine->address, AXI_WINDOW);
+	if (!engine->trace || !engine->mirror)
+		return -ENOMEM; /* the module is of no use then, and the test ends */
+	ret = engine_start(dev, engine, irqs);
+	if (!ret)
+		axi_debugfs(engine, root);
+	return ret;
+}
+
+static int model_probe(struct platform_device *pdev)
+{
+	struct device *dev = &pdev->dev;
+	struct irq_domain *irqs;
+	struct device_node *node;
+	int ret;
+
+	irqs = devm_irq_domain_create_sim(dev, of_node_to_fwnode(dev->of_node), LINES);
+	if (IS_ERR(irqs))
+		return PTR_ERR(irqs);
+	for_each_child_of_node(dev->of_node, node) {
+		ret = add_engine(dev, node, irqs);
+		if (ret) {
+			of_node_put(node);
+			return ret;
+		}
+	}
+	return 0;
+}
+
+static const struct of_device_id model_of_match[] = {
+	{ .compatible = "fpga-cm,axi-model" },
+	{}
+};
+MODULE_DEVICE_TABLE(of, model_of_match);
+
+static struct platform_driver model_driver = {
+	.probe = model_probe,
+	.driver = {
+		.name = "cm_axi_model",
+		.of_match_table = model_of_match,
+	},
+};
+
+static int __init model_init(void)
+{
+	int ret;
+
+	root = debugfs_create_dir("cm_axi", NULL);
+	ret = platform_driver_register(&model_driver);
+	if (ret)
+		debugfs_remove_recursive(root);
+	return ret;
+}
+module_init(model_init);
+
+static void __exit model_exit(void)
+{
+	platform_driver_unregister(&model_driver);
+	debugfs_remove_recursive(root);
+}
+module_exit(model_exit);
+
+MODULE_DESCRIPTION("Register models of AXI DMA and AXI VDMA");
+MODULE_LICENSE("GPL");
