@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /* The character devices, one for each channel, and the list of channels. */
 #include <linux/debugfs.h>
+#include <linux/dma-map-ops.h>
 #include <linux/fs.h>
 #include <linux/idr.h>
 #include <linux/slab.h>
@@ -10,7 +11,68 @@
 
 #define CM_MINORS 256
 
-static struct class cm_dma_class = { .name = "cm_dma" };
+/* for those who look without opening: opening takes the channel */
+static const struct cm_dma_info *info_of(struct device *dev)
+{
+	return &container_of(dev, struct cm_node, dev)->channel->info;
+}
+
+static ssize_t caps_show(struct device *dev, struct device_attribute *attribute, char *to)
+{
+	static const struct {
+		u32 bit;
+		const char *word;
+	} words[] = {
+		{ CM_DMA_CAP_CYCLIC, "cyclic" },
+		{ CM_DMA_CAP_VIDEO, "video" },
+		{ CM_DMA_CAP_RESIDUE, "residue" },
+		{ CM_DMA_CAP_SIMPLE, "simple" },
+	};
+	ssize_t length = 0;
+	int i;
+
+	for (i = 0; i < ARRAY_SIZE(words); i++) {
+		if (info_of(dev)->caps & words[i].bit)
+			length += sysfs_emit_at(to, length, "%s%s", length ? " " : "",
+						words[i].word);
+	}
+	return length + sysfs_emit_at(to, length, "\n");
+}
+static DEVICE_ATTR_RO(caps);
+
+static ssize_t max_length_show(struct device *dev, struct device_attribute *attribute, char *to)
+{
+	return sysfs_emit(to, "%llu\n", info_of(dev)->max_length);
+}
+static DEVICE_ATTR_RO(max_length);
+
+static ssize_t direction_show(struct device *dev, struct device_attribute *attribute, char *to)
+{
+	return sysfs_emit(to, "%s\n", info_of(dev)->direction == CM_DMA_MM2S ? "mm2s" : "s2mm");
+}
+static DEVICE_ATTR_RO(direction);
+
+static ssize_t coherent_show(struct device *dev, struct device_attribute *attribute, char *to)
+{
+	struct cm_node *node = container_of(dev, struct cm_node, dev);
+
+	return sysfs_emit(to, "%d\n", dev_is_dma_coherent(node->channel->alloc_dev));
+}
+static DEVICE_ATTR_RO(coherent);
+
+static struct attribute *cm_dma_attrs[] = {
+	&dev_attr_caps.attr,
+	&dev_attr_max_length.attr,
+	&dev_attr_direction.attr,
+	&dev_attr_coherent.attr,
+	NULL,
+};
+ATTRIBUTE_GROUPS(cm_dma);
+
+static struct class cm_dma_class = {
+	.name = "cm_dma",
+	.dev_groups = cm_dma_groups,
+};
 static DEFINE_IDA(cm_minors);
 static DEFINE_MUTEX(cm_nodes_lock);
 static LIST_HEAD(cm_nodes);

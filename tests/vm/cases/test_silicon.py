@@ -358,6 +358,65 @@ def test_a_port_that_the_platform_refuses_leaves_bridge_and_engine_as_they_were(
         assert port.status().state is device.IcapState.IDLE
 
 
+# clocks: UG585, FPGA0_CLK_CTRL: two divisors of 1 to 63, the nearest rate below
+
+
+CLOCKS = Path("/sys/class/cm_clock")
+
+
+def test_a_clocks_assigned_rate_is_in_force() -> None:
+    assert (CLOCKS / "fclk1/rate").read_text() == "100000000\n"
+
+
+def test_a_clock_is_rounded_down_and_says_so() -> None:
+    rate, rounded = CLOCKS / "fclk0/rate", CLOCKS / "fclk0/round"
+    rounded.write_text("142860000")
+    assert (rate.read_text(), rounded.read_text()) == ("50000000\n", "142857142\n")
+    rate.write_text("142860000")
+    assert rate.read_text() == "142857142\n"
+    rate.write_text("50000000")
+    assert rate.read_text() == "50000000\n"
+
+
+@pytest.mark.parametrize("text", ["", "0", "fast", "-1"])
+def test_what_is_no_rate_is_refused(text: str) -> None:
+    with pytest.raises(OSError, match="Invalid argument"), (CLOCKS / "fclk0/rate").open("w") as file:
+        file.write(text or "\n")
+
+
+def test_a_clock_runs_while_it_is_enabled_and_stops_with_its_node() -> None:
+    def users() -> int:
+        return int(Path("/sys/kernel/debug/clk/model_fclk0/clk_enable_count").read_text())
+
+    for _ in range(2):
+        (CLOCKS / "fclk0/enable").write_text("1")
+        assert (users(), (CLOCKS / "fclk0/enable").read_text()) == (1, "1\n")
+    bound = Path("/sys/bus/platform/drivers/cm_clock")
+    name = next(link.name for link in bound.iterdir() if link.is_symlink() and link.name != "module")
+    (bound / "unbind").write_text(name)
+    assert (users(), (CLOCKS / "fclk0").exists()) == (0, False)
+    (bound / "bind").write_text(name)
+    assert (CLOCKS / "fclk0/enable").read_text() == "0\n"
+
+
+# what a channel is, without taking it
+
+
+@pytest.mark.parametrize(
+    ("name", "caps", "length", "direction"),
+    [
+        ("sg_in", "cyclic residue", (1 << 26) - 4, "s2mm"),
+        ("simple_out", "cyclic simple", (1 << 14) - 4, "mm2s"),
+        ("simple_in", "cyclic residue simple", (1 << 14) - 4, "s2mm"),
+        ("vdma_in", "video", (1 << 23) - 4, "s2mm"),
+    ],
+)
+def test_sysfs_says_what_a_channel_can_do(name: str, caps: str, length: int, direction: str) -> None:
+    folder = Path("/sys/class/cm_dma", f"cm_dma!{name}")
+    told = [(folder / file).read_text().strip() for file in ("caps", "max_length", "direction", "coherent")]
+    assert told == [caps, str(length), direction, "0"]
+
+
 # T7, T10: what an overlay brings
 
 

@@ -30,7 +30,7 @@ overlay() { # name file
 board_up() {
 	if modprobe cm_overlay 2>/dev/null && [ -e /proc/device-tree/__symbols__ ]; then
 		modprobe uio_pdrv_genirq of_id=fpga-cm,uio
-		modprobe -a cm_dma cm_icap cm_plsim
+		modprobe -a cm_dma cm_icap cm_plsim cm_clock
 		# the kernel's own driver of the engines, and what stands behind it
 		[ "${CM_VM_STATIC:-static}" = static ] || modprobe -a cm_axi_model xilinx_dma xilinx-pr-decoupler
 		overlay static "/opt/cm/firmware/qemu-virt/${CM_VM_STATIC:-static}.dtbo"

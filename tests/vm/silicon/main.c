@@ -166,12 +166,17 @@ static struct platform_driver model_driver = {
 	},
 };
 
+static struct platform_driver * const drivers[] = {
+	&model_driver,
+	&axi_clocks_driver,
+};
+
 static int __init model_init(void)
 {
 	int ret;
 
 	root = debugfs_create_dir("cm_axi", NULL);
-	ret = platform_driver_register(&model_driver);
+	ret = platform_register_drivers(drivers, ARRAY_SIZE(drivers));
 	if (ret)
 		debugfs_remove_recursive(root);
 	return ret;
@@ -180,7 +185,7 @@ module_init(model_init);
 
 static void __exit model_exit(void)
 {
-	platform_driver_unregister(&model_driver);
+	platform_unregister_drivers(drivers, ARRAY_SIZE(drivers));
 	debugfs_remove_recursive(root);
 }
 module_exit(model_exit);

@@ -273,6 +273,9 @@ void axi_pl_camera(struct work_struct *work);
 void axi_pl_init(struct axi_engine *engine);
 void axi_kick(struct axi_engine *engine);
 
+/* clock.c */
+extern struct platform_driver axi_clocks_driver;
+
 /* debugfs.c */
 struct dentry;
 void axi_debugfs(struct axi_engine *engine, struct dentry *root);
