@@ -40,7 +40,7 @@ static void dispatch(struct cm_plane *plane, int id)
 
 	if (client)
 		client_readable(plane, client);
-	else if (stream && !stream->lost)
+	else if (stream && !stream->lost && !stream->ending)
 		stream_completed(plane, stream);
 }
 
@@ -147,8 +147,11 @@ void cm_plane_close(struct cm_plane *plane)
 	pthread_mutex_unlock(&plane->lock);
 	if (write(plane->wake_fd, &one, sizeof(one)) == sizeof(one))
 		pthread_join(plane->thread, NULL);
-	while (plane->streams)
+	while (plane->streams) {
+		stream_stop_queueing(plane->streams);
+		stream_cancel(plane->streams);
 		stream_end(plane, plane->streams, 0);
+	}
 	for (struct client *client = plane->clients; client; client = client->next)
 		client->broken = true;
 	clients_reap(plane);
@@ -236,13 +239,24 @@ static int add_slot(struct cm_plane *plane, struct stream *stream, int fd, uint3
 	return (int)number;
 }
 
+/* One that is about to end is there for nobody any more. */
+static struct stream *find_live(struct cm_plane *plane, int id)
+{
+	struct stream *stream = stream_find(plane, id);
+
+	if (!stream || !stream->ending)
+		return stream;
+	errno = ENOENT;
+	return NULL;
+}
+
 int cm_plane_add_slot(struct cm_plane *plane, int id, int fd, uint32_t handle)
 {
 	struct stream *stream;
 	int result = -1;
 
 	lock(plane);
-	stream = stream_find(plane, id);
+	stream = find_live(plane, id);
 	if (stream)
 		result = add_slot(plane, stream, fd, handle);
 	clients_reap(plane);
@@ -255,12 +269,19 @@ int cm_plane_stop(struct cm_plane *plane, int id, int error)
 	struct stream *stream;
 
 	lock(plane);
-	stream = stream_find(plane, id);
+	stream = find_live(plane, id);
 	if (stream)
-		stream_end(plane, stream, error);
+		stream_stop_queueing(stream);
+	pthread_mutex_unlock(&plane->lock);
+	if (!stream)
+		return -1;
+	/* aside: a driver may need seconds, and the other streams go on */
+	stream_cancel(stream);
+	lock(plane);
+	stream_end(plane, stream, error);
 	clients_reap(plane);
 	pthread_mutex_unlock(&plane->lock);
-	return stream ? 0 : -1;
+	return 0;
 }
 
 int cm_plane_adopt(struct cm_plane *plane, int fd)
@@ -346,7 +367,7 @@ int cm_plane_attach(struct cm_plane *plane, int client_id, int stream_id, uint32
 
 	lock(plane);
 	client = client_find(plane, client_id);
-	stream = stream_find(plane, stream_id);
+	stream = find_live(plane, stream_id);
 	if (client && stream && !client->stream)
 		result = attach(client, stream, depth, packet, size);
 	else if (client && stream)

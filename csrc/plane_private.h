@@ -86,6 +86,13 @@ void plane_report(struct cm_plane *plane, uint32_t kind, int id, int error);
 
 void stream_completed(struct cm_plane *plane, struct stream *stream);
 void stream_queue(struct cm_plane *plane, struct stream *stream, uint32_t number);
+
+/*
+ * The end of a stream, in this order: nothing is given to the hardware any more; what it has is
+ * cancelled, without the lock; who uses the stream is told, and it is freed.
+ */
+void stream_stop_queueing(struct stream *stream);
+void stream_cancel(struct stream *stream);
 void stream_end(struct cm_plane *plane, struct stream *stream, int error);
 struct stream *stream_find(struct cm_plane *plane, int id);
 

@@ -260,16 +260,25 @@ void stream_completed(struct cm_plane *plane, struct stream *stream)
 	push(plane, stream);
 }
 
-/* What is under way ends: writers hear of theirs, and nothing is queued again. */
-static void cancel(struct stream *stream)
+void stream_stop_queueing(struct stream *stream)
+{
+	stream->ending = true;
+	if (stream->dma && !stream->lost)
+		epoll_ctl(stream->plane->epoll_fd, EPOLL_CTL_DEL, stream->event_fd, NULL);
+}
+
+void stream_cancel(struct stream *stream)
 {
 	struct cm_dma_completion completions[TAKE_AT_ONCE];
 
-	if (stream->dma && !stream->lost)
-		epoll_ctl(stream->plane->epoll_fd, EPOLL_CTL_DEL, stream->event_fd, NULL);
 	if (stream->dma && !cm_dma_cancel(stream->dma))
 		while (cm_dma_take(stream->dma, completions, TAKE_AT_ONCE) > 0)
 			;
+}
+
+/* Writers hear of what was under way. */
+static void tell_writers(struct stream *stream)
+{
 	if (stream->cycling >= 0 && stream->announced)
 		stream->slot[stream->cycling].queued =
 			false; /* its writer knows that it was taken */
@@ -289,8 +298,7 @@ void stream_end(struct cm_plane *plane, struct stream *stream, int error)
 		.timestamp_ns = (uint64_t)cm_clock_ns(),
 	};
 
-	stream->ending = true;
-	cancel(stream);
+	tell_writers(stream);
 	for (struct client *client = plane->clients; client; client = client->next) {
 		if (client->stream != stream)
 			continue;

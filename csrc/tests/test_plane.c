@@ -338,11 +338,82 @@ static void a_writer_gets_its_slots_back(void)
 	close(memory);
 }
 
+struct ending {
+	struct cm_plane *plane;
+	int stream;
+	atomic_bool over;
+};
+
+static void *stop_stream(void *argument)
+{
+	struct ending *ending = argument;
+
+	CHECK(!cm_plane_stop(ending->plane, ending->stream, 0));
+	ending->over = true;
+	return NULL;
+}
+
+/* A writer of a stream without hardware, attached; its end of the socket. */
+static int echo_writer(struct cm_plane *plane, int memory, struct cm_plane_descriptor *grant)
+{
+	struct cm_plane_setup setup = { .write = true, .length = LENGTH };
+	unsigned char geometry[CM_PLANE_PACKET_MAX];
+	int stream = cm_plane_start(plane, NULL, &setup), pair[2];
+
+	CHECK(cm_plane_add_slot(plane, stream, memory, 0) == 0);
+	CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+	CHECK(!cm_plane_attach(plane, cm_plane_adopt(plane, pair[1]), stream, 1, geometry,
+			       geometry_packet(geometry, true)));
+	while (grant->kind != CM_PLANE_GRANT)
+		CHECK(recv(pair[0], grant, sizeof(*grant), 0) > 0);
+	return pair[0];
+}
+
+/* The driver is slow to cancel one stream: the others do not wait for it. */
+static void a_stream_that_is_long_in_ending_holds_up_no_other(void)
+{
+	char *root = fake_root_make();
+	struct fake_node *fake = fake_node_start(root, "dev/cm_dma/slow", ANSWER_LATE);
+	struct cm_dma *dma = cm_dma_open(root, "slow");
+	struct cm_plane_setup setup = { .write = true, .queue_depth = 4, .length = LENGTH };
+	struct ending ending = { .plane = cm_plane_new() };
+	struct cm_plane_descriptor packet, grant = { 0 };
+	int memory = memfd_create("slot", MFD_CLOEXEC), writer;
+	pthread_t stopper;
+
+	CHECK(dma && ending.plane && !ftruncate(memory, LENGTH));
+	ending.stream = cm_plane_start(ending.plane, dma, &setup);
+	writer = echo_writer(ending.plane, memory, &grant);
+	CHECK(!pthread_create(&stopper, NULL, stop_stream, &ending));
+	/* from when the end has begun: another one finds no stream */
+	while (cm_plane_add_slot(ending.plane, ending.stream, memory, 7) >= 0 || errno != ENOENT)
+		poll(NULL, 0, 1);
+	for (int i = 0; i < 20; i++) {
+		packet = grant;
+		packet.kind = CM_PLANE_SUBMIT;
+		packet.length = LENGTH;
+		CHECK(send(writer, &packet, sizeof(packet), 0) == sizeof(packet));
+		CHECK(recv(writer, &packet, sizeof(packet), 0) == sizeof(packet));
+		CHECK(packet.kind == CM_PLANE_DONE && packet.offset == 0);
+	}
+	CHECK(!ending.over);
+	fake_node_speak(fake);
+	pthread_join(stopper, NULL);
+	CHECK(ending.over);
+	cm_plane_close(ending.plane);
+	close(writer);
+	close(memory);
+	cm_dma_close(dma);
+	fake_node_stop(fake);
+	fake_root_remove(root);
+}
+
 int main(void)
 {
 	RUN(readers_come_and_go);
 	RUN(streams_end_under_their_readers);
 	RUN(the_plane_ends_under_its_readers);
 	RUN(a_writer_gets_its_slots_back);
+	RUN(a_stream_that_is_long_in_ending_holds_up_no_other);
 	return 0;
 }

@@ -73,6 +73,7 @@ static struct class cm_dma_class = {
 	.name = "cm_dma",
 	.dev_groups = cm_dma_groups,
 };
+
 static DEFINE_IDA(cm_minors);
 static DEFINE_MUTEX(cm_nodes_lock);
 static LIST_HEAD(cm_nodes);
