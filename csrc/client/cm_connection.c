@@ -138,6 +138,12 @@ void connection_close(struct connection *connection)
 	errno = error;
 }
 
+static void close_all(const struct packet *packet)
+{
+	for (uint32_t i = 0; i < packet->fd_count; i++)
+		close(packet->fds[i]);
+}
+
 int connection_receive(const struct connection *connection, struct packet *packet)
 {
 	union {
@@ -161,10 +167,18 @@ int connection_receive(const struct connection *connection, struct packet *packe
 	}
 	if (got < 0)
 		return -1;
+	if (message.msg_flags & (MSG_CTRUNC | MSG_TRUNC)) {
+		/* descriptors that this process has no room for are gone: its slots would not be those
+		 * of the manager */
+		close_all(packet);
+		errno = message.msg_flags & MSG_CTRUNC ? EMFILE : EPROTO;
+		return -1;
+	}
 	packet->size = (size_t)got;
 	packet->bytes[got] = '\0';
 	if (packet->size >= sizeof(packet->head))
 		return 0;
+	close_all(packet);
 	errno = got ? EPROTO : ECONNRESET;
 	return -1;
 }
@@ -199,13 +213,14 @@ static int map_slot(struct cm_memory *memory, int fd)
 {
 	uint32_t number = memory->slots;
 	bool writes = memory->geometry.flags & CM_PLANE_WRITABLE;
-	void *map = MAP_FAILED;
+	void *map = mmap(NULL, memory->geometry.slot_length, PROT_READ | (writes ? PROT_WRITE : 0),
+			 MAP_SHARED | MAP_POPULATE, fd, 0);
 
-	if (number < CM_PLANE_SLOTS_MAX)
-		map = mmap(NULL, memory->geometry.slot_length,
-			   PROT_READ | (writes ? PROT_WRITE : 0), MAP_SHARED | MAP_POPULATE, fd, 0);
 	if (map == MAP_FAILED) {
+		int error = errno;
+
 		close(fd);
+		errno = error;
 		return -1;
 	}
 	memory->map[number] = map;
@@ -220,15 +235,27 @@ static int map_slot(struct cm_memory *memory, int fd)
 
 static int add_slots(struct connection *connection, const struct packet *packet)
 {
-	int result = 0;
+	struct cm_memory *memory = connection->memories;
+	uint32_t i;
 
-	for (uint32_t i = 0; i < packet->fd_count; i++) {
-		if (connection->running)
-			result |= map_slot(connection->memories, packet->fds[i]);
-		else
-			close(packet->fds[i]);
+	if (!connection->running) {
+		close_all(packet);
+		return 0;
 	}
-	return result;
+	/* frames name slots by number: one too few, and each is another's */
+	if (packet->head.slot != memory->slots || packet->head.offset != packet->fd_count ||
+	    packet->fd_count > CM_PLANE_SLOTS_MAX - memory->slots) {
+		close_all(packet);
+		errno = EPROTO;
+		return -1;
+	}
+	for (i = 0; i < packet->fd_count && !map_slot(memory, packet->fds[i]); i++)
+		;
+	if (i == packet->fd_count)
+		return 0;
+	while (++i < packet->fd_count)
+		close(packet->fds[i]);
+	return -1;
 }
 
 static int refused(struct connection *connection, const struct packet *packet)
@@ -251,6 +278,8 @@ static void stop(struct connection *connection)
 
 int connection_take(struct connection *connection, const struct packet *packet)
 {
+	if (packet->head.kind != CM_PLANE_SLOTS)
+		close_all(packet); /* of a newer manager */
 	switch (packet->head.kind) {
 	case CM_PLANE_GEOMETRY:
 		return begin(connection, packet);

@@ -84,7 +84,8 @@ int cm_reader_fd(const struct cm_reader *reader);
  * @timeout_ms: to wait for a frame, 0: only look, -1: for ever
  *
  * Returns 1, or 0 if none came.  Errors: EACCES if the manager refused, see
- * cm_reader_error(); ECONNRESET if it has gone; EPROTO; EINTR.
+ * cm_reader_error(); ECONNRESET if it has gone; EMFILE where this process has
+ * no room for the slots' descriptors, and the reader is of no use then; EPROTO; EINTR.
  */
 int cm_reader_next(struct cm_reader *reader, int timeout_ms, struct cm_frame *frame);
 

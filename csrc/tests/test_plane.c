@@ -4,10 +4,12 @@
  * up with frames in hand or talk nonsense, a writer, and streams that end under them.  Run under
  * the sanitizers too.
  */
+#include <fcntl.h>
 #include <poll.h>
 #include <pthread.h>
 #include <stdatomic.h>
 #include <sys/mman.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <sys/un.h>
 
@@ -408,12 +410,115 @@ static void a_stream_that_is_long_in_ending_holds_up_no_other(void)
 	fake_root_remove(root);
 }
 
+/* A manager that says what the test wants; the reader's end is connected. */
+struct speaker {
+	char *root;
+	int listener, connection;
+	struct cm_reader *reader;
+};
+
+static struct speaker speaker_make(void)
+{
+	struct speaker speaker = { .root = fake_root_make() };
+	struct sockaddr_un address = { .sun_family = AF_UNIX };
+	unsigned char geometry[CM_PLANE_PACKET_MAX];
+	size_t size = geometry_packet(geometry, false);
+
+	snprintf(address.sun_path, sizeof(address.sun_path), "%.90s/data", speaker.root);
+	speaker.listener = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0);
+	CHECK(!bind(speaker.listener, (struct sockaddr *)&address, sizeof(address)));
+	CHECK(!listen(speaker.listener, 1));
+	speaker.reader = cm_reader_open(speaker.root, "x", DEPTH);
+	CHECK(speaker.reader);
+	speaker.connection = accept4(speaker.listener, NULL, NULL, SOCK_CLOEXEC);
+	CHECK(send(speaker.connection, geometry, size, 0) == (ssize_t)size);
+	return speaker;
+}
+
+static void speaker_end(struct speaker *speaker)
+{
+	cm_reader_close(speaker->reader);
+	close(speaker->connection);
+	close(speaker->listener);
+	fake_root_remove(speaker->root);
+}
+
+static void say_slots(const struct speaker *speaker, uint16_t first, uint32_t said, uint32_t count)
+{
+	struct cm_plane_descriptor head = { .slot = first, .kind = CM_PLANE_SLOTS, .offset = said };
+	union {
+		char bytes[CMSG_SPACE(8 * sizeof(int))];
+		struct cmsghdr align;
+	} control = { 0 };
+	struct iovec part = { .iov_base = &head, .iov_len = sizeof(head) };
+	struct msghdr message = { .msg_iov = &part,
+				  .msg_iovlen = 1,
+				  .msg_control = control.bytes,
+				  .msg_controllen = CMSG_SPACE(count * sizeof(int)) };
+	struct cmsghdr *header = CMSG_FIRSTHDR(&message);
+	int memory[8];
+
+	header->cmsg_level = SOL_SOCKET;
+	header->cmsg_type = SCM_RIGHTS;
+	header->cmsg_len = CMSG_LEN(count * sizeof(int));
+	for (uint32_t i = 0; i < count; i++) {
+		memory[i] = memfd_create("slot", MFD_CLOEXEC);
+		CHECK(!ftruncate(memory[i], LENGTH));
+	}
+	memcpy(CMSG_DATA(header), memory, count * sizeof(int));
+	CHECK(sendmsg(speaker->connection, &message, 0) == (ssize_t)sizeof(head));
+	for (uint32_t i = 0; i < count; i++)
+		close(memory[i]);
+}
+
+static void slots_without_room_for_their_descriptors_are_an_error(void)
+{
+	struct speaker speaker = speaker_make();
+	struct rlimit before, none;
+	struct cm_frame frame;
+	int opened;
+
+	CHECK(cm_reader_next(speaker.reader, 0, &frame) == 0);
+	say_slots(&speaker, 0, 4, 4);
+	opened = open_descriptors();
+	CHECK(!getrlimit(RLIMIT_NOFILE, &before));
+	none = before;
+	none.rlim_cur = 3;
+	CHECK(!setrlimit(RLIMIT_NOFILE, &none));
+	CHECK_ERRNO(cm_reader_next(speaker.reader, 1000, &frame), EMFILE);
+	CHECK(!setrlimit(RLIMIT_NOFILE, &before));
+	CHECK(open_descriptors() == opened);
+	speaker_end(&speaker);
+}
+
+/* Frames name slots by number: a list with a gap would give each frame another's memory. */
+static void slots_out_of_order_are_an_error(void)
+{
+	static const struct {
+		uint16_t first;
+		uint32_t said, count;
+	} wrong[] = { { 1, 2, 2 }, { 0, 3, 2 }, { 0, 1, 2 } };
+
+	for (size_t i = 0; i < sizeof(wrong) / sizeof(wrong[0]); i++) {
+		struct speaker speaker = speaker_make();
+		struct cm_frame frame;
+		int opened = open_descriptors();
+
+		say_slots(&speaker, wrong[i].first, wrong[i].said, wrong[i].count);
+		CHECK_ERRNO(cm_reader_next(speaker.reader, 1000, &frame), EPROTO);
+		CHECK(open_descriptors() == opened);
+		speaker_end(&speaker);
+	}
+}
+
 int main(void)
 {
 	RUN(readers_come_and_go);
 	RUN(streams_end_under_their_readers);
 	RUN(the_plane_ends_under_its_readers);
 	RUN(a_writer_gets_its_slots_back);
+	RUN(slots_without_room_for_their_descriptors_are_an_error);
+	RUN(slots_out_of_order_are_an_error);
 	RUN(a_stream_that_is_long_in_ending_holds_up_no_other);
 	return 0;
 }
