@@ -129,5 +129,6 @@ static void __exit axidma_exit(void)
 module_exit(axidma_exit);
 
 MODULE_DESCRIPTION("/dev/axidma for programs built against libaxidma");
+MODULE_VERSION(CM_VERSION);
 MODULE_LICENSE("GPL");
 CM_IMPORT_CORE;

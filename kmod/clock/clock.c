@@ -233,4 +233,5 @@ static void __exit cm_clock_exit(void)
 module_exit(cm_clock_exit);
 
 MODULE_DESCRIPTION("Rates and gates of the programmable logic's clocks");
+MODULE_VERSION(CM_VERSION);
 MODULE_LICENSE("GPL");

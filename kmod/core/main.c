@@ -153,5 +153,6 @@ static void __exit cm_dma_exit(void)
 module_exit(cm_dma_exit);
 
 MODULE_DESCRIPTION("DMA channels for user space, by buffer handle");
+MODULE_VERSION(CM_VERSION);
 MODULE_LICENSE("GPL");
 CM_IMPORT_DMA_BUF;

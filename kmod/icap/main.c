@@ -234,5 +234,6 @@ static void __exit cm_icap_exit(void)
 module_exit(cm_icap_exit);
 
 MODULE_DESCRIPTION("Partial reconfiguration through a DMA-fed configuration port");
+MODULE_VERSION(CM_VERSION);
 MODULE_LICENSE("GPL");
 CM_IMPORT_CORE;

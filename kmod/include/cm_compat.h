@@ -13,6 +13,9 @@
 #include <linux/module.h>
 #include <linux/version.h>
 
+/* cm/_version.py; all modules of one state of this tree have one */
+#define CM_VERSION "0.1.0"
+
 /* 6.13: symbol namespaces are strings */
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 13, 0)
 #define EXPORT_SYMBOL_CM(symbol) EXPORT_SYMBOL_NS_GPL(symbol, "CM_CORE")

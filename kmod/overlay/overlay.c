@@ -312,4 +312,5 @@ static void __exit cm_overlay_exit(void)
 module_exit(cm_overlay_exit);
 
 MODULE_DESCRIPTION("Device-tree overlays through configfs");
+MODULE_VERSION(CM_VERSION);
 MODULE_LICENSE("GPL");

@@ -4,6 +4,7 @@
 #include <linux/module.h>
 #include <linux/platform_device.h>
 
+#include "cm_compat.h"
 #include "plsim.h"
 
 static struct platform_driver * const drivers[] = {
@@ -41,4 +42,5 @@ static void __exit plsim_exit(void)
 module_exit(plsim_exit);
 
 MODULE_DESCRIPTION("Simulated programmable logic: DMA channels, registers, configuration port");
+MODULE_VERSION(CM_VERSION);
 MODULE_LICENSE("GPL");

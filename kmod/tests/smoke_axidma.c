@@ -22,6 +22,7 @@
 #include <unistd.h>
 
 #include "cm_dma.h"
+#include "smoke.h"
 
 enum direction { TO_PL, FROM_PL };
 enum type { PLAIN, VIDEO };
@@ -96,19 +97,7 @@ struct video {
 
 #define LENGTH 65536
 
-static int failures;
-static const char *engine;
 static volatile sig_atomic_t told, last_id = -1;
-
-#define CHECK(condition)                                                                           \
-	do {                                                                                       \
-		errno = 0;                                                                         \
-		int ok_ = !!(condition);                                                           \
-                                                                                                   \
-		printf("%s %d: %s (errno %d)\n", ok_ ? "ok" : "FAIL", __LINE__, #condition,        \
-		       errno);                                                                     \
-		failures += !ok_;                                                                  \
-	} while (0)
 
 static void on_signal(int number, siginfo_t *info, void *context)
 {
@@ -116,35 +105,6 @@ static void on_signal(int number, siginfo_t *info, void *context)
 	(void)context;
 	told++;
 	last_id = info->si_int;
-}
-
-static void fault(const char *channel, const char *name, const char *value)
-{
-	char path[256];
-	int fd;
-
-	snprintf(path, sizeof(path), "%s/%s/%s", engine, channel, name);
-	fd = open(path, O_WRONLY);
-	if (fd < 0 || write(fd, value, strlen(value)) < 0) {
-		perror(path);
-		exit(1);
-	}
-	close(fd);
-}
-
-static uint64_t counter(const char *channel, const char *name)
-{
-	char path[256], text[32] = {};
-	int fd;
-
-	snprintf(path, sizeof(path), "%s/%s/%s", engine, channel, name);
-	fd = open(path, O_RDONLY);
-	if (fd < 0 || read(fd, text, sizeof(text) - 1) < 0) {
-		perror(path);
-		exit(1);
-	}
-	close(fd);
-	return strtoull(text, NULL, 0);
 }
 
 static void *memory(int device, size_t length)
@@ -248,7 +208,7 @@ int main(int argc, char **argv)
 	CHECK(ioctl(device, DMA_WRITE, NULL) == -1 && errno == EFAULT);
 	CHECK(ioctl(device, GET_CHANNELS, (void *)8) == -1 && errno == EFAULT);
 
-	fault("camera", "fail_next", "1");
+	fault("camera", "fail_next", 1);
 	one.id = source;
 	one.length = 4096;
 	one.buffer = in;
@@ -256,23 +216,23 @@ int main(int argc, char **argv)
 	CHECK(ioctl(device, DMA_READ, &one) == 0);
 
 	/* memory unmapped during a transfer stays until it has ended */
-	fault("camera", "hang", "1");
+	fault("camera", "hang", 1);
 	frames = memory(device, LENGTH);
 	one.wait = false;
 	one.buffer = frames;
 	CHECK(ioctl(device, DMA_READ, &one) == 0 && munmap(frames, LENGTH) == 0);
-	fault("camera", "hang", "0");
+	fault("camera", "hang", 0);
 	usleep(50000);
 	CHECK(ioctl(device, DMA_READ, &one) == -1 && errno == EFAULT);
-	fault("camera", "hang", "1");
+	fault("camera", "hang", 1);
 	one.buffer = in;
 	CHECK(ioctl(device, DMA_READ, &one) == 0);
 	stop.id = source;
 	CHECK(ioctl(device, STOP, &stop) == 0);
-	fault("camera", "hang", "0");
+	fault("camera", "hang", 0);
 
 	/* two frames in turn; a source without an interval makes one when it is asked */
-	fault("vcam", "interval_us", "0");
+	fault("vcam", "interval_us", 0);
 	frames = memory(device, LENGTH);
 	addresses[0] = frames;
 	addresses[1] = frames + 4096;
@@ -299,7 +259,7 @@ int main(int argc, char **argv)
 		CHECK(words[0] == newest || words[0] == newest - 1);
 	}
 	CHECK(((uint32_t *)frames)[0] != ((uint32_t *)frames)[1024]);
-	fault("vcam", "interval_us", "2000");
+	fault("vcam", "interval_us", 2000);
 	video.frame.height = 1 << 30;
 	CHECK(ioctl(device, VIDEO_READ, &video) == -1 && errno == EFAULT);
 	video.frame.height = 16;

@@ -23,21 +23,7 @@
 #include <unistd.h>
 
 #include "cm_dma.h"
-
-static int failures;
-static const char *engine;
-
-#define CHECK(condition)                                                                           \
-	do {                                                                                       \
-		int error_ = errno;                                                                \
-		int ok_ = !!(condition);                                                           \
-                                                                                                   \
-		printf("%s %d: %s", ok_ ? "ok" : "FAIL", __LINE__, #condition);                    \
-		if (!ok_)                                                                          \
-			printf(" (errno was %d, is %d)", error_, errno);                           \
-		printf("\n");                                                                      \
-		failures += !ok_;                                                                  \
-	} while (0)
+#include "smoke.h"
 
 struct buffer {
 	__u32 handle;
@@ -45,21 +31,6 @@ struct buffer {
 	size_t length;
 	uint8_t *data;
 };
-
-static void fault(const char *channel, const char *name, unsigned int value)
-{
-	char path[256], text[16];
-	int fd;
-
-	snprintf(path, sizeof(path), "%s/%s/%s", engine, channel, name);
-	fd = open(path, O_WRONLY);
-	snprintf(text, sizeof(text), "%u", value);
-	if (fd < 0 || write(fd, text, strlen(text)) < 0) {
-		perror(path);
-		exit(1);
-	}
-	close(fd);
-}
 
 static int open_channel(const char *name)
 {

@@ -17,48 +17,10 @@
 #include <unistd.h>
 
 #include "cm_icap.h"
+#include "smoke.h"
 
 #define IDCODE 0x03727093
 #define FRAME_WORDS 1010
-
-static int failures;
-static const char *engine;
-
-#define CHECK(condition)                                                                           \
-	do {                                                                                       \
-		int ok_ = !!(condition);                                                           \
-                                                                                                   \
-		printf("%s %d: %s\n", ok_ ? "ok" : "FAIL", __LINE__, #condition);                  \
-		failures += !ok_;                                                                  \
-	} while (0)
-
-static void fault(const char *name, unsigned int value)
-{
-	char path[256], text[16];
-	int fd;
-
-	snprintf(path, sizeof(path), "%s/icap/%s", engine, name);
-	fd = open(path, O_WRONLY);
-	snprintf(text, sizeof(text), "%u", value);
-	if (fd < 0 || write(fd, text, strlen(text)) < 0) {
-		perror(path);
-		exit(1);
-	}
-	close(fd);
-}
-
-static long report(const char *name)
-{
-	char path[256], text[32] = "";
-	int fd;
-
-	snprintf(path, sizeof(path), "%s/icap/%s", engine, name);
-	fd = open(path, O_RDONLY);
-	if (fd < 0 || read(fd, text, sizeof(text) - 1) < 0)
-		return -1;
-	close(fd);
-	return strtol(text, NULL, 0);
-}
 
 static uint32_t crc37(uint32_t crc, uint32_t address, uint32_t data)
 {
@@ -184,7 +146,7 @@ int main(int argc, char **argv)
 	struct cm_icap_completion completion;
 	uint32_t *words;
 	size_t length;
-	long loads;
+	unsigned long long loads;
 	int port;
 
 	if (argc != 2)
@@ -204,8 +166,8 @@ int main(int argc, char **argv)
 	CHECK(finished(port, &completion) == 0);
 	CHECK(completion.cookie == 5 && completion.length == length);
 	CHECK(completion.started_ns && completion.finished_ns > completion.started_ns);
-	CHECK(report("frame_words") == FRAME_WORDS && report("crc_checks") == 1);
-	CHECK(report("synced") == -1 || report("errors") == 0);
+	CHECK(counter("icap", "frame_words") == FRAME_WORDS && counter("icap", "crc_checks") == 1);
+	CHECK(counter("icap", "errors") == 0);
 	CHECK(ioctl(port, CM_ICAP_IOC_STATUS, &status) == 0 && status.loads >= 1);
 	CHECK(status.state == CM_ICAP_STATE_IDLE && status.bytes_done == length);
 
@@ -224,14 +186,14 @@ int main(int argc, char **argv)
 	CHECK(finished(port, &completion) == -EIO && completion.errors == CM_ICAP_ERR_NOSYNC);
 	CHECK(load(port, args.handle, 800, 9) == 0);
 	CHECK(finished(port, &completion) == -ETIMEDOUT);
-	fault("fail_next", 1);
+	fault("icap", "fail_next", 1);
 	CHECK(load(port, args.handle, length, 10) == 0);
 	CHECK(finished(port, &completion) == -EIO && completion.errors == CM_ICAP_ERR_DMA);
-	fault("hang", 1);
+	fault("icap", "hang", 1);
 	CHECK(load(port, args.handle, length, 11) == 0);
 	CHECK(load(port, args.handle, length, 12) == -1 && errno == EBUSY);
 	CHECK(finished(port, &completion) == -ETIMEDOUT && completion.cookie == 11);
-	fault("hang", 0);
+	fault("icap", "hang", 0);
 	CHECK(load(port, args.handle, length, 13) == 0 && finished(port, &completion) == 0);
 
 	CHECK(load(port, args.handle, 6, 0) == -1 && errno == EINVAL);
@@ -246,12 +208,12 @@ int main(int argc, char **argv)
 	test_unread(port, args.handle, length);
 
 	/* closing waits for the end of the load */
-	loads = report("loads");
-	fault("delay_us", 50000);
+	loads = counter("icap", "loads");
+	fault("icap", "delay_us", 50000);
 	CHECK(load(port, args.handle, length, 14) == 0);
 	close(port);
-	CHECK(report("loads") == loads + 1);
-	fault("delay_us", 0);
+	CHECK(counter("icap", "loads") == loads + 1);
+	fault("icap", "delay_us", 0);
 	printf("%s: %d failures\n", failures ? "FAIL" : "PASS", failures);
 	return failures != 0;
 }

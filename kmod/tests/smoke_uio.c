@@ -20,22 +20,14 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include "smoke.h"
+
 #define SIZE 8192
 #define DOORBELL 0x1000
 #define BOARDS "/sys/kernel/config/cm_plsim/*/dev_name"
 
-static int failures, number = -1;
+static int number = -1;
 static char fire_path[256], live_path[256];
-
-#define CHECK(condition)                                                                           \
-	do {                                                                                       \
-		errno = 0;                                                                         \
-		int ok_ = !!(condition);                                                           \
-                                                                                                   \
-		printf("%s %d: %s (errno %d)\n", ok_ ? "ok" : "FAIL", __LINE__, #condition,        \
-		       errno);                                                                     \
-		failures += !ok_;                                                                  \
-	} while (0)
 
 static int put(const char *path, const char *text)
 {

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from capabilities import LOOK
-from served import pl
+from served import pl, until
 
 from cm import device
 
@@ -52,9 +52,16 @@ def _take_away() -> None:
     assert (device.list_dma(), device.list_icap()) == ([], [])
 
 
+def _regions_bound() -> bool:
+    """The kernel binds what waited for something else in a thread of its own; a region waits for the port."""
+    devices = Path("/sys/bus/platform/devices").iterdir()
+    return all((folder / "driver").exists() for folder in devices if "fpga-region" in folder.name)
+
+
 def _bring_back() -> None:
     if LOOK["overlay"]():
         device.Overlays("/").apply("static", overlay("static"))
+        until(_regions_bound)
     else:
         LIVE.write_text("1")
     pl("icap", "delay_us").write_text(os.environ["CM_VM_LOAD_US"])

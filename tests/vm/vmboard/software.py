@@ -109,7 +109,7 @@ def silicon_modules(cache: Cache, kernel: Kernel) -> Path | None:
 def programs(cache: Cache, arch: Arch) -> Path:
     """A folder with the C programs of kmod/tests, static."""
     sources = sorted((REPOSITORY / "kmod/tests").glob("smoke_*.c"))
-    inputs = [arch.debian, *sources, REPOSITORY / "kmod/uapi"]
+    inputs = [arch.debian, *sources, REPOSITORY / "kmod/tests/smoke.h", REPOSITORY / "kmod/uapi"]
     return cache.entry(f"programs-{arch.debian}", inputs, lambda place: _build_programs(arch, sources, place))
 
 
