@@ -7,6 +7,7 @@
 #include "cm_core.h"
 
 static struct workqueue_struct *releases;
+static atomic64_t synced;
 
 static void buffer_release_work(struct work_struct *work);
 
@@ -18,6 +19,7 @@ static struct cm_buffer *buffer_new(struct device *dev, enum cm_buffer_kind kind
 		return NULL;
 	kref_init(&buffer->ref);
 	mutex_init(&buffer->lock);
+	spin_lock_init(&buffer->stale_lock);
 	INIT_LIST_HEAD(&buffer->attachments);
 	INIT_WORK(&buffer->release, buffer_release_work);
 	buffer->dev = get_device(dev);
@@ -261,6 +263,74 @@ bool cm_buffer_coherent(struct cm_buffer *buffer)
 	       (buffer->kind == CM_BUFFER_PAGES && !dma_need_sync(buffer->dev, buffer->dma));
 }
 EXPORT_SYMBOL_CM(cm_buffer_coherent);
+
+/**
+ * cm_buffer_written() - a device has written a part of a buffer
+ * @buffer: buffer
+ * @offset: first byte
+ * @length: bytes
+ *
+ * Who reads it next sees to the cache, over this part alone, and only the first
+ * of several readers.
+ */
+void cm_buffer_written(struct cm_buffer *buffer, u64 offset, u64 length)
+{
+	u64 end = offset + length;
+
+	spin_lock_bh(&buffer->stale_lock);
+	if (buffer->stale_begin == buffer->stale_end) {
+		buffer->stale_begin = offset;
+		buffer->stale_end = end;
+	} else if (length) {
+		buffer->stale_begin = min(buffer->stale_begin, offset);
+		buffer->stale_end = max(buffer->stale_end, end);
+	}
+	spin_unlock_bh(&buffer->stale_lock);
+}
+
+static void sync_part_for_cpu(struct cm_buffer *buffer, u64 offset, u64 length,
+			      enum dma_data_direction direction)
+{
+	if (!length)
+		return;
+	atomic64_add(length, &synced);
+	dma_sync_single_for_cpu(buffer->dev, buffer->dma + offset, length, direction);
+}
+
+/**
+ * cm_buffer_begin_read() - the CPU is about to look at an allocated buffer
+ * @buffer: buffer
+ * @direction: what the device did
+ */
+void cm_buffer_begin_read(struct cm_buffer *buffer, enum dma_data_direction direction)
+{
+	u64 begin, end;
+
+	if (buffer->kind != CM_BUFFER_PAGES || direction == DMA_TO_DEVICE)
+		return;
+	/* a device that writes now may have written anything */
+	if (atomic_read(&buffer->in_flight)) {
+		sync_part_for_cpu(buffer, 0, buffer->length, direction);
+		return;
+	}
+	spin_lock_bh(&buffer->stale_lock);
+	begin = buffer->stale_begin;
+	end = buffer->stale_end;
+	buffer->stale_begin = 0;
+	buffer->stale_end = 0;
+	spin_unlock_bh(&buffer->stale_lock);
+	sync_part_for_cpu(buffer, begin, end - begin, direction);
+}
+
+/**
+ * cm_buffers_synced() - how much was synchronised for readers
+ *
+ * Return: bytes since the module was loaded.
+ */
+u64 cm_buffers_synced(void)
+{
+	return atomic64_read(&synced);
+}
 
 /**
  * cm_buffer_sync_for_cpu() - before the CPU touches an allocated buffer

@@ -123,7 +123,7 @@ static int cm_dmabuf_begin_cpu_access(struct dma_buf *dmabuf, enum dma_data_dire
 	struct cm_attachment *attachment;
 
 	mutex_lock(&buffer->lock);
-	cm_buffer_sync_for_cpu(buffer, direction);
+	cm_buffer_begin_read(buffer, direction);
 	list_for_each_entry(attachment, &buffer->attachments, node) {
 		if (attachment->mapped)
 			dma_sync_sgtable_for_cpu(attachment->dev, &attachment->table,
@@ -144,7 +144,9 @@ static int cm_dmabuf_end_cpu_access(struct dma_buf *dmabuf, enum dma_data_direct
 			dma_sync_sgtable_for_device(attachment->dev, &attachment->table,
 						    attachment->direction);
 	}
-	cm_buffer_sync_for_device(buffer, direction);
+	/* who only read has left nothing in the cache that is not in memory */
+	if (direction != DMA_FROM_DEVICE)
+		cm_buffer_sync_for_device(buffer, direction);
 	mutex_unlock(&buffer->lock);
 	return 0;
 }

@@ -215,6 +215,13 @@ struct cm_channel *cm_channel_next(struct cm_channel *previous)
 }
 EXPORT_SYMBOL_CM(cm_channel_next);
 
+static int synced_get(void *data, u64 *value)
+{
+	*value = cm_buffers_synced();
+	return 0;
+}
+DEFINE_DEBUGFS_ATTRIBUTE(synced_fops, synced_get, NULL, "%llu\n");
+
 /**
  * cm_nodes_init() - at the module's start
  *
@@ -232,6 +239,7 @@ int cm_nodes_init(void)
 		return ret;
 	}
 	cm_debugfs = debugfs_create_dir("cm_dma", NULL);
+	debugfs_create_file_unsafe("synced", 0444, cm_debugfs, NULL, &synced_fops);
 	return 0;
 }
 

@@ -134,6 +134,8 @@ static void tell_over(struct cm_channel *channel)
 		.timestamp_ns = ktime_get_ns(),
 		.readable = active->readable,
 	};
+	cm_buffer_written(active->request.buffer, active->request.offset,
+			  cm_request_footprint(&active->request));
 	active->request.done(active->request.context, &result);
 	spin_lock_bh(&channel->active_lock);
 	channel->over = NULL;

@@ -50,6 +50,13 @@ static struct cm_result result_of(const struct cm_active *active, u64 length, in
 	};
 }
 
+/* what of the buffer the engine wrote, or may have written */
+static void note_written(const struct cm_active *active, u64 offset, u64 length)
+{
+	if (active->channel->info.direction == CM_DMA_S2MM)
+		cm_buffer_written(active->request.buffer, active->request.offset + offset, length);
+}
+
 /**
  * cm_active_finish() - tell the end of a request
  * @active: request, in no list; freed
@@ -61,6 +68,9 @@ void cm_active_finish(struct cm_active *active, u64 length, int status)
 	struct cm_result result = result_of(active, length, status, true);
 	struct cm_request request = active->request;
 
+	if (status || request.lines || request.cyclic)
+		length = cm_request_footprint(&request);
+	note_written(active, 0, length);
 	/* in this order: who hears of the end may free the buffer at once */
 	cm_active_free(active);
 	request.done(request.context, &result);
@@ -69,7 +79,17 @@ void cm_active_finish(struct cm_active *active, u64 length, int status)
 static void active_period(struct cm_active *active, u64 length, int status)
 {
 	struct cm_result result = result_of(active, length, status, false);
+	const struct cm_request *request = &active->request;
+	u64 number;
 
+	if (repeats(active) && !request->lines) {
+		/* a period that has just ended */
+		div64_u64_rem(active->done - 1, div64_u64(request->length, request->period),
+			      &number);
+		note_written(active, number * request->period, request->period);
+	} else {
+		note_written(active, 0, cm_request_footprint(request));
+	}
 	active->request.done(active->request.context, &result);
 }
 

@@ -50,6 +50,9 @@ enum cm_buffer_kind {
  * @cpu: kernel address; NULL for imported buffers
  * @dma: address for the device; imported buffers have a list in @table instead
  * @in_flight: requests that use it now
+ * @stale_lock: protects @stale_begin and @stale_end
+ * @stale_begin: first byte that a device has written since the CPU last looked
+ * @stale_end: behind the last one; equal to @stale_begin where there are none
  * @lock: protects @attachments
  * @attachments: other devices that attached to the exported dma-buf
  * @dmabuf: imported: the buffer
@@ -67,6 +70,9 @@ struct cm_buffer {
 	void *cpu;
 	dma_addr_t dma;
 	atomic_t in_flight;
+	spinlock_t stale_lock; /* protects stale_begin and stale_end */
+	u64 stale_begin;
+	u64 stale_end;
 	struct mutex lock; /* protects attachments */
 	struct list_head attachments;
 	struct dma_buf *dmabuf;
@@ -91,6 +97,9 @@ void cm_buffer_put_atomic(struct cm_buffer *buffer);
 int cm_buffer_address(struct cm_buffer *buffer, u64 offset, u64 length, dma_addr_t *address);
 int cm_buffer_mmap(struct cm_buffer *buffer, struct vm_area_struct *vma);
 bool cm_buffer_coherent(struct cm_buffer *buffer);
+void cm_buffer_written(struct cm_buffer *buffer, u64 offset, u64 length);
+void cm_buffer_begin_read(struct cm_buffer *buffer, enum dma_data_direction direction);
+u64 cm_buffers_synced(void);
 void cm_buffer_sync_for_cpu(struct cm_buffer *buffer, enum dma_data_direction direction);
 void cm_buffer_sync_for_device(struct cm_buffer *buffer, enum dma_data_direction direction);
 struct dma_buf *cm_buffer_export(struct cm_buffer *buffer);

@@ -399,6 +399,31 @@ def test_a_clock_runs_while_it_is_enabled_and_stops_with_its_node() -> None:
     assert (CLOCKS / "fclk0/enable").read_text() == "0\n"
 
 
+# memory that is not coherent: DMA_BUF_IOCTL_SYNC
+
+
+def test_a_frame_is_synchronised_once_over_its_length_for_all_its_readers(sg_in: device.AxiDma) -> None:
+    synced = Path("/sys/kernel/debug/cm_dma/synced")
+
+    def read_by_two(buffer: device.DmaBuffer) -> int:
+        before = int(synced.read_text())
+        for _ in range(2):
+            buffer.sync_begin(write=False)
+            buffer.sync_end(write=False)
+        return int(synced.read_text()) - before
+
+    with sg_in.allocate(1 << 20) as buffer:
+        assert read_by_two(buffer) == 0  # nobody has written it
+        sg_in.submit(buffer, FRAME, FRAME)
+        SG.give(words(0, 1000))
+        sg_in.wait(PATIENCE)
+        assert read_by_two(buffer) == 1000
+        sg_in.submit(buffer, 0, FRAME)
+        sg_in.cancel()
+        assert read_by_two(buffer) == FRAME  # how far it came nobody knows
+        assert read_by_two(buffer) == 0
+
+
 # what a channel is, without taking it
 
 
