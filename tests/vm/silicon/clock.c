@@ -34,7 +34,8 @@ static struct model_clock *to_model(struct clk_hw *hw)
 /* the smallest product of two divisors that divides far enough */
 static unsigned long divisor_for(unsigned long rate)
 {
-	unsigned long wanted = DIV_ROUND_UP(PLL, max(rate, 1UL)), best = DIVISOR_MAX * DIVISOR_MAX;
+	/* rates are whole numbers: what was rounded once must not be rounded again */
+	unsigned long wanted = DIV_ROUND_UP(PLL, rate + 1), best = DIVISOR_MAX * DIVISOR_MAX;
 	unsigned long first, second;
 
 	for (first = 1; first <= DIVISOR_MAX; first++) {
