@@ -7,11 +7,13 @@ They have the shape of PYNQ's and dfx-mgr's: an image, and an overlay of the sam
 
 from __future__ import annotations
 
+import os
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from manager_support import Rig, rig
+from manager_support import Rig, make_rig, rig
 
 from cm import fdt
 from cm.bitstream import Container, FrameAddress, FrameRun, assemble, convert, device_by_name
@@ -30,6 +32,7 @@ config:
   modules:
     filter: {region: slot}
   overlays: [network]
+  clocks: {fclk0: 100_000_000}
   modes:
     default: {}
     filtered: {modules: [filter]}
@@ -209,3 +212,89 @@ def test_the_module_that_an_overlay_names_is_loaded_once(
     assert error is None
     assert sim.control.state()["loads"] - loads <= 1
     assert sim.control.state()["overlays"] == ["fir_devices"]
+
+
+# ---- whatever fails, and wherever the manager dies ------------------------------------------
+
+
+START, GOAL = ("slots", "bare"), ("network", "filtered")  # a package of its own image, an overlay and a clock
+
+
+def begin(made: Rig) -> None:
+    """In the slots of the package's image, with the clock as somebody left it."""
+    made.arm(-1)
+    assert made.go("default", config="network") is None
+    assert made.go(START[1], config=START[0]) is None
+    made.devices.clocks().find("fclk0").rate = 25_000_000
+
+
+def told(made: Rig, sim: SimBoard) -> tuple[str, str]:
+    """Where the manager says that the board is; the board itself says so of regions, overlays and clocks."""
+    status, held = made.manager.status(), sim.control.state()
+    assert sorted(held["overlays"]) == sorted(overlay.name for overlay in made.manager.state.overlays)
+    for region in status.regions:
+        real = held["regions"][region.name]
+        assert region.state != "ready" or (real["module"], real["decoupled"]) == (region.module, False)
+        assert region.state != "failed" or real["decoupled"]
+    for clock in status.clocks:
+        assert held["clocks"][clock.name] == clock.rate
+    if status.config_name == START[0]:
+        assert held["clocks"]["fclk0"] == 24_999_999  # nobody's wish, but what was there
+    return status.config_name, status.mode
+
+
+@pytest.fixture
+def package(firmware: Path) -> None:
+    (firmware / "network.bin").write_bytes(convert(whole("network"), Container.BIN_SWAPPED))
+
+
+@pytest.mark.usefixtures("package")
+def test_one_failure_of_any_operation_ends_in_the_old_mode_or_the_new(made: Rig, sim: SimBoard) -> None:
+    failed, end = 0, ("", "")
+    for number in range(200):
+        if end != START:
+            begin(made)
+        made.arm(number)
+        error = made.go(GOAL[1], config=GOAL[0])
+        reached = len(made.fault.names) > number
+        made.arm(-1)
+        end = told(made, sim)
+        assert end == (START if error else GOAL), f"operation {number}: {error}"
+        failed += error is not None
+        if not reached:
+            break
+    assert failed > 20
+
+
+@pytest.mark.usefixtures("package")
+def test_a_manager_killed_at_any_operation_comes_back_knowing(
+    sim: SimBoard, configs: dict[str, Config], tmp_path: Path
+) -> None:
+    ends, number = set(), 0
+    with rig(sim.root, tmp_path, *configs.values()) as first:
+        begin(first)
+    while True:
+        pid = os.fork()
+        if pid == 0:
+            try:
+                child = make_rig(sim.root, tmp_path, *configs.values())
+                child.fault.make = lambda _: os.kill(os.getpid(), signal.SIGKILL)  # type: ignore[assignment,return-value]
+                child.manager.start()
+                child.arm(number)
+                child.go(GOAL[1], config=GOAL[0])
+            finally:
+                os._exit(0)
+        if not os.WIFSIGNALED(os.waitpid(pid, 0)[1]):
+            break
+        with rig(sim.root, tmp_path, *configs.values()) as again:
+            again.manager.wait_idle()
+            lost = again.manager.state.static_lost
+            end = told(again, sim)
+            assert lost or end in (START, GOAL), f"killed at operation {number}: {again.notes}"
+            assert not lost or any("full image" in note for note in again.notes)
+            ends.add(end)
+            if end != START:
+                begin(again)
+        number += 3
+    assert START in ends
+    assert number > 20

@@ -288,7 +288,7 @@ def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, way: Way, 
     return os.WIFSIGNALED(os.waitpid(pid, 0)[1])
 
 
-@pytest.mark.parametrize(("way", "stride"), [(TWO_REGIONS, 1), (TO_FULL, 1), (BY_OVERLAY, 4)], ids=str)
+@pytest.mark.parametrize(("way", "stride"), [(TWO_REGIONS, 1), (TO_FULL, 1), (TO_PARTIAL, 4), (BY_OVERLAY, 4)], ids=str)
 def test_a_manager_killed_at_any_operation_comes_back_knowing(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path, way: Way, stride: int
 ) -> None:
