@@ -21,7 +21,7 @@ COUNT ?= 400
 SEED ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer clean distclean check-system
+.PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -140,6 +140,9 @@ release-check: $(LINT_STAMP) ## changelog, versions, licences, links, the same b
 	@$(PYTEST) -q tests/release/test_backend.py
 	@mkdir -p $(RELEASE)
 	@$(BIN)/python release/sbom.py $(RELEASE)/fpga-cm.cdx.json
+
+layer-bitbake: ## the layer under BitBake, offline: OECORE=DIR with clones of openembedded-core, bitbake, meta-openembedded
+	@status=0; OECORE="$(OECORE)" tests/bitbake/run.sh $(SERIES) || status=$$?; [ $$status != 77 ] || exit 0; exit $$status
 
 layer: $(STAMP) ## the sources into the Yocto layer, and the layer as an archive into build/release
 	@release/layer.sh $(BIN)/python
