@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cm.client.board import Board
 
 _T = TypeVar("_T")
+_ANSWER = 5.0  # seconds at least that opening a stream waits for the manager to say what there is
 Self = TypeVar("Self", bound="Stream")
 
 
@@ -71,18 +72,22 @@ class LocalStream(Stream):
     def __init__(
         self, folder: Path, wanted: Open, timeout: float | None, newest: bool = False, owner: Any = None
     ) -> None:
+        self._connection: Connection | None = None
         self._folder = folder
         self._owner = owner  # the board: what hangs on it holds it
         self._wanted = wanted
         self.name = wanted.name
         self._timeout = timeout
         self._newest = newest
-        self._connection: Connection | None = None
         self._lost_before = 0
         self._ended: BoardClosed | None = None
 
     def open(self) -> None:
         self._connected()
+
+    def __del__(self) -> None:
+        if self._connection is not None:  # dropped without being closed
+            self.close()
 
     def end(self, because: BoardClosed) -> None:
         """The board is closed; whatever is asked from here on raises that."""
@@ -100,11 +105,12 @@ class LocalStream(Stream):
         """Connect; what the manager refuses is raised here. A stream that is stopped just now comes later."""
         connection = Connection(self._folder, self._wanted)
         try:
-            connection.set_timeout(0.25)
-            while connection.geometry is None:
+            connection.set_timeout(None if self._timeout is None else max(self._timeout, _ANSWER))
+            while connection.geometry is None and not connection.stopped:
                 connection.receive()
         except BlockingIOError:
-            pass
+            connection.close()
+            raise Timeout(f"stream {self.name!r}: the manager did not answer on its data socket") from None
         except BaseException:
             connection.close()
             raise
@@ -207,6 +213,9 @@ class RemoteStream(Stream):
 
     def close(self) -> None:
         self._reader.close()
+
+    def __del__(self) -> None:
+        self.close()
 
 
 class NewestStream(RemoteStream):

@@ -185,6 +185,10 @@ class Writer:
         self._closed = because
         self.close()
 
+    def __del__(self) -> None:
+        if self._closed is None and hasattr(self, "_connection"):  # dropped without being closed
+            self.close()
+
     def __enter__(self) -> Writer:
         return self
 

@@ -136,3 +136,6 @@ class AsyncRemoteStream(Stream):
 
     async def close(self) -> None:
         self._reader.close()
+
+    def __del__(self) -> None:
+        self._reader.close()

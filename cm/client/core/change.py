@@ -12,6 +12,7 @@ from cm.messages.status import ChangeInfo, Progress, Status
 from cm.wire.encode import decode_event
 
 OnProgress = Callable[[Progress], None]
+_PATIENCE = 5.0  # seconds for what is published; what comes later is not told
 
 
 def loading(
@@ -27,8 +28,28 @@ def loading(
         if isinstance(event, Status) and event.progress is not None:
             progress(event.progress)
 
+    yield from _begun(subscription)
     info = yield AskBeside(call, timeout, subscription, take)
+    yield from _caught_up(subscription, info.number, take)
     return info.seconds
+
+
+def _begun(subscription: Subscription) -> Flow[None]:
+    """Wait until the manager tells us statuses: it sends the current one at once."""
+    yield Receive(subscription, _PATIENCE)
+
+
+def _caught_up(subscription: Subscription, number: int, take: Callable[[list[bytes]], None]) -> Flow[None]:
+    """The reply may overtake what was published before it: take all up to the change's end."""
+    deadline = Deadline(_PATIENCE)
+    while True:
+        frames = yield Receive(subscription, deadline.left)
+        if frames is None:
+            return
+        take(frames)
+        event = decode_event(frames)
+        if isinstance(event, Status) and event.last_change >= number:
+            return
 
 
 class ChangeWatch:

@@ -21,7 +21,7 @@ from cm.manager.reporting.descriptions import stream_status
 from cm.messages.requests import ConfigureStream
 from cm.messages.status import ErrorInfo, StreamStatus
 from cm.schema.model import Config, Direction, Stream
-from cm.wire.plane import Open
+from cm.wire.plane import STOPPED, Descriptor, Open
 
 _LOG = logging.getLogger(__name__)
 
@@ -145,6 +145,8 @@ class Streams:
             self.check_lease(stream, wanted.lease)
         driver = self._driver
         driver.locals.adopt(connection, wanted, lambda client, peer: driver.attach(stream, client, wanted.depth, peer))
+        if stream.name not in driver.open:  # so that who asks need not guess from silence
+            connection.send(Descriptor(kind=STOPPED).pack())
 
     def status(self) -> tuple[StreamStatus, ...]:
         """All streams of this mode."""
