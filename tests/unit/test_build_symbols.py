@@ -74,7 +74,9 @@ def test_the_recipe_installs_where_the_manager_looks(built: tuple[str, Path]) ->
     name, out = built
     (recipe,) = (out / "yocto").rglob("*.bb")
     text = recipe.read_text()
-    assert f"${{nonarch_base_libdir}}/firmware/cm/{name}" in text
+    assert f'CM_CONFIG = "{name}"\ninherit cm-bundle' in text
+    bundle = (Path(__file__).parents[2] / "yocto/meta-cm/classes/cm-bundle.bbclass").read_text()
+    assert "install -d ${D}${nonarch_base_libdir}/firmware/cm/${CM_CONFIG}" in bundle
     assert re.search(rf'SRC_URI = "file://{name}\.tar\.gz', text)
     assert 'WORKDIR}"\n' not in text.replace('UNPACKDIR ??= "${WORKDIR}"\n', "")
 
