@@ -6,6 +6,8 @@ from __future__ import annotations
 import hashlib
 import shutil
 import subprocess
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -30,13 +32,17 @@ class Repository:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.keyring = folder / "keyring.gpg"
-        self._gpg_home = folder / "gpg"
-        self._gpg_home.mkdir(parents=True, mode=0o700)
+        self._gpg_home = Path(tempfile.mkdtemp(prefix="cm-gpg-"))  # a socket's path must be short
+        folder.mkdir(parents=True)
         self._gpg("--quick-generate-key", "test@example.org", "default", "sign", "never")
         self.keyring.write_bytes(self._gpg("--export"))
         self.pool = folder / "dists/sid/main/binary-all"
         for name in self._binaries():
             name.mkdir(parents=True)
+
+    def close(self) -> None:
+        subprocess.run(["gpgconf", "--homedir", str(self._gpg_home), "--kill", "all"], capture_output=True, check=False)
+        shutil.rmtree(self._gpg_home, ignore_errors=True)
 
     def _binaries(self) -> list[Path]:
         machine = subprocess.run(["dpkg", "--print-architecture"], capture_output=True, text=True, check=True)
@@ -83,12 +89,13 @@ class Repository:
 
 
 @pytest.fixture
-def repository(tmp_path: Path) -> Repository:
+def repository(tmp_path: Path) -> Iterator[Repository]:
     made = Repository(tmp_path / "repository")
     made.add("alpha")
     made.add("beta")
     made.publish()
-    return made
+    yield made
+    made.close()
 
 
 def fetched(repository: Repository, folder: Path, *names: str):  # type: ignore[no-untyped-def]
@@ -134,7 +141,9 @@ def test_what_is_not_as_it_was_signed_is_refused(repository: Repository, tmp_pat
         release = repository.folder / "dists/sid/InRelease"
         release.write_text(release.read_text().replace("Components: main", "Components:  main"))
     else:
-        repository.keyring.write_bytes(Repository(tmp_path / "other").keyring.read_bytes())
+        other = Repository(tmp_path / "other")
+        repository.keyring.write_bytes(other.keyring.read_bytes())
+        other.close()
     with pytest.raises(PackagesUnavailable, match="apt-get failed"):
         fetched(repository, tmp_path / "trees", "alpha")
     assert [path.name for path in (tmp_path / "trees").iterdir() if path.name.startswith("sid-")] == []
