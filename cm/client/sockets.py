@@ -18,7 +18,7 @@ _Socket = TypeVar("_Socket", bound="zmq.Socket[Any]")
 def prepare(socket: _Socket, keys: Keys | None, depth: int = 0) -> _Socket:
     """Options that every client socket has, before it connects; `depth` messages wait (0: ZeroMQ's own number)."""
     if depth:
-        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/daemon/xpub.py
+        socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/daemon/queue_limit.py
     socket.setsockopt(zmq.LINGER, 0)
     socket.setsockopt(zmq.IPV6, 1)
     if keys is not None:

@@ -9,10 +9,11 @@ from functools import partial
 from cm import multipart
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.endpoints import Sockets
-from cm.daemon.handlers import Handlers, Respond, refusal
+from cm.daemon.handlers import Handlers
 from cm.daemon.loop import Loop
 from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
+from cm.daemon.replies import Respond, refusal
 from cm.errors import InvalidRequest
 from cm.messages.requests import Request
 from cm.messages.status import ErrorInfo, Reply

@@ -110,8 +110,8 @@ class Sockets:
         self.sub = context.socket(zmq.SUB)
         self.req = context.socket(zmq.ROUTER)
         self.pub.setsockopt(zmq.XPUB_VERBOSE, 1)  # every new subscriber gets the status at once
-        self.pub.setsockopt(zmq.SNDHWM, waiting)  # before it is bound, and never after: see xpub.py
-        self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells who publishes of a full queue; see xpub.py
+        self.pub.setsockopt(zmq.SNDHWM, waiting)  # before it is bound, and never after: see queue_limit.py
+        self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells of a full queue; see publisher.py
         self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_")
         self.req.setsockopt(zmq.ROUTER_HANDOVER, 1)
         for socket in self.all:

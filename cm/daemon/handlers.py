@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -11,25 +10,22 @@ from functools import partial
 from typing import NoReturn, TypeVar
 
 from cm.daemon.board_watch import BoardWatch
+from cm.daemon.data_handlers import DataHandlers
 from cm.daemon.host.provision import Provisioner
 from cm.daemon.interrupts import InterruptWatch
 from cm.daemon.lease_watch import LeaseWatch
 from cm.daemon.loop import Loop
-from cm.daemon.memory_transfers import MemoryTransfers, frame_info
+from cm.daemon.memory_transfers import MemoryTransfers
+from cm.daemon.replies import Respond, refusal
 from cm.daemon.streams.registry import Streams
-from cm.daemon.streams.stream import Frame
-from cm.errors import CmError
-from cm.manager.access.memory_service import Transfer
-from cm.manager.errors import UnknownInterrupt, UnknownStream
+from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
-from cm.manager.planning.resolve import hint
+from cm.manager.planning.goals import hint
 from cm.messages import requests as rq
-from cm.messages.status import ChangeInfo, ConfigInfo, ErrorInfo, Reply, Status
-from cm.schema.model import Config, Stream
+from cm.messages.status import ChangeInfo, ConfigInfo, Reply, Status
+from cm.schema.model import Config
 
-_LOG = logging.getLogger(__name__)
-Respond = Callable[[Reply], None]
 _T = TypeVar("_T")
 
 
@@ -50,22 +46,6 @@ class Services:
     aside: Executor  # for what reads or writes files, so that the loop goes on
 
 
-def error_info(error: Exception) -> ErrorInfo:
-    """An exception as it travels; what is not ours is a device's or a defect."""
-    if isinstance(error, CmError):
-        return ErrorInfo(error.code, str(error))
-    if isinstance(error, OSError):
-        return ErrorInfo("device_error", str(error))
-    return ErrorInfo("internal", f"{type(error).__name__}: {error}")
-
-
-def refusal(error: Exception) -> Reply:
-    """What a client is told of an error; a defect is logged."""
-    if not isinstance(error, (CmError, OSError)):
-        _LOG.error("a request failed", exc_info=error)
-    return Reply(error=error_info(error))
-
-
 class Handlers:
     """Dispatches requests. `respond` is called exactly once, now or later, in the loop's thread."""
 
@@ -81,15 +61,11 @@ class Handlers:
             rq.Provision: self._provision,
             rq.ReadReg: self._read_reg,
             rq.WriteReg: self._write_reg,
-            rq.DescribeData: self._describe_data,
-            rq.ConfigureStream: self._configure_stream,
-            rq.DefineMemory: self._define_memory,
-            rq.ReadData: self._read_data,
-            rq.WriteData: self._write_data,
             rq.ReadIrq: self._read_irq,
             rq.TakeLease: self._lease,
             rq.RenewLease: self._lease,
             rq.ReleaseLease: self._lease,
+            **DataHandlers(services.manager, services.streams, services.memories, services.board).table,
         }
 
     def handle(self, request: rq.Request, respond: Respond) -> None:
@@ -167,75 +143,6 @@ class Handlers:
 
     def _write_reg(self, request: rq.WriteReg, respond: Respond) -> None:
         respond(Reply(self._s.manager.write_registers(request.writes, request.lease)))
-
-    # ---- streams and memories: one name space -----------------------------------------------
-
-    def _describe_data(self, request: rq.DescribeData, respond: Respond) -> None:
-        memories = self._s.manager.memories
-        memory = memories.find(request.name)
-        if memory is not None:
-            respond(Reply(memories.info(memory)))
-            return
-        stream = self._stream(request.name)
-        self._s.streams.check_lease(stream, request.lease)
-        respond(Reply(self._s.streams.status_of(stream.name)))
-
-    def _configure_stream(self, request: rq.ConfigureStream, respond: Respond) -> None:
-        self._s.manager.memories.check_no_memory(request.stream)
-        self._s.streams.check_lease(self._stream(request.stream), request.lease)
-        respond(Reply(self._s.streams.configure(request)))
-
-    def _define_memory(self, request: rq.DefineMemory, respond: Respond) -> None:
-        memories = self._s.manager.memories
-        respond(Reply(memories.info(memories.define(request))))
-
-    def _stream(self, name: str) -> Stream:
-        """A stream by name. Raises UnknownStream, which names the memories too: one of them may have been meant."""
-        try:
-            return self._s.streams.named(name, None)
-        except UnknownStream as error:
-            raise UnknownStream(f"{error}{self._s.manager.memories.listed()}") from None
-
-    def _read_data(self, request: rq.ReadData, respond: Respond) -> None:
-        memories = self._s.manager.memories
-        if request.offset or request.length or memories.find(request.stream):
-            self._transfer(memories.begin_read(request.stream, request.offset, request.length), respond)
-            return
-        if request.stream:
-            self._stream(request.stream)
-
-        def done(result: Frame | CmError) -> None:
-            if isinstance(result, CmError):
-                respond(Reply(error=error_info(result)))
-            else:
-                respond(Reply(result.info, payload=(bytes(result.data),)))
-
-        self._s.streams.read_once(request.stream, request.timeout, done)
-
-    def _write_data(self, request: rq.WriteData, respond: Respond) -> None:
-        memories = self._s.manager.memories
-        if request.offset or memories.find(request.stream):
-            self._transfer(memories.begin_write(request.stream, request.offset, request.data, request.lease), respond)
-            return
-        if request.stream:
-            self._stream(request.stream)
-
-        def done(result: Frame | CmError) -> None:
-            respond(Reply(error=error_info(result)) if isinstance(result, CmError) else Reply(result.info))
-
-        self._s.streams.write(request.stream, request.data, done, request.lease)
-
-    def _transfer(self, transfer: Transfer, respond: Respond) -> None:
-        def done(problem: Exception | None) -> None:
-            self._guarded(lambda: respond(self._moved(transfer, problem)), respond)
-
-        self._s.memories.start(transfer, done)
-
-    def _moved(self, transfer: Transfer, problem: Exception | None) -> Reply:
-        if problem is not None:
-            raise problem
-        state, payload = self._s.manager.state, () if transfer.write else (transfer.data,)
-        return Reply(frame_info(transfer, state.config or "", state.mode or ""), payload=payload)
 
     # ---- interrupts and leases ------------------------------------------------------------
 

@@ -53,7 +53,8 @@ class InterruptWatch:
         self._manager = manager
         self._on_irq = on_irq
         self._on_error = on_error
-        self._config: Config | None = None
+        self.config: Config | None = None  # that is watched
+        self.incomplete = True  # a line is not open, or masked: `watch` tries again
         self._lines: dict[str, _Line] = {}
         self._last: dict[str, Irq] = {}
         self._retrying = False
@@ -69,13 +70,15 @@ class InterruptWatch:
 
     def watch(self, config: Config | None) -> None:
         """Watch the lines of a configuration; what could not be opened or acknowledged before is tried again."""
-        if config is not self._config:
+        if config is not self.config:
             self.close()
-            self._config, self._last = config, {}
+            self.config, self._last = config, {}
+        self.incomplete = False
         for interrupt in config.interrupts.values() if config else ():
             try:
                 self._watch(interrupt)
             except (CmError, OSError) as error:
+                self.incomplete = True
                 _LOG.info("interrupt %s cannot be watched yet: %s", interrupt.name, error)
         self._serve_masked()
 
@@ -131,6 +134,7 @@ class InterruptWatch:
 
     def _keep_masked(self, line: _Line, error: Exception) -> None:
         """Told once; not while a change runs, whose end is awaited as that of any access to its regions."""
+        self.incomplete = True
         names = ", ".join(interrupt.name for interrupt in line.waiting[0])
         if not line.told and not self._manager.changing:
             line.told = True

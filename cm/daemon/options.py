@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cm.daemon.endpoints import Security
 from cm.daemon.host.reload import Reloaded
-from cm.daemon.xpub import BYTES
+from cm.daemon.queue_limit import BYTES
 from cm.device import Root
 from cm.manager.manager import Settings
 from cm.schema.model import Config

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the manager tells: status, registers, interrupts and frames on the XPUB socket."""
+"""What the manager tells: status, registers, interrupts and frames on the XPUB socket.
+
+The socket has ZMQ_XPUB_NODROP: it says when a subscriber's queue is full, which it does not otherwise, and the
+message is sent again without, so that all others get it.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +21,55 @@ from cm._version import __version__
 from cm.daemon.loop import Loop
 from cm.daemon.streams.compression import Compressor, compressions
 from cm.daemon.streams.stream import Frame
-from cm.daemon.xpub import XpubSender
 from cm.messages.status import FrameInfo, Irq, RegValues, Status
 from cm.wire import encode, topics
 
+# libzmq's thread takes short messages off a queue in no time, once it has a processor: seconds to give it.
+_PAUSES = (0.0001, 0.0005, 0.002, 0.01)
+_HOPELESS = 1.0  # seconds for which a queue that stayed full is not waited for again
+
+_NODROP, _NOBLOCK = int(zmq.XPUB_NODROP), int(zmq.NOBLOCK)
 _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
+
+
+class XpubSender:
+    """Sends what is published. The loop's thread."""
+
+    def __init__(self, loop: Loop, socket: zmq.Socket[bytes]) -> None:
+        self._loop = loop
+        self._socket = socket
+        self._hopeless_until = 0.0
+
+    def send(self, message: Sequence[Any]) -> None:
+        """Send a short message. Only who has left its queue full for a while does not get it."""
+        for pause in _PAUSES:
+            try:
+                self._loop.send(self._socket, message, _NOBLOCK)
+                return
+            except zmq.Again:
+                if time.monotonic() < self._hopeless_until:
+                    break
+                time.sleep(pause)  # there is no event to wait for: one subscriber's queue is none to poll
+        else:
+            self._hopeless_until = time.monotonic() + _HOPELESS
+        self._send_to_all(message)
+
+    def send_frame(self, message: Sequence[Any]) -> bool:
+        """Send a frame; False if a subscriber does not get it, because as much as may wait for it already does."""
+        try:
+            self._loop.send(self._socket, message, _NOBLOCK)
+        except zmq.Again:
+            self._send_to_all(message)
+            return False
+        return True
+
+    def _send_to_all(self, message: Sequence[Any]) -> None:
+        """To all that have room; the others lose it."""
+        self._socket.setsockopt(_NODROP, 0)
+        try:
+            self._loop.send(self._socket, message, _NOBLOCK)
+        finally:
+            self._socket.setsockopt(_NODROP, 1)
 
 
 class Publisher:

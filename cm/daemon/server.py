@@ -18,8 +18,7 @@ from cm.daemon.dispatcher import Dispatcher
 from cm.daemon.endpoints import BoardLock, FolderLock, Sockets
 from cm.daemon.handlers import Handlers, Services
 from cm.daemon.host.devices import BoardDevices
-from cm.daemon.host.files import BoardFiles
-from cm.daemon.host.footprints import Footprints
+from cm.daemon.host.files import BoardFiles, Footprints
 from cm.daemon.host.provision import Provisioner
 from cm.daemon.host.reload import Reloader, Surroundings
 from cm.daemon.host.systemd import ServiceManager
@@ -29,11 +28,11 @@ from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import MemoryTransfers
 from cm.daemon.options import Options
 from cm.daemon.publisher import Publisher
+from cm.daemon.queue_limit import mark
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.streams.acceptor import Acceptor
 from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
-from cm.daemon.xpub import mark
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Store
@@ -44,14 +43,6 @@ from cm.wire import topics
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two looks at streams, records and a lost board
-
-
-class MonotonicClock:
-    """`cm.manager.ports.Clock`."""
-
-    def monotonic(self) -> float:
-        """Seconds."""
-        return time.monotonic()
 
 
 class Server:
@@ -75,11 +66,10 @@ class Server:
         waiting = mark(configs.values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
-        clock = MonotonicClock()
-        leases = Leases(clock)
+        leases = Leases(time)
         self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)
         self._acceptor = Acceptor(self._loop, options.runtime_dir, self._streams.open_local, self._streams.echoes)
-        self._manager = Manager(configs, self._environment(clock), leases)
+        self._manager = Manager(configs, self._environment(), leases)
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
@@ -98,10 +88,10 @@ class Server:
         named = {**self._options.configs, **self._provisioner.configs()}
         return {name: self._with_channels(config) for name, config in named.items()}
 
-    def _environment(self, clock: MonotonicClock) -> Environment:
+    def _environment(self) -> Environment:
         o = self._options
         files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"), o.firmware_dir)
-        return Environment(self._devices, files, self._store, self._streams, clock, self, o.settings)
+        return Environment(self._devices, files, self._store, self._streams, time, self, o.settings)
 
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
@@ -223,11 +213,16 @@ class Server:
         while self._statuses:
             status = self._statuses.popleft()
             if not status.fpga_busy:
-                self._interrupts.watch(self._manager.loaded_config())
+                self._watch_interrupts()
             self._publisher.status(replace(status, streams=self._streams.status()))
             if self._publisher.has_subscriber(topics.STATUS):
                 self._manager.status_read()
             self._log_error(status.last_error, status.last_change)
+
+    def _watch_interrupts(self) -> None:
+        config = self._manager.loaded_config()
+        if self._interrupts.incomplete or config is not self._interrupts.config:
+            self._interrupts.watch(config)
 
     def _log_error(self, error: ErrorInfo | None, change: int) -> None:
         """Each error once, however often its status is published."""

@@ -16,12 +16,11 @@ from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.environment import Environment, Settings
 from cm.manager.errors import ChangeBusy, NothingLoaded
-from cm.manager.execution.context import Tools
-from cm.manager.execution.transaction import plan_to
+from cm.manager.execution.transaction import Tools, plan_to
 from cm.manager.execution.worker import Change, Worker
 from cm.manager.loaders import Loaders
-from cm.manager.planning import resolve
-from cm.manager.planning.plan import Goal
+from cm.manager.planning import goals
+from cm.manager.planning.goals import Goal
 from cm.manager.recovery.startup import destination, is_whole, repair, take_stock
 from cm.manager.reporting.descriptions import config_info
 from cm.manager.reporting.status import StatusReporter
@@ -186,7 +185,7 @@ class Manager:
         loaded = self.state
         if not name and loaded.config is None:
             raise NothingLoaded("nothing is loaded: name a configuration")
-        config = resolve.config_named(name or loaded.config or "", self.configs)
+        config = goals.config_named(name or loaded.config or "", self.configs)
         mode = loaded.mode if loaded.config == config.name else ""
         text = config.source.read_text(encoding="utf-8") if config.source and config.source.exists() else ""
         return config_info(config, mode or "", counts, text)
@@ -198,7 +197,7 @@ class Manager:
 
         `on_done` is called at its end, from the worker's thread.
         """
-        config, mode = resolve.target(request, self.configs, self.state.config)
+        config, mode = goals.target(request, self.configs, self.state.config)
         scopes = leases_concerned(config, mode, self.state.config)
         self.leases.check(scopes, request.lease)
         if request.no_queue and self._worker.busy:
@@ -229,7 +228,7 @@ class Manager:
 
     def plan(self, request: ChangeMode) -> PlanInfo:
         """What a change would do; touches nothing, but reads and validates all files."""
-        config, mode = resolve.target(request, self.configs, self.state.config)
+        config, mode = goals.target(request, self.configs, self.state.config)
         return plan_to(Goal(config, mode, request.force), self._tools).info(self._state.throughput)
 
     # ---- registers and errors of requests -------------------------------------------

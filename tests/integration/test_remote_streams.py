@@ -20,7 +20,7 @@ from manager_process import CAMERA, Manager, environment, short_folder, until
 import cm
 from cm.client import zmq_frames as remote
 from cm.client.stream import NewestStream, RemoteStream
-from cm.daemon.xpub import mark
+from cm.daemon.queue_limit import mark
 from cm.errors import InvalidRequest, NotFound, Timeout
 from cm.messages.status import FrameInfo
 from cm.schema import load

@@ -363,7 +363,10 @@ def test_prefetch_keeps_to_its_budget_and_does_not_push_out_what_it_fetched(
     with rig(sim.root, tmp_path, duo) as made:
         files = CountingFiles(sim.root)
         modules = [duo.modules[name] for name in BOTH_REGIONS]
-        jobs = [Job(duo, files.image(duo, m), duo.regions[m.region], m) for m in modules]
+        jobs = [
+            Job(duo, files.image(duo, m), duo.regions[m.region], m, port=duo.regions[m.region].loader_name)
+            for m in modules
+        ]
         largest = max(job.image.length for job in jobs)
         loaders = Loaders(made.devices, files, made.clock, prefetch_bytes=2 * largest + 8192)
         files.read.clear()

@@ -21,8 +21,7 @@ from manager_support import Rig, rig
 from cm.bitstream import Container, assemble_module, convert
 from cm.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch
 from cm.daemon.host.bitstreams import MAX_BYTES
-from cm.daemon.host.files import BoardFiles
-from cm.daemon.host.footprints import Footprints, Lesson
+from cm.daemon.host.files import BoardFiles, Footprints, Lesson
 from cm.errors import InvalidRequest
 from cm.manager.errors import BadOverlay
 from cm.manager.ports import Image

@@ -18,9 +18,8 @@ from types import MappingProxyType
 import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
-from cm.manager.state.cost import Throughput
 from cm.manager.state.journal import LENGTH, Store
-from cm.manager.state.record import Pending, Record, encode, newest
+from cm.manager.state.record import Pending, Record, Throughput, encode, newest
 from cm.manager.state.table import BoardState, OverlayState, RegionPhase, RegionState
 from cm.schema.model import LoaderKind
 

@@ -11,7 +11,8 @@ import pytest
 import zmq
 
 from cm.daemon.loop import Loop
-from cm.daemon.xpub import XpubSender, mark
+from cm.daemon.publisher import XpubSender
+from cm.daemon.queue_limit import mark
 from cm.schema.model import Config, Direction, Mode, Stream
 
 MIB = 1 << 20

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from hashlib import sha256
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import pytest
@@ -55,7 +56,8 @@ def test_a_request_is_the_same_behind_the_wire(request_: Any) -> None:
 
 
 def test_every_intent_is_among_them_and_has_a_handler() -> None:
-    services: Any = None
+    manager = SimpleNamespace(memories=None)
+    services: Any = SimpleNamespace(manager=manager, streams=None, memories=None, board=None)
     intents = set(get_args(rq.Request))
     assert {type(request) for request in ALL} == intents
     assert set(Handlers(services).table) == intents

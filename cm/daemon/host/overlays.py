@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Device-tree overlays, looked at before the kernel is given them, and changed where they name firmware.
-
-What makes an overlay load something are properties of its ``__overlay__`` nodes, where their target is an
-FPGA region (drivers/fpga/of-fpga-region.c: `of_fpga_region_parse_ov`). `firmware-name` deeper in the tree
-belongs to the driver of its node, which loads no configuration; the kernel refuses it in an fpga-region.
-"""
+"""Device-tree overlays: found, looked at before the kernel is given them, and what they would load."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
 
 from cm import fdt
+from cm.daemon.host.bitstreams import BitstreamReader
+from cm.daemon.host.firmware import FirmwareFolder
+from cm.errors import CmError
 from cm.manager.errors import BadOverlay
+from cm.manager.ports import Image
+from cm.schema.files import find_file, overlay_path
+from cm.schema.model import Config, Module, Overlay
 
 _NAME = "firmware-name"
 _PARTIAL, _ENCRYPTED, _EXTERNAL = "partial-fpga-config", "encrypted-fpga-config", "external-fpga-config"
@@ -118,3 +120,114 @@ def _load(name: str, node: fdt.FdtNode) -> FirmwareLoad:
     return FirmwareLoad(
         value[:-1].decode("utf-8", "replace"), _PARTIAL in node.properties, _ENCRYPTED in node.properties
     )
+
+
+_MAX_OVERLAY = 16 << 20  # bytes
+
+
+class OverlayFiles:
+    """The .dtbo files below a root. `read` reads one."""
+
+    def __init__(
+        self, root: Path, reader: BitstreamReader, firmware: FirmwareFolder, read: Callable[[Path], bytes]
+    ) -> None:
+        self._root = root
+        self._reader = reader
+        self._firmware = firmware
+        self._read = read
+        self._checked: dict[Path, tuple[tuple[object, ...], bytes]] = {}
+
+    def beside(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
+        """An overlay that comes with a configuration or mode whose `images` are in the device when it is applied.
+
+        One that names them loads them no second time: the image of the whole device would take with it what
+        was loaded into its regions since. Raises FileMissing, and BadOverlay where it would load anything else.
+        """
+        path = overlay_path(config, overlay, self._root)
+        data = self._overlay(path)
+        loads = firmware_loads(str(path), data)
+        for load in loads:
+            self._known(path, config, load, images)
+        return loading_nothing(str(path), data) if loads else data
+
+    def loading(self, config: Config, module: Module, image: Image) -> bytes:
+        """The overlay by which a module is loaded, naming our own copy of its image.
+
+        Raises FileMissing, and BadOverlay where it names anything but that image, or is no overlay for it.
+        """
+        path = find_file(config, [f"{module.name}.dtbo"], self._root)
+        data = self._overlay(path)
+        loads = firmware_loads(str(path), data)
+        if len(loads) != 1:
+            raise BadOverlay(f"{path}: one firmware-name is expected, there are {len(loads)}")
+        self._known(path, config, loads[0], [image])
+        return naming(str(path), data, self._firmware.private_name(image))
+
+    def _overlay(self, path: Path) -> bytes:
+        state = path.stat()
+        key = (path, state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns)
+        found = self._checked.get(path)
+        if found is not None and found[0] == key:
+            return found[1]
+        if state.st_size > _MAX_OVERLAY:
+            raise BadOverlay(f"{path}: {state.st_size} bytes are no overlay; at most {_MAX_OVERLAY >> 20} MiB are read")
+        data = checked_overlay(str(path), self._read(path))
+        self._checked[path] = (key, data)
+        return data
+
+    def _known(self, path: Path, config: Config, load: FirmwareLoad, images: Sequence[Image]) -> None:
+        """Raise BadOverlay unless a firmware-name leads to one of the images, and is flagged as what that is."""
+        what = f"{path}: its firmware-name {load.name!r}"
+        try:
+            place = self._place(path, config, load.name)
+            image = next((image for image in images if self._reader.configures_as(place, image)), None)
+        except (CmError, OSError) as error:
+            raise BadOverlay(f"{what} cannot be used ({error})") from error
+        if image is None:
+            raise BadOverlay(f"{what} is {self._described(place)}; {_expected(images)}")
+        _check_flags(what, load, image)
+
+    def _place(self, path: Path, config: Config, name: str) -> Path:
+        """The file that a name means: the package's own before what others put where the kernel looks."""
+        by_kernel = self._firmware.place(name)  # refuses names that leave the folder
+        own = list(dict.fromkeys((path.parent, path.resolve().parent)))  # of an import, the overlay is a link
+        places = [folder / name for folder in own]
+        places += [self._firmware.folder / "cm" / config.name / name, by_kernel]
+        places += [folder / other for folder in own for other in _spellings(name)]
+        found = next((place for place in places if place.is_file()), None)
+        if found is None:
+            raise BadOverlay(f"there is no such file; looked for {', '.join(map(str, dict.fromkeys(places)))}")
+        return found
+
+    def _described(self, place: Path) -> str:
+        report = self._reader.inspect(place)
+        kind = "partial" if report.partial else "whole"
+        why = f", which must not be loaded: {report.problems[0].message}" if report.problems else ""
+        return f"another bitstream, {place} ({kind}, {report.design or report.device or 'of no known device'}){why}"
+
+
+def _spellings(name: str) -> Iterator[str]:
+    """Packages of dfx-mgr may name x.bit.bin where the folder holds x.bin, and the other way round."""
+    stem = PurePosixPath(name).name.removesuffix(".bin").removesuffix(".bit")
+    yield from (f"{stem}{suffix}" for suffix in (".bit.bin", ".bin", ".bit"))
+
+
+def _expected(images: Sequence[Image]) -> str:
+    if not images:
+        return "the plan loads nothing of that kind: list it as a module, or as the bitstream of a full configuration"
+    return f"the plan knows {', '.join(str(image.path) for image in images)}"
+
+
+def _check_flags(what: str, load: FirmwareLoad, image: Image) -> None:
+    partial, encrypted = image.partial, image.encrypted
+    if load.partial != partial:
+        kinds = ("whole image", "partial one")
+        raise BadOverlay(
+            f"{what} is a {kinds[partial]} and would be loaded as a {kinds[not partial]}: "
+            f"{'add' if partial else 'remove'} partial-fpga-config"
+        )
+    if load.encrypted != encrypted:
+        raise BadOverlay(
+            f"{what} is {'' if encrypted else 'not '}encrypted: "
+            f"{'add' if encrypted else 'remove'} encrypted-fpga-config"
+        )

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cm.errors import CmError, InvalidRequest
-from cm.manager.planning.resolve import checked_name
+from cm.manager.planning.goals import checked_name
 from cm.messages.requests import File
 from cm.schema import load, loads
 from cm.schema.model import Config

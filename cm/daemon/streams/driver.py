@@ -12,13 +12,12 @@ from typing import Protocol
 
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.loop import Loop
+from cm.daemon.streams.clients import LocalClients, ZmqClients
 from cm.daemon.streams.echo import Echoes
-from cm.daemon.streams.local_clients import LocalClients
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.policy import StreamEvent, StreamPolicy, Users
 from cm.daemon.streams.stalled import StalledChannels
 from cm.daemon.streams.stream import Frame, OpenStream
-from cm.daemon.streams.zmq_clients import ZmqClients
 from cm.device import DeviceTimeout
 from cm.device.plane import ClientGone, ClientLeaves, Plane
 from cm.errors import CmError

@@ -17,7 +17,7 @@ from cm.daemon.streams.settings import changed, setup
 from cm.daemon.streams.stream import Done
 from cm.errors import Busy
 from cm.manager.access.leases import Leases
-from cm.manager.reporting.descriptions import stream_status
+from cm.manager.reporting.status import stream_status
 from cm.messages.requests import ConfigureStream
 from cm.messages.status import ErrorInfo, StreamStatus
 from cm.schema.model import Config, Direction, Stream

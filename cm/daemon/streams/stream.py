@@ -18,7 +18,7 @@ from cm.daemon.streams.settings import frame_bytes, setup
 from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
 from cm.device.plane import Plane, StreamCounts
 from cm.errors import Busy, CmError
-from cm.manager.reporting.descriptions import stream_status
+from cm.manager.reporting.status import stream_status
 from cm.messages.status import FrameInfo, StreamClient, StreamStatus
 from cm.schema.model import Direction, Stream
 from cm.wire.plane import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label

@@ -11,7 +11,7 @@ from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
 from cm.manager.errors import AccessDenied, NothingLoaded, OutOfRange, RegionBusy, UnknownMemory
-from cm.manager.planning.resolve import hint, listed
+from cm.manager.planning.goals import hint, listed
 from cm.manager.reporting.descriptions import memory_info
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.table import RegionState

@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister, VerifyFailed
 from cm.manager.ports import Devices, Window
 from cm.messages.requests import RegWrite
-from cm.messages.status import RegValue
 from cm.schema.model import Access, BitField, Decoupler, IsolationStep, Memory, Register
 
 _WO = Access.WO
@@ -185,15 +184,6 @@ class RegisterBus:
             return value
         rest = (last or 0) if register.access is Access.WO else self.read_address(register.address, register.width)
         return (rest & ~mask) | value
-
-
-def value_of(register: Register, value: int) -> RegValue:
-    """A value with its fields taken apart."""
-    if not register.fields:
-        return RegValue(register.name, value)
-    return RegValue(
-        register.name, value, tuple([(f.name, (value & f.mask) >> f.lsb) for f in register.fields.values()])
-    )
 
 
 # ---- decouplers: what cuts a region off from the static part -----------------------------

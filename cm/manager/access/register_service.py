@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 from cm.errors import CmError
 from cm.manager.access.leases import Leases
-from cm.manager.access.register_bus import RegisterBus, checked_write, find, split_name, value_of
+from cm.manager.access.register_bus import RegisterBus, checked_write, find, split_name
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
-from cm.manager.planning import resolve
+from cm.manager.planning import goals
 from cm.manager.state.board_state import LockedRegions, ManagerState
 from cm.manager.state.table import BoardState, RegionPhase
 from cm.messages.requests import RegWrite
@@ -93,6 +93,15 @@ def _flags(config: Config, status: str) -> int:
     return sum({1 << bit for bit in bits})
 
 
+def value_of(register: Register, value: int) -> RegValue:
+    """A value with its fields taken apart."""
+    if not register.fields:
+        return RegValue(register.name, value)
+    return RegValue(
+        register.name, value, tuple([(f.name, (value & f.mask) >> f.lsb) for f in register.fields.values()])
+    )
+
+
 class RegisterService:
     """Reads and writes for requests. The state's lock is held over each access, so that a change waits for its end."""
 
@@ -167,7 +176,7 @@ class RegisterService:
     def _renewed(self, before: _View | None) -> _View:
         config = self._state.loaded_config()
         if config is None:
-            there = resolve.listed(self._state.configs)
+            there = goals.listed(self._state.configs)
             raise NothingLoaded(f"nothing is loaded, so there are no registers; there are {there}")
         view = _View(self._state, config)
         if before is not None and before.config is config and before.mode == view.mode:

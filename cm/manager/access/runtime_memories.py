@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from cm.errors import InvalidRequest
-from cm.manager.planning.resolve import listed
+from cm.manager.planning.goals import listed
 from cm.manager.ports import AddressRange
 from cm.messages.requests import DefineMemory
 from cm.schema.model import ITEM_BYTES, Access, Config, Memory

@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 from cm.errors import CmError
 from cm.manager.access.register_bus import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
-from cm.manager.execution.context import Tools
-from cm.manager.planning.plan import Goal
-from cm.manager.state.steps import Place, Step, hertz
+from cm.manager.execution.transaction import StepContext, Tools
+from cm.manager.planning.goals import Goal
+from cm.manager.state.clock_step import hertz
+from cm.manager.state.steps import Place, Step
 from cm.manager.state.table import BoardState, RegionEvent, RegionPhase
 from cm.schema.model import Config, ConfigType, Region
 
@@ -54,6 +55,13 @@ class Failure:
 def sentence(error: Exception) -> str:
     """An error for people; one that is a defect of ours with its type."""
     return str(error) if isinstance(error, (CmError, OSError)) else f"{type(error).__name__}: {error}"
+
+
+def failure_of(run: StepContext, error: Exception) -> Failure:
+    """What is known of a step that failed, for the way back."""
+    goal = run.plan.goal
+    values, found, rates = goal.values, {**run.found, **goal.found}, {**run.rates, **goal.rates}
+    return Failure(goal.config, run.step, error, values, found, rates, frozenset(run.begun | run.apart))
 
 
 class Rollback:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change of mode: planned, its steps taken with each recorded before, and back where one fails.
+"""A plan that is carried out: what its steps work with, how far it is, and each step recorded before it is taken.
 
 A step that fails leaves the board where the record says. Going back is another plan, made from that state
 (`cm.manager.execution.rollback`), not a list of inverses: so the way back copes with whatever was reached.
@@ -7,17 +7,109 @@ A step that fails leaves the board where the record says. Going back is another 
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from cm.manager.execution.actions import ACTIONS
-from cm.manager.execution.context import StepContext, Tools
-from cm.manager.execution.rollback import Failure, Rollback
-from cm.manager.loaders.choice import resolved
-from cm.manager.planning.plan import Goal, Plan
+from cm.manager.access.register_bus import RegisterBus
+from cm.manager.errors import Cancelled, RecordFailed
+from cm.manager.loaders import Loaders, resolved
+from cm.manager.planning.goals import Goal, Plan, image_bytes
 from cm.manager.planning.planner import make_plan
+from cm.manager.ports import Clock, DataPlane, Devices, Files
+from cm.manager.reporting.status import StatusReporter
+from cm.manager.state import steps as s
+from cm.manager.state.board_state import ManagerState
 from cm.manager.state.steps import Step
+from cm.manager.state.table import BoardState, RegionEvent, RegionState
+from cm.messages.status import Progress
+
+
+@dataclass(frozen=True, slots=True)
+class Tools:
+    """What the steps of a change work with."""
+
+    state: ManagerState
+    reporter: StatusReporter
+    devices: Devices
+    registers: RegisterBus
+    loaders: Loaders
+    files: Files
+    data_plane: DataPlane
+    clock: Clock
+
+
+@dataclass(slots=True)
+class StepContext:
+    """A plan that is carried out: with what, and how far it is.
+
+    `best_effort` is for the way back, which a record that cannot be written does not keep from the mode before.
+    Whatever was touched, the last good record is of this change and says so: after a crash the board goes to
+    the same mode, by loading what that record does not say is there. Only a whole image is not begun
+    without a record: registers of a device that is half loaded must not be accessed.
+    """
+
+    plan: Plan
+    tools: Tools
+    number: int
+    cancelled: Callable[[], bool]
+    best_effort: bool = False
+    at: int = -1  # index of the step that is being taken
+    port_seconds: float = 0.0  # that a port has taken for that step's image
+    written: dict[str, int] = field(default_factory=dict)  # registers, by name
+    found: dict[s.Place, int] = field(default_factory=dict)  # what registers held before, for the way back
+    sealed: set[str] = field(default_factory=set)  # regions that are cut off for certain
+    begun: set[str] = field(default_factory=set)  # regions whose load has begun
+    apart: set[str] = field(default_factory=set)  # regions of unknown content that stood cut off before
+    rates: dict[str, int] = field(default_factory=dict)  # what clocks ran at before, in Hz, for the way back
+
+    @property
+    def step(self) -> s.Step | None:
+        """The step that is being taken; None before the first."""
+        return self.plan.steps[self.at] if self.at >= 0 else None
+
+    @property
+    def board(self) -> BoardState:
+        """What the board holds now."""
+        return self.tools.state.board
+
+    def update(self, change: Callable[[BoardState], BoardState]) -> None:
+        """Replace what the board holds by what `change` makes of it, in one piece."""
+        self.tools.state.update(change)
+
+    def set_region(self, name: str, region: RegionState) -> None:
+        """Put a region's state in place of the one before."""
+        self.update(lambda board: board.with_region(name, region))
+
+    def region_event(self, name: str, event: RegionEvent) -> None:
+        """Something happened to a region. Raises IllegalTransition."""
+        self.set_region(name, self.board.region(name).after(event))
+
+    def record(self, step: s.Step | None) -> None:
+        """Write what the board holds, and the step about to be taken. Raises RecordFailed."""
+        try:
+            self.tools.state.record(step)
+        except RecordFailed:
+            if not self.best_effort or isinstance(step, s.LoadStatic):
+                raise
+
+    def check_cancelled(self) -> None:
+        """Raise Cancelled if a client asked for it."""
+        if self.cancelled():
+            raise Cancelled("the change was cancelled")
+
+    def tell(self, done: int) -> None:
+        """Publish the step under way, of whose image `done` bytes have gone through the port."""
+        step, goal = self.plan.steps[self.at], self.plan.goal
+        fraction = min(self._fraction(done), 1.0)
+        length = image_bytes(step)
+        self.tools.reporter.progress(
+            Progress(self.number, goal.config.name, goal.mode, step.kind, step.subject, done, length, fraction)
+        )
+
+    def _fraction(self, done: int) -> float:
+        before, whole = self.plan.steps[: self.at], self.plan.bytes
+        return (sum(map(image_bytes, before)) + done) / whole if whole else self.at / len(self.plan.steps)
 
 
 def plan_to(goal: Goal, tools: Tools) -> Plan:
@@ -32,50 +124,20 @@ def plan_to(goal: Goal, tools: Tools) -> Plan:
     return make_plan(goal, state.board, old, tools.files, state.throughput, tools.devices)
 
 
-class Transaction:
-    """Takes the board to a goal, or back to where it was."""
-
-    def __init__(self, tools: Tools, number: int, cancelled: Callable[[], bool]) -> None:
-        self._tools = tools
-        self._number = number
-        self._cancelled = cancelled
-
-    def run(self, goal: Goal) -> None:
-        """Go there, or back.
-
-        Raises what the plan says is wrong (nothing was touched then), StepFailed (the board went back)
-        or UndoFailed (regions stay decoupled).
-        """
-        before = self._tools.state.board
-        run = StepContext(plan_to(goal, self._tools), self._tools, self._number, self._cancelled)
-        try:
-            _take_steps(run)
-        except Exception as error:
-            rollback = Rollback(self._tools, before, functools.partial(self._go_back, run.sealed), run.sealed)
-            raise rollback.run(_failure(run, error)) from error  # in no variable: its traceback has this frame
-
-    def _go_back(self, sealed: set[str], goal: Goal) -> None:
-        plan = plan_to(goal, self._tools)
-        _take_steps(StepContext(plan, self._tools, self._number, lambda: False, best_effort=True, sealed=sealed))
+Actions = Mapping[type, Callable[[StepContext, Any], None]]
 
 
-def _failure(run: StepContext, error: Exception) -> Failure:
-    goal = run.plan.goal
-    values, found, rates = goal.values, {**run.found, **goal.found}, {**run.rates, **goal.rates}
-    return Failure(goal.config, run.step, error, values, found, rates, frozenset(run.begun | run.apart))
-
-
-def _take_steps(run: StepContext) -> None:
-    """Raises what the failing step raised; `run.step` is that step."""
+def take_steps(run: StepContext, actions: Actions) -> None:
+    """Take each step by its action, once it is recorded. Raises what one raised; `run.step` is that step."""
     for at, step in enumerate(run.plan.steps):
         run.at = at
-        _take(run, step)
+        _take(run, step, actions[type(step)])
 
 
-def _take(run: StepContext, step: Step) -> None:
+def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], None]) -> None:
     clock = run.tools.clock
     started, run.port_seconds = clock.monotonic(), 0.0
     run.record(step)
     run.tell(0)
-    ACTIONS[type(step)](run, step)
+    action(run, step)
     run.tools.state.took(step.kind, clock.monotonic() - started - run.port_seconds)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import queue
 import threading
 from collections.abc import Callable, Mapping
@@ -11,10 +12,11 @@ from dataclasses import dataclass, field
 from cm.errors import CmError
 from cm.manager.access.leases import Leases
 from cm.manager.errors import Cancelled, ChangeBusy
-from cm.manager.execution.context import Tools
-from cm.manager.execution.transaction import Transaction
-from cm.manager.planning import resolve
-from cm.manager.planning.plan import Goal
+from cm.manager.execution.actions import ACTIONS
+from cm.manager.execution.rollback import Rollback, failure_of
+from cm.manager.execution.transaction import StepContext, Tools, plan_to, take_steps
+from cm.manager.planning import goals
+from cm.manager.planning.goals import Goal
 from cm.manager.state.record import Pending
 from cm.manager.state.steps import Place
 from cm.manager.state.table import BoardState, RegionPhase
@@ -186,11 +188,30 @@ class Worker:
         self._leases.check(change.scopes, change.lease)  # one may have been given while this change waited
         configs = self._tools.state.configs
         config = configs[change.config]
-        mode = resolve.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
+        mode = goals.mode_named(config, change.mode)  # it may have been provisioned anew while this change waited
         static = configs.get(change.static or "")
         also = tuple(name for name in change.also if name in config.modules)
         goal = Goal(config, mode, change.force, change.values, also, static, change.rates, change.found)
-        Transaction(self._tools, change.number, lambda: change.cancelled).run(goal)
+        self._go_to(goal, change)
+
+    def _go_to(self, goal: Goal, change: Change) -> None:
+        """Go there, or back to where the board was.
+
+        Raises what the plan says is wrong (nothing was touched then), StepFailed (the board went back)
+        or UndoFailed (regions stay decoupled).
+        """
+        before = self._tools.state.board
+        run = StepContext(plan_to(goal, self._tools), self._tools, change.number, lambda: change.cancelled)
+        try:
+            take_steps(run, ACTIONS)
+        except Exception as error:
+            rollback = Rollback(self._tools, before, functools.partial(self._go_back, run), run.sealed)
+            raise rollback.run(failure_of(run, error)) from error  # in no variable: its traceback has this frame
+
+    def _go_back(self, failed: StepContext, goal: Goal) -> None:
+        plan = plan_to(goal, self._tools)
+        back = StepContext(plan, self._tools, failed.number, lambda: False, best_effort=True, sealed=failed.sealed)
+        take_steps(back, ACTIONS)
 
 
 def _internal(problem: Exception) -> ErrorInfo:

@@ -24,11 +24,7 @@ class Job:
     region: Region | None = None
     module: Module | None = None
     overlay: bytes = b""  # by which the module is loaded, for LoaderKind.OVERLAY
-
-    @property
-    def port(self) -> str | None:
-        """The name of the port, where there are several."""
-        return self.region.loader_name if self.region else None
+    port: str | None = None  # its name, where there are several
 
 
 class Loader(Protocol):

@@ -13,13 +13,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from cm.manager.errors import StaticUnknown
-from cm.manager.planning.clocks import clock_steps
-from cm.manager.planning.overlays import OverlayChange, overlay_change, wanted_overlays
-from cm.manager.planning.plan import Goal, Plan
-from cm.manager.planning.registers import Writing
+from cm.manager.planning.goals import Goal, Plan
+from cm.manager.planning.settings import OverlayChange, Writing, clock_steps, overlay_change, wanted_overlays
 from cm.manager.ports import Devices, Files, Image
 from cm.manager.state import steps as s
-from cm.manager.state.cost import Throughput
+from cm.manager.state.record import Throughput
 from cm.manager.state.table import BoardState, RegionPhase, loading_overlay
 from cm.schema.model import Config, LoaderKind, Module, Region
 

@@ -3,10 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from cm.manager.ports import Observer
-from cm.manager.reporting.descriptions import clock_states, region_states
 from cm.manager.state.board_state import ManagerState
-from cm.messages.status import ErrorInfo, PrMode, Progress, Status
+from cm.manager.state.choice import Choice
+from cm.manager.state.table import BoardState
+from cm.messages.status import ClockStatus, ErrorInfo, PrMode, Progress, RegionStatus, Status, StreamStatus
+from cm.schema.model import Config, Stream
 
 
 class StatusReporter:
@@ -84,3 +88,42 @@ class StatusReporter:
         if running:
             return PrMode.FULL if self._full else PrMode.PARTIAL
         return PrMode.ERROR if self._failed else PrMode.IDLE
+
+
+def stream_status(stream: Stream) -> StreamStatus:
+    """A stream as the schema has it, not open."""
+    return StreamStatus(
+        stream.name,
+        stream.channel,
+        stream.direction.value,
+        stream.shape or (),
+        stream.dtype,
+        stream.slots,
+        cyclic=stream.cyclic,
+        backpressure=stream.backpressure,
+        stride=stream.stride or 0,
+        limit=stream.limit or 0.0,
+    )
+
+
+def region_states(
+    config: Config | None, state: BoardState, choices: Mapping[tuple[str, str], Choice]
+) -> tuple[RegionStatus, ...]:
+    """All regions that are known, those of the loaded configuration first."""
+    names = dict.fromkeys([*(config.regions if config else ()), *state.regions])
+    chosen = {n: choices.get((config.name, n)) for n in names} if config else {}
+    return tuple(
+        RegionStatus(n, state.region(n).module, state.region(n).phase.value, _loader(chosen.get(n))) for n in names
+    )
+
+
+def _loader(choice: Choice | None) -> str:
+    if choice is None:
+        return ""
+    return f"{choice.kind.value} ({choice.why})" if choice.why else choice.kind.value
+
+
+def clock_states(config: Config | None, state: BoardState) -> tuple[ClockStatus, ...]:
+    """The clocks of the loaded configuration, with the rates that were read back."""
+    clocks = config.clocks.values() if config else ()
+    return tuple(ClockStatus(clock.name, clock.rate, state.clocks.get(clock.name, 0)) for clock in clocks)

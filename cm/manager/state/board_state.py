@@ -14,9 +14,8 @@ from types import MappingProxyType
 
 from cm.manager.errors import RecordFailed, StoreCorrupt
 from cm.manager.state.choice import Choice
-from cm.manager.state.cost import Throughput
 from cm.manager.state.journal import Store
-from cm.manager.state.record import Pending, Record
+from cm.manager.state.record import Pending, Record, Throughput
 from cm.manager.state.steps import ApplyOverlay, Place, RemoveOverlay, SetClock, Step
 from cm.manager.state.table import BoardState
 from cm.messages.status import ErrorInfo

@@ -1,14 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of a change, as data: `planning.plan` orders them, `execution.transaction` takes them."""
+"""The steps of a change, as data: `planning.planner` orders them, `execution.transaction` takes them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from cm.manager.ports import Image
-from cm.schema.model import Clock, LoaderKind, Module, Overlay, Region, Register, StaticIdentity
+from cm.manager.state.clock_step import SetClock as SetClock
+from cm.schema.model import LoaderKind, Module, Overlay, Region, Register, StaticIdentity
 
 Place = tuple[int, int]  # of a register: physical address, and width in bits
+
+
+class _OfRegion:
+    __slots__ = ()
+    region: Region
+
+    @property
+    def subject(self) -> str:
+        return self.region.name
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,15 +94,11 @@ class RemoveOverlay:
 
 
 @dataclass(frozen=True, slots=True)
-class Decouple:
+class Decouple(_OfRegion):
     """Cut a region off from the static part."""
 
     region: Region
     kind = "decouple"
-
-    @property
-    def subject(self) -> str:
-        return self.region.name
 
     @property
     def text(self) -> str:
@@ -100,7 +106,7 @@ class Decouple:
 
 
 @dataclass(frozen=True, slots=True)
-class Load:
+class Load(_OfRegion):
     """Load a module's bitstream into its region."""
 
     region: Region
@@ -113,10 +119,6 @@ class Load:
     @property
     def port_kind(self) -> LoaderKind:
         return self.region.loader
-
-    @property
-    def subject(self) -> str:
-        return self.region.name
 
     @property
     def text(self) -> str:
@@ -165,7 +167,7 @@ class ApplyOverlay:
 
 
 @dataclass(frozen=True, slots=True)
-class Recouple:
+class Recouple(_OfRegion):
     """Connect a region again."""
 
     region: Region
@@ -173,25 +175,17 @@ class Recouple:
     kind = "recouple"
 
     @property
-    def subject(self) -> str:
-        return self.region.name
-
-    @property
     def text(self) -> str:
         return f"recouple {self.region.name}"
 
 
 @dataclass(frozen=True, slots=True)
-class CheckIdentity:
+class CheckIdentity(_OfRegion):
     """Ask a module who it is."""
 
     region: Region
     module: Module
     kind = "verify"
-
-    @property
-    def subject(self) -> str:
-        return self.region.name
 
     @property
     def text(self) -> str:
@@ -214,36 +208,6 @@ class SetRegister:
     @property
     def text(self) -> str:
         return f"set {self.register.name} = {self.value:#x}"
-
-
-@dataclass(frozen=True, slots=True)
-class SetClock:
-    """Set a clock and read it back."""
-
-    clock: Clock  # with the rate that is wanted
-    before: int  # Hz; 0: no driver of this board can set clocks
-    achieved: int | None  # Hz that it will run at; None where that cannot be known beforehand
-    running: bool
-    restores: bool = False  # on the way back: as near as it can be had is right
-    kind = "clock"
-
-    @property
-    def subject(self) -> str:
-        return self.clock.name
-
-    @property
-    def text(self) -> str:
-        if not self.before:
-            return f"leave clock {self.clock.name} as it is: {hertz(self.clock.rate)} is wanted, no driver here sets it"
-        will = f", which makes {hertz(self.achieved)}" if self.achieved not in (None, self.clock.rate) else ""
-        return f"set clock {self.clock.name} to {hertz(self.clock.rate)}{will} (now {hertz(self.before)})"
-
-
-def hertz(rate: int | None) -> str:
-    """A rate for people, to the Hz."""
-    if rate is None:
-        return "an unknown rate"
-    return f"{rate / 1e6:.6f}".rstrip("0").rstrip(".") + " MHz"
 
 
 @dataclass(frozen=True, slots=True)

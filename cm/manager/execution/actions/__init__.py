@@ -7,24 +7,24 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from cm.manager.execution.actions import clocks, mode, overlays, regions
-from cm.manager.execution.context import StepContext
+from cm.manager.execution.actions import clocks, overlays, pl
+from cm.manager.execution.transaction import StepContext
 from cm.manager.state import steps as s
 
 ACTIONS: Mapping[type, Callable[[StepContext, Any], None]] = MappingProxyType(
     {
-        s.Validate: mode.validate,
-        s.CheckStatic: regions.check_static,
-        s.Quiesce: mode.quiesce,
+        s.Validate: pl.validate,
+        s.CheckStatic: pl.check_static,
+        s.Quiesce: pl.quiesce,
         s.RemoveOverlay: overlays.remove,
-        s.Decouple: regions.decouple,
-        s.Load: regions.load,
-        s.LoadStatic: regions.load_static,
+        s.Decouple: pl.decouple,
+        s.Load: pl.load,
+        s.LoadStatic: pl.load_static,
         s.ApplyOverlay: overlays.apply,
-        s.Recouple: regions.recouple,
-        s.CheckIdentity: regions.check_identity,
-        s.SetRegister: mode.set_register,
+        s.Recouple: pl.recouple,
+        s.CheckIdentity: pl.check_identity,
+        s.SetRegister: pl.set_register,
         s.SetClock: clocks.set_clock,
-        s.Publish: mode.publish,
+        s.Publish: pl.publish,
     }
 )

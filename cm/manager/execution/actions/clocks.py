@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from cm.manager.execution.context import StepContext
-from cm.manager.planning.clocks import check_rate
+from cm.manager.execution.transaction import StepContext
+from cm.manager.planning.settings import check_rate
 from cm.manager.state import steps as s
 
 

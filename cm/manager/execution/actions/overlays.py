@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from cm.manager.execution.context import StepContext
+from cm.manager.execution.transaction import StepContext
 from cm.manager.state import steps as s
 from cm.manager.state.table import BoardState, OverlayState
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clients of the data socket: other processes, which keep their connection while their stream is stopped."""
+"""The clients of open streams: other processes over the data socket, and the daemon itself for ZeroMQ."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ import socket
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from cm.daemon.loop import Loop
 from cm.daemon.streams.peer import Peer
-from cm.daemon.streams.stream import OpenStream
+from cm.daemon.streams.stream import Frame, OpenStream
+from cm.daemon.streams.zmq_bridge import ZmqReader, ZmqWriter
 from cm.device.plane import Plane
 from cm.errors import CmError
 from cm.messages.status import ErrorInfo
@@ -27,7 +29,7 @@ class _Local:
 
 
 class LocalClients:
-    """All of them, by their number in the plane. The loop's thread."""
+    """Clients of the data socket, by their number in the plane; they keep it while their stream is stopped."""
 
     def __init__(self, plane: Plane, on_error: Callable[[ErrorInfo], None]) -> None:
         self._plane = plane
@@ -71,3 +73,52 @@ class LocalClients:
         """It has hung up; the name of its stream, None where it was no client of ours."""
         local = self._clients.pop(client, None)
         return local.stream if local else None
+
+
+class ZmqClients:
+    """At most one client for ZeroMQ of each stream, made when it is needed."""
+
+    def __init__(self, loop: Loop, plane: Plane, deliver: Callable[[Frame], None]) -> None:
+        self._loop = loop
+        self._plane = plane
+        self._deliver = deliver
+        self._clients: dict[str, ZmqReader | ZmqWriter] = {}
+
+    def reader(self, opened: OpenStream) -> ZmqReader:
+        """What reads an open stream."""
+        found = self._clients.get(opened.stream.name)
+        if not isinstance(found, ZmqReader):
+            found = ZmqReader(self._loop, self._plane, opened, self._deliver)
+            self._clients[opened.stream.name] = found
+        return found
+
+    def writer(self, opened: OpenStream) -> ZmqWriter:
+        """What writes to an open stream."""
+        found = self._clients.get(opened.stream.name)
+        if not isinstance(found, ZmqWriter):
+            found = self._clients[opened.stream.name] = ZmqWriter(self._loop, self._plane, opened)
+        return found
+
+    def busy(self, name: str) -> bool:
+        """Whether a single read or write is under way, or was a moment ago."""
+        found = self._clients.get(name)
+        return found is not None and found.busy
+
+    def working(self, name: str) -> bool:
+        """Whether a single read or write is under way."""
+        found = self._clients.get(name)
+        return found is not None and found.working
+
+    def refresh(self, opened: OpenStream, subscribed: bool) -> None:
+        """Frames are read while there are subscribers; a client that has nothing to do goes."""
+        found = self._clients.get(opened.stream.name)
+        if found is None and subscribed:
+            self.reader(opened)
+        elif found is not None and not found.busy and not subscribed:
+            self.close(opened.stream.name)
+
+    def close(self, name: str) -> None:
+        """Hang up on a stream; those who wait are told that it was stopped."""
+        found = self._clients.pop(name, None)
+        if found is not None:
+            found.close()

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Handlers of requests for streams and memories, which share one name space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from cm.daemon.board_watch import BoardWatch
+from cm.daemon.memory_transfers import MemoryTransfers, frame_info
+from cm.daemon.replies import Respond, error_info, refusal
+from cm.daemon.streams.registry import Streams
+from cm.daemon.streams.stream import Frame
+from cm.errors import CmError
+from cm.manager.access.memory_service import Transfer
+from cm.manager.errors import UnknownStream
+from cm.manager.manager import Manager
+from cm.messages import requests as rq
+from cm.messages.status import Reply
+from cm.schema.model import Stream
+
+
+class DataHandlers:
+    """As `cm.daemon.handlers.Handlers`, which has them in its table."""
+
+    def __init__(self, manager: Manager, streams: Streams, transfers: MemoryTransfers, board: BoardWatch) -> None:
+        self._manager = manager
+        self._memories = manager.memories
+        self._streams = streams
+        self._transfers = transfers
+        self._board = board
+
+    @property
+    def table(self) -> Mapping[type, Callable[..., None]]:
+        """The handler of each kind of request."""
+        return {
+            rq.DescribeData: self._describe_data,
+            rq.ConfigureStream: self._configure_stream,
+            rq.DefineMemory: self._define_memory,
+            rq.ReadData: self._read_data,
+            rq.WriteData: self._write_data,
+        }
+
+    def _describe_data(self, request: rq.DescribeData, respond: Respond) -> None:
+        memory = self._memories.find(request.name)
+        if memory is not None:
+            respond(Reply(self._memories.info(memory)))
+            return
+        stream = self._stream(request.name)
+        self._streams.check_lease(stream, request.lease)
+        respond(Reply(self._streams.status_of(stream.name)))
+
+    def _configure_stream(self, request: rq.ConfigureStream, respond: Respond) -> None:
+        self._memories.check_no_memory(request.stream)
+        self._streams.check_lease(self._stream(request.stream), request.lease)
+        respond(Reply(self._streams.configure(request)))
+
+    def _define_memory(self, request: rq.DefineMemory, respond: Respond) -> None:
+        respond(Reply(self._memories.info(self._memories.define(request))))
+
+    def _stream(self, name: str) -> Stream:
+        """A stream by name. Raises UnknownStream, which names the memories too: one of them may have been meant."""
+        try:
+            return self._streams.named(name, None)
+        except UnknownStream as error:
+            raise UnknownStream(f"{error}{self._memories.listed()}") from None
+
+    def _read_data(self, request: rq.ReadData, respond: Respond) -> None:
+        if request.offset or request.length or self._memories.find(request.stream):
+            self._transfer(self._memories.begin_read(request.stream, request.offset, request.length), respond)
+            return
+        if request.stream:
+            self._stream(request.stream)
+
+        def done(result: Frame | CmError) -> None:
+            if isinstance(result, CmError):
+                respond(Reply(error=error_info(result)))
+            else:
+                respond(Reply(result.info, payload=(bytes(result.data),)))
+
+        self._streams.read_once(request.stream, request.timeout, done)
+
+    def _write_data(self, request: rq.WriteData, respond: Respond) -> None:
+        if request.offset or self._memories.find(request.stream):
+            self._transfer(
+                self._memories.begin_write(request.stream, request.offset, request.data, request.lease), respond
+            )
+            return
+        if request.stream:
+            self._stream(request.stream)
+
+        def done(result: Frame | CmError) -> None:
+            respond(Reply(error=error_info(result)) if isinstance(result, CmError) else Reply(result.info))
+
+        self._streams.write(request.stream, request.data, done, request.lease)
+
+    def _transfer(self, transfer: Transfer, respond: Respond) -> None:
+        def done(problem: Exception | None) -> None:
+            if problem is None:
+                respond(self._moved(transfer))
+            else:
+                self._board.noticed(problem)
+                respond(refusal(problem))
+
+        self._transfers.start(transfer, done)
+
+    def _moved(self, transfer: Transfer) -> Reply:
+        state, payload = self._manager.state, () if transfer.write else (transfer.data,)
+        return Reply(frame_info(transfer, state.config or "", state.mode or ""), payload=payload)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""docs/walks.md, held: a change of mode enters the files that its walk names, few of them, and none is long."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+import pytest
+from manager_process import CAMERA, short_folder
+
+import cm
+from cm.daemon import server as daemon
+from cm.daemon.options import Options
+from cm.device import Root
+from cm.schema import load_folder
+from cm.sim import Board as SimBoard
+
+ROOT = Path(cm.__file__).resolve().parents[1]
+PAGE = ROOT / "docs" / "walks.md"
+ROOMS = ("cm/manager/", "cm/daemon/")
+FILES_MAX, LINES_MAX = 30, 250
+
+
+class Entered:
+    """The files of manager and daemon whose functions were called, in whatever thread, while it was armed."""
+
+    def __init__(self) -> None:
+        self.files: set[str] = set()
+        self.armed = False
+
+    def __call__(self, frame: FrameType, event: str, _: object) -> None:
+        name = frame.f_code.co_filename
+        if self.armed and event == "call" and name.startswith(str(ROOT)):
+            path = str(Path(name).relative_to(ROOT))
+            if path.startswith(ROOMS):
+                self.files.add(path)
+
+
+@contextmanager
+def serving(folder: Path, root: Path) -> Iterator[Path]:
+    """A daemon in a thread of this process, in the camera example's default mode; its runtime folder."""
+    options = Options(folder / "run", folder / "state", Root.of(root), load_folder(CAMERA), load="camera/default")
+    ready = threading.Event()
+    server = daemon.Server(options)
+    thread = threading.Thread(target=server.serve, args=(ready.set,))
+    thread.start()
+    try:
+        assert ready.wait(60)
+        with cm.connect(runtime_dir=options.runtime_dir) as board:
+            board.load("camera", "default")
+        yield options.runtime_dir
+    finally:
+        server.stop()
+        thread.join()
+
+
+@pytest.fixture(scope="module")
+def entered() -> Iterator[set[str]]:
+    """What one `cm mode` enters; what the daemon does every second beside it is left out."""
+    found = Entered()
+    patch = pytest.MonkeyPatch()
+    patch.setattr(daemon, "_TICK", 3600.0)
+    threading.setprofile(found)
+    try:
+        with (
+            short_folder() as folder,
+            SimBoard([CAMERA], root=folder / "board") as sim,
+            serving(folder, sim.root) as runtime,
+        ):
+            found.armed = True
+            command = [sys.executable, "-m", "cm", "mode", "edge_detection", "--runtime-dir", str(runtime)]
+            subprocess.run(command, check=True, env=os.environ, timeout=120, cwd=ROOT, capture_output=True)
+            found.armed = False
+        yield found.files
+    finally:
+        threading.setprofile(None)
+        patch.undo()
+
+
+def walks() -> dict[str, set[str]]:
+    """The files that each walk of the page names, by its heading."""
+    parts = re.split(r"^## (.*)\n", PAGE.read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    pairs = zip(parts[::2], parts[1::2], strict=True)
+    return {heading: set(re.findall(r"`(c[ms][a-z]*/[\w/.]+\.(?:py|c|proto))`", text)) for heading, text in pairs}
+
+
+def test_a_change_of_mode_enters_few_files_and_none_is_long(entered: set[str]) -> None:
+    assert len(entered) > 10
+    assert len(entered) <= FILES_MAX, sorted(entered)
+    long = {path for path in entered if len((ROOT / path).read_text(encoding="utf-8").splitlines()) > LINES_MAX}
+    assert not long
+
+
+def test_the_walk_of_a_change_names_the_files_that_one_enters(entered: set[str]) -> None:
+    walked = {path for path in walks()["A change of mode"] if path.startswith(ROOMS)}
+    assert entered - walked == set()
+    assert walked - entered == set()
+
+
+def test_every_file_that_a_walk_names_is_there() -> None:
+    named = walks()
+    assert set(named) == {"A register write", "A change of mode", "A frame"}
+    for heading, paths in named.items():
+        assert len(paths) > 5, heading
+        assert {path for path in paths if not (ROOT / path).exists()} == set()
