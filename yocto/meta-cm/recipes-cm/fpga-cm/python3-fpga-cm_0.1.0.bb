@@ -89,6 +89,6 @@ RDEPENDS:${PN}-build:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3
 RDEPENDS:${PN}-bench:append:class-target = " ${PN}-sim (= ${EXTENDPKGV})"
 RDEPENDS:${PN}-ptest += "${PN}-sim python3-pytest python3-unittest-automake-output"
 RRECOMMENDS:${PN}-sim:append:class-target = " python3-pillow"
-RRECOMMENDS:${PN}:append:class-target = " ${PN}-udev kernel-module-cm-dma kernel-module-cm-icap kernel-module-cm-overlay"
+RRECOMMENDS:${PN}:append:class-target = " ${PN}-udev python3-cryptography kernel-module-cm-dma kernel-module-cm-icap kernel-module-cm-overlay"
 
 BBCLASSEXTEND = "native"
