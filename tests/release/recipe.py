@@ -32,8 +32,8 @@ OTHERS = {
 }  # fmt: skip
 # In no layer of meta-openembedded, or of use to few: `cm` says what is missing where they are needed.
 OPTIONAL = {
-    "cocotb", "cyclonedds", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "PIL", "cryptography", "pyslang", "scipy", "systemrdl",
-    "tree_sitter", "tree_sitter_vhdl", "zenoh", "setuptools",
+    "cocotb", "cyclonedds", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "PIL", "cryptography", "pyslang", "scipy",
+    "systemrdl", "tree_sitter", "tree_sitter_vhdl", "zenoh", "setuptools",
 }  # fmt: skip
 
 
