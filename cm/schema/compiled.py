@@ -31,7 +31,7 @@ def source(schema: bytes) -> str:
 
     import fastjsonschema
 
-    from cm.schema.json_schema import for_values, normal_form
+    from cm.schema.schema_forms import for_values, normal_form
 
     code = fastjsonschema.compile_to_code(for_values(normal_form(json.loads(schema))))
     code, found = _IMPORT.subn(_exceptions, code)

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from cm.schema.compiled import ready
-from cm.schema.json_schema import follow, for_values, normal_form, without_references
 from cm.schema.listing import fold, lift_overlays, windows
 from cm.schema.problems import KeyPath, did_you_mean
+from cm.schema.schema_forms import follow, for_values, normal_form, without_references
 from cm.schema.tree import Entry, Items, Mark, Node, Scalar, Table, plain
 from cm.schema.values import Finding, findings
 
