@@ -157,3 +157,14 @@ def test_what_verification_lets_through_the_port_takes(source: object, flip: st.
     assert port.complete
     assert port.sections == len(report.sections)
     assert report.compressed or port.frames == report.frames
+
+
+def test_what_is_remembered_of_long_data_is_what_would_come_out_again() -> None:
+    import numpy as np
+
+    known = crc.Known(limit=2)
+    blocks = [np.arange(2048, dtype=np.uint32) * step for step in (1, 3, 5)]  # one more than are kept
+    for _ in range(2):
+        for start, block in enumerate(blocks):
+            assert known.run(start, 2, block) == crc.run(start, 2, block)
+    assert known.run(7, 2, blocks[0]) != known.run(8, 2, blocks[0])

@@ -77,6 +77,7 @@ class ConfigPort:
         self.device = device
         self._order = "<u4" if swapped else ">u4"
         self._frame_words, self._fields = _SHAPES[device.family.label]
+        self._known = crc.Known()
         self.reset()
 
     def reset(self) -> None:
@@ -164,7 +165,7 @@ class ConfigPort:
         return len(words)
 
     def _bulk(self, words: NDArray[np.uint32]) -> None:
-        self._crc = crc.run(self._crc, self._register, words)
+        self._crc = self._known.run(self._crc, self._register, words)
         missing = 4 * self._frame_words - len(self._head)
         self._head += words[: -(-missing // 4)].astype(">u4").tobytes()
         if self._left == 0:
