@@ -140,13 +140,16 @@ class InterruptWatch:
             line.told = True
             code = error.code if isinstance(error, CmError) else "device_error"
             self._on_error(ErrorInfo(code, f"interrupt {names} is masked until it can be acknowledged: {error}"))
+        self._try_again()
+
+    def _try_again(self) -> None:
         if not self._retrying:
             self._retrying = True
             self._loop.call_later(_RETRY, self._retry)
 
     def _retry(self) -> None:
         self._retrying = False
-        self._serve_masked()
+        self.watch(self.config)
 
     def _serve_masked(self) -> None:
         for node, line in list(self._lines.items()):
@@ -154,8 +157,11 @@ class InterruptWatch:
                 self._serve(node, line)
 
     def _end(self, node: str, error: OSError) -> None:
+        """Its device went, as with an overlay; one that comes with another overlay is looked for again."""
         _LOG.warning("interrupt line %s ended: %s", node, error)
+        self.incomplete = True
         self._drop(node)
+        self._try_again()
 
     def _drop(self, node: str) -> None:
         line = self._lines.pop(node, None)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import select
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -13,7 +14,7 @@ import pytest
 from manager_support import Rig, camera, rig
 
 from cm.daemon.interrupts import InterruptWatch
-from cm.device import Root
+from cm.device import Root, Uio
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_service import RegisterService
@@ -174,6 +175,27 @@ def test_a_line_that_cannot_be_acknowledged_is_told_once_and_tried_again(bench: 
     assert bench.loop.serve()
     assert [irq.count for irq in bench.told] == [1, 2]
     assert len(bench.errors) == 1
+
+
+def test_a_line_whose_device_went_is_looked_for_again(
+    bench: Bench, sim: SimBoard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the device of an overlay does, which goes with it and comes with the next."""
+
+    def gone(_: Uio) -> int:
+        raise OSError(errno.EIO, "the device went")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Uio, "take", gone)
+        sim.control.interrupt(NAME)
+        assert bench.loop.serve()
+    assert bench.interrupts.incomplete
+    bench.loop.pass_time()
+    assert not bench.interrupts.incomplete
+    bench.told.clear()
+    sim.control.interrupt(NAME)
+    assert bench.loop.serve()
+    assert [irq.name for irq in bench.told][-1:] == [NAME]
 
 
 def test_the_next_trouble_of_a_line_is_told_again(bench: Bench, sim: SimBoard) -> None:
