@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from cm.client.stream import LocalStream
-from cm.wire.plane import Open
+from cm.wire.plane_packets import Open
 
 TORN = 3
 

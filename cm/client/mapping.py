@@ -18,14 +18,14 @@ from cm.client.errors import FrameReleased
 from cm.client.frame import Frame
 from cm.errors import InvalidRequest
 from cm.messages.status import FrameInfo
-from cm.wire.plane import Descriptor, Geometry
+from cm.wire.plane_packets import Descriptor, Geometry
 
 # DMA_BUF_IOCTL_SYNC and its flags, linux/dma-buf.h
 _SYNC = 0x40086200
 _READ, _WRITE, _END = 1, 2, 4
 
 
-class Memory:
+class SlotMappings:
     """The slots of one geometry. Mappings live as long as frames in them do."""
 
     def __init__(self, geometry: Geometry, epoch: int) -> None:
@@ -242,10 +242,10 @@ class Lease:
 
     def __init__(
         self,
-        memory: Memory,
+        memory: SlotMappings,
         frame: Descriptor,
         names: tuple[str, str, str],
-        give_back: Callable[[Memory, Descriptor], None],
+        give_back: Callable[[SlotMappings, Descriptor], None],
     ) -> None:
         self.memory = memory
         self.frame = frame
@@ -261,10 +261,10 @@ class Lease:
 
 
 def lend(
-    memory: Memory,
+    memory: SlotMappings,
     frame: Descriptor,
     names: tuple[str, str, str],
-    give_back: Callable[[Memory, Descriptor], None],
+    give_back: Callable[[SlotMappings, Descriptor], None],
 ) -> LocalFrame:
     """A leased frame as an array."""
     array: LocalFrame = memory.array(frame, LocalFrame)

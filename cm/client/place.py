@@ -9,7 +9,7 @@ from pathlib import Path
 
 from cm.client.address import Keys, load_keys, resolve
 from cm.errors import InvalidRequest
-from cm.wire import plane as packets
+from cm.wire import plane_packets as packets
 from cm.wire.topics import Endpoints
 
 

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, seconds
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
+from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed
 from cm.client.frame import Frame
 from cm.client.link import Link
-from cm.client.plane import Connection
 from cm.client.zmq_frames import Wanted
 from cm.errors import Timeout
-from cm.wire.plane import Geometry, Open
+from cm.wire.plane_packets import Geometry, Open
 
 if TYPE_CHECKING:
     from cm.client.board import Board
@@ -72,7 +72,7 @@ class LocalStream(Stream):
     def __init__(
         self, folder: Path, wanted: Open, timeout: float | None, newest: bool = False, owner: Any = None
     ) -> None:
-        self._connection: Connection | None = None
+        self._connection: DataConnection | None = None
         self._folder = folder
         self._owner = owner  # the board: what hangs on it holds it
         self._wanted = wanted
@@ -94,16 +94,16 @@ class LocalStream(Stream):
         self._ended = because
         self.close()
 
-    def _connected(self) -> Connection:
+    def _connected(self) -> DataConnection:
         if self._ended is not None:
             raise self._ended
         if self._connection is None:
             self._connection = self._opened()
         return self._connection
 
-    def _opened(self) -> Connection:
+    def _opened(self) -> DataConnection:
         """Connect; what the manager refuses is raised here. A stream that is stopped just now comes later."""
-        connection = Connection(self._folder, self._wanted)
+        connection = DataConnection(self._folder, self._wanted)
         try:
             connection.set_timeout(None if self._timeout is None else max(self._timeout, _ANSWER))
             while connection.geometry is None and not connection.stopped:
@@ -156,7 +156,7 @@ class LocalStream(Stream):
             return None
         return self._latest(connection, frame) if self._newest else frame
 
-    def _latest(self, connection: Connection, frame: Frame) -> Frame:
+    def _latest(self, connection: DataConnection, frame: Frame) -> Frame:
         while True:
             try:
                 newer = connection.receive(socket.MSG_DONTWAIT)

@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds
+from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed, TransferFailed
-from cm.client.plane import Connection
 from cm.errors import CmError, InvalidRequest, Timeout
-from cm.wire import plane as packets
-from cm.wire.plane import Descriptor, Geometry, Open
+from cm.wire import plane_packets as packets
+from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 
 class Writer:
@@ -31,7 +31,7 @@ class Writer:
     def __init__(self, folder: Path, wanted: Open, timeout: float | None, owner: Any = None) -> None:
         self._owner = owner  # the board: what hangs on it holds it
         self._closed: CmError | None = None
-        self._connection = Connection(folder, wanted)
+        self._connection = DataConnection(folder, wanted)
         self.name = wanted.name
         self._timeout = timeout
         self._next = 0

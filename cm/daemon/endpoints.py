@@ -15,7 +15,7 @@ import zmq
 from cm.device.base import AnyRoot
 from cm.device.paths import Root
 from cm.errors import Busy, InvalidRequest
-from cm.wire.plane import SOCKET
+from cm.wire.plane_packets import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
 
 ENDPOINTS_FILE = "endpoints.json"

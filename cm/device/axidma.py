@@ -150,7 +150,7 @@ class AxiDma(Device):
 
     @property
     def shim_handle(self) -> Handle:
-        """What `cm.device.plane` hands to C; valid as long as this object."""
+        """What `cm.device.data_plane` hands to C; valid as long as this object."""
         return self._handle
 
     def allocate(self, length: int) -> DmaBuffer:

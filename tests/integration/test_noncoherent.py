@@ -98,7 +98,7 @@ def test_who_does_not_synchronise_sees_old_bytes(apart: Setup) -> None:
         apart,
         """
         from cm.client import mapping
-        mapping.Memory._sync = lambda *_: None
+        mapping.SlotMappings._sync = lambda *_: None
         with board.stream("from_pl") as reader:
             board.write("to_pl", PICTURE)
             tell(same=bool((reader.read() == PICTURE).all()))

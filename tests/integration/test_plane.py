@@ -25,8 +25,8 @@ import cm
 from cm.client.errors import FrameReleased, RequestFailed, TransferFailed
 from cm.errors import Busy, InvalidRequest, NotFound, Timeout
 from cm.sim import Board as SimBoard
-from cm.wire import plane as packets
-from cm.wire.plane import Descriptor, Open
+from cm.wire import plane_packets as packets
+from cm.wire.plane_packets import Descriptor, Open
 
 HOLDER = """
 import sys, time, cm

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cm.errors import InvalidRequest
-from cm.wire import plane
-from cm.wire.plane import Descriptor, Geometry, Open
+from cm.wire import plane_packets as plane
+from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 HEADER = Path(__file__).resolve().parents[2] / "csrc" / "client" / "cm_plane_wire.h"
 NAMES = st.text(st.sampled_from("aZ_-0 é漢🎥"), max_size=40)

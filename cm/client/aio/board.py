@@ -35,7 +35,7 @@ from cm.client.sockets import Sockets, closed
 from cm.client.zmq_frames import Wanted
 from cm.messages.requests import ConfigureStream, DefineMemory
 from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Progress, Status, StreamStatus
-from cm.wire.plane import Open
+from cm.wire.plane_packets import Open
 
 _T = TypeVar("_T")
 

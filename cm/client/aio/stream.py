@@ -18,7 +18,7 @@ from cm.client.frame import Frame
 from cm.client.stream import LocalStream
 from cm.client.zmq_frames import Wanted
 from cm.errors import Timeout
-from cm.wire.plane import Geometry, Open
+from cm.wire.plane_packets import Geometry, Open
 
 if TYPE_CHECKING:
     from cm.client.aio.board import Board

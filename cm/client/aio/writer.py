@@ -17,7 +17,7 @@ from cm.client.core.effects import DEFAULT, Limit, seconds
 from cm.client.errors import BoardClosed
 from cm.client.writer import Writer
 from cm.errors import InvalidRequest, Timeout
-from cm.wire.plane import Descriptor, Geometry, Open
+from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 if TYPE_CHECKING:
     from cm.client.aio.board import Board

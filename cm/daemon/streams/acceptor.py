@@ -12,8 +12,8 @@ from pathlib import Path
 from cm.daemon.loop import Loop
 from cm.daemon.streams.echo import Echoes
 from cm.errors import CmError
-from cm.wire import plane as packets
-from cm.wire.plane import Open, decode_open, encode_refused
+from cm.wire import plane_packets as packets
+from cm.wire.plane_packets import Open, decode_open, encode_refused
 
 _BACKLOG = 64
 _WAITING = 64  # connections that have not said yet what they want; the oldest makes room

@@ -12,10 +12,10 @@ from cm.daemon.loop import Loop
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.stream import Frame, OpenStream
 from cm.daemon.streams.zmq_bridge import ZmqReader, ZmqWriter
-from cm.device.plane import Plane
+from cm.device.data_plane import Plane
 from cm.errors import CmError
 from cm.messages.status import ErrorInfo
-from cm.wire.plane import Open
+from cm.wire.plane_packets import Open
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from cm.daemon.streams.policy import StreamEvent, StreamPolicy, Users
 from cm.daemon.streams.stalled import StalledChannels
 from cm.daemon.streams.stream import Frame, OpenStream
 from cm.device import DeviceTimeout
-from cm.device.plane import ClientGone, ClientLeaves, Plane
+from cm.device.data_plane import ClientGone, ClientLeaves, Plane
 from cm.errors import CmError
 from cm.messages.status import ErrorInfo
 from cm.schema.model import Direction, Stream

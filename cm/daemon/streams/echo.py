@@ -6,9 +6,9 @@ from __future__ import annotations
 import mmap
 import os
 
-from cm.device.plane import Plane, StreamSetup
+from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import Busy, InvalidRequest
-from cm.wire.plane import Geometry, Open, encode_geometry
+from cm.wire.plane_packets import Geometry, Open, encode_geometry
 
 _MAX_BYTES = 256 << 20  # of all echoes together
 _MAX_DEPTH = 16

@@ -21,7 +21,7 @@ from cm.manager.reporting.status import stream_status
 from cm.messages.requests import ConfigureStream
 from cm.messages.status import ErrorInfo, StreamStatus
 from cm.schema.model import Config, Direction, Stream
-from cm.wire.plane import STOPPED, Descriptor, Open
+from cm.wire.plane_packets import STOPPED, Descriptor, Open
 
 _LOG = logging.getLogger(__name__)
 

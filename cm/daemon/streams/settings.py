@@ -7,11 +7,11 @@ import math
 from dataclasses import replace
 
 from cm.device import DmaCaps, DmaInfo, DmaType
-from cm.device.plane import StreamSetup
+from cm.device.data_plane import StreamSetup
 from cm.errors import InvalidRequest
 from cm.messages.requests import ConfigureStream
 from cm.schema.model import Direction, Stream
-from cm.wire.plane import DIMENSIONS, SLOTS_MAX
+from cm.wire.plane_packets import DIMENSIONS, SLOTS_MAX
 
 _MAX_FRAME = 1 << 30
 _NUMBERS = "biufc"  # kinds of numpy's dtypes that a frame may be made of

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An open stream: its DMA channel and slots, handed to the data plane, which moves the frames.
 
-What each frame needs is done by the plane's C thread (`cm.device.plane`); here streams are opened,
+What each frame needs is done by the plane's C thread (`cm.device.data_plane`); here streams are opened,
 given memory, measured and closed, in the loop's thread.
 """
 
@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.settings import frame_bytes, setup
 from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
-from cm.device.plane import Plane, StreamCounts
+from cm.device.data_plane import Plane, StreamCounts
 from cm.errors import Busy, CmError
 from cm.manager.reporting.status import stream_status
 from cm.messages.status import FrameInfo, StreamClient, StreamStatus
 from cm.schema.model import Direction, Stream
-from cm.wire.plane import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
+from cm.wire.plane_packets import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
 
 _RESERVE = 2  # slots that readers can never hold: the hardware fills one while the next waits
 DEPTH = 4  # frames that a local client may hold if it does not say

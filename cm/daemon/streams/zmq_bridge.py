@@ -17,10 +17,10 @@ from cm.daemon.loop import Loop, Timer
 from cm.daemon.streams.policy import StreamStopped
 from cm.daemon.streams.settings import frame_bytes
 from cm.daemon.streams.stream import Done, Frame, OpenStream
-from cm.device.plane import Plane, StreamSetup
+from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
-from cm.wire import plane as packets
-from cm.wire.plane import DESCRIPTOR, Descriptor
+from cm.wire import plane_packets as packets
+from cm.wire.plane_packets import DESCRIPTOR, Descriptor
 
 _READ_DEPTH = 2
 _WRITE_DEPTH = 4

@@ -73,7 +73,7 @@ class _Wired:
     region: str | None
 
 
-class Interrupts:
+class InterruptWiring:
     """The named interrupts of a board and the lines they are wired to."""
 
     def __init__(self, fabric: Fabric, faults: Faults) -> None:

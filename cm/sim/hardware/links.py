@@ -13,7 +13,7 @@ from cm.sim.hardware.camera import SHAPE, PhotoReel
 from cm.sim.hardware.datapath import Datapath
 from cm.sim.hardware.dma import Bytes, Channel
 from cm.sim.hardware.fastpath import FastPath
-from cm.sim.hardware.interrupts import Interrupts
+from cm.sim.hardware.interrupts import InterruptWiring
 
 if TYPE_CHECKING:
     import numpy as np
@@ -24,7 +24,7 @@ else:
 class Link:
     """The end of one or two channels; `kick` moves what can be moved."""
 
-    def __init__(self, loop: Loop, faults: Faults, interrupts: Interrupts, path: Datapath) -> None:
+    def __init__(self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath) -> None:
         self._loop, self._faults, self._interrupts, self._path = loop, faults, interrupts, path
         self._soon = False
         self._timer: Timer | None = None
@@ -93,7 +93,7 @@ class LoopLink(Link):
     """Memory to stream, through the region, and back: a packet waits until there is room for it."""
 
     def __init__(
-        self, loop: Loop, faults: Faults, interrupts: Interrupts, path: Datapath, source: Channel, sink: Channel
+        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, source: Channel, sink: Channel
     ) -> None:
         super().__init__(loop, faults, interrupts, path)
         self._source, self._sink = source, sink
@@ -160,7 +160,9 @@ class LoopLink(Link):
 class SinkLink(Link):
     """Memory to stream, with nothing behind it: frames are consumed."""
 
-    def __init__(self, loop: Loop, faults: Faults, interrupts: Interrupts, path: Datapath, source: Channel) -> None:
+    def __init__(
+        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, source: Channel
+    ) -> None:
         super().__init__(loop, faults, interrupts, path)
         self._source = source
 
@@ -180,7 +182,7 @@ class CameraLink(Link):
     """A camera before a region: a frame at its rate, while there is a buffer for it."""
 
     def __init__(
-        self, loop: Loop, faults: Faults, interrupts: Interrupts, path: Datapath, sink: Channel, reel: PhotoReel,
+        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, sink: Channel, reel: PhotoReel,
         rate: float,
     ) -> None:  # fmt: skip
         super().__init__(loop, faults, interrupts, path)

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from cm.sim.errors import NodeError
 from cm.sim.faults import KINDS, Faults
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.interrupts import Interrupts
+from cm.sim.hardware.interrupts import InterruptWiring
 from cm.sim.hardware.links import CameraLink, Link
 from cm.sim.nodes.attributes import AttributeNode
 from cm.sim.transport.protocol import CONTROL_PATH
@@ -33,7 +33,7 @@ class Controlled(Protocol):
 
     fabric: Fabric
     faults: Faults
-    interrupts: Interrupts
+    interrupts: InterruptWiring
     links: dict[str, Link]
 
     @property

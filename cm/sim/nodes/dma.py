@@ -12,7 +12,7 @@ from cm.sim.errors import NodeError
 from cm.sim.hardware.channels import ChannelSpec
 from cm.sim.hardware.dma import MAX_LENGTH, MAX_LINE, QUEUE_DEPTH, Channel, Completions, Transfer
 from cm.sim.transport import protocol
-from cm.sim.transport.buffers import Buffer, Buffers, Memory, fit
+from cm.sim.transport.buffers import Buffer, Buffers, DmaMemory, fit
 from cm.sim.transport.events import Events
 from cm.sim.transport.session import Answer
 from cm.sim.transport.syncs import Syncs
@@ -31,7 +31,7 @@ _ALIGNMENT = 1  # as an engine with the data realignment engine (PG021)
 class DmaNode:
     """``/dev/cm_dma/<name>``, for one open file at a time."""
 
-    def __init__(self, channel: Channel, memory: Memory) -> None:
+    def __init__(self, channel: Channel, memory: DmaMemory) -> None:
         self._channel, self._memory = channel, memory
         self.syncs = Syncs()
         self.sessions: set[DmaSession] = set()

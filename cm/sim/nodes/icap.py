@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from cm.sim.errors import NodeError
 from cm.sim.hardware.configuration_port import Engine, LoadResult
 from cm.sim.transport import protocol
-from cm.sim.transport.buffers import Buffer, Buffers, Memory, fit
+from cm.sim.transport.buffers import Buffer, Buffers, DmaMemory, fit
 from cm.sim.transport.events import Events
 from cm.sim.transport.session import Answer
 from cm.sim.transport.syncs import Syncs
@@ -22,7 +22,7 @@ _FLAGS = protocol.LOAD_FULL | protocol.LOAD_ENCRYPTED
 class IcapNode:
     """``/dev/cm_icap0``; any number of files may be open."""
 
-    def __init__(self, engine: Engine, memory: Memory, idcode: int, clock_hz: int) -> None:
+    def __init__(self, engine: Engine, memory: DmaMemory, idcode: int, clock_hz: int) -> None:
         self.engine, self._memory = engine, memory
         self.idcode, self.clock_hz = idcode, clock_hz
         self.sessions: set[IcapSession] = set()

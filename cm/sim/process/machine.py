@@ -22,7 +22,7 @@ from cm.sim.hardware.configuration_port import Engine
 from cm.sim.hardware.datapath import Datapath
 from cm.sim.hardware.dma import Channel
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.interrupts import Interrupts
+from cm.sim.hardware.interrupts import InterruptWiring
 from cm.sim.hardware.links import CameraLink, Link, LoopLink, SinkLink
 from cm.sim.hardware.models import Models
 from cm.sim.nodes import uio
@@ -35,7 +35,7 @@ from cm.sim.nodes.overlays import Overlays
 from cm.sim.process.arguments import PCAP_RATE
 from cm.sim.process.firmware import Firmware
 from cm.sim.process.parent import Parent
-from cm.sim.transport.buffers import Memory
+from cm.sim.transport.buffers import DmaMemory
 from cm.sim.transport.root import Root
 from cm.sim.transport.server import Server
 
@@ -70,8 +70,8 @@ class Machine:
         self.faults = Faults()
         self.fabric = Fabric(spec, options.seed)
         self.bus = Bus(self.fabric, self.faults)
-        self.interrupts = Interrupts(self.fabric, self.faults)
-        self.memory = Memory(options.memory, options.coherent)
+        self.interrupts = InterruptWiring(self.fabric, self.faults)
+        self.memory = DmaMemory(options.memory, options.coherent)
         self.engine = self._engine()
         self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
         self.overlays = Overlays(root, self.manager, self.faults)

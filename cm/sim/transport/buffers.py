@@ -46,7 +46,7 @@ class Buffer:
         self.counters = counters
 
 
-class Memory:
+class DmaMemory:
     """The memory that all devices of the board may allocate, like a CMA area."""
 
     def __init__(self, total: int, coherent: bool = True) -> None:
@@ -68,7 +68,7 @@ class Memory:
 class Buffers:
     """The handles of one open file."""
 
-    def __init__(self, memory: Memory, syncs: Syncs) -> None:
+    def __init__(self, memory: DmaMemory, syncs: Syncs) -> None:
         self._memory = memory
         self.syncs = syncs
         self._table: dict[int, Buffer] = {}

@@ -32,11 +32,11 @@ class Host(Protocol):
     cost: int  # of a small packet in a send queue
     inbox: memoryview  # for one request at a time
 
-    def forget(self, connection: Connection) -> None:
+    def forget(self, connection: NodeConnection) -> None:
         """A connection has ended."""
 
 
-class Connection:
+class NodeConnection:
     """One client of one node."""
 
     def __init__(self, host: Host, sock: socket.socket, node: Node) -> None:

@@ -14,7 +14,7 @@ import socket
 
 from cm.loop import Loop
 from cm.sim.transport import protocol
-from cm.sim.transport.connection import Connection
+from cm.sim.transport.connection import NodeConnection
 from cm.sim.transport.events import packet_cost
 from cm.sim.transport.session import Node
 
@@ -30,7 +30,7 @@ class Server:
         self.cost = packet_cost()
         self.inbox = memoryview(bytearray(protocol.PAYLOAD_MAX + protocol.REQUEST.size))
         self._listeners: dict[socket.socket, Node] = {}
-        self._connections: set[Connection] = set()
+        self._connections: set[NodeConnection] = set()
 
     @property
     def connections(self) -> int:
@@ -49,7 +49,7 @@ class Server:
             self.loop.remove(listener.fileno())
             listener.close()
 
-    def forget(self, connection: Connection) -> None:
+    def forget(self, connection: NodeConnection) -> None:
         """A connection has ended."""
         self._connections.discard(connection)
 
@@ -71,7 +71,7 @@ class Server:
             return
         sock.setblocking(False)
         try:
-            connection = Connection(self, sock, self._listeners[listener])
+            connection = NodeConnection(self, sock, self._listeners[listener])
         except OSError as error:
             with contextlib.suppress(OSError):
                 sock.send(protocol.REPLY.pack(protocol.OP_OPEN, error.errno or errno.EMFILE, 0, 0))

@@ -15,11 +15,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from cm.client.errors import ConnectionLost, LateRelease, request_error
-from cm.client.mapping import LocalFrame, Memory, lend
+from cm.client.mapping import LocalFrame, SlotMappings, lend
 from cm.errors import NotFound
 from cm.messages.status import ErrorInfo
-from cm.wire import plane as packets
-from cm.wire.plane import DESCRIPTOR, FDS_MAX, PACKET_MAX, Descriptor, Geometry, Open
+from cm.wire import plane_packets as packets
+from cm.wire.plane_packets import DESCRIPTOR, FDS_MAX, PACKET_MAX, Descriptor, Geometry, Open
 
 _ANCILLARY = socket.CMSG_SPACE(FDS_MAX * 4)
 _SEQUENCES = 1 << 64
@@ -28,7 +28,7 @@ _CLOEXEC = int(socket.MSG_CMSG_CLOEXEC)
 _NOSIGNAL = int(socket.MSG_NOSIGNAL)
 
 
-class Connection:
+class DataConnection:
     """One stream of the plane, to be read or written.
 
     `receive()` blocks as the socket's time-out says (`set_timeout`) and handles one packet.
@@ -37,8 +37,8 @@ class Connection:
     def __init__(self, folder: Path, wanted: Open) -> None:
         """Connect and ask. Raises NotFound where nobody serves the folder's data socket."""
         self.wanted = wanted
-        self.memory: Memory | None = None
-        self._left: Memory | None = None  # of frames that are held beyond `close`
+        self.memory: SlotMappings | None = None
+        self._left: SlotMappings | None = None  # of frames that are held beyond `close`
         self.names = ("", "", "")
         self.lost = 0
         self.held = 0
@@ -102,14 +102,14 @@ class Connection:
         if not self._readable.poll(math.ceil(seconds * 1000)):
             raise BlockingIOError(errno.EAGAIN, f"no packet within {seconds:g} s")
 
-    def _frame(self, memory: Memory, head: Descriptor) -> LocalFrame:
+    def _frame(self, memory: SlotMappings, head: Descriptor) -> LocalFrame:
         if self._expected is not None:
             self.lost += (head.sequence - self._expected) % _SEQUENCES
         self._expected = head.sequence + 1
         self.held += 1
         return lend(memory, head, self.names, self.give_back)
 
-    def give_back(self, memory: Memory, frame: Descriptor) -> None:
+    def give_back(self, memory: SlotMappings, frame: Descriptor) -> None:
         """Release a frame; nobody is told if the stream was stopped meanwhile: its memory is not used again."""
         memory.end(frame.slot)
         if memory is not self.memory and memory is not self._left:
@@ -162,7 +162,7 @@ class Connection:
     def _geometry(self, head: Descriptor, size: int, _: list[int]) -> None:
         self._end_memory()
         geometry = packets.decode_geometry(bytes(self._buffer[:size]))
-        self.memory = Memory(geometry, head.flags)
+        self.memory = SlotMappings(geometry, head.flags)
         self.names = self.memory.names
         self._expected = None
 
