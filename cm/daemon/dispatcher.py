@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that come in → requests, and their replies."""
+"""Messages that come in → requests, each in its turn, and their replies."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 from cm import multipart
@@ -14,12 +16,140 @@ from cm.daemon.loop import Loop
 from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.replies import Respond, refusal
-from cm.errors import InvalidRequest
+from cm.errors import Busy, InvalidRequest
+from cm.manager.execution.worker import Change
+from cm.manager.manager import Manager
+from cm.messages import requests as rq
 from cm.messages.requests import Request
 from cm.messages.status import ErrorInfo, Reply
 from cm.wire.decode import Frame, decode_request, split_text
 from cm.wire.encode import encode_reply
 from cm.wire.topics import READ_REG
+
+_PUBLISHED = b""  # the sender of all that is published to the manager; a connection's name is never empty
+_MOST = 256  # requests of one sender that wait
+_LOOKS = (rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.CancelChange)  # never wait
+_WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
+
+
+@dataclass(frozen=True, slots=True)
+class _Waiting:
+    request: rq.Request
+    respond: Respond
+
+
+class _Sender:
+    """What of a sender is under way, and what waits for it."""
+
+    __slots__ = ("changes", "queue", "stores", "writes")
+
+    def __init__(self) -> None:
+        self.changes: list[Change] = []
+        self.stores = 0  # configurations that are being stored
+        self.writes = 0  # memories that are being written
+        self.queue: deque[_Waiting] = deque()
+
+    @property
+    def idle(self) -> bool:
+        return not (self.changes or self.stores or self.writes or self.queue)
+
+
+class Order:
+    """What one sender asks for takes effect in the order in which it was asked for. The loop's thread.
+
+    A change of mode, a configuration that is stored and a memory that is written take time, and the manager goes on
+    serving meanwhile. A write that came after one of them, from the same sender, waits where it would be overwritten
+    or refused by it; what came after that write waits behind it. Nobody waits for another sender's requests. A sender
+    is a connection to the socket of requests; all who publish to the other socket are one sender together.
+    """
+
+    def __init__(self, handlers: Handlers, manager: Manager) -> None:
+        self._handlers = handlers
+        self._manager = manager
+        self._senders: dict[bytes, _Sender] = {}
+
+    def waits(self, sender: bytes) -> bool:
+        """Whether something of that sender waits, so that what comes now has to wait as well."""
+        found = self._senders.get(sender) if self._senders else None
+        return found is not None and bool(found.queue)
+
+    def take(self, sender: bytes, request: rq.Request, respond: Respond) -> None:
+        """Do what a request asks, now or in its turn."""
+        state = self._senders.get(sender)
+        if state is None or isinstance(request, _LOOKS) or not (state.queue or self._is_blocked(state, request)):
+            self._do(sender, request, respond)
+        elif len(state.queue) >= _MOST:
+            respond(refusal(Busy(f"{_MOST} requests wait for the end of a change; ask again after it")))
+        else:
+            state.queue.append(_Waiting(request, respond))
+
+    def _is_blocked(self, state: _Sender, request: rq.Request) -> bool:
+        if isinstance(request, (rq.ChangeMode, rq.Provision)):
+            return bool(state.stores or state.writes)
+        if state.writes and (isinstance(request, rq.WriteReg) or self._writes_memory(request)):
+            return True
+        return isinstance(request, _WRITES) and any(self._touches(change, request) for change in state.changes)
+
+    def _touches(self, change: Change, request: rq.Request) -> bool:
+        """Whether a change writes what this request writes, or loads the region of it."""
+        return bool({"config", *self._scopes(request)} & set(change.scopes))
+
+    def _scopes(self, request: rq.Request) -> Iterator[str]:
+        """What a request writes, as the scopes of a change are named."""
+        config = self._manager.loaded_config()
+        if isinstance(request, rq.WriteReg):
+            visible = config.visible_registers(self._manager.state.mode) if config else {}
+            for name in {write.name.partition(".")[0] for write in request.writes}:
+                yield f"registers:{name}"
+                yield f"region:{visible[name].region if name in visible else None}"
+        elif isinstance(request, (rq.WriteData, rq.ConfigureStream)):
+            memory = self._manager.memories.find(request.stream)
+            stream = config.streams.get(request.stream) if config else None
+            yield f"memories:{request.stream}"
+            yield f"region:{(memory or stream).region if memory or stream else None}"  # type: ignore[union-attr]
+
+    def _writes_memory(self, request: rq.Request) -> bool:
+        return isinstance(request, rq.WriteData) and self._manager.memories.find(request.stream) is not None
+
+    def _do(self, sender: bytes, request: rq.Request, respond: Respond) -> None:
+        if isinstance(request, rq.Provision):
+            respond = self._counted(sender, "stores", respond)
+        elif self._writes_memory(request):
+            respond = self._counted(sender, "writes", respond)
+        self._handlers.handle(request, respond, partial(self._began, sender))
+
+    def _counted(self, sender: bytes, kind: str, respond: Respond) -> Respond:
+        """Something that is under way until it is answered."""
+        state = self._senders.setdefault(sender, _Sender())
+        setattr(state, kind, getattr(state, kind) + 1)
+
+        def answered(reply: Reply) -> None:
+            setattr(state, kind, getattr(state, kind) - 1)
+            respond(reply)
+            self._go_on(sender)
+
+        return answered
+
+    def _began(self, sender: bytes, change: Change) -> Callable[[], None]:
+        """A change waits for its turn or runs; the result is to be called when it has ended."""
+        state = self._senders.setdefault(sender, _Sender())
+        state.changes.append(change)
+
+        def ended() -> None:
+            state.changes.remove(change)
+            self._go_on(sender)
+
+        return ended
+
+    def _go_on(self, sender: bytes) -> None:
+        state = self._senders.get(sender)
+        if state is None:
+            return
+        while state.queue and not self._is_blocked(state, state.queue[0].request):
+            waiting = state.queue.popleft()
+            self._do(sender, waiting.request, waiting.respond)
+        if state.idle:
+            self._senders.pop(sender, None)
 
 
 class Dispatcher:
@@ -30,6 +160,7 @@ class Dispatcher:
         loop: Loop,
         sockets: Sockets,
         handlers: Handlers,
+        manager: Manager,
         read_cache: ReadCache,
         publisher: Publisher,
         board: BoardWatch,
@@ -37,7 +168,7 @@ class Dispatcher:
     ) -> None:
         self._loop = loop
         self._sockets = sockets
-        self._handlers = handlers
+        self._order = Order(handlers, manager)
         self._read_cache = read_cache
         self._publisher = publisher
         self._board = board
@@ -46,12 +177,13 @@ class Dispatcher:
     def on_request(self) -> None:
         """A message on the ROUTER: answer it, now or when its work has ended."""
         envelope, message = split_envelope(multipart.receive(self._sockets.req))
-        if len(message) == 2 and message[0] == READ_REG and self._read_again(envelope, message[1]):
+        sender, again = bytes(envelope[0]), len(message) == 2 and message[0] == READ_REG
+        if again and not self._order.waits(sender) and self._read_again(envelope, message[1]):
             return
         if len(message) == 1:
             message = split_text(message)
         topic = bytes(message[0]) if message else b""
-        self._dispatch(message, partial(self._reply, envelope, topic))
+        self._dispatch(sender, message, partial(self._reply, envelope, topic))
         if topic == READ_REG:
             self._read_cache.learn(message)
 
@@ -73,19 +205,19 @@ class Dispatcher:
 
     def on_message(self) -> None:
         """A message on the SUB: the same requests without a reply; what is wrong with them shows in the status."""
-        self._dispatch(multipart.receive(self._sockets.sub), self._fire_and_forget)
+        self._dispatch(_PUBLISHED, multipart.receive(self._sockets.sub), self._fire_and_forget)
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:
             self._note_error(reply.error)
 
-    def _dispatch(self, frames: Sequence[bytes | memoryview], respond: Respond) -> None:
+    def _dispatch(self, sender: bytes, frames: Sequence[bytes | memoryview], respond: Respond) -> None:
         try:
             request: Request = decode_request(frames)
         except InvalidRequest as error:
             respond(refusal(error))
             return
-        self._handlers.handle(request, respond)
+        self._order.take(sender, request, respond)
 
 
 def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:

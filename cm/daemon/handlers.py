@@ -27,6 +27,11 @@ from cm.messages.status import ChangeInfo, ConfigInfo, Reply, Status
 from cm.schema.model import Config
 
 _T = TypeVar("_T")
+Began = Callable[[Change], Callable[[], None]]
+
+
+def _nobody_waits(_: Change) -> Callable[[], None]:
+    return lambda: None
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,9 +73,16 @@ class Handlers:
             **DataHandlers(services.manager, services.streams, services.memories, services.board).table,
         }
 
-    def handle(self, request: rq.Request, respond: Respond) -> None:
-        """Do what a request asks; whatever goes wrong becomes an error reply."""
-        self._guarded(partial(self.table[type(request)], request, respond), respond)
+    def handle(self, request: rq.Request, respond: Respond, began: Began = _nobody_waits) -> None:
+        """Do what a request asks; whatever goes wrong becomes an error reply.
+
+        A change that this asks for is given to `began`; what that returns is called when the change has ended.
+        """
+        handler = self.table[type(request)]
+        if isinstance(request, (rq.ChangeMode, rq.Provision)):
+            self._guarded(partial(handler, request, respond, began), respond)
+        else:
+            self._guarded(partial(handler, request, respond), respond)
 
     def _guarded(self, call: Callable[[], None], respond: Respond) -> None:
         try:
@@ -112,29 +124,36 @@ class Handlers:
         change = rq.ChangeMode(request.config_name, request.mode)
         self._aside(lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
 
-    def _change_mode(self, request: rq.ChangeMode, respond: Respond) -> None:
+    def _change_mode(self, request: rq.ChangeMode, respond: Respond, began: Began) -> None:
+        ends: list[Callable[[], None]] = []
+
+        def ended(change: Change) -> None:
+            if not request.no_wait:
+                respond(_ended(change))
+            for end in ends:
+                end()
+
+        change = self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(partial(ended, c)))
+        ends.append(began(change))  # its end is told by a later turn of the loop
         if request.no_wait:
-            change = self._s.manager.submit(request)
             respond(Reply(ChangeInfo(change.number, done=False)))
-            return
-        self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(lambda: respond(_ended(c))))
 
     def _cancel_change(self, _: rq.CancelChange, respond: Respond) -> None:
         self._s.manager.cancel()
         respond(Reply(self._s.status()))
 
-    def _provision(self, request: rq.Provision, respond: Respond) -> None:
+    def _provision(self, request: rq.Provision, respond: Respond, began: Began) -> None:
         self._s.manager.leases.check(("config",), request.lease)
         allowed = self._s.manager.check_replaceable
         store = partial(self._s.provisioner.store, request.schema, request.files, allowed)
-        self._aside(store, lambda config: self._provisioned(request, config, respond), respond)
+        self._aside(store, lambda config: self._provisioned(request, config, respond, began), respond)
 
-    def _provisioned(self, request: rq.Provision, config: Config, respond: Respond) -> None:
+    def _provisioned(self, request: rq.Provision, config: Config, respond: Respond, began: Began) -> None:
         self._s.manager.add_config(self._s.complete(config))
         if request.change is None:
             respond(Reply(self._s.manager.describe(config.name, {})))
         else:
-            self._change_mode(replace(request.change, config_name=config.name), respond)
+            self._change_mode(replace(request.change, config_name=config.name), respond, began)
 
     # ---- registers ------------------------------------------------------------------------
 

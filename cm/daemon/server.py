@@ -106,7 +106,8 @@ class Server:
 
     def _make_dispatcher(self) -> Dispatcher:
         handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
-        return Dispatcher(self._loop, self._sockets, handlers, cache, self._publisher, self._board, self._note_error)
+        told = self._publisher, self._board, self._note_error
+        return Dispatcher(self._loop, self._sockets, handlers, self._manager, cache, *told)
 
     def _services(self) -> Services:
         return Services(

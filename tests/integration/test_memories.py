@@ -230,11 +230,16 @@ def test_a_lease_keeps_others_from_writing(board: cm.Board) -> None:
     assert board.memories["taps"].read(0, 4).tobytes() == b"5678"
 
 
-def test_a_memory_is_refused_while_its_region_is_loaded(board: cm.Board) -> None:
+def test_a_memory_is_refused_while_its_region_is_loaded(board: cm.Board, manager: Manager) -> None:
+    with manager.connected() as other:  # who asked for the change waits for it with writes
+        refused_while_it_is_loaded(board, other)
+
+
+def refused_while_it_is_loaded(asks: cm.Board, board: cm.Board) -> None:
     taps = board.memories["taps"]
     taps.write(b"1234")
     board.memories["scratch"].write(b"kept")
-    change = board.load_async("filter", "default", force=True)
+    change = asks.load_async("filter", "default", force=True)
     until(lambda: (p := board.status.progress) is not None and p.step == "load")
     with pytest.raises(RequestBusy, match="region left, which is being reconfigured") as refused:
         taps.read(0, 4)

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one sender asks for takes effect in the order in which it was asked for, while the board is slow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import zmq
+from manager_process import CAMERA, Manager, served, until
+
+import cm
+from cm.messages import requests as rq
+from cm.messages.status import ErrorInfo, Reply
+from cm.sim import Board as SimBoard
+from cm.wire.encode import decode_reply, encode_request
+
+TO_EDGE = rq.ChangeMode("camera", "edge_detection", no_wait=True, force=True)
+
+
+@pytest.fixture(scope="module")
+def slow() -> Iterator[tuple[Manager, SimBoard]]:
+    """A port that takes a tenth of a second for a module, so that there is something to overtake."""
+    with served(board=("--icap-rate", "2800000")) as both:
+        yield both
+
+
+@pytest.fixture
+def board(slow: tuple[Manager, SimBoard]) -> Iterator[cm.Board]:
+    with slow[0].connected() as board:
+        board.load("camera", "default", force=True)
+        yield board
+
+
+class Sender:
+    """A DEALER that does not wait for its answers."""
+
+    def __init__(self, context: zmq.Context[Any], manager: Manager) -> None:
+        self.socket = context.socket(zmq.DEALER)
+        self.socket.linger = 0
+        self.socket.connect(f"ipc://{manager.runtime}/req")
+        self._sent = 0
+        self.arrived: list[int] = []  # the numbers of the requests, as their last replies came
+
+    def send(self, *requests: rq.Request) -> None:
+        for request in requests:
+            self.socket.send_multipart([b"%d" % self._sent, b"", *encode_request(request)])
+            self._sent += 1
+
+    def replies(self, count: int) -> list[Reply]:
+        """The replies by the number of their request."""
+        found = {}
+        for _ in range(count):
+            assert self.socket.poll(60_000)
+            number, _, *frames = self.socket.recv_multipart()
+            found[int(number)] = decode_reply(frames)
+        self.arrived = list(found)
+        return [found[number] for number in sorted(found)]
+
+
+class _Context(zmq.Context[Any]):
+    """Keeps its sockets, so that a test need not close them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        object.__setattr__(self, "made", [])
+
+    def socket(self, *arguments: Any, **options: Any) -> Any:
+        self.made.append(super().socket(*arguments, **options))
+        return self.made[-1]
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    context = _Context()
+    yield context
+    context.destroy(linger=0)
+
+
+@pytest.fixture
+def sender(context: zmq.Context[Any], slow: tuple[Manager, SimBoard]) -> Sender:
+    return Sender(context, slow[0])
+
+
+def write(name: str, value: int) -> rq.WriteReg:
+    return rq.WriteReg((rq.RegWrite(name, value),))
+
+
+def error(reply: Reply) -> ErrorInfo | None:
+    return reply.error
+
+
+@pytest.mark.parametrize("wait", [False, True], ids=["accepted", "ended"])
+def test_a_write_behind_a_change_is_not_overwritten_by_it(board: cm.Board, sender: Sender, wait: bool) -> None:
+    change = rq.ChangeMode("camera", "edge_detection", no_wait=not wait, force=True)
+    for value in (3, 4, 5):
+        sender.send(change, write("focus", value), rq.ReadReg(("focus",)))
+    replies = sender.replies(9)
+    assert [error(reply) for reply in replies] == [None] * 9
+    assert [reply.body.values[0].value for reply in replies[2::3]] == [3, 4, 5]  # type: ignore[union-attr]
+    until(lambda: not board.status.fpga_busy)
+    assert board.registers["focus"] == 5
+
+
+def test_what_is_published_is_one_sequence_as_the_paper_writes_it(
+    board: cm.Board, slow: tuple[Manager, SimBoard], context: zmq.Context[Any]
+) -> None:
+    publisher = context.socket(zmq.PUB)
+    publisher.connect(f"ipc://{slow[0].runtime}/sub")
+    until(lambda: published(publisher, board))
+    for value in range(1, 6):
+        number = board.status.last_change
+        publisher.send_multipart([b"cm_config", b"edge"])
+        publisher.send_multipart([b"cm_write_reg", b"{ 'focus':%d}" % value])
+        publisher.send_multipart([b"cm_config", b"default"])
+        publisher.send_multipart([b"cm_write_reg", b"{ 'zoom':2, 'focus':%d}" % (value + 1)])
+        until(lambda before=number: board.status.last_change == before + 2 and not board.status.fpga_busy)  # type: ignore[misc]
+        until(lambda wanted=value + 1: board.registers["focus"] == wanted)  # type: ignore[misc]
+        assert board.status.last_error is None
+
+
+def published(publisher: Any, board: cm.Board) -> bool:
+    """Whether what is published arrives yet: subscriptions take their time."""
+    publisher.send_multipart([b"cm_write_reg", b"{ 'scratch':77}"])
+    return board.registers["scratch"] == 77
+
+
+def test_who_asks_for_a_register_of_the_mode_that_comes_gets_it(board: cm.Board, sender: Sender) -> None:
+    sender.send(TO_EDGE, write("threshold", 9))
+    assert [error(reply) for reply in sender.replies(2)] == [None, None]
+    assert board.registers["threshold"] == 9
+
+
+def test_a_write_waits_only_for_a_change_that_touches_its_register(board: cm.Board, sender: Sender) -> None:
+    sender.send(rq.ChangeMode("camera", "edge_detection", force=True), write("scratch", 5))
+    assert [error(reply) for reply in sender.replies(2)] == [None, None]
+    assert sender.arrived == [1, 0]  # the write was answered before the change had ended
+
+
+def test_nobody_waits_for_another_senders_change(
+    board: cm.Board, sender: Sender, context: zmq.Context[Any], slow: tuple[Manager, SimBoard]
+) -> None:
+    other = Sender(context, slow[0])
+    other.send(rq.ReadStatus())
+    other.replies(1)
+    sender.send(TO_EDGE)
+    until(lambda: board.status.progress is not None and board.status.progress.step == "load")
+    other.send(write("focus", 8))
+    [refused] = other.replies(1)
+    assert refused.error is not None
+    assert refused.error.code == "region_busy"
+    until(lambda: not board.status.fpga_busy)
+
+
+def test_what_looks_never_waits_and_a_cancel_overtakes(board: cm.Board, sender: Sender) -> None:
+    sender.send(TO_EDGE, write("focus", 6), rq.ReadStatus(), rq.CancelChange())
+    sender.replies(4)
+    assert sender.arrived == [0, 2, 3, 1]  # the write last: it waited for the change
+    until(lambda: not board.status.fpga_busy)
+    assert board.registers["focus"] == 6
+    assert board.mode in ("default", "edge_detection")
+
+
+def test_a_configuration_is_there_for_the_change_behind_it(
+    board: cm.Board, sender: Sender, slow: tuple[Manager, SimBoard]
+) -> None:
+    folder = slow[1].root / "lib/firmware/cm/camera"
+    files = tuple(rq.File(path.name, path.read_bytes()) for path in sorted(folder.iterdir()))
+    text = (CAMERA / "camera.yaml").read_text().replace("name: camera", "name: second", 1)
+    sender.send(rq.Provision(text, files), rq.ChangeMode("second", "default"), write("focus", 3))
+    assert [error(reply) for reply in sender.replies(3)] == [None, None, None]
+    assert (board.status.config_name, board.registers["focus"]) == ("second", 3)
+
+
+def test_a_memory_is_written_before_the_register_behind_it(board: cm.Board, sender: Sender) -> None:
+    info = board.memories["scratchpad"].info
+    values = np.arange(info.size, dtype=np.uint8)
+    data = memoryview(values.tobytes())
+    sender.send(rq.WriteData("scratchpad", data), write("scratch", 1), rq.ReadData("scratchpad"))
+    written, register, read = sender.replies(3)
+    assert [error(reply) for reply in (written, register, read)] == [None] * 3
+    assert bytes(read.payload[0]) == values.tobytes()
+
+
+def test_more_than_may_wait_is_refused(board: cm.Board, sender: Sender) -> None:
+    sender.send(TO_EDGE, *[write("focus", 1)] * 400)
+    refused = [reply.error for reply in sender.replies(401) if reply.error is not None]
+    assert {problem.code for problem in refused} <= {"busy"}
+    until(lambda: not board.status.fpga_busy)
