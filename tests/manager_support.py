@@ -17,7 +17,7 @@ from cm.daemon.host.files import BoardFiles
 from cm.device import DeviceError, PlClock, PlClocks, Root
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.ports import Window
-from cm.manager.state.journal import Store
+from cm.manager.state.journal import Journal
 from cm.messages.requests import ChangeMode
 from cm.messages.status import RegValues
 from cm.schema import loads
@@ -165,15 +165,15 @@ class FaultyDevices:
         self._inner.lost()
 
 
-class FaultyStore(Store):
-    """A store whose writes count as operations too."""
+class FaultyJournal(Journal):
+    """A journal whose writes count as operations too."""
 
     def __init__(self, folder: Path, fault: Fault) -> None:
         super().__init__(folder)
         self.fault = fault
 
     def write(self, record: Any) -> None:
-        self.fault.step("store.write")
+        self.fault.step("journal.write")
         super().write(record)
 
 
@@ -185,7 +185,7 @@ class Rig:
     devices: BoardDevices
     fault: Fault
     data_plane: Nobody
-    store: FaultyStore
+    journal: FaultyJournal
     clock: Clock
     files: BoardFiles
     notes: tuple[str, ...] = ()
@@ -204,7 +204,7 @@ class Rig:
     def close(self) -> None:
         self.manager.stop()
         self.devices.lost()
-        self.store.close()
+        self.journal.close()
 
 
 def camera(timeout: float | None = None, defaults: Mapping[str, int] | None = None) -> Config:
@@ -235,9 +235,9 @@ def make_rig(root: Path, state: Path, *configs: Config, prefetch: int = 0, files
     """A manager that was not started yet."""
     fault, nobody = Fault(), Nobody()
     devices = BoardDevices(Root.of(root))
-    store = FaultyStore(state, fault)
+    journal = FaultyJournal(state, fault)
     clock, opened = Clock(), files(root)
-    given = (FaultyDevices(devices, fault), opened, store, nobody, clock, nobody)
+    given = (FaultyDevices(devices, fault), opened, journal, nobody, clock, nobody)
     env = Environment(*given, settings=Settings(prefetch_bytes=prefetch))
     known = {config.name: config for config in configs or (camera(),)}
-    return Rig(Manager(known, env), devices, fault, nobody, store, clock, opened)
+    return Rig(Manager(known, env), devices, fault, nobody, journal, clock, opened)

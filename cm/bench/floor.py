@@ -76,7 +76,7 @@ class Copies:
         self._process.communicate()
 
 
-class Port:
+class TimedPort:
     """``port.c``: a configuration port at ``dev/cm_icap0`` of `root` that takes the time of each load's arrival."""
 
     def __init__(self, root: Path) -> None:
@@ -86,7 +86,7 @@ class Port:
         assert self._process.stdout is not None
         self._process.stdout.readline()
 
-    def __enter__(self) -> Port:
+    def __enter__(self) -> TimedPort:
         return self
 
     def __exit__(

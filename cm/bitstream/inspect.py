@@ -22,7 +22,7 @@ def _events(image: Image) -> tuple[native.Events, int]:
     """Run the whole stream through a port; return its events and the phase it ends in."""
     import numpy as np
 
-    port = native.Port()
+    port = native.PacketProcessor()
     batches = []
     done = 0
     while done < len(image.stream) // 4:

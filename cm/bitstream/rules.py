@@ -98,7 +98,7 @@ class Rules:
             self._foreign(event)
 
     def finish(self, phase: int, words: int) -> None:
-        """Apply the rules for the end of the stream; `phase` as `cm.native.bitstream.Port.phase`."""
+        """Apply the rules for the end of the stream; `phase` as `cm.native.bitstream.PacketProcessor.phase`."""
         if self.encrypted:
             return
         if phase == 1:

@@ -2,7 +2,7 @@
 """The board library: parts, Vivado's board parts, pins by connector, pblocks that public designs have used.
 
 One JSON file a board in ``data/boards/``, each fact with its public source. A preset of the processing system (DDR,
-MIO, reference clocks) comes from Vivado's board files, which `Board.board_part` names.
+MIO, reference clocks) comes from Vivado's board files, which `BoardDefinition.board_part` names.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Pin:
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class BoardDefinition:
     """A board: `connectors` map a name to its pins, LSB first; `pblocks` a name to ranges."""
 
     name: str
@@ -60,19 +60,19 @@ class Board:
 
 
 @lru_cache(maxsize=1)
-def boards() -> Mapping[str, Board]:
+def boards() -> Mapping[str, BoardDefinition]:
     """All boards by name."""
     return {board.name: board for board in _read()}
 
 
-def _read() -> Iterator[Board]:
+def _read() -> Iterator[BoardDefinition]:
     for path in sorted(FOLDER.glob("*.json")):
         data = json.loads(path.read_text(encoding="utf-8"))
         connectors = {
             name: tuple(Pin(f"{name}[{i}]", pin, spec["iostandard"]) for i, pin in enumerate(spec["pins"]))
             for name, spec in data["connectors"].items()
         }
-        yield Board(
+        yield BoardDefinition(
             name=data["name"],
             title=data["title"],
             part=data["part"],

@@ -102,7 +102,7 @@ def _level(args: argparse.Namespace, settings: Settings | None) -> int:
 
 def _log_to(level: int) -> None:
     """The journal with its fields where it listens, else lines on stderr."""
-    from cm.daemon.host.journal import journal_handler
+    from cm.daemon.host.journald import journal_handler
 
     handler = journal_handler() or logging.StreamHandler(sys.stderr)
     if isinstance(handler, logging.StreamHandler):

@@ -148,7 +148,7 @@ class Writer:
         except BlockingIOError:
             raise Timeout(
                 f"stream {self.name!r}: the hardware took nothing within {timeout or 0:g} s; "
-                "is somebody reading what comes out, and is the region coupled?"
+                "is anything reading the output, and is the region coupled?"
             ) from None
 
     def _collect(self) -> None:

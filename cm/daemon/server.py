@@ -35,7 +35,7 @@ from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
-from cm.manager.state.journal import Store
+from cm.manager.state.journal import Journal
 from cm.messages.requests import ChangeMode
 from cm.messages.status import ErrorInfo, RegValues, Status
 from cm.schema.model import Config
@@ -60,7 +60,7 @@ class Server:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned)
-        self._store = Store(options.state_dir)
+        self._journal = Journal(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         configs = self._configs()
         waiting = mark(configs.values(), options.queue_bytes)
@@ -91,7 +91,7 @@ class Server:
     def _environment(self) -> Environment:
         o = self._options
         files = BoardFiles(o.root.join(), Footprints(o.state_dir / "footprints"), o.firmware_dir)
-        return Environment(self._devices, files, self._store, self._streams, time, self, o.settings)
+        return Environment(self._devices, files, self._journal, self._streams, time, self, o.settings)
 
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
@@ -185,7 +185,7 @@ class Server:
         self._aside.shutdown()
         self._publisher.close()
         self._devices.lost()
-        self._store.close()
+        self._journal.close()
         self._sockets.close()
         if self._authenticator is not None:
             self._authenticator.close()

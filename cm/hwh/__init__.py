@@ -7,11 +7,11 @@
 
 from cm.hwh.known import registers as registers
 from cm.hwh.model import BusInterface as BusInterface
-from cm.hwh.model import Connection as Connection
+from cm.hwh.model import ConnectedPort as ConnectedPort
 from cm.hwh.model import Hwh as Hwh
+from cm.hwh.model import InstancePort as InstancePort
 from cm.hwh.model import MemoryRange as MemoryRange
 from cm.hwh.model import ModuleInstance as ModuleInstance
-from cm.hwh.model import Port as Port
 from cm.hwh.model import RegisterField as RegisterField
 from cm.hwh.model import RegisterInfo as RegisterInfo
 from cm.hwh.reader import HwhError as HwhError

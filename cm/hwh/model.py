@@ -33,7 +33,7 @@ class RegisterInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Connection:
+class ConnectedPort:
     """The other end of a port: an instance and its port."""
 
     instance: str
@@ -41,7 +41,7 @@ class Connection:
 
 
 @dataclass(frozen=True, slots=True)
-class Port:
+class InstancePort:
     """A port: `direction` I, O or IO; `kind` is SIGIS (``INTERRUPT``, ``clk``, …); `width` in bits, `rate` in Hz."""
 
     name: str
@@ -49,7 +49,7 @@ class Port:
     kind: str
     signal: str
     width: int
-    connections: tuple[Connection, ...]
+    connections: tuple[ConnectedPort, ...]
     rate: int = 0
 
 
@@ -91,7 +91,7 @@ class ModuleInstance:
     vlnv: str
     region: bool
     parameters: Mapping[str, str]
-    ports: Mapping[str, Port]
+    ports: Mapping[str, InstancePort]
     interfaces: tuple[BusInterface, ...]
     registers: Mapping[str, tuple[RegisterInfo, ...]]  # by the interface of the address block
     ranges: tuple[MemoryRange, ...]  # what this instance can address

@@ -11,7 +11,16 @@ from xml.etree import ElementTree
 
 from cm.errors import CmError
 from cm.hwh.markup import root_of
-from cm.hwh.model import BusInterface, Connection, Hwh, MemoryRange, ModuleInstance, Port, RegisterField, RegisterInfo
+from cm.hwh.model import (
+    BusInterface,
+    ConnectedPort,
+    Hwh,
+    InstancePort,
+    MemoryRange,
+    ModuleInstance,
+    RegisterField,
+    RegisterInfo,
+)
 
 _LIMIT = 64 * 1024 * 1024  # bytes; the largest real ones have a few
 
@@ -99,16 +108,16 @@ def _module(element: ElementTree.Element) -> ModuleInstance:
     )
 
 
-def _port(element: ElementTree.Element) -> Port:
+def _port(element: ElementTree.Element) -> InstancePort:
     left, right = (_number(element.get(key), f"port {element.get('NAME')}: {key}") for key in ("LEFT", "RIGHT"))
     ends = element.iterfind("CONNECTIONS/CONNECTION")
-    return Port(
+    return InstancePort(
         name=element.get("NAME", ""),
         direction=element.get("DIR", ""),
         kind=element.get("SIGIS", ""),
         signal=element.get("SIGNAME", ""),
         width=abs(left - right) + 1,
-        connections=tuple(Connection(end.get("INSTANCE", ""), end.get("PORT", "")) for end in ends),
+        connections=tuple(ConnectedPort(end.get("INSTANCE", ""), end.get("PORT", "")) for end in ends),
         rate=_rate(element.get("CLKFREQUENCY"), f"port {element.get('NAME')}: CLKFREQUENCY"),
     )
 

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from cm.hwh.model import Connection, Hwh, MemoryRange, ModuleInstance
+from cm.hwh.model import ConnectedPort, Hwh, MemoryRange, ModuleInstance
 
 _PROCESSORS = ("processing_system7", "zynq_ultra_ps_e", "versal_cips")
 _PS_INTERRUPTS = re.compile(r"IRQ_F2P|pl_ps_irq[01]|Core[01]_n(FIQ|IRQ)")
@@ -113,7 +113,7 @@ def _base(hwh: Hwh, instance: str) -> int | None:
     return next((item.base for item in windows(hwh) if item.instance == instance), None)
 
 
-def _sources(hwh: Hwh, instance: str, port: str, seen: frozenset[str] = frozenset()) -> Iterator[Connection]:
+def _sources(hwh: Hwh, instance: str, port: str, seen: frozenset[str] = frozenset()) -> Iterator[ConnectedPort]:
     """What drives the bits of an input, lowest first; concatenations are looked through."""
     module = hwh.modules.get(instance)
     if module is None or port not in module.ports or instance in seen:
@@ -124,7 +124,7 @@ def _sources(hwh: Hwh, instance: str, port: str, seen: frozenset[str] = frozense
             inputs = [name for name in driver.ports if re.fullmatch(r"[Ii]n\d+", name)]
             for name in sorted(inputs, key=lambda text: int(text[2:])):
                 found = list(_sources(hwh, driver.instance, name, seen | {instance}))
-                yield from found or [Connection("", "")] * min(driver.ports[name].width, _WIDEST)
+                yield from found or [ConnectedPort("", "")] * min(driver.ports[name].width, _WIDEST)
         else:
             yield end
 

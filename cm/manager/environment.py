@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cm.manager.ports import Clock, DataPlane, Devices, Files, Observer
-from cm.manager.state.journal import Store
+from cm.manager.state.journal import Journal
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Environment:
 
     devices: Devices
     files: Files
-    store: Store
+    journal: Journal
     data_plane: DataPlane
     clock: Clock
     observer: Observer

@@ -40,7 +40,7 @@ class Manager:
     def __init__(self, configs: Mapping[str, Config], env: Environment, leases: Leases | None = None) -> None:
         """`leases` are those that the data plane knows too."""
         self._env = env
-        self._state = state = ManagerState(configs, env.store)
+        self._state = state = ManagerState(configs, env.journal)
         self._bus = RegisterBus(env.devices)
         self.leases = leases or Leases(env.clock)
         self._loaders = Loaders(env.devices, env.files, env.clock, env.settings.prefetch_bytes)

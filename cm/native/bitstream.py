@@ -56,7 +56,7 @@ def swap(words: Any) -> bytes:
     return bytes(result)
 
 
-class Port:
+class PacketProcessor:
     """A configuration port: feed it words, get events. Not thread-safe; holds no other resource."""
 
     __slots__ = ("_events", "_made", "_port")

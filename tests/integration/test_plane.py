@@ -450,7 +450,7 @@ def test_a_writer_waits_for_a_slot_and_says_what_is_wrong(loop: cm.Board) -> Non
         for _ in range(2):
             with writer.slot() as array:
                 array[...] = 1
-        with pytest.raises(Timeout, match="somebody reading"), writer.slot():
+        with pytest.raises(Timeout, match="anything reading"), writer.slot():
             pass
         with loop.stream("from_pl") as reader:
             reader.read()

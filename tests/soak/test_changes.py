@@ -60,5 +60,5 @@ def test_many_changes_of_mode_leave_nothing_behind(made: tuple[Rig, SimBoard], c
     assert after.pop("descriptors") <= before.pop("descriptors")  # fewer, where another thread had one for a moment
     assert after == before
     assert resident() <= pages * RSS_GROWTH
-    journal = board.store._path.stat().st_size
+    journal = board.journal._path.stat().st_size
     assert journal < 1 << 20

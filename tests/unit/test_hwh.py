@@ -19,7 +19,7 @@ from import_support import (
 )
 
 from cm import hwh as handoff
-from cm.hwh import Connection, Hwh, HwhError
+from cm.hwh import ConnectedPort, Hwh, HwhError
 
 PS = "processing_system7"
 
@@ -197,7 +197,7 @@ def test_registers_of_common_ip_are_known_without_description() -> None:
 
 def test_connections_are_read() -> None:
     found = handoff.parse(hwh(module("a", "a", ports(port("o", "O", ("b", "i"), ("c", "i"), bits=8)))))
-    assert found.modules["a"].ports["o"].connections == (Connection("b", "i"), Connection("c", "i"))
+    assert found.modules["a"].ports["o"].connections == (ConnectedPort("b", "i"), ConnectedPort("c", "i"))
     assert found.modules["a"].ports["o"].width == 8
 
 

@@ -126,7 +126,7 @@ def test_an_acknowledgement_is_neither_published_nor_recorded(
     assert len(bench.told) == 1
     assert bench.made.manager.state is before
     assert not published
-    assert "store.write" not in bench.made.fault.names
+    assert "journal.write" not in bench.made.fault.names
 
 
 def test_during_a_change_the_line_stays_masked_and_the_interrupt_comes_after_it(bench: Bench, sim: SimBoard) -> None:
@@ -253,8 +253,8 @@ class Cells:
 
 def held(phase: RegionPhase) -> ManagerState:
     """A state with a region in a phase of the test's choice."""
-    store: Any = None  # nothing is recorded here: an acknowledgement that were would fail
-    state = ManagerState({"shared": loads(SHARED)}, store)
+    journal: Any = None  # nothing is recorded here: an acknowledgement that were would fail
+    state = ManagerState({"shared": loads(SHARED)}, journal)
     state.update(lambda _: BoardState("shared", "only", regions={"prr0": RegionState(phase)}))
     return state
 

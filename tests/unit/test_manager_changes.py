@@ -165,7 +165,7 @@ def test_a_whole_image_by_overlay_is_refused_before_anything_is_touched(
         at(made, "duo/default")
         assert error_of(made, "whole/default") == "load_failed"
         assert made.manager.status().mode == "default"
-        assert set(made.fault.names) == {"store.write"}
+        assert set(made.fault.names) == {"journal.write"}
 
 
 # ---- overlays -----------------------------------------------------------------------
@@ -174,7 +174,7 @@ def test_a_whole_image_by_overlay_is_refused_before_anything_is_touched(
 def test_overlays_go_before_their_region_is_cut_off_and_come_after_it_is_loaded(made: Rig, sim: SimBoard) -> None:
     at(made, "kernel/default")
     at(made, "kernel/other")
-    steps = [name for name in made.fault.names if name != "store.write" and name != "uio.read"]
+    steps = [name for name in made.fault.names if name != "journal.write" and name != "uio.read"]
     assert steps[:2] == ["overlays.remove", "overlays.remove"]  # kernel_base, cm-prr0
     assert steps[2:6] == ["uio.write", "overlays.apply", "overlays.apply", "uio.write"]
     assert sim.control.state()["overlays"] == ["cm-prr1", "cm-prr0", "kernel_base"]
@@ -215,7 +215,7 @@ def test_a_damaged_overlay_is_refused_before_anything_is_touched(made: Rig, sim:
         assert error_of(made, "duo/both") == "bad_overlay"
         extra.write_bytes(b"overlay")
         assert error_of(made, "duo/both") == "bad_overlay"
-        assert made.fault.names == ["store.write"] * len(made.fault.names)
+        assert made.fault.names == ["journal.write"] * len(made.fault.names)
     finally:
         extra.write_bytes(good)
     at(made, "duo/both")
@@ -398,7 +398,7 @@ def refused(sim: SimBoard, config: Config, folder: Path, mode: str = "default") 
     with rig(sim.root, folder / "state", config) as made:
         made.arm(-1)
         code = error_of(made, f"{config.name}/{mode}")
-        assert set(made.fault.names) == {"store.write"}
+        assert set(made.fault.names) == {"journal.write"}
         return code
 
 
@@ -437,7 +437,7 @@ def test_the_footprint_is_learned_from_the_first_module_and_forgotten_with_its_c
     with rig(sim.root, tmp_path / "state", duo) as made:
         at(made, "duo/default")
         assert error_of(made, "duo/other") == "footprint_outside"
-        assert set(made.fault.names) == {"store.write"}
+        assert set(made.fault.names) == {"journal.write"}
         made.manager.add_config(duo)
         at(made, "duo/default")
 

@@ -198,7 +198,7 @@ class Disk:
         made.fault.watch = self
 
     def __call__(self, name: str) -> None:
-        if name == "store.write" and len(self._fault.names) >= self._at:
+        if name == "journal.write" and len(self._fault.names) >= self._at:
             raise OSError(errno.EROFS, "Read-only file system")
 
 
@@ -213,7 +213,7 @@ def test_a_record_that_cannot_be_written_refuses_the_change_before_anything_is_t
         assert error.code == "store"
         assert "Read-only file system" in error.message
         assert "is back in camera/default" in error.message
-        assert set(made.fault.names) <= {"store.write"}
+        assert set(made.fault.names) <= {"journal.write"}
         assert settled(made, sim) == "default"
     made.fault.watch = lambda _: None
     assert made.go("edge_detection") is None

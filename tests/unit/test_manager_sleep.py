@@ -56,7 +56,7 @@ def test_nothing_is_claimed_until_the_load_has_ended(made: Rig) -> None:
     made.manager.wait_idle()
     assert seen
     assert "ready" not in seen[0]
-    record = made.store.read()
+    record = made.journal.read()
     assert record is not None
     assert record.state.mode == "both"
 
@@ -73,7 +73,7 @@ def test_a_load_that_fails_after_a_sleep_leaves_no_claim(made: Rig) -> None:
 
 
 def test_a_board_that_holds_nothing_stays_as_it_is(made: Rig) -> None:
-    assert slept(made) == ["store.write"]
+    assert slept(made) == ["journal.write"]
     assert made.manager.state.config is None
 
 

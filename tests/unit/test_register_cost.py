@@ -47,8 +47,8 @@ class Memory:
 def service(count: int) -> tuple[RegisterService, ManagerState]:
     """Of a configuration with so many registers, each of which was written."""
     registers = ", ".join(f"r{number}: {{offset: {4 * number}}}" for number in range(count))
-    store: Any = None
-    state = ManagerState({"many": loads(TEXT.format(registers=registers))}, store)
+    journal: Any = None
+    state = ManagerState({"many": loads(TEXT.format(registers=registers))}, journal)
     state.update(lambda _: BoardState("many", "only"))
     devices: Any = Memory()
     made = RegisterService(state, RegisterBus(devices), Leases(time))

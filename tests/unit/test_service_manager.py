@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from cm.daemon.host.journal import JournalHandler, journal_handler
+from cm.daemon.host.journald import JournalHandler, journal_handler
 from cm.daemon.host.systemd import ServiceManager
 
 

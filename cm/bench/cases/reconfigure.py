@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from cm.bench.floor import Port
+from cm.bench.floor import TimedPort
 from cm.bench.peer import Unavailable
 from cm.bench.result import Goal, Result
 from cm.bench.run import Run
@@ -22,7 +22,7 @@ from cm.daemon.host.files import BoardFiles
 from cm.device import Icap, Root
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Environment, Manager, Settings
-from cm.manager.state.journal import Store
+from cm.manager.state.journal import Journal
 from cm.messages.requests import ChangeMode
 from cm.messages.status import Irq, RegValues
 from cm.schema import load
@@ -164,9 +164,9 @@ def _write_config(folder: Path) -> Path:
 def _manager(bench: Run, folder: Path, root: Path) -> Iterator[tuple[Manager, _Watch, _Devices]]:
     watch, devices = _Watch(), _Devices(Root.of(root))
     config = load(folder / "bench.yaml")
-    store = Store(bench.place("state"))
+    journal = Journal(bench.place("state"))
     files = BoardFiles(root)
-    env = Environment(devices, files, store, _NoStreams(), _Clock(), watch, Settings())
+    env = Environment(devices, files, journal, _NoStreams(), _Clock(), watch, Settings())
     manager = watch.manager = Manager({config.name: config}, env)
     manager.start()
     try:
@@ -174,7 +174,7 @@ def _manager(bench: Run, folder: Path, root: Path) -> Iterator[tuple[Manager, _W
     finally:
         manager.stop()
         devices.lost()
-        store.close()
+        journal.close()
 
 
 def _change(manager: Manager, mode: str) -> tuple[int, int]:
@@ -238,7 +238,7 @@ def _trigger(bench: Run) -> dict[str, Any]:
     """Call of the shim to the start of a transfer, at a port in C that does nothing else; µs."""
     root = bench.place("p")
     try:
-        with Port(root), Icap.open(root=root) as icap, icap.allocate(4096) as buffer:
+        with TimedPort(root), Icap.open(root=root) as icap, icap.allocate(4096) as buffer:
             found = sorted(_triggered(icap, buffer) for _ in range(20 if bench.quick else 5000))
     except Unavailable as why:
         return {"trigger_us": None, "trigger_missing": str(why), "trigger_goal": str(TRIGGER), "trigger_met": None}

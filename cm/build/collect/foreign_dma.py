@@ -43,7 +43,7 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class ClockInput:
     """A clock input: a phandle with its arguments, or (`rate` in Hz) a clock made in the PL."""
 
     pin: str
@@ -62,7 +62,7 @@ class Engine:
     address_bits: int
     length_bits: int
     frames: int  # frame stores of a VDMA
-    clocks: tuple[Clock, ...]
+    clocks: tuple[ClockInput, ...]
     channels: tuple[Channel, ...]
 
     @property
@@ -79,7 +79,7 @@ class Engines:
     notes: list[str] = field(default_factory=list)
 
     @property
-    def fixed_clocks(self) -> list[Clock]:
+    def fixed_clocks(self) -> list[ClockInput]:
         """Clocks that the PL makes itself, each once."""
         clocks = {clock.source: clock for engine in self.found for clock in engine.clocks if clock.rate}
         return [clocks[name] for name in sorted(clocks)]
@@ -173,7 +173,7 @@ def _integer(module: hwh.ModuleInstance, name: str, default: int) -> int:
     return int(text) if text.isdecimal() and int(text) else default
 
 
-def _clocks(module: hwh.ModuleInstance, design: hwh.Hwh) -> Iterator[Clock]:
+def _clocks(module: hwh.ModuleInstance, design: hwh.Hwh) -> Iterator[ClockInput]:
     """Connected clock inputs; the first is the one that the driver insists on."""
     for pin in _CLOCK_PINS[module.type]:
         port = module.ports.get(pin)
@@ -182,11 +182,11 @@ def _clocks(module: hwh.ModuleInstance, design: hwh.Hwh) -> Iterator[Clock]:
             continue
         known = next((PS_CLOCKS[end.port] for end in drivers if end.port in PS_CLOCKS), None)
         if known is not None:
-            yield Clock(pin, known)
+            yield ClockInput(pin, known)
         elif port.rate:
-            yield Clock(pin, f"&cm_clock_{port.rate}", port.rate)
+            yield ClockInput(pin, f"&cm_clock_{port.rate}", port.rate)
 
 
-def _drives(design: hwh.Hwh, end: hwh.Connection) -> bool:
+def _drives(design: hwh.Hwh, end: hwh.ConnectedPort) -> bool:
     module = design.modules.get(end.instance)
     return module is not None and end.port in module.ports and module.ports[end.port].direction == "O"

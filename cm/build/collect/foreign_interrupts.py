@@ -17,7 +17,7 @@ from cm.schema.model import Interrupt
 
 
 @dataclass(slots=True)
-class Interrupts:
+class ForeignInterrupts:
     """`lines`: name in the runtime schema → interrupt; `spis`: instance → GIC SPI; a note for each line left out."""
 
     lines: dict[str, Interrupt] = field(default_factory=dict)
@@ -25,11 +25,11 @@ class Interrupts:
     notes: list[str] = field(default_factory=list)
 
 
-def interrupts(design: hwh.Hwh, platform: Platform) -> Interrupts:
+def interrupts(design: hwh.Hwh, platform: Platform) -> ForeignInterrupts:
     """Interrupts of instances with a register window; those of DMA engines belong to their driver."""
     bases = {window.instance: window.base for window in reversed(hwh.windows(design))}
     engines = {channel.instance for channel in hwh.dma_channels(design)}
-    found = Interrupts()
+    found = ForeignInterrupts()
     for line in hwh.interrupts(design):
         if line.instance not in bases or line.instance in engines:
             continue

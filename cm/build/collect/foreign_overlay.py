@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from cm import hwh
-from cm.build.collect.foreign_dma import PS_CLOCKS, Clock, Engines
-from cm.build.collect.foreign_interrupts import Interrupts
+from cm.build.collect.foreign_dma import PS_CLOCKS, ClockInput, Engines
+from cm.build.collect.foreign_interrupts import ForeignInterrupts
 from cm.build.hdl.register_maps import identifier
 from cm.build.platforms import Platform
 from cm.build.render import Renderer
@@ -27,7 +27,7 @@ class Bridge:
     clock: str
 
 
-def overlay(design: hwh.Hwh, config: Config, platform: Platform, dma: Engines, lines: Interrupts) -> str:
+def overlay(design: hwh.Hwh, config: Config, platform: Platform, dma: Engines, lines: ForeignInterrupts) -> str:
     """The source of the overlay."""
     zynq = platform.name == "zynq7000"
     decouplers = {bridge.base: bridge for bridge in bridges(design)}
@@ -36,7 +36,7 @@ def overlay(design: hwh.Hwh, config: Config, platform: Platform, dma: Engines, l
         "cells": 1 if zynq else 2,
         "intc": "intc" if zynq else "gic",
         "manager": "devcfg" if zynq else "zynqmp_pcap",
-        "clocks": [Clock(c.name, _phandle(c.name), c.rate) for c in hwh.clocks(design)],
+        "clocks": [ClockInput(c.name, _phandle(c.name), c.rate) for c in hwh.clocks(design)],
         "windows": list(_windows(design, lines)),
         "dma": dma,
         "channels": [(engine, channel) for engine in dma.found for channel in engine.channels],
@@ -77,7 +77,7 @@ def _phandle(name: str) -> str:
     return f"<{PS_CLOCKS[pin]}>"
 
 
-def _windows(design: hwh.Hwh, lines: Interrupts) -> Iterator[dict[str, Any]]:
+def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, Any]]:
     """Windows that user space drives: all but those of DMA engines, each address once."""
     engines = {channel.instance for channel in hwh.dma_channels(design)}
     found = {window.base: window for window in hwh.windows(design) if window.instance not in engines}

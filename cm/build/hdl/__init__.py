@@ -16,13 +16,13 @@ from cm.build.hdl.errors import HdlError, ModuleNotFound, ParserMissing, Unknown
 from cm.build.hdl.extract import Reading, extract, read, roots
 from cm.build.hdl.ipxact import load_component_xml
 from cm.build.hdl.model import (
-    Clock,
     FoundBy,
     Interface,
     Interrupt,
     Language,
     Leftover,
     Mode,
+    ModuleClock,
     ModuleInfo,
     Parameter,
     Polarity,
@@ -36,7 +36,6 @@ from cm.build.hdl.xci import load_xci
 
 __all__ = [
     "Binding",
-    "Clock",
     "Difference",
     "FoundBy",
     "HdlError",
@@ -45,6 +44,7 @@ __all__ = [
     "Language",
     "Leftover",
     "Mode",
+    "ModuleClock",
     "ModuleInfo",
     "ModuleNotFound",
     "Parameter",

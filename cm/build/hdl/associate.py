@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from cm.build.hdl.model import Clock, FoundBy, Interface, Problem, Reset
+from cm.build.hdl.model import FoundBy, Interface, ModuleClock, Problem, Reset
 from cm.build.hdl.signals import stem, words
 
 _BARE = ("", "ap", "axi", "axis")  # what is left of aclk, ap_clk, axi_aclk
@@ -19,12 +19,17 @@ class Associated:
     """Interfaces and clocks that know each other, and what could not be told."""
 
     interfaces: tuple[Interface, ...]
-    clocks: tuple[Clock, ...]
+    clocks: tuple[ModuleClock, ...]
     problems: tuple[Problem, ...]
 
 
 def associate(
-    interfaces: Iterable[Interface], clocks: Sequence[Clock], resets: Sequence[Reset], file: str, *, sure: bool = True
+    interfaces: Iterable[Interface],
+    clocks: Sequence[ModuleClock],
+    resets: Sequence[Reset],
+    file: str,
+    *,
+    sure: bool = True,
 ) -> Associated:
     """Fill in `clock`, `reset` and `reset_polarity` of the interfaces, and `interfaces` of the clocks.
 
@@ -41,19 +46,19 @@ def associate(
     return Associated(tuple(done), tuple(_with_interfaces(clock, done) for clock in clocks), tuple(problems))
 
 
-def _no_clock(interface: Interface, clocks: Sequence[Clock]) -> str:
+def _no_clock(interface: Interface, clocks: Sequence[ModuleClock]) -> str:
     known = f"the clocks are {', '.join(clock.port for clock in clocks)}" if clocks else "no port is named as a clock"
     hint = f'say it with X_INTERFACE_PARAMETER = "ASSOCIATED_BUSIF {interface.name}" on the clock'
     return f"the clock of {interface.name} could not be told: {known}; {hint}"
 
 
-def _with_interfaces(clock: Clock, interfaces: Sequence[Interface]) -> Clock:
+def _with_interfaces(clock: ModuleClock, interfaces: Sequence[Interface]) -> ModuleClock:
     names = tuple(interface.name for interface in interfaces if interface.clock == clock.port)
     reset = clock.reset or next((i.reset for i in interfaces if i.clock == clock.port and i.reset), None)
     return replace(clock, interfaces=names, reset=reset)
 
 
-def _clock(interface: Interface, clocks: Sequence[Clock], sure: bool) -> str | None:
+def _clock(interface: Interface, clocks: Sequence[ModuleClock], sure: bool) -> str | None:
     if interface.clock:
         return interface.clock
     for clock in clocks:
@@ -64,7 +69,9 @@ def _clock(interface: Interface, clocks: Sequence[Clock], sure: bool) -> str | N
     return _by_name(interface.name, [clock.port for clock in clocks], sure=sure)
 
 
-def _reset(interface: Interface, clock: str | None, clocks: Sequence[Clock], resets: Sequence[Reset]) -> str | None:
+def _reset(
+    interface: Interface, clock: str | None, clocks: Sequence[ModuleClock], resets: Sequence[Reset]
+) -> str | None:
     if interface.reset:
         return interface.reset
     stated = next((item.reset for item in clocks if item.port == clock and item.reset), None)

@@ -11,11 +11,11 @@ from cm.build.hdl.associate import associate
 from cm.build.hdl.buses import Protocol, aximm, axis, axis_short
 from cm.build.hdl.judge import judge, make_interface
 from cm.build.hdl.model import (
-    Clock,
     FoundBy,
     Interface,
     Interrupt,
     Leftover,
+    ModuleClock,
     ModuleInfo,
     Polarity,
     Port,
@@ -176,7 +176,7 @@ class _Detection:
             number += 1
         return unique
 
-    def _clocks(self) -> list[Clock]:
+    def _clocks(self) -> list[ModuleClock]:
         found = [port for port in self._unrejected() if is_clock(port)]
         self._take(port.name for port in found)
         return [_clock(port) for port in found]
@@ -219,10 +219,10 @@ def _worth_a_word(candidate: Candidate) -> bool:
     return enough and len(candidate.ports) > 1
 
 
-def _clock(port: Port) -> Clock:
+def _clock(port: Port) -> ModuleClock:
     stated = attributes.parameters(port)
     frequency = stated.get("FREQ_HZ", "")
-    return Clock(
+    return ModuleClock(
         port.name,
         port.name,
         port.direction,
@@ -232,7 +232,7 @@ def _clock(port: Port) -> Clock:
     )
 
 
-def _stated(clocks: Iterable[Clock], ports: Sequence[Port]) -> list[Clock]:
+def _stated(clocks: Iterable[ModuleClock], ports: Sequence[Port]) -> list[ModuleClock]:
     """Clocks with their associated reset checked: an attribute may name a port that is not there."""
     names = {port.name.lower(): port.name for port in ports}
     return [replace(clock, reset=names.get((clock.reset or "").lower())) for clock in clocks]

@@ -14,13 +14,13 @@ from xml.etree import ElementTree
 from cm.build.hdl.buses import axi_flavour, aximm
 from cm.build.hdl.errors import HdlError
 from cm.build.hdl.model import (
-    Clock,
     FoundBy,
     Interface,
     Interrupt,
     Language,
     Leftover,
     Mode,
+    ModuleClock,
     ModuleInfo,
     Parameter,
     Polarity,
@@ -137,7 +137,9 @@ class _Component:
                     text = _text(node, "value")
                     yield Parameter(_text(node, "name"), _number(text) if _number(text) is not None else text, text)
 
-    def _interface(self, bus: ElementTree.Element, clocks: tuple[Clock, ...], resets: tuple[Reset, ...]) -> Interface:
+    def _interface(
+        self, bus: ElementTree.Element, clocks: tuple[ModuleClock, ...], resets: tuple[Reset, ...]
+    ) -> Interface:
         name, kind, ports = _text(bus, "name"), _bus_type(bus), _port_map(bus)
         parameters = _bus_parameters(bus)
         clock = next((c for c in clocks if name in c.interfaces), None)
@@ -165,11 +167,11 @@ class _Component:
             return stated
         return axi_flavour({signal: self._ports[port] for signal, port in ports.items() if port in self._ports})
 
-    def _clock(self, bus: ElementTree.Element) -> Clock:
+    def _clock(self, bus: ElementTree.Element) -> ModuleClock:
         parameters = _bus_parameters(bus)
         port = next(iter(_port_map(bus).values()))
         frequency = parameters.get("FREQ_HZ", "")
-        return Clock(
+        return ModuleClock(
             _text(bus, "name"),
             port,
             self._direction(port),

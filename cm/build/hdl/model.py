@@ -138,7 +138,7 @@ class Interface:
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class ModuleClock:
     """A clock; `interfaces` are the names of those that run on it."""
 
     name: str
@@ -211,7 +211,7 @@ class ModuleInfo:
     parameters: tuple[Parameter, ...] = ()
     ports: tuple[Port, ...] = ()
     interfaces: tuple[Interface, ...] = ()
-    clocks: tuple[Clock, ...] = ()
+    clocks: tuple[ModuleClock, ...] = ()
     resets: tuple[Reset, ...] = ()
     interrupts: tuple[Interrupt, ...] = ()
     leftovers: tuple[Leftover, ...] = ()

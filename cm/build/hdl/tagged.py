@@ -10,7 +10,7 @@ from cm.build.hdl import attributes
 from cm.build.hdl.attributes import Tag
 from cm.build.hdl.buses import Protocol, make_protocol
 from cm.build.hdl.judge import judge, make_interface
-from cm.build.hdl.model import Clock, FoundBy, Interface, Interrupt, Mode, Polarity, Port, PortDirection, Reset
+from cm.build.hdl.model import FoundBy, Interface, Interrupt, Mode, ModuleClock, Polarity, Port, PortDirection, Reset
 from cm.build.hdl.signals import reset_polarity
 
 _SIGNAL_KINDS = ("clock", "reset", "interrupt")
@@ -22,7 +22,7 @@ class Tagged:
     """The gathered result; `rejected` has a reason by port."""
 
     interfaces: list[Interface] = field(default_factory=list)
-    clocks: list[Clock] = field(default_factory=list)
+    clocks: list[ModuleClock] = field(default_factory=list)
     resets: list[Reset] = field(default_factory=list)
     interrupts: list[Interrupt] = field(default_factory=list)
     rejected: dict[str, str] = field(default_factory=dict)
@@ -50,7 +50,7 @@ def _signal(tag: Tag, result: Tagged) -> None:
         busses = attributes.names(stated, "ASSOCIATED_BUSIF")
         reset = next(iter(attributes.names(stated, "ASSOCIATED_RESET")), None)
         hertz = int(frequency) if frequency.isdigit() else None
-        result.clocks.append(Clock(tag.bus, port.name, port.direction, hertz, busses, reset, FoundBy.ATTRIBUTE))
+        result.clocks.append(ModuleClock(tag.bus, port.name, port.direction, hertz, busses, reset, FoundBy.ATTRIBUTE))
     elif tag.kind == "reset":
         result.resets.append(Reset(tag.bus, port.name, _polarity(port, stated), port.direction, FoundBy.ATTRIBUTE))
     else:

@@ -54,7 +54,7 @@ class AxiPort:
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
+class MemoryInterconnect:
     """A high-performance port of the processing system and the masters that share it."""
 
     cell: str
@@ -63,7 +63,7 @@ class Memory:
 
 
 @dataclass(frozen=True, slots=True)
-class Interrupts:
+class InterruptBundle:
     """A bundle of interrupt lines to a pin of the processing system."""
 
     cell: str
@@ -116,7 +116,9 @@ def _with_buses(clock: ClockPin, dmas: list[DmaCell], ports: list[AxiPort]) -> C
     return replace(clock, buses=tuple(buses))
 
 
-def _ps_settings(system: System, clocks: list[ClockPin], memories: list[Memory]) -> Iterator[tuple[str, object]]:
+def _ps_settings(
+    system: System, clocks: list[ClockPin], memories: list[MemoryInterconnect]
+) -> Iterator[tuple[str, object]]:
     pins = system.platform.clock_pins
     groups = len(system.dmas) + 1
     if system.platform.name == "zynq7000":
@@ -216,7 +218,7 @@ def _settings(interface: Interface) -> tuple[tuple[str, object], ...]:
     return tuple(settings)
 
 
-def _memories(system: System, dmas: list[DmaCell]) -> Iterator[Memory]:
+def _memories(system: System, dmas: list[DmaCell]) -> Iterator[MemoryInterconnect]:
     """Masters to memory, as many as an interconnect takes on each port of the processing system."""
     sources: list[str] = []
     for dma in dmas:
@@ -225,10 +227,10 @@ def _memories(system: System, dmas: list[DmaCell]) -> Iterator[Memory]:
         sources += [f"[get_bd_intf_ports s_axi_{region.name}_{bus.interface.name}]" for bus in region.memory]
     for index, port in enumerate(memory_ports(system)):
         share = sources[index * MAX_SLAVES : (index + 1) * MAX_SLAVES]
-        yield Memory(f"memory_interconnect_{index}", port, tuple(share))
+        yield MemoryInterconnect(f"memory_interconnect_{index}", port, tuple(share))
 
 
-def _interrupts(system: System, dmas: list[DmaCell]) -> Iterator[Interrupts]:
+def _interrupts(system: System, dmas: list[DmaCell]) -> Iterator[InterruptBundle]:
     sources = ["[get_bd_ports irq]", *(dma.interrupt_pin for dma in dmas)]
     merged: dict[str, list[str]] = {}
     for pin, lines, _ in system.platform.irq_pins:
@@ -236,7 +238,7 @@ def _interrupts(system: System, dmas: list[DmaCell]) -> Iterator[Interrupts]:
         if share:
             merged.setdefault(pin, []).extend(share)
     for index, (pin, share) in enumerate(merged.items()):
-        yield Interrupts(f"interrupt_lines_{index}", pin, tuple(share))
+        yield InterruptBundle(f"interrupt_lines_{index}", pin, tuple(share))
 
 
 def _segments(system: System) -> Iterator[Segment]:

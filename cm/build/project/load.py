@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from cm.build.boards import Board, boards
+from cm.build.boards import BoardDefinition, boards
 from cm.build.project import references
 from cm.build.project.model import (
     BitstreamSpec,
@@ -108,7 +108,7 @@ class _Builder:
     def __init__(self, path: Path, data: dict[str, Any], report: Reporter) -> None:
         self._path, self._data, self._report = path, data, report
         self._files = PathReader(path.parent, report.key)
-        self._kit: Board | None = None
+        self._kit: BoardDefinition | None = None
 
     def project(self) -> Project:
         data = self._data
@@ -137,7 +137,7 @@ class _Builder:
             protocols=self._files.many(data.get("protocols"), ("protocols",)),
         )
 
-    def _board(self, head: dict[str, Any]) -> Board | None:
+    def _board(self, head: dict[str, Any]) -> BoardDefinition | None:
         """The board of the library; a Vivado board part is taken as it is."""
         name, part = head.get("board", ""), head.get("part")
         kit = boards().get(name)

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from cm.build.boards import Board
+from cm.build.boards import BoardDefinition
 from cm.schema.model import Access, LoaderKind
 
 
@@ -205,7 +205,7 @@ class Project:
     part: str
     source: Path
     board: str | None = None  # Vivado's board part
-    kit: Board | None = None  # of the board library
+    kit: BoardDefinition | None = None  # of the board library
     vivado: str | None = None
     doc: str = ""
     clocks: Mapping[str, ClockSpec] = field(default_factory=empty)

@@ -12,7 +12,7 @@ import logging
 import os
 import threading
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from cm.daemon.host.overlays import OverlayFiles
 from cm.errors import CmError
 from cm.manager.ports import Image
 from cm.schema.files import bitstream_path
-from cm.schema.model import Config, FrameRange, Module, Region
+from cm.schema.model import Config, FrameRange, Module, Overlay, Region
 
 _LOG = logging.getLogger("cm")
 _VERSION = 1
@@ -150,12 +150,7 @@ class BoardFiles:
         self._reader = BitstreamReader()
         self._firmware = FirmwareFolder(root, self._reader, copies)
         self._footprints = footprints or Footprints()
-        overlays = OverlayFiles(root, self._reader, self._firmware, self._read_overlay)
-        self.overlay = overlays.beside
-        self.loading_overlay = overlays.loading
-        self.firmware_name = self._firmware.name_of
-        self.check_firmware = self._firmware.check
-        self.forget = self._footprints.forget
+        self._overlays = OverlayFiles(root, self._reader, self._firmware, self._read_overlay)
 
     # ---- bitstreams -----------------------------------------------------------------
 
@@ -193,7 +188,27 @@ class BoardFiles:
         """Words in the order a DMA-fed port takes them. Raises Sha256Mismatch if the file changed since."""
         return to_dma_words(self._reader.read(image))
 
-    # ---- overlays -------------------------------------------------------------------
+    def forget(self, config: str) -> None:
+        """This configuration was replaced: its footprints are learned anew."""
+        self._footprints.forget(config)
+
+    # ---- what the kernel is given ---------------------------------------------------
+
+    def firmware_name(self, image: Image) -> str:
+        """See `FirmwareFolder.name_of`."""
+        return self._firmware.name_of(image)
+
+    def check_firmware(self, name: str, image: Image) -> None:
+        """See `FirmwareFolder.check`."""
+        self._firmware.check(name, image)
+
+    def overlay(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
+        """See `OverlayFiles.beside`."""
+        return self._overlays.beside(config, overlay, images)
+
+    def loading_overlay(self, config: Config, module: Module, image: Image) -> bytes:
+        """See `OverlayFiles.loading`."""
+        return self._overlays.loading(config, module, image)
 
     def _read_overlay(self, path: Path) -> bytes:
         return path.read_bytes()

@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 from cm.daemon.loop import Loop
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.stream import Frame, OpenStream
-from cm.daemon.streams.zmq_bridge import ZmqReader, ZmqWriter
+from cm.daemon.streams.zmq_reader import ZmqReader
+from cm.daemon.streams.zmq_writer import ZmqWriter
 from cm.device.data_plane import Plane
 from cm.errors import CmError
 from cm.messages.status import ErrorInfo

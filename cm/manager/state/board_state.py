@@ -14,7 +14,7 @@ from types import MappingProxyType
 
 from cm.manager.errors import RecordFailed, StoreCorrupt
 from cm.manager.state.choice import Choice
-from cm.manager.state.journal import Store
+from cm.manager.state.journal import Journal
 from cm.manager.state.record import Pending, Record, Throughput
 from cm.manager.state.steps import ApplyOverlay, Place, RemoveOverlay, SetClock, Step
 from cm.manager.state.table import BoardState
@@ -36,7 +36,7 @@ class LockedRegions:
 class ManagerState:
     """What the manager knows, and the record of it."""
 
-    def __init__(self, configs: Mapping[str, Config], store: Store) -> None:
+    def __init__(self, configs: Mapping[str, Config], journal: Journal) -> None:
         self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
         self.latest = BoardState()  # what the board holds, but for `_written`
         self.throughput = Throughput()
@@ -47,7 +47,7 @@ class ManagerState:
         self.runtime_memories: Mapping[str, Memory] = MappingProxyType(
             {}
         )  # defined at run time, for this configuration
-        self._store = store
+        self._journal = journal
         self._boot_id = ""
         self._number = 0
         self._recorded: Pending | None = None  # as it stands in the record
@@ -141,7 +141,7 @@ class ManagerState:
     def read_record(self) -> tuple[Record | None, str]:
         """The record, and a sentence where it was not readable: then nothing is known, which is no reason to stop."""
         try:
-            return self._store.read(), ""
+            return self._journal.read(), ""
         except StoreCorrupt as error:
             return None, str(error)
 
@@ -161,7 +161,7 @@ class ManagerState:
 
     def _write(self, pending: Pending | None) -> None:
         try:
-            self._store.write(Record(self._boot_id, self.board, pending, self.throughput, self._number))
+            self._journal.write(Record(self._boot_id, self.board, pending, self.throughput, self._number))
         except OSError as error:
             raise RecordFailed(f"the state record could not be written: {error}") from error
         self._recorded, self._dirty = pending, False

@@ -19,12 +19,12 @@ from pathlib import Path
 from cm.manager.errors import StateInUse, StoreCorrupt
 from cm.manager.state.record import OtherVersion, Pending, Record, encode, newest
 
-__all__ = ["Pending", "Record", "Store"]
+__all__ = ["Journal", "Pending", "Record"]
 
 LENGTH = 256 * 1024  # bytes of a journal
 
 
-class Store:
+class Journal:
     """The journal in a folder, which it holds a lock on. Raises StateInUse, OSError."""
 
     def __init__(self, folder: Path) -> None:

@@ -1,32 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ZeroMQ side of a stream: the daemon as a client of the data plane, for those who use frames over ZeroMQ.
-
-It is a client like any other, at the end of a socket pair.
-"""
+"""Frames that clients write over ZeroMQ, to the hardware."""
 
 from __future__ import annotations
 
 import itertools
 import os
-import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
 
 from cm.daemon.loop import Loop, Timer
 from cm.daemon.streams.policy import StreamStopped
 from cm.daemon.streams.settings import frame_bytes
 from cm.daemon.streams.stream import Done, Frame, OpenStream
-from cm.device.data_plane import Plane, StreamSetup
+from cm.daemon.streams.zmq_client import ZmqClient, line_slices
+from cm.device.data_plane import Plane
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
-from cm.wire.plane_packets import DESCRIPTOR, Descriptor
+from cm.wire.plane_packets import Descriptor
 
-_READ_DEPTH = 2
 _WRITE_DEPTH = 4
 _WAITING = 32  # writes that may wait for a slot
 _WRITE_TIMEOUT = 5.0  # seconds for the hardware to take a written frame
-_LINGER = 2.0  # seconds that a stream stays open after a single read or write
 
 
 class TransferFailed(CmError):
@@ -35,117 +29,7 @@ class TransferFailed(CmError):
     code = "transfer_failed"
 
 
-class _ZmqClient:
-    """A client of the plane in this process."""
-
-    def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, depth: int) -> None:
-        self._loop, self._plane, self._stream = loop, plane, opened
-        self._used_at = 0.0
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        ours.setblocking(False)
-        self._socket = ours
-        self.client = plane.adopt(theirs.detach())
-        try:
-            opened.attach(self.client, depth)
-        except BaseException:
-            plane.drop(self.client)
-            ours.close()
-            raise
-        loop.add(ours.fileno(), self._readable)
-
-    @property
-    def working(self) -> bool:
-        """Whether somebody waits for it now."""
-        raise NotImplementedError
-
-    @property
-    def busy(self) -> bool:
-        """Whether somebody waits for it, or did a moment ago."""
-        return self.working or time.monotonic() < self._used_at + _LINGER
-
-    def close(self) -> None:
-        """Hang up."""
-        self._loop.remove(self._socket.fileno())
-        self._plane.drop(self.client)
-        self._stream.detached(self.client)
-        self._socket.close()
-
-    def _readable(self) -> None:
-        try:
-            packet = self._socket.recv(packets.PACKET_MAX)  # descriptors of memory that come with it are closed
-        except BlockingIOError:
-            return
-        if len(packet) >= DESCRIPTOR.size:
-            self._take(Descriptor(*DESCRIPTOR.unpack_from(packet)))
-
-    def _take(self, packet: Descriptor) -> None:
-        raise NotImplementedError
-
-
-class ZmqReader(_ZmqClient):
-    """Frames to the sinks, and to single reads."""
-
-    def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, deliver: Callable[[Frame], None]) -> None:
-        self._deliver = deliver
-        self._readers: deque[tuple[Done, Timer]] = deque()
-        super().__init__(loop, plane, opened, _READ_DEPTH)
-
-    @property
-    def working(self) -> bool:
-        """Whether somebody waits for a frame."""
-        return bool(self._readers)
-
-    def read_once(self, timeout: float, done: Done) -> None:
-        """Hand the next frame to `done`, or a Timeout after `timeout` seconds."""
-        entry: list[tuple[Done, Timer]] = []
-
-        def expired() -> None:
-            if entry[0] in self._readers:
-                self._readers.remove(entry[0])
-                done(Timeout(f"stream {self._stream.stream.name!r} gave no frame within {timeout:g} s"))
-
-        entry.append((done, self._loop.call_later(timeout, expired)))
-        self._readers.append(entry[0])
-        self._used_at = time.monotonic()
-
-    def _take(self, packet: Descriptor) -> None:
-        if packet.kind != packets.FRAME:
-            return
-        try:
-            self._hand_on(packet)
-        finally:
-            self._socket.send(packet._replace(kind=packets.RELEASE).pack())
-
-    def _hand_on(self, packet: Descriptor) -> None:
-        slot = self._stream.slots[packet.slot]
-        slot.sync_begin(write=False)
-        try:
-            frame = Frame(self._stream.info(packet), self._bytes(packet))
-            readers, self._readers = self._readers, deque()
-            for done, timer in readers:
-                timer.cancel()
-                done(frame)
-            self._deliver(frame)
-        finally:
-            slot.sync_end(write=False)
-
-    def _bytes(self, packet: Descriptor) -> memoryview:
-        """The frame's bytes, one after the other; copied only where lines are apart."""
-        setup, slot = self._stream.setup, self._stream.slots[packet.slot]
-        view = slot.memoryview(writable=False)
-        if setup.lines and setup.stride != setup.line_bytes:
-            return memoryview(b"".join(view[line] for line in _lines(setup)))[: packet.length]
-        return view[packet.offset : packet.offset + packet.length]
-
-    def close(self) -> None:
-        super().close()
-        for done, timer in self._readers:
-            timer.cancel()
-            done(StreamStopped(f"stream {self._stream.stream.name!r} was stopped before a frame came"))
-        self._readers.clear()
-
-
-class ZmqWriter(_ZmqClient):
+class ZmqWriter(ZmqClient):
     """Written frames to the hardware."""
 
     def __init__(self, loop: Loop, plane: Plane, opened: OpenStream) -> None:
@@ -197,7 +81,7 @@ class ZmqWriter(_ZmqClient):
         try:
             memory = slot.memoryview()
             if setup.lines and setup.stride != setup.line_bytes:
-                for at, line in enumerate(_lines(setup)):
+                for at, line in enumerate(line_slices(setup)):
                     memory[line] = view[at * setup.line_bytes : (at + 1) * setup.line_bytes]
                 return setup.length
             memory[: view.nbytes] = view
@@ -213,7 +97,7 @@ class ZmqWriter(_ZmqClient):
             done(
                 Timeout(
                     f"stream {self._stream.stream.name!r}: the hardware took no data for {_WRITE_TIMEOUT:.0f} s; "
-                    "is somebody reading what comes out, and is the region coupled?"
+                    "is anything reading the output, and is the region coupled?"
                 )
             )
 
@@ -247,12 +131,6 @@ class ZmqWriter(_ZmqClient):
             done(stopped)
         self._under_way.clear()
         self._waiting.clear()
-
-
-def _lines(setup: StreamSetup) -> Iterator[slice]:
-    """Where the lines of a video frame lie in its slot."""
-    for begin in range(0, setup.lines * setup.stride, setup.stride):
-        yield slice(begin, begin + setup.line_bytes)
 
 
 def _failure(stream: str, number: int) -> CmError:

@@ -18,7 +18,7 @@ from types import MappingProxyType
 import pytest
 
 from cm.manager.errors import StateInUse, StoreCorrupt
-from cm.manager.state.journal import LENGTH, Store
+from cm.manager.state.journal import LENGTH, Journal
 from cm.manager.state.record import Pending, Record, Throughput, encode, newest
 from cm.manager.state.table import BoardState, OverlayState, RegionPhase, RegionState
 from cm.schema.model import LoaderKind
@@ -41,8 +41,8 @@ FULL = Record(
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Iterator[Store]:
-    made = Store(tmp_path)
+def journal(tmp_path: Path) -> Iterator[Journal]:
+    made = Journal(tmp_path)
     yield made
     made.close()
 
@@ -52,94 +52,96 @@ def lines(folder: Path) -> bytes:
     return (folder / "journal").read_bytes().rstrip(b"\0")
 
 
-def test_nothing_is_read_before_anything_was_written(store: Store) -> None:
-    assert store.read() is None
+def test_nothing_is_read_before_anything_was_written(journal: Journal) -> None:
+    assert journal.read() is None
 
 
-def test_a_record_comes_back_as_it_was(store: Store) -> None:
+def test_a_record_comes_back_as_it_was(journal: Journal) -> None:
     lost = replace(FULL, state=BoardState(static_lost=True), pending=None)
     for record in (FULL, lost):
-        store.write(record)
-        assert store.read() == record
+        journal.write(record)
+        assert journal.read() == record
 
 
-def test_a_torn_end_counts_for_nothing_wherever_it_is_torn(store: Store, tmp_path: Path) -> None:
-    store.write(FULL)
+def test_a_torn_end_counts_for_nothing_wherever_it_is_torn(journal: Journal, tmp_path: Path) -> None:
+    journal.write(FULL)
     whole = lines(tmp_path)
-    store.write(replace(FULL, number=8))
+    journal.write(replace(FULL, number=8))
     both = lines(tmp_path)
     for length in range(len(whole), len(both) - 1):
         (tmp_path / "journal").write_bytes(both[:length].ljust(LENGTH, b"\0"))
-        assert store.read() == FULL
+        assert journal.read() == FULL
     (tmp_path / "journal").write_bytes(both[:-5])
-    store.close()
-    again = Store(tmp_path)
+    journal.close()
+    again = Journal(tmp_path)
     again.write(replace(FULL, number=9))  # after a torn end
     assert again.read() == replace(FULL, number=9)
     again.close()
 
 
-def test_a_flipped_bit_is_noticed(store: Store, tmp_path: Path) -> None:
-    store.write(FULL)
+def test_a_flipped_bit_is_noticed(journal: Journal, tmp_path: Path) -> None:
+    journal.write(FULL)
     line = bytearray(lines(tmp_path))
     for at in range(1, len(line) - 1, 7):
         line[at] ^= 4
         (tmp_path / "journal").write_bytes(line)
         with pytest.raises(StoreCorrupt):
-            store.read()
+            journal.read()
         assert (tmp_path / "journal.corrupt").read_bytes() == line
         line[at] ^= 4
 
 
-def test_a_record_of_another_version_is_not_read_and_neither_are_those_before_it(store: Store, tmp_path: Path) -> None:
-    store.write(FULL)
+def test_a_record_of_another_version_is_not_read_and_neither_are_those_before_it(
+    journal: Journal, tmp_path: Path
+) -> None:
+    journal.write(FULL)
     body = b'{"version":99}'
     with (tmp_path / "journal").open("ab") as file:
         file.write(b"\n%08x %b\n" % (zlib.crc32(body), body))
     with pytest.raises(StoreCorrupt, match="another version"):
-        store.read()
-    assert store.read() is None
-    store.write(FULL)
-    assert store.read() == FULL
+        journal.read()
+    assert journal.read() is None
+    journal.write(FULL)
+    assert journal.read() == FULL
 
 
-def test_the_journal_is_bounded_and_a_kill_while_it_is_replaced_loses_nothing(store: Store, tmp_path: Path) -> None:
+def test_the_journal_is_bounded_and_a_kill_while_it_is_replaced_loses_nothing(journal: Journal, tmp_path: Path) -> None:
     for number in range(1000):
-        store.write(replace(FULL, number=number))
+        journal.write(replace(FULL, number=number))
     assert (tmp_path / "journal").stat().st_size <= 256 * 1024
     (tmp_path / "journal.new").write_bytes(b"half")
-    assert store.read() == replace(FULL, number=999)
+    assert journal.read() == replace(FULL, number=999)
 
 
 def test_a_short_write_is_an_error_and_the_next_one_takes_its_place(
-    store: Store, monkeypatch: pytest.MonkeyPatch
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    store.write(FULL)
+    journal.write(FULL)
     write = os.pwrite
     for torn in (9, 100, 1):
         with monkeypatch.context() as patch:
             patch.setattr(os, "pwrite", lambda fd, data, at, torn=torn: write(fd, data[:-torn], at))
             with pytest.raises(OSError, match="whole"):
-                store.write(replace(FULL, number=8))
-        assert store.read() == FULL
+                journal.write(replace(FULL, number=8))
+        assert journal.read() == FULL
     small = Record("boot", BoardState(), number=9)
-    store.write(small)
-    assert store.read() == small
+    journal.write(small)
+    assert journal.read() == small
 
 
-def test_a_second_manager_with_the_same_state_folder_is_refused(store: Store, tmp_path: Path) -> None:
+def test_a_second_manager_with_the_same_state_folder_is_refused(journal: Journal, tmp_path: Path) -> None:
     with pytest.raises(StateInUse, match="another configuration manager keeps its state"):
-        Store(tmp_path)
-    store.write(FULL)
-    store.close()
-    store.close()
-    again = Store(tmp_path)
+        Journal(tmp_path)
+    journal.write(FULL)
+    journal.close()
+    journal.close()
+    again = Journal(tmp_path)
     assert again.read() == FULL
     again.close()
 
 
-def test_what_an_older_program_wrote_without_seconds_is_read(store: Store) -> None:
-    store.write(FULL)
+def test_what_an_older_program_wrote_without_seconds_is_read(journal: Journal) -> None:
+    journal.write(FULL)
     plain = json.loads(encode(FULL).split(b" ", 1)[1])
     assert plain.pop("seconds") == {"load": 0.5}
     body = json.dumps(plain).encode()
@@ -147,19 +149,19 @@ def test_what_an_older_program_wrote_without_seconds_is_read(store: Store) -> No
     assert record == replace(FULL, throughput=replace(FULL.throughput, steps=MappingProxyType({})))
 
 
-def test_a_record_that_cannot_be_read_is_said_to_be_so(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_that_cannot_be_read_is_said_to_be_so(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(_: Path) -> bytes:
         raise OSError(errno.EIO, "broken card")
 
-    store.write(FULL)
+    journal.write(FULL)
     with monkeypatch.context() as patch:
         patch.setattr(Path, "read_bytes", fails)
         with pytest.raises(StoreCorrupt, match="broken card"):
-            store.read()
+            journal.read()
 
 
 def test_a_bad_record_on_a_read_only_file_system_is_no_more_than_bad(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(*_: object) -> Path:
         raise OSError(errno.EROFS, "read-only")
@@ -168,11 +170,11 @@ def test_a_bad_record_on_a_read_only_file_system_is_no_more_than_bad(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", fails)
         with pytest.raises(StoreCorrupt, match="could not be set aside"):
-            store.read()
+            journal.read()
 
 
 def test_no_descriptor_goes_astray_when_the_journal_cannot_be_replaced(
-    store: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A number that is not ours any more may be a device's by the next write."""
 
@@ -182,17 +184,17 @@ def test_no_descriptor_goes_astray_when_the_journal_cannot_be_replaced(
     before = descriptors()
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", fails)
-        failures = sum(not written(store, number) for number in range(1500))
+        failures = sum(not written(journal, number) for number in range(1500))
     assert failures > 500
     assert descriptors() == before
-    assert written(store, 4711)
-    assert store.read() == replace(FULL, number=4711)
+    assert written(journal, 4711)
+    assert journal.read() == replace(FULL, number=4711)
     assert descriptors() == before
 
 
-def written(store: Store, number: int) -> bool:
+def written(journal: Journal, number: int) -> bool:
     try:
-        store.write(replace(FULL, number=number))
+        journal.write(replace(FULL, number=number))
     except OSError:
         return False
     return True
@@ -221,14 +223,14 @@ def fill(disk: Path) -> None:
 
 
 def test_a_disk_that_others_fill_does_not_stop_the_record(small_disk: Path) -> None:
-    store = Store(small_disk / "state")
+    journal = Journal(small_disk / "state")
     for number in range(2000):  # three times and more a new journal
         fill(small_disk)
-        store.write(replace(FULL, number=number))
-    assert store.read() == replace(FULL, number=1999)
+        journal.write(replace(FULL, number=number))
+    assert journal.read() == replace(FULL, number=1999)
     assert sorted(p.name for p in (small_disk / "state").iterdir()) == ["journal", "journal.new"]
-    store.close()
-    again = Store(small_disk / "state")
+    journal.close()
+    again = Journal(small_disk / "state")
     assert again.read() == replace(FULL, number=1999)
     for number in range(1000):
         fill(small_disk)
@@ -238,11 +240,11 @@ def test_a_disk_that_others_fill_does_not_stop_the_record(small_disk: Path) -> N
 
 def test_a_disk_that_was_full_before_is_an_error_until_there_is_room(small_disk: Path) -> None:
     fill(small_disk)
-    store = Store(small_disk / "state")
+    journal = Journal(small_disk / "state")
     with pytest.raises(OSError, match="No space"):
-        store.write(FULL)
-    assert store.read() is None
+        journal.write(FULL)
+    assert journal.read() is None
     (small_disk / "log").unlink()
-    store.write(FULL)
-    assert store.read() == FULL
-    store.close()
+    journal.write(FULL)
+    assert journal.read() == FULL
+    journal.close()
