@@ -16,12 +16,13 @@ from cm.daemon.loop import Loop
 from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.replies import Respond, refusal
-from cm.errors import Busy, InvalidRequest
+from cm.errors import Busy, CmError, InvalidRequest
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.messages import requests as rq
 from cm.messages.requests import Request
 from cm.messages.status import ErrorInfo, Reply
+from cm.schema.model import Memory
 from cm.wire.decode import Frame, decode_request, split_text
 from cm.wire.encode import encode_reply
 from cm.wire.topics import READ_REG
@@ -103,13 +104,19 @@ class Order:
                 yield f"registers:{name}"
                 yield f"region:{visible[name].region if name in visible else None}"
         elif isinstance(request, (rq.WriteData, rq.ConfigureStream)):
-            memory = self._manager.memories.find(request.stream)
+            memory = self._memory(request.stream)
             stream = config.streams.get(request.stream) if config else None
             yield f"memories:{request.stream}"
             yield f"region:{(memory or stream).region if memory or stream else None}"  # type: ignore[union-attr]
 
     def _writes_memory(self, request: rq.Request) -> bool:
-        return isinstance(request, rq.WriteData) and self._manager.memories.find(request.stream) is not None
+        return isinstance(request, rq.WriteData) and self._memory(request.stream) is not None
+
+    def _memory(self, name: str) -> Memory | None:
+        try:
+            return self._manager.memories.find(name)
+        except CmError:  # one of another mode, or nothing is loaded: its handler says so
+            return None
 
     def _do(self, sender: bytes, request: rq.Request, respond: Respond) -> None:
         if isinstance(request, rq.Provision):

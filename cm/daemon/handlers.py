@@ -18,6 +18,7 @@ from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import MemoryTransfers
 from cm.daemon.replies import Respond, refusal
 from cm.daemon.streams.registry import Streams
+from cm.manager.access.leases import check_scope_names_something
 from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
@@ -173,6 +174,10 @@ class Handlers:
         respond(Reply(self._s.interrupts.latest(request.name)))
 
     def _lease(self, request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease, respond: Respond) -> None:
+        if isinstance(request, rq.TakeLease):
+            manager = self._s.manager
+            defined = [memory.name for memory in manager.memories.defined()]
+            check_scope_names_something(request.scope, manager.configs.values(), defined)
         info = self._s.manager.leases.request(request)
         self._s.leases.follow(info, request)
         respond(Reply(info))

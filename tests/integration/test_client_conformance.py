@@ -205,6 +205,19 @@ def test_within_a_lease_its_holders_own_calls_pass_and_others_do_not(board: Any,
     other.set_mode("edge_detection")
 
 
+@pytest.mark.parametrize(
+    ("scope", "says"),
+    [
+        ("region:nosuch", "there are prr0, prr1"),
+        ("registers:focs", "did you mean 'focus'"),
+        ("memories:x", "scratchpad"),
+    ],
+)
+def test_a_lease_on_what_no_configuration_has_is_refused(board: Any, scope: str, says: str) -> None:
+    with pytest.raises(RequestNotFound, match=says):
+        board.lease(scope).take()
+
+
 def test_several_leases_go_along_together(board: Any, other: Any) -> None:
     with board.lease("region:prr0"), board.lease("registers:focus"):
         board.set_mode("edge_detection")

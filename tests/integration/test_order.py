@@ -184,6 +184,12 @@ def test_a_memory_is_written_before_the_register_behind_it(board: cm.Board, send
     assert bytes(read.payload[0]) == values.tobytes()
 
 
+def test_what_names_nothing_is_refused_whatever_is_under_way(board: cm.Board, sender: Sender) -> None:
+    sender.send(TO_EDGE, rq.WriteData("nothing", memoryview(b"1234")), write("nothing", 1))
+    codes = [reply.error.code if reply.error else "" for reply in sender.replies(3)]
+    assert codes == ["", "unknown_stream", "unknown_register"]
+
+
 def test_more_than_may_wait_is_refused(board: cm.Board, sender: Sender) -> None:
     sender.send(TO_EDGE, *[write("focus", 1)] * 400)
     refused = [reply.error for reply in sender.replies(401) if reply.error is not None]

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import secrets
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 
 from cm.errors import InvalidRequest, NotFound
 from cm.manager.errors import HeldBy
 from cm.manager.ports import Clock
 from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
 from cm.messages.status import LeaseInfo
-from cm.schema.model import Config
+from cm.schema.model import Config, Mode, Module
 
 MAX_SECONDS = 3600.0
 _NAMED = ("region", "registers", "memories")
@@ -128,6 +130,31 @@ def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str
         *(f"registers:{name}" for name in names),
         *(f"memories:{name}" for name in memories),
     )
+
+
+def check_scope_names_something(scope: str, configs: Iterable[Config], memories: Iterable[str]) -> None:
+    """Raise NotFound where no served configuration has what a scope names: its holder would keep nobody off.
+
+    `memories`: those that were defined at run time.
+    """
+    kind, _, name = scope.partition(":")
+    if kind not in _NAMED or not name:
+        return
+    known = set(memories) if kind == "memories" else set()
+    for config in configs:
+        known |= _named(kind, config)
+    if name not in known:
+        close = get_close_matches(name, known, 1)
+        there = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(sorted(known)) or 'none'}"
+        raise NotFound(f"scope {scope!r}: no configuration has {name!r}; {there}")
+
+
+def _named(kind: str, config: Config) -> set[str]:
+    """What one configuration has of a kind, in whatever mode."""
+    if kind == "region":
+        return set(config.regions)
+    views: list[Config | Mode | Module] = [config, *config.modes.values(), *config.modules.values()]
+    return {name for view in views for name in (view.registers if kind == "registers" else view.memories)}
 
 
 def _checked_seconds(seconds: float) -> float:
