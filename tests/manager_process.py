@@ -39,10 +39,18 @@ def until(condition: Callable[[], _T], timeout: float = 20.0) -> _T:
     raise AssertionError("the condition did not come true in time")
 
 
+def _as_a_service() -> None:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup(1)
+
+
 class Manager:
     """A `cm serve` process."""
 
-    def __init__(self, runtime: Path, *arguments: str, env: dict[str, str] | None = None) -> None:
+    def __init__(
+        self, runtime: Path, *arguments: str, env: dict[str, str] | None = None, service: bool = False
+    ) -> None:
+        """`service`: without a terminal, and with signals as a service manager leaves them."""
+        self.service = service
         self.runtime = runtime
         self.arguments = arguments
         self.env = env or environment()
@@ -51,7 +59,8 @@ class Manager:
 
     def start(self) -> Manager:
         command = child.command("cm.cli.main", "serve", "--runtime-dir", str(self.runtime), *self.arguments)
-        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=self.env, cwd="/")
+        options = {"start_new_session": True, "preexec_fn": _as_a_service} if self.service else {}
+        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=self.env, cwd="/", **options)  # type: ignore[call-overload]
         assert self.process.stderr is not None
         self.log = b""
         while b"ready at" not in self.log:

@@ -61,7 +61,7 @@ class Service:
             "WATCHDOG_USEC": str(watchdog_ms * 1000),
         }
         arguments = ("--settings", str(settings), "--root", str(board))
-        self.manager = Manager(folder / "run", *arguments, env=env)
+        self.manager = Manager(folder / "run", *arguments, env=env, service=True)
 
     def keygen(self, client: str) -> None:
         command = [sys.executable, "-m", "cm.cli.main", "keygen", str(self.keys), client]
