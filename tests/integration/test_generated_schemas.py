@@ -20,9 +20,9 @@ from build_support import NAMES, copy_examples, generated
 
 
 @contextlib.contextmanager
-def running(config: Path) -> Iterator[cm.Board]:
-    """A client of a manager on a board that has these configurations."""
-    with short_folder() as folder, SimBoard([config], root=folder / "board") as sim:
+def running(config: Path, *arguments: str) -> Iterator[cm.Board]:
+    """A client of a manager on a board that has these configurations; `arguments` are the simulator's."""
+    with short_folder() as folder, SimBoard([config], root=folder / "board", arguments=arguments) as sim:
         state = str(folder / "state")
         manager = Manager(folder / "run", "--config", str(config), "--root", str(sim.root), "--state-dir", state)
         manager.start()
@@ -44,6 +44,16 @@ def test_every_mode_of_a_generated_schema_can_be_entered(name: str, tmp_path: Pa
             assert board.mode == mode
             values = design.project.modes[mode].registers
             assert {register: board.registers[register] for register in values} == dict(values)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_modules_are_not_loaded_into_another_static_part(name: str, tmp_path: Path) -> None:
+    _, out = generated(copy_examples(tmp_path), name)
+    with running(out / "config", "--static-identity", "0x1234") as board:
+        with pytest.raises(cm.CmError, match=r"expected 0x[0-9a-f]+, the board has 0x1234") as refused:
+            board.load(name)
+        assert refused.value.code == "wrong_static"
+        assert not any(region.module for region in board.status.regions)
 
 
 def test_frames_come_through_every_mode_of_the_generated_camera(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from cm.sim.hardware import models
 LINE, LINES = 16, 12
 CONTROL, WINDOW = 0x4000_0000, 0x4001_0000
 IRQ_STATUS, IRQ_ENABLE = CONTROL + 0x08, CONTROL + 0x0C
+STATIC_ID = CONTROL + 0x1C
 DECOUPLE, RESET, STATUS, IDENTITY = (CONTROL + 0x100 + offset for offset in (0, 4, 8, 12))
 MODULE = os.environ.get("CM_MODULE", "edge")
 
@@ -128,6 +129,17 @@ async def addresses_outside_every_window_are_refused(dut: object) -> None:
         assert await board.write(address, 1) == AxiResp.DECERR
     assert (await board.read(CONTROL))[0] == 0x434D3031
     assert (await board.read(CONTROL + 4))[0] == 0x0101
+    board.check()
+
+
+@cocotb.test()
+async def the_static_part_says_which_one_it_is_whatever_is_written_there(dut: object) -> None:
+    board = Board(dut)
+    await board.start()
+    want = int(os.environ["CM_STATIC_ID"])
+    assert await board.read(STATIC_ID) == (want, AxiResp.OKAY)
+    assert await board.write(STATIC_ID, ~want & 0xFFFF_FFFF) == AxiResp.OKAY
+    assert await board.read(STATIC_ID) == (want, AxiResp.OKAY)
     board.check()
 
 

@@ -11,6 +11,7 @@ from conftest import HERE, needs
 from simulation import simulate
 
 from cm.build.generate.tree import Design
+from cm.schema import load
 
 pytestmark = [needs("iverilog"), pytest.mark.timeout(600)]
 MODELS = sorted((HERE / "models").glob("*.v"))
@@ -34,9 +35,11 @@ def test_a_module_works_in_its_region(module: str, camera: tuple[Design, Path], 
     design, out = camera
     one = design.system.implementation(module, "prr0")
     sources = [*static_sources(out), out / f"wrappers/{module}/cm_region_prr0.v", *one.module.sources]
-    environment = {"CM_MODULE": module, "CM_IDENTITY": str(one.identity)}
+    static = load(out / "config/camera.yaml").static
+    assert static is not None
+    environment = {"CM_MODULE": module, "CM_IDENTITY": str(one.identity), "CM_STATIC_ID": str(static.identity)}
     ran = simulate("cm_static", sources, "cocotb_static_part", tmp_path, **environment)
-    assert len(ran) == (9 if module == "edge" else 8)
+    assert len(ran) == (10 if module == "edge" else 9)
 
 
 def test_garbage_of_a_region_is_kept_from_the_static_part(camera: tuple[Design, Path], tmp_path: Path) -> None:

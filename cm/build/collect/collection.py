@@ -16,7 +16,9 @@ from cm.build.collect.foreign import their_config
 from cm.build.collect.images import Image, check_images, check_regions, footprint, read_images, to_bin
 from cm.build.collect.layout import archive, write_folder
 from cm.build.collect.overlays import compile_overlays
+from cm.build.collect.static import check_generated, user_id_of
 from cm.build.errors import BuildError
+from cm.build.generate.outputs import identified
 from cm.build.plan.system import System
 from cm.build.runtime.answers import Answers
 from cm.build.runtime.schema import runtime_config
@@ -63,6 +65,8 @@ def collect(paths: Iterable[Path], name: str | None = None) -> Collected:
 
 def collect_ours(paths: Iterable[Path], system: System, answers: Answers, generated: Path) -> Collected:
     """The configuration that `system`'s flow produced; `generated` is its output folder (for the overlays)."""
+    system = identified(system)
+    check_generated(system, generated)
     with tempfile.TemporaryDirectory() as work:
         inputs = gather(paths, Path(work))
         check_images(inputs.images, system.device)
@@ -84,15 +88,19 @@ def _our_config(inputs: Inputs, system: System, answers: Answers, generated: Pat
         groups[one.region.name].append(image)
     notes = check_regions(groups)
     files = {f"{one.name}.bin": to_bin(images[one.name]) for one in system.implementations}
-    config = _with_images(runtime_config(system, answers), files, groups)
     full = images.get(system.project.name)
+    mine = [images[one.name] for one in system.implementations] + ([full] if full else [])
+    user_id, said = user_id_of(mine, generated)
+    config = _with_images(runtime_config(system, answers), files, groups)
+    if config.static is not None:
+        config = replace(config, static=replace(config.static, user_id=user_id))
     if full is not None:
         files[f"{config.name}_full.bin"] = to_bin(full)
     sources = {path.stem: path.read_text(encoding="utf-8") for path in sorted((generated / "dts").glob("*.dtso"))}
     overlays, more = compile_overlays(sources)
     files |= overlays
     files[f"{config.name}.yaml"] = (_HEAD + runtime_text(system, config) + "\n").encode()
-    return Collected(config, files, (*notes, *more))
+    return Collected(config, files, (*notes, *said, *more))
 
 
 def _with_images(config: Config, files: Mapping[str, bytes], groups: Mapping[str, list[Image]]) -> Config:

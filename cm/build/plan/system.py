@@ -175,6 +175,7 @@ class System:
     runs: tuple[Mapping[str, str], ...]  # region → implementation's name; the first is the initial one
     cover: Cover
     notes: tuple[str, ...] = ()
+    static_identity: int = 0  # what the control register STATIC_ID reads; 0: not computed
 
     @property
     def dmas(self) -> tuple[Dma, ...]:

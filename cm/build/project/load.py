@@ -166,6 +166,7 @@ class _Builder:
             libraries=self._libraries(spec, ("static",)),
             registers=_registers(spec),
             coherent=bool(spec.get("coherent")),
+            revision=str(spec.get("revision", "")),
         )
 
     def _libraries(self, spec: dict[str, Any], where: KeyPath) -> dict[str, tuple[Path, ...]]:

@@ -187,6 +187,7 @@ class StaticSpec:
     constraints: tuple[Path, ...] = ()
     registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
     coherent: bool = False
+    revision: str = ""  # goes into the identity
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,7 @@
 //   0x014 ICAP       ro   [0] and [2] last load ended, [1] error: DONE and EOS where AXI HWICAP
 //                         (PG134) has them, so that one driver reads either
 //   0x018 ICAP_WORDS ro   words of the running or last load
+//   0x01C STATIC_ID  ro   which static part this is: a hash of what it was generated from
 // and for region n at 0x100 + 0x10 * n, so that a driver can own one region's register:
 //   +0x0 DECOUPLE    rw   [0] cut the region off
 //   +0x4 RESET       rw   [0] hold its module in reset
@@ -20,7 +21,8 @@
 module cm_control #(
     parameter REGIONS = 1,     // 1 to 32
     parameter IRQS = 1,        // 1 to 32
-    parameter [IRQS-1:0] IRQ_EDGE = 0
+    parameter [IRQS-1:0] IRQ_EDGE = 0,
+    parameter [31:0] STATIC_ID = 32'd0
 ) (
     input  wire                  clk,
     input  wire                  resetn,
@@ -110,6 +112,7 @@ module cm_control #(
             10'h004: value[IRQS-1:0] = irq_raw;
             10'h005: value[2:0] = {icap_status[0], icap_status};
             10'h006: value = icap_words;
+            10'h007: value = STATIC_ID;
             default:
                 for (i = 0; i < REGIONS; i = i + 1) begin
                     if (raddr == region_word(i[7:0], 2'd0)) value[0] = decouple[i];

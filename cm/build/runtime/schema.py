@@ -28,6 +28,7 @@ from cm.schema.model import (
     Overlay,
     Region,
     Register,
+    StaticIdentity,
     Stream,
 )
 from cm.schema.problems import did_you_mean
@@ -36,6 +37,7 @@ REGION_BLOCK = 0x100  # of cm_control.v
 REGION_STRIDE = 0x10
 IDENTITY = 0xC
 IRQ_STATUS, IRQ_ENABLE = 0x08, 0x0C
+STATIC_ID = 0x1C
 
 
 def runtime_config(system: System, answers: Answers) -> Config:
@@ -57,7 +59,14 @@ def runtime_config(system: System, answers: Answers) -> Config:
         interrupts={line.name: _interrupt(system, line.name, line.bit) for line in system.lines},
         clocks={c.name: Clock(c.name, c.rate, c.doc, float(c.tolerance)) for c in project.clocks.values()},
         doc=project.doc,
+        static=_static(system),
     )
+
+
+def _static(system: System) -> StaticIdentity | None:
+    if not system.static_identity:
+        return None
+    return StaticIdentity(system.static_identity, system.control.base, STATIC_ID)
 
 
 def register_base(source: Path, region: RegionPlan, module: ModuleSpec) -> int:

@@ -26,6 +26,7 @@ from cm.sim.hardware.regions import RegionSpec
 from cm.sim.hardware.windows import WindowSpec, windows_of
 
 STATIC = "static"
+_STATIC = "static:"  # of names of registers; no schema can use the colon
 DEFAULT_DEVICE = "xc7z020"
 _SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]*")
 
@@ -84,6 +85,16 @@ class BoardSpec:
             configs=given,
             memories=memories,
         )
+
+    def with_static(self, identity: int) -> BoardSpec:
+        """The same board with another static part, which answers `identity`; SimError where it cannot say so."""
+        places = [register for register in self.registers if register.name.startswith(_STATIC)]
+        if not places:
+            raise SimError("no configuration says in which register the static part has its identity")
+        if not all(0 <= identity < 1 << register.width for register in places):
+            raise SimError(f"{identity:#x} does not fit the identity register of the static part")
+        registers = (replace(one, reset=identity) if one in places else one for one in self.registers)
+        return replace(self, registers=tuple(registers))
 
 
 def _device(configs: Iterable[Config]) -> Device:
@@ -182,7 +193,7 @@ def _static_identities(configs: Iterable[Config]) -> Iterator[Register]:
             continue
         if (address := static.base_address + static.offset) not in places:
             places.add(address)
-            name = f"static:{address:#x}"  # no schema can use the colon
+            name = f"{_STATIC}{address:#x}"
             yield Register(
                 name, static.base_address, static.offset, static.width, Access.RO, reset=static.identity, volatile=True
             )

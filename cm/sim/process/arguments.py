@@ -39,6 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="no scatter/gather, a length register of so many bits (14); blind: lengths are not told")  # fmt: skip
     add("--non-coherent", action="store_true",
         help="DMA memory that has to be synchronised (docs/simulator.md)")  # fmt: skip
+    add("--static-identity", type=lambda text: int(text, 0), metavar="VALUE",
+        help="the static part says that it is this one (default: the one that the configurations expect)")  # fmt: skip
     add("--seed", type=int, default=1, help="of the garbage")
     add("--models", action="append", default=[], metavar="MODULE", help="module or .py file with a mapping MODELS")
     add("--linger", type=float, metavar="SECONDS",

@@ -41,6 +41,8 @@ def run(args: argparse.Namespace) -> int:
     try:
         configs, models = _configs(args.config), _models(args.models)
         spec, options = BoardSpec.from_configs(configs), _options(args)
+        if args.static_identity is not None:
+            spec = spec.with_static(args.static_identity)
         root = Root(args.root)
     except CmError as error:
         print(f"cm sim: {error}", file=sys.stderr)

@@ -76,6 +76,7 @@ def _control(net: Netlist, system: System) -> None:
     connections["irq"] = net.port("irq", OUT)
     edges = "".join("1" if line.edge else "0" for line in reversed(system.lines)) or "0"
     parameters = {"REGIONS": count, "IRQS": max(1, lines), "IRQ_EDGE": f"{max(1, lines)}'b{edges}"}
+    parameters["STATIC_ID"] = f"32'h{system.static_identity:08X}"
     net.instance("cm_control", "control", connections, parameters, "Control registers")
     net.unused += [f"{entry.clock}_{signal}" for entry in system.domains for signal in SHARED if signal[0] == "a"]
 

@@ -183,7 +183,8 @@ module cm_static (
     cm_control #(
         .REGIONS(1),
         .IRQS(1),
-        .IRQ_EDGE(1'b1)
+        .IRQ_EDGE(1'b1),
+        .STATIC_ID(32'h58C90C2A)
     ) control (
         .clk(clk_fclk0),
         .resetn(resetn_fclk0),

@@ -79,6 +79,21 @@ proc cm_file {what args} {
     return [lindex $found 0]
 }
 
+# USERID of the bitstreams of all runs: the first 32 bits of the SHA-256 of the locked static part that they
+# share. 0xFFFFFFFF is what Vivado writes where none was set. The program is the system's, not Vivado's libraries'.
+proc cm_user_id {} {
+    set path [cm_file "checkpoint of the locked static part" checkpoints/static_routed.dcp]
+    set said [exec env -u LD_LIBRARY_PATH sha256sum $path]
+    if {![regexp {^[0-9a-f]{64}} $said digest]} {
+        error "sha256sum says of $path: $said"
+    }
+    set id [string toupper [string range $digest 0 7]]
+    if {$id eq "FFFFFFFF"} {
+        set id FFFFFFFE
+    }
+    return 0x$id
+}
+
 # A place and route run of the design in memory. A design that misses timing (setup, hold or pulse
 # width) is an error, and so is one that breaks a design rule: write_bitstream would refuse it later.
 proc cm_implement {name} {

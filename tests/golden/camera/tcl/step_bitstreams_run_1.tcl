@@ -9,6 +9,7 @@ cm_begin bitstreams_run_1
 open_checkpoint checkpoints/run_1.dcp
 set_property BITSTREAM.GENERAL.COMPRESS TRUE [current_design]
 set_property BITSTREAM.GENERAL.CRC ENABLE [current_design]
+set_property BITSTREAM.CONFIG.USERID [cm_user_id] [current_design]
 write_bitstream -force -no_partial_bitfile bitstreams/camera.bit
 write_bitstream -force -cell static_part/prr0 bitstreams/default.bit
 # bits stay as they are: cm_icap.v swaps them on their way to the port

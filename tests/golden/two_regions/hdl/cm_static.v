@@ -323,7 +323,8 @@ module cm_static (
     cm_control #(
         .REGIONS(2),
         .IRQS(1),
-        .IRQ_EDGE(1'b1)
+        .IRQ_EDGE(1'b1),
+        .STATIC_ID(32'h5808092A)
     ) control (
         .clk(clk_pl_clk0),
         .resetn(resetn_pl_clk0),

@@ -9,6 +9,7 @@ cm_begin bitstreams_run_3
 open_checkpoint checkpoints/run_3.dcp
 set_property BITSTREAM.GENERAL.COMPRESS TRUE [current_design]
 set_property BITSTREAM.GENERAL.CRC ENABLE [current_design]
+set_property BITSTREAM.CONFIG.USERID [cm_user_id] [current_design]
 write_bitstream -force -cell static_part/filter bitstreams/edge.bit
 write_bitstream -force -cell static_part/correction bitstreams/invert.bit
 # bits stay as they are: cm_icap.v swaps them on their way to the port
