@@ -101,7 +101,8 @@ int cm_node_probe(const char *root, const char *path)
 	return result;
 }
 
-struct cm_node *cm_node_open(const char *root, const char *path)
+/* A node without a device yet. */
+static struct cm_node *make_node(void)
 {
 	struct cm_node *node = calloc(1, sizeof(*node));
 
@@ -112,7 +113,51 @@ struct cm_node *cm_node_open(const char *root, const char *path)
 	pthread_mutex_init(&node->lock, NULL);
 	pthread_rwlock_init(&node->users, NULL);
 	node->wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
-	if (node->wake_fd < 0 || open_under(node, root, path)) {
+	if (node->wake_fd < 0) {
+		cm_node_close(node);
+		return NULL;
+	}
+	return node;
+}
+
+struct cm_node *cm_node_open(const char *root, const char *path)
+{
+	struct cm_node *node = make_node();
+
+	if (node && open_under(node, root, path)) {
+		cm_node_close(node);
+		return NULL;
+	}
+	return node;
+}
+
+static int adopt(struct cm_node *node, int fd)
+{
+	struct stat st;
+
+	node->fd = fd;
+	if (fstat(fd, &st))
+		return -1;
+	if (!S_ISSOCK(st.st_mode)) {
+		node->event_fd = fd;
+		return 0;
+	}
+	node->simulated = true;
+	return cm_path_limit(fd, answer_timeout_ms()) ? -1 : greet(node);
+}
+
+struct cm_node *cm_node_adopt(int fd)
+{
+	struct cm_node *node = make_node();
+
+	if (!node) {
+		int error = errno;
+
+		close(fd);
+		errno = error;
+		return NULL;
+	}
+	if (adopt(node, fd)) {
 		cm_node_close(node);
 		return NULL;
 	}

@@ -53,6 +53,14 @@ enum cm_node_fd {
 struct cm_node *cm_node_open(const char *root, const char *path);
 
 /**
+ * cm_node_adopt() - a node of a descriptor that a request of another brought
+ * @fd: such as a line of a GPIO chip; the node's from now on, also where this fails
+ *
+ * On a simulated board it is a connection, whose first packet is its greeting.
+ */
+struct cm_node *cm_node_adopt(int fd);
+
+/**
  * cm_node_probe() - knock at a simulated node without waiting
  *
  * Returns a descriptor that polls readable when the node answers, or nobody serves

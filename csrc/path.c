@@ -60,7 +60,7 @@ static int connect_to(int sock, const struct sockaddr_un *address)
 	return result;
 }
 
-static int limit(int sock, int timeout_ms)
+int cm_path_limit(int sock, int timeout_ms)
 {
 	struct timeval time = { .tv_sec = timeout_ms / 1000, .tv_usec = timeout_ms % 1000 * 1000 };
 
@@ -77,7 +77,7 @@ int cm_path_connect(int path_fd, int timeout_ms)
 	if (sock < 0)
 		return -1;
 	snprintf(address.sun_path, sizeof(address.sun_path), "/proc/self/fd/%d", path_fd);
-	if ((timeout_ms > 0 && limit(sock, timeout_ms)) || connect_to(sock, &address)) {
+	if ((timeout_ms > 0 && cm_path_limit(sock, timeout_ms)) || connect_to(sock, &address)) {
 		int error = errno;
 
 		close(sock);

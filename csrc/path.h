@@ -27,6 +27,9 @@ int cm_path_reopen(int path_fd, int flags);
  */
 int cm_path_connect(int path_fd, int timeout_ms);
 
+/* No call on @sock waits longer than this. */
+int cm_path_limit(int sock, int timeout_ms);
+
 #define CM_PATH_NO_WAIT (-1) /* nor does the connecting */
 
 /* Text of a short plain file into @text, without the end of line; -1 with errno. */

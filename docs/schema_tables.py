@@ -17,6 +17,7 @@ SECTIONS = {
     "static_identity": "static",
     "region": "regions.NAME",
     "decoupler": "regions.NAME.decoupler",
+    "gpio_line": "regions.NAME.decoupler.gpio",
     "isolation_step": "regions.NAME.decoupler.sequence[]",
     "identity": "regions.NAME.identity",
     "frames": "regions.NAME.footprint[]",

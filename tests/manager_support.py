@@ -14,7 +14,7 @@ from typing import Any
 
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles
-from cm.device import DeviceError, PlClock, PlClocks, Root
+from cm.device import DeviceError, GpioLine, PlClock, PlClocks, Root
 from cm.manager.manager import Environment, Manager, Settings
 from cm.manager.ports import Window
 from cm.manager.state.journal import Journal
@@ -132,6 +132,23 @@ class WatchedClock:
         self._inner.enabled = on
 
 
+class WatchedLine:
+    """A line whose every access is an operation."""
+
+    def __init__(self, inner: GpioLine, fault: Fault) -> None:
+        self._inner, self._fault = inner, fault
+
+    @property
+    def value(self) -> int:
+        self._fault.step("gpio.read")
+        return self._inner.value
+
+    @value.setter
+    def value(self, value: int) -> None:
+        self._fault.step("gpio.drive")
+        self._inner.value = value
+
+
 class FaultyDevices:
     """The devices of a board, every operation of which may fail."""
 
@@ -151,6 +168,10 @@ class FaultyDevices:
 
     def fpga_manager(self, name: str | None) -> Any:
         return Watched(self._inner.fpga_manager(name), self._fault, "fpga_manager", ("load",))
+
+    def gpio(self, chip: str, line: int) -> Any:
+        self._fault.step("gpio.open")
+        return WatchedLine(self._inner.gpio(chip, line), self._fault)
 
     def clocks(self) -> Any:
         return WatchedClocks(self._inner.clocks(), self._fault)

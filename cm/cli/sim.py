@@ -22,6 +22,7 @@ _FAULTS = """faults (TARGET, VALUE):
   overlay_error    overlay             the next one cannot be applied
   fpga_manager_error                   the next load fails at its end
   register_stuck   register            writes are lost until cleared
+  gpio_stuck       LABEL:LINE          the line keeps its value until cleared
 """
 
 

@@ -22,6 +22,7 @@ from cm.device.errors import (
     DeviceUnsupported,
 )
 from cm.device.fpga_manager import FpgaManager, list_fpga_managers
+from cm.device.gpio import GpioChip, GpioLine, list_gpio
 from cm.device.icap import Icap, IcapCompletion, IcapErrors, IcapInfo, IcapState, IcapStatus, list_icap
 from cm.device.overlays import Overlays
 from cm.device.paths import Root
@@ -46,6 +47,8 @@ __all__ = [
     "DmaInfo",
     "DmaType",
     "FpgaManager",
+    "GpioChip",
+    "GpioLine",
     "Icap",
     "IcapCompletion",
     "IcapErrors",
@@ -62,6 +65,7 @@ __all__ = [
     "find_uio",
     "list_dma",
     "list_fpga_managers",
+    "list_gpio",
     "list_icap",
     "list_uio",
 ]

@@ -15,6 +15,11 @@ _ECC = "S_AXI_CTRL"  # a BRAM controller's registers
 _DEPTH = 8  # slices in a row
 _WIDEST = 1024  # bits of one input of a concatenation
 _GPIO_OUTPUTS = {"gpio_io_o": 0, "gpio2_io_o": 8}  # port → offset of its data register (PG144)
+# The processors' GPIO on pins to the PL, as Linux' drivers/gpio/gpio-zynq.c has it: label of the chip, lines of EMIO.
+_EMIO = {
+    ("processing_system7", "GPIO_O"): ("zynq_gpio", range(54, 118)),
+    ("zynq_ultra_ps_e", "emio_gpio_o"): ("zynqmp_gpio", range(78, 174)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +69,7 @@ class DmaChannel:
 
 @dataclass(frozen=True, slots=True)
 class DecouplerInfo:
-    """A DFX decoupler: the register bit that drives it (1 decouples), and the instances behind it."""
+    """A DFX decoupler: the register bit or GPIO line that drives it (1 decouples), and the instances behind it."""
 
     instance: str
     base: int | None  # None: driven by something that is no register of the PL
@@ -72,6 +77,8 @@ class DecouplerInfo:
     bit: int
     driver: str  # instance that drives it
     neighbours: frozenset[str]  # instances on either side of it
+    chip: str = ""  # label of the processor's GPIO chip whose `line` drives it
+    line: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,30 +186,36 @@ def decouplers(hwh: Hwh) -> tuple[DecouplerInfo, ...]:
 
 
 def _decoupler(hwh: Hwh, module: ModuleInstance) -> DecouplerInfo:
-    base, offset, bit, driver = _base(hwh, module.instance), 0, 0, module.instance  # PG375: bit 0 of register 0
-    if base is None:
-        driver, base, offset, bit = _gpio_bit(hwh, module.instance, "decouple")
-    return DecouplerInfo(module.instance, base, offset, bit, driver, frozenset(_neighbours(hwh, module)))
+    neighbours = frozenset(_neighbours(hwh, module))
+    base = _base(hwh, module.instance)
+    if base is not None:
+        return DecouplerInfo(module.instance, base, 0, 0, module.instance, neighbours)  # PG375: bit 0 of register 0
+    driver, output, bit = _source_bit(hwh, module.instance, "decouple")
+    found = hwh.modules.get(driver)
+    offset = _GPIO_OUTPUTS.get(output)
+    if found is not None and found.type == "axi_gpio" and offset is not None:
+        return DecouplerInfo(module.instance, _base(hwh, driver), offset, bit, driver, neighbours)
+    chip, lines = _EMIO.get((found.type, output), ("", range(0))) if found is not None else ("", range(0))
+    if bit < len(lines):
+        return DecouplerInfo(module.instance, None, 0, 0, driver, neighbours, chip, lines[bit])
+    return DecouplerInfo(module.instance, None, 0, 0, driver, neighbours)
 
 
-def _gpio_bit(hwh: Hwh, instance: str, port: str) -> tuple[str, int | None, int, int]:
-    """Follow an input through slices to the bit of an axi_gpio."""
+def _source_bit(hwh: Hwh, instance: str, port: str) -> tuple[str, str, int]:
+    """Follow an input through slices to what drives it: instance, port and bit of that; empty where nothing does."""
     bit = 0
     for _ in range(_DEPTH):
         module = hwh.modules.get(instance)
         ends = module.ports[port].connections if module is not None and port in module.ports else ()
         driver = hwh.modules.get(ends[0].instance) if ends else None
         if driver is None:
-            return (ends[0].instance if ends else ""), None, 0, 0
-        if driver.type in ("xlslice", "ilslice"):
-            ends_of = (driver.parameters.get(key, "0") for key in ("DIN_FROM", "DIN_TO"))
-            low = min(int(text) if text.isdecimal() else 0 for text in ends_of)
-            bit, instance, port = bit + low, driver.instance, "Din"
-            continue
-        offset = _GPIO_OUTPUTS.get(ends[0].port)
-        base = _base(hwh, driver.instance) if driver.type == "axi_gpio" and offset is not None else None
-        return driver.instance, base, offset or 0, bit
-    return "", None, 0, 0
+            return (ends[0].instance if ends else ""), "", 0
+        if driver.type not in ("xlslice", "ilslice"):
+            return driver.instance, ends[0].port, bit
+        ends_of = (driver.parameters.get(key, "0") for key in ("DIN_FROM", "DIN_TO"))
+        low = min(int(text) if text.isdecimal() else 0 for text in ends_of)
+        bit, instance, port = bit + low, driver.instance, "Din"
+    return "", "", 0
 
 
 def _neighbours(hwh: Hwh, decoupler: ModuleInstance) -> Iterator[str]:

@@ -24,6 +24,7 @@ from cm.schema.model import (
     ConfigType,
     Decoupler,
     FrameRange,
+    GpioLine,
     LoaderKind,
     Memory,
     Mode,
@@ -149,6 +150,8 @@ def _decoupler(slot: Slot, hwh: Hwh, notes: list[str]) -> Decoupler | None:
         notes.append(f"region {slot.name}: no decoupler found; it is loaded without being cut off")
         return None
     first = found[0]
+    if first.chip:
+        return Decoupler(gpio=GpioLine(first.chip, first.line))
     if first.base is None:
         notes.append(
             f"region {slot.name}: decoupler {first.instance} is driven by {first.driver or 'something else'}, not by a"

@@ -184,6 +184,12 @@ class PlClock(Protocol):
         """What it would run at if it were set to `hertz`; None where that cannot be asked."""
 
 
+class OutputLine(Protocol):
+    """A line that the processor drives. Raises DeviceError."""
+
+    value: int  # 0 or 1; setting it makes the line an output
+
+
 class Clocks(Protocol):
     """The clocks of a board. All raise DeviceError."""
 
@@ -211,6 +217,9 @@ class Devices(Protocol):
 
     def overlays(self) -> OverlayFolder:
         """The device-tree overlays."""
+
+    def gpio(self, chip: str, line: int) -> OutputLine:
+        """A line of a GPIO chip, by the chip's label or name; held until `lost`. Raises DeviceError."""
 
     def clocks(self) -> Clocks:
         """The clocks of the processing system for the PL."""

@@ -22,6 +22,7 @@ from cm.schema.model import (
     Decoupler,
     Direction,
     FrameRange,
+    GpioLine,
     Identity,
     Interrupt,
     IsolationStep,
@@ -42,7 +43,7 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
     """The configuration of `data`, the value of the file's ``config``."""
     top: KeyPath = ("config",)
     kind = ConfigType(data.get("type", "partial"))
-    regions = _regions(data, kind)
+    regions = _regions(data, kind, context)
     streams = _streams(data.get("streams", {}), {}, (*top, "streams"), context)
     modules = _modules(data.get("modules", {}), regions, context)
     modes = data.get("modes", {})
@@ -84,16 +85,33 @@ def default_region(modules: Iterable[str], known: Mapping[str, Module]) -> str |
     return regions.pop() if len(regions) == 1 else None
 
 
-def _regions(data: dict[str, Any], kind: ConfigType) -> dict[str, Region]:
-    regions = {name: _region(name, values) for name, values in data.get("regions", {}).items()}
+def _regions(data: dict[str, Any], kind: ConfigType, context: Context) -> dict[str, Region]:
+    regions = {name: _region(name, values, context) for name, values in data.get("regions", {}).items()}
     if not regions and (kind is ConfigType.PARTIAL or data.get("modules")):
         return {IMPLIED_REGION: Region(IMPLIED_REGION)}
     return regions
 
 
-def _decoupler(values: dict[str, Any]) -> Decoupler:
-    own = _integers({key: value for key, value in values.items() if key != "sequence"})
-    return Decoupler(**own, sequence=tuple(_isolation(step) for step in values.get("sequence", ())))
+_OF_REGISTERS = ("base_address", "offset", "bit", "width", "sequence")
+
+
+def _decoupler(values: dict[str, Any], path: KeyPath, context: Context) -> Decoupler:
+    _check_kind(values, path, context)
+    own = _integers({key: value for key, value in values.items() if key not in ("sequence", "gpio")})
+    line = GpioLine(values["gpio"]["chip"], int(values["gpio"]["line"])) if "gpio" in values else None
+    return Decoupler(**own, sequence=tuple(_isolation(step) for step in values.get("sequence", ())), gpio=line)
+
+
+def _check_kind(values: dict[str, Any], path: KeyPath, context: Context) -> None:
+    """Registers or a line: which keys there have to be depends on it."""
+    if "gpio" in values:
+        for key in sorted(values.keys() & set(_OF_REGISTERS)):
+            message = f"{key} is of a register, and the decoupler is a GPIO line"
+            context.report((*path, key), "value_range", message, "give registers or gpio, not both")
+        return
+    for key in ("base_address", "offset"):
+        if key not in values:
+            context.report(path, "missing_key", f"{key} is missing", "the register, or in place of it gpio")
 
 
 def _isolation(values: dict[str, Any]) -> IsolationStep:
@@ -101,12 +119,13 @@ def _isolation(values: dict[str, Any]) -> IsolationStep:
     return IsolationStep(**numbers, timeout=float(values.get("timeout", 1)))
 
 
-def _region(name: str, values: dict[str, Any]) -> Region:
+def _region(name: str, values: dict[str, Any], context: Context) -> Region:
+    path: KeyPath = ("config", "regions", name)
     return Region(
         name=name,
         loader=LoaderKind(values.get("loader", "icap")),
         loader_name=values.get("loader_name"),
-        decoupler=_decoupler(values["decoupler"]) if "decoupler" in values else None,
+        decoupler=_decoupler(values["decoupler"], (*path, "decoupler"), context) if "decoupler" in values else None,
         footprint=tuple(_frames(_integers(frames)) for frames in values.get("footprint", ())),
         identity=Identity(**_integers(values["identity"])) if "identity" in values else None,
         timeout=_float(values.get("timeout")),

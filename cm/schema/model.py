@@ -152,19 +152,33 @@ class IsolationStep:
 
 
 @dataclass(frozen=True, slots=True)
-class Decoupler:
-    """What cuts a region off while it is loaded: a bit (PG375 DFX decoupler, or an own register), or a `sequence`."""
+class GpioLine:
+    """A line of a GPIO chip of the kernel; `chip` is its label (``zynq_gpio``) or its name (``gpiochip0``)."""
 
-    base_address: int
-    offset: int
+    chip: str
+    line: int  # its offset in the chip
+
+
+@dataclass(frozen=True, slots=True)
+class Decoupler:
+    """What cuts a region off while it is loaded.
+
+    A bit (PG375 DFX decoupler, or an own register), a `sequence`, or a line that the processor drives (`gpio`).
+    """
+
+    base_address: int = 0
+    offset: int = 0
     bit: int = 0
     width: int = 32
     active_high: bool = True
     sequence: tuple[IsolationStep, ...] = ()  # in place of the bit
+    gpio: GpioLine | None = None  # in place of registers
 
     @property
     def size(self) -> int:
-        """Bytes of registers that belong to it."""
+        """Bytes of registers that belong to it; 0 for a GPIO line."""
+        if self.gpio is not None:
+            return 0
         return max((step.offset for step in self.sequence), default=0) + self.width // 8
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields
 
 from cm.schema.context import IMAGE_KEYS, STATIC, Context
-from cm.schema.model import Config, ConfigType, Decoupler, Mode, Overlay, Region, StaticIdentity, Stream
+from cm.schema.model import Config, ConfigType, Decoupler, GpioLine, Mode, Overlay, Region, StaticIdentity, Stream
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.rules_interrupts import check_interrupts
 from cm.schema.rules_memories import check_memories
@@ -68,7 +68,7 @@ def _check_static(static: StaticIdentity, context: Context) -> None:
 
 
 def _check_regions(regions: Mapping[str, Region], context: Context) -> None:
-    decouplers: dict[tuple[int, int], str] = {}
+    decouplers: dict[tuple[int, int] | GpioLine, str] = {}
     identities: dict[int, str] = {}
     for name, region in regions.items():
         path: KeyPath = (*_TOP, "regions", name)
@@ -77,8 +77,10 @@ def _check_regions(regions: Mapping[str, Region], context: Context) -> None:
         _check_footprint(region, path, context)
         if (cut := region.decoupler) is not None:
             _check_decoupler(cut, (*path, "decoupler"), context)
-            other = decouplers.setdefault((cut.base_address + cut.offset, cut.bit), name)
-            _report_shared("decoupler bit", other, name, (*path, "decoupler"), context)
+            other = decouplers.setdefault(cut.gpio or (cut.base_address + cut.offset, cut.bit), name)
+            _report_shared(
+                "decoupler line" if cut.gpio else "decoupler bit", other, name, (*path, "decoupler"), context
+            )
         if (ident := region.identity) is not None:
             address = ident.base_address + ident.offset
             _check_aligned(address, ident.width, (*path, "identity", "offset"), context)

@@ -139,7 +139,7 @@ class _Places:
         """Registers by which the manager changes regions."""
         for name, region in self._config.regions.items():
             for key, part in (("decoupler", region.decoupler), ("identity", region.identity)):
-                if part is not None:
+                if part is not None and part.size:
                     start = part.base_address + part.offset
                     what = f"the {key} of region {name}"
                     yield _Span(start, start + part.size, what, ("config", "regions", name, key))

@@ -11,7 +11,7 @@ from typing import Any
 
 from cm.schema.build import default_region
 from cm.schema.context import IMAGE_KEYS, STATIC
-from cm.schema.model import BitField, Config, Memory, Mode, Module, Overlay, Region, Register, Stream
+from cm.schema.model import BitField, Config, Decoupler, Memory, Mode, Module, Overlay, Region, Register, Stream
 from cm.schema.text import Hex, to_yaml
 
 _NAMES = {"minimum": "min", "maximum": "max"}
@@ -71,15 +71,24 @@ def _simple(thing: Any, *without: str) -> dict[str, Any]:
 def _region(region: Region) -> dict[str, Any]:
     data = _simple(region, "decoupler", "identity", "footprint")
     if region.decoupler is not None:
-        data["decoupler"] = _simple(region.decoupler, "sequence")
-        steps = [{"offset": Hex(x.offset), **_simple(x, "offset")} for x in region.decoupler.sequence]
-        _put(data["decoupler"], "sequence", steps)
+        data["decoupler"] = _decoupler(region.decoupler)
     if region.identity is not None:
         data["identity"] = _simple(region.identity)
     frames = [
         {"block_type": f.block_type, "row": f.row, "columns": [f.column_first, f.column_last]} for f in region.footprint
     ]
     _put(data, "footprint", frames)
+    return data
+
+
+def _decoupler(decoupler: Decoupler) -> dict[str, Any]:
+    if decoupler.gpio is not None:
+        line = {"chip": decoupler.gpio.chip, "line": decoupler.gpio.line}
+        return {"gpio": line, **_simple(decoupler, "gpio", "sequence", "base_address", "offset")}
+    # 0 is an address too
+    place = {"base_address": Hex(decoupler.base_address), "offset": Hex(decoupler.offset)}
+    data = {**place, **_simple(decoupler, "sequence", "gpio")}
+    _put(data, "sequence", [{"offset": Hex(x.offset), **_simple(x, "offset")} for x in decoupler.sequence])
     return data
 
 

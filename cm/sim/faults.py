@@ -19,8 +19,9 @@ KINDS: Mapping[str, str] = {
     "fpga_manager_error": "",
     "register_stuck": "register name; until cleared",
     "clock_stuck": "clock name; until cleared",
+    "gpio_stuck": "line as LABEL:LINE; until cleared",
 }
-STICKY = frozenset({"hang", "register_stuck", "clock_stuck"})
+STICKY = frozenset({"hang", "register_stuck", "clock_stuck", "gpio_stuck"})
 UNTIL_CLEARED = 0
 
 

@@ -15,6 +15,8 @@
  * request is a struct cm_node_request and the ioctl's structure; where an
  * ioctl takes a file descriptor it travels as SCM_RIGHTS, and so does one
  * that it returns.  The reply's structure is that of the ioctl, as filled in.
+ * A descriptor that stands for an open file of its own (a line of a GPIO chip)
+ * is a connection of this kind too, with its greeting under way.
  * The connection's end is close().  The client shuts down its writing side and
  * waits until the server has closed its own, so a server first releases what
  * the file held and then closes: as with a driver's release(), the node can be
@@ -29,7 +31,7 @@
 #define CM_NODE_PAYLOAD_MAX 65536
 
 #define CM_NODE_OP_OPEN 0u /* first reply only */
-/* any ioctl number of cm_dma.h and cm_icap.h is an op, and these: */
+/* any ioctl number of cm_dma.h, cm_icap.h and linux/gpio.h is an op, and these: */
 #define CM_NODE_OP_REG_READ 1u	 /* struct cm_node_reg */
 #define CM_NODE_OP_REG_WRITE 2u	 /* struct cm_node_reg */
 #define CM_NODE_OP_ATTR_READ 3u	 /* reply payload: the attribute's bytes */

@@ -88,7 +88,7 @@ def test_bitstreams_of_two_regions_are_told_apart(theirs: Path) -> None:
     (theirs / "pr_1_add.bit").write_bytes(partial("pr_1_add", index=1))
     found = collect([theirs])
     assert found.config.modules["pr_1_add"].region != found.config.modules["pr_0_add"].region
-    assert any("no register of the PL decouples it" in note for note in found.notes)
+    assert any("no register of the PL or GPIO line decouples it" in note for note in found.notes)
 
 
 def test_a_bitstream_for_another_device_is_refused(theirs: Path) -> None:

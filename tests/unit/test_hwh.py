@@ -168,6 +168,12 @@ def test_decoupler_is_followed_to_the_bit_of_a_gpio() -> None:
 def test_decoupler_on_a_pin_of_the_processor_has_no_register() -> None:
     (found,) = handoff.decouplers(decoupled_by("ps", "GPIO_O"))
     assert (found.driver, found.base) == ("ps", None)
+    assert (found.chip, found.line) == ("zynq_gpio", 57)
+
+
+def test_decoupler_on_another_pin_of_the_processor_has_no_line() -> None:
+    (found,) = handoff.decouplers(decoupled_by("ps", "SPI0_SS_O"))
+    assert (found.driver, found.base, found.chip) == ("ps", None, "")
 
 
 def test_decoupler_with_its_own_register_is_bit_zero_of_it() -> None:

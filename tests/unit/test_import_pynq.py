@@ -24,7 +24,7 @@ from cm.hwh import HwhError
 from cm.importers import Imported, ImportRefused, import_pynq, write
 from cm.schema import load
 from cm.schema.files import bitstream_path, overlay_path
-from cm.schema.model import Access, Config, ConfigType, Decoupler, Direction, FrameRange, LoaderKind
+from cm.schema.model import Access, Config, ConfigType, Decoupler, Direction, FrameRange, GpioLine, LoaderKind
 
 PS = "processing_system7"
 FILTER = described(
@@ -203,6 +203,18 @@ def test_decoupler_of_a_region_is_found(dfx: Path) -> None:
     imported = import_pynq(dfx)
     assert imported.configs[1].regions["pr_0"].decoupler == Decoupler(base_address=0x41200000, offset=0, bit=0)
     assert any("region prr2: no decoupler" in note for note in imported.notes)
+
+
+def test_decoupler_on_an_emio_pin_is_a_line_of_the_processors_gpio(dfx: Path) -> None:
+    handoff = dfx.with_suffix(".hwh")
+    wired = handoff.read_text(encoding="utf-8").replace(
+        'INSTANCE="gpio" PORT="gpio_io_o"', 'INSTANCE="ps" PORT="GPIO_O"'
+    )
+    assert 'PORT="GPIO_O"' in wired
+    handoff.write_text(wired, encoding="utf-8")
+    imported = import_pynq(dfx)
+    assert imported.configs[1].regions["pr_0"].decoupler == Decoupler(gpio=GpioLine("zynq_gpio", 54))
+    assert not any("region pr_0" in note and "cut off" in note for note in imported.notes)
 
 
 def test_registers_of_a_module_lie_in_its_regions_window(dfx: Path) -> None:

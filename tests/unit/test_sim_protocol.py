@@ -34,6 +34,10 @@ SIZES = {
     "struct cm_icap_load": p.ICAP_LOAD,
     "struct cm_icap_status": p.ICAP_STATUS,
     "struct cm_icap_completion": p.ICAP_COMPLETION,
+    "struct gpiochip_info": p.GPIO_CHIP_INFO,
+    "struct gpio_v2_line_request": p.GPIO_LINE_REQUEST,
+    "struct gpio_v2_line_config": p.GPIO_LINE_CONFIG,
+    "struct gpio_v2_line_values": p.GPIO_LINE_VALUES,
 }
 FIELDS = {
     "struct cm_node_reg": "map width offset value",
@@ -51,6 +55,12 @@ FIELDS = {
     "struct cm_icap_completion": "cookie length started_ns finished_ns status errors",
 }
 NUMBERS = {
+    "GPIO_GET_CHIPINFO_IOCTL": p.GPIO_CHIP_INFO_IOCTL,
+    "GPIO_V2_GET_LINE_IOCTL": p.GPIO_GET_LINE_IOCTL,
+    "GPIO_V2_LINE_SET_CONFIG_IOCTL": p.GPIO_SET_CONFIG_IOCTL,
+    "GPIO_V2_LINE_GET_VALUES_IOCTL": p.GPIO_GET_VALUES_IOCTL,
+    "GPIO_V2_LINE_FLAG_OUTPUT": p.GPIO_FLAG_OUTPUT,
+    "GPIO_V2_LINE_ATTR_ID_OUTPUT_VALUES": p.GPIO_ATTR_OUTPUT_VALUES,
     "CM_NODE_PAYLOAD_MAX": p.PAYLOAD_MAX,
     "CM_NODE_OP_REG_READ": p.OP_REG_READ,
     "CM_NODE_OP_REG_WRITE": p.OP_REG_WRITE,
@@ -95,7 +105,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, int]:
     lines = "".join(f'printf("%llu\\n", (unsigned long long)({expression}));\n' for expression in expressions)
     folder = tmp_path_factory.mktemp("uapi")
     source = folder / "print.c"
-    headers = "".join(f'#include "{name}"\n' for name in ("cm_node.h", "cm_dma.h", "cm_icap.h"))
+    headers = "".join(f'#include "{name}"\n' for name in ("cm_node.h", "cm_dma.h", "cm_icap.h", "linux/gpio.h"))
     source.write_text(f"#include <stdio.h>\n{headers}int main(void) {{\n{lines}return 0;\n}}\n")
     subprocess.run([compiler, "-I", str(UAPI), "-o", str(folder / "print"), str(source)], check=True)
     output = subprocess.run([folder / "print"], check=True, capture_output=True, text=True).stdout

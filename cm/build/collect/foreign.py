@@ -26,6 +26,7 @@ from cm.schema.model import (
     Config,
     ConfigType,
     Decoupler,
+    GpioLine,
     LoaderKind,
     Mode,
     Module,
@@ -95,7 +96,8 @@ def _partial(inputs: Inputs, name: str, static: Image | None, partial: list[Imag
             config = replace(config, static=StaticIdentity(user_id=static.report.user_id))
     bare = [region for region, found in regions.items() if not found.decoupler]
     notes += [
-        f"region {region}: no register of the PL decouples it: write decoupler: if there is one" for region in bare
+        f"region {region}: no register of the PL or GPIO line decouples it: write decoupler: if there is one"
+        for region in bare
     ]
     return _finish(inputs, config, files, notes)
 
@@ -144,16 +146,16 @@ def _region(name: str, images: list[Image], whole: hwh.Hwh | None, count: int) -
 
 
 def _decoupler(region: str, whole: hwh.Hwh | None, count: int) -> Decoupler | None:
-    found = [entry for entry in hwh.decouplers(whole) if entry.base is not None] if whole else []
+    found = [entry for entry in hwh.decouplers(whole) if entry.base is not None or entry.chip] if whole else []
     instance = _instance(region, whole, count)
     mine = [entry for entry in found if instance is not None and instance in entry.neighbours]
     if not mine and count == 1 and len(found) == 1:
         mine = found
-    bits = {(entry.base, entry.offset, entry.bit) for entry in mine}
+    bits = {(entry.base, entry.offset, entry.bit, entry.chip, entry.line) for entry in mine}
     if len(bits) != 1:
         return None
-    base, offset, bit = bits.pop()
-    return Decoupler(base, offset, bit) if base is not None else None
+    base, offset, bit, chip, line = bits.pop()
+    return Decoupler(gpio=GpioLine(chip, line)) if base is None else Decoupler(base, offset, bit)
 
 
 def _module(

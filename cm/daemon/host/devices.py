@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from cm.device import AxiDma, FpgaManager, Icap, Overlays, PlClocks, Root, Uio, find_uio
+from cm.device import AxiDma, FpgaManager, GpioLine, Icap, Overlays, PlClocks, Root, Uio, find_uio
 from cm.manager.ports import Window
 
 _BOOT_ID = "proc/sys/kernel/random/boot_id"
@@ -21,6 +21,7 @@ class BoardDevices:
         self._uios: dict[str, Uio] = {}
         self._windows: dict[tuple[int, int], Window] = {}
         self._icaps: dict[str, Icap] = {}
+        self._lines: dict[tuple[str, int], GpioLine] = {}
 
     @property
     def root(self) -> Path:
@@ -63,6 +64,14 @@ class BoardDevices:
                 found = self._icaps[name] = Icap.open(name, self._root)
             return found
 
+    def gpio(self, chip: str, line: int) -> GpioLine:
+        """A line of a GPIO chip, held until the board is lost: given back, it may change."""
+        with self._lock:
+            found = self._lines.get((chip, line))
+            if found is None:
+                found = self._lines[chip, line] = GpioLine.open(chip, line, self._root)
+            return found
+
     def fpga_manager(self, name: str | None) -> FpgaManager:
         """The kernel's FPGA manager: ``fpga0`` if no name is given."""
         return FpgaManager(int((name or "fpga0").removeprefix("fpga")), self._root)
@@ -98,3 +107,6 @@ class BoardDevices:
             for handle in self._icaps.values():
                 handle.close()
             self._icaps.clear()
+            for line in self._lines.values():
+                line.close()
+            self._lines.clear()

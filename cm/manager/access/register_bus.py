@@ -5,13 +5,12 @@ from __future__ import annotations
 
 import difflib
 import threading
-import time
 from collections.abc import Callable, Mapping
 
-from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister, VerifyFailed
+from cm.manager.errors import AccessDenied, OutOfRange, UnknownRegister
 from cm.manager.ports import Devices, Window
 from cm.messages.requests import RegWrite
-from cm.schema.model import Access, BitField, Decoupler, IsolationStep, Memory, Register
+from cm.schema.model import Access, BitField, GpioLine, Memory, Register
 
 _WO = Access.WO
 
@@ -134,6 +133,16 @@ class RegisterBus:
             window = self._devices.window(address, width)
             window.device.write(window.offset, value, width, window.map)
 
+    def read_line(self, line: GpioLine) -> int:
+        """0 or 1. Raises DeviceError."""
+        with self._lock:
+            return self._devices.gpio(line.chip, line.line).value
+
+    def drive_line(self, line: GpioLine, value: int) -> None:
+        """Make a line an output with this value. Raises DeviceError."""
+        with self._lock:
+            self._devices.gpio(line.chip, line.line).value = value
+
     def place(self, address: int, length: int) -> Window:
         """The window that has `length` bytes at a physical address. Raises DeviceNotFound."""
         with self._lock:
@@ -184,61 +193,3 @@ class RegisterBus:
             return value
         rest = (last or 0) if register.access is Access.WO else self.read_address(register.address, register.width)
         return (rest & ~mask) | value
-
-
-# ---- decouplers: what cuts a region off from the static part -----------------------------
-
-_BETWEEN = 0.001  # seconds between two looks at a register that is waited for
-
-
-def drive(registers: RegisterBus, decoupler: Decoupler, cut: bool) -> None:
-    """Cut a region off, or connect it: a region believed cut off must be, so what is written is read back.
-
-    Raises VerifyFailed, DeviceError; of a sequence some steps may have been taken then.
-    """
-    address = decoupler.base_address + decoupler.offset
-    for step in decoupler.sequence or (_of_bit(decoupler),):
-        value = step.cut if cut else step.couple
-        mask = (1 << decoupler.width) - 1 if step.mask is None else step.mask
-        if step.poll:
-            _await(registers, address + step.offset, decoupler.width, (value & mask, mask, step.timeout))
-        else:
-            _set(registers, address + step.offset, decoupler.width, (value & mask, mask, step.verify))
-
-
-def is_cut(registers: RegisterBus, decoupler: Decoupler) -> bool:
-    """Whether the region is cut off now; False where its registers cannot be read back. Raises DeviceError."""
-    address, all_bits = decoupler.base_address + decoupler.offset, (1 << decoupler.width) - 1
-    told = [step for step in decoupler.sequence or (_of_bit(decoupler),) if step.verify or step.poll]
-    for step in told:
-        mask = all_bits if step.mask is None else step.mask
-        if (registers.read_address(address + step.offset, decoupler.width) ^ step.cut) & mask:
-            return False
-    return bool(told)
-
-
-def _of_bit(decoupler: Decoupler) -> IsolationStep:
-    bit = 1 << decoupler.bit
-    cut, couple = (bit, 0) if decoupler.active_high else (0, bit)
-    return IsolationStep(0, cut, couple, mask=bit)
-
-
-def _set(registers: RegisterBus, address: int, width: int, wanted: tuple[int, int, bool]) -> None:
-    value, mask, verify = wanted
-    whole = mask == (1 << width) - 1
-    written = value if whole else registers.read_address(address, width) & ~mask | value
-    registers.write_address(address, width, written)
-    after = registers.read_address(address, width) if verify else written
-    if (after ^ written) & mask:
-        raise VerifyFailed(f"the decoupler at {address:#x} reads {after:#x} after {written:#x} (bits {mask:#x})")
-
-
-def _await(registers: RegisterBus, address: int, width: int, wanted: tuple[int, int, float]) -> None:
-    value, mask, timeout = wanted
-    until = time.monotonic() + timeout
-    while ((there := registers.read_address(address, width)) ^ value) & mask:
-        if time.monotonic() >= until:
-            raise VerifyFailed(
-                f"the decoupler at {address:#x} reads {there:#x} after {timeout:g} s, not {value:#x} (bits {mask:#x})"
-            )
-        time.sleep(_BETWEEN)

@@ -114,6 +114,6 @@ def _memories(memories: Iterable[Memory]) -> Iterator[_Span]:
 def _fixed(config: Config) -> Iterator[_Span]:
     for name, region in config.regions.items():
         for what, part, owner in (("decoupler", region.decoupler, None), ("identity", region.identity, name)):
-            if part is not None:
+            if part is not None and part.size:
                 start = part.base_address + part.offset
                 yield start, start + part.size, f"the {what} of region {name!r}", owner

@@ -25,7 +25,9 @@ class Bus:
         self._faults = faults
         self._show = Show(fabric)
         self._decouplers = [
-            _DecouplerBit(fabric, region) for region in fabric.regions.values() if region.spec.decoupler
+            _DecouplerBit(fabric, region)
+            for region in fabric.regions.values()
+            if region.spec.decoupler and region.spec.decoupler.size
         ]
 
     def read(self, window: Window, offset: int, width: int) -> int:

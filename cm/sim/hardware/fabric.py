@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from cm.schema.model import Access, Memory, Register
 from cm.sim.hardware.board import BoardSpec, ModuleSpec
 from cm.sim.hardware.cells import Area, Cell, Region, View, Window, same_place
+from cm.sim.hardware.lines import Chip, Lines
 from cm.sim.hardware.regions import RegionSpec
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ class Fabric:
         self.spec = spec
         self.regions = {name: Region(region) for name, region in spec.regions.items()}
         self.windows = [Window(window) for window in spec.windows]
+        self.lines = Lines(spec)
         self.changed: Callable[[], None] = lambda: None  # called when data may flow that did not
         self.answering: Callable[[Region], None] = lambda _: None  # called when a region answers, or does not any more
         self._by_name: dict[str, list[Cell]] = {}
@@ -86,10 +88,11 @@ class Fabric:
         self.changed()
 
     def reset(self) -> None:
-        """As after power-up or a full image: no modules, nothing decoupled, registers at reset."""
+        """As after power-up or a full image: no modules, decoupled by GPIO lines at most, registers at reset."""
         self._views.clear()
         for region in self.regions.values():
-            region.module, region.loading, region.decoupled = None, False, False
+            region.module, region.loading = None, False
+            region.decoupled = self.lines.cuts(region.spec.decoupler)
             self.answering(region)
         for window in self.windows:
             window.clear()
@@ -117,6 +120,13 @@ class Fabric:
             region.decoupled = decoupled
             self.answering(region)
             self.changed()
+
+    def drive_line(self, chip: Chip, line: int, value: int) -> None:
+        """The processor drives a line of a GPIO chip; regions may be decoupled by it."""
+        self.lines.set(chip, line, value)
+        for region in self.regions.values():
+            if region.spec.decoupler is not None and region.spec.decoupler.gpio is not None:
+                self.set_decoupled(region, self.lines.cuts(region.spec.decoupler))
 
     def _add(self, register: Register) -> None:
         window = self.window_at(register.address)
@@ -170,7 +180,7 @@ class Fabric:
     def _set_decoupler_bit(self, region: Region) -> None:
         """After a reset regions are connected: the registers of their decouplers say so."""
         decoupler = region.spec.decoupler
-        window = self.window_at(decoupler.base_address + decoupler.offset) if decoupler else None
+        window = self.window_at(decoupler.base_address + decoupler.offset) if decoupler and decoupler.size else None
         if decoupler is None or window is None:
             return
         at, length = decoupler.base_address + decoupler.offset - window.spec.address, decoupler.width // 8

@@ -48,7 +48,7 @@ def windows_of(
         need(memory.base_address, memory.offset + memory.size, memory.region)
     for region in regions:
         for part in (region.decoupler, region.identity):
-            if part is not None:
+            if part is not None and part.size:
                 need(part.base_address, part.offset + part.size, None if part is region.decoupler else region.name)
     lines = list(interrupts)
     for interrupt in lines:

@@ -30,6 +30,7 @@ from cm.sim.nodes.clocks import Clocks
 from cm.sim.nodes.control import ControlNode
 from cm.sim.nodes.dma import DmaNode
 from cm.sim.nodes.fpga_manager import FpgaManager
+from cm.sim.nodes.gpio import GpioChipNode
 from cm.sim.nodes.icap import IcapNode
 from cm.sim.nodes.overlays import Overlays
 from cm.sim.process.arguments import PCAP_RATE
@@ -96,6 +97,10 @@ class Machine:
         self.manager.serve(self.server)
         self.overlays.serve(self.server)
         self.clocks.serve(self.server)
+        for chip in self.fabric.lines.chips:
+            self.server.listen(
+                self.root.bind(f"dev/{chip.name}"), GpioChipNode(chip, self.fabric, self.faults, self.server)
+            )
         ControlNode(self).serve(self.server, self.root)
 
     def kick(self) -> None:

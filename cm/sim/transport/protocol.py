@@ -49,6 +49,14 @@ ICAP_LOAD = struct.Struct("<IIIIQQQ")  # size, flags, handle, reserved, offset, 
 ICAP_STATUS = struct.Struct("<IIIIQQQ")  # size, flags, state, errors, bytes_done, bytes_total, loads
 ICAP_COMPLETION = struct.Struct("<QQQQiI")  # cookie, length, started_ns, finished_ns, status, errors
 
+# linux/gpio.h, for one line: the fields that we use, the others skipped
+GPIO_CHIP_INFO = struct.Struct("<32s32sI")  # name, label, lines
+GPIO_LINE_REQUEST = struct.Struct("<I252x32sQ264xI24xi")  # offsets[0], consumer, config.flags, num_lines, fd
+GPIO_LINE_CONFIG = struct.Struct("<QI20xI4xQQ216x")  # flags, num_attrs; of the first attribute: id, values, mask
+GPIO_LINE_VALUES = struct.Struct("<QQ")  # bits, mask
+GPIO_FLAG_OUTPUT = 1 << 3
+GPIO_ATTR_OUTPUT_VALUES = 2
+
 _WRITE, _READ = 1, 2
 
 
@@ -74,6 +82,12 @@ ICAP_IOC_IMPORT = ioc(_RW, ICAP_MAGIC, 2, BUFFER_IMPORT.size)
 ICAP_IOC_FREE = ioc(_WRITE, ICAP_MAGIC, 3, BUFFER_FREE.size)
 ICAP_IOC_LOAD = ioc(_WRITE, ICAP_MAGIC, 4, ICAP_LOAD.size)
 ICAP_IOC_STATUS = ioc(_RW, ICAP_MAGIC, 5, ICAP_STATUS.size)
+
+_GPIO_MAGIC = 0xB4
+GPIO_CHIP_INFO_IOCTL = ioc(_READ, _GPIO_MAGIC, 0x01, GPIO_CHIP_INFO.size)
+GPIO_GET_LINE_IOCTL = ioc(_RW, _GPIO_MAGIC, 0x07, GPIO_LINE_REQUEST.size)
+GPIO_SET_CONFIG_IOCTL = ioc(_RW, _GPIO_MAGIC, 0x0D, GPIO_LINE_CONFIG.size)
+GPIO_GET_VALUES_IOCTL = ioc(_RW, _GPIO_MAGIC, 0x0E, GPIO_LINE_VALUES.size)
 
 MM2S, S2MM = 1, 2
 TYPE_AXIDMA, TYPE_VDMA = 1, 2

@@ -43,6 +43,13 @@ class Server:
         self._listeners[listener] = node
         self.loop.add(listener.fileno(), lambda: self._accept(listener), listener=True)
 
+    def connect(self, node: Node) -> socket.socket:
+        """The client's end of a connection to `node` that nobody has to ask for; the caller's to hand over."""
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        self._connections.add(NodeConnection(self, ours, node))
+        return theirs
+
     def unlisten(self, listener: socket.socket) -> None:
         """Stop listening; open connections stay."""
         if self._listeners.pop(listener, None) is not None:

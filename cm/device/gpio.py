@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines of GPIO chips, through the kernel's character device: what the processor drives without a register of ours."""
+
+from __future__ import annotations
+
+import errno
+from dataclasses import dataclass
+from typing import ClassVar
+
+from cm.device import advice
+from cm.device.base import AnyRoot, Device, Shim
+from cm.device.errors import device_error
+from cm.device.paths import Root
+from cm.native import gpio as native
+from cm.native.call import Handle
+
+CONSUMER = "fpga-cm"  # what gpioinfo(1) says of a line that is held
+
+
+@dataclass(frozen=True, slots=True)
+class GpioChip:
+    """A chip: its name in /dev, what its driver calls it, and how many lines it has."""
+
+    name: str
+    label: str
+    lines: int
+
+
+def list_gpio(root: AnyRoot = None) -> list[GpioChip]:
+    """Return the chips that may be opened, by name."""
+    base = Root.of(root)
+    return [chip for name in _names(base) if (chip := _chip(base, name)) is not None]
+
+
+def _names(root: Root) -> list[str]:
+    return [name for name in advice.names(root.join("dev")) if name.startswith("gpiochip")]
+
+
+def _chip(root: Root, name: str) -> GpioChip | None:
+    try:
+        info = native.chip_info(root.prefix, name)
+    except OSError:
+        return None
+    return GpioChip(name, info.label, info.lines)
+
+
+class GpioLine(Device):
+    """One line, held from `open` to `close`: nobody else gets it, and what it drives stays.
+
+    Opening changes neither its direction nor its value.
+    """
+
+    _shim: ClassVar[Shim] = native
+
+    @classmethod
+    def open(cls, chip: str, line: int, root: AnyRoot = None) -> GpioLine:
+        """Take line `line` of a chip, by the chip's label or its name.
+
+        Raises DeviceNotFound, DeviceBusy where another holds the line, DeviceInvalid where the chip has none of that
+        number or several chips have that label, DevicePermission.
+        """
+        base = Root.of(root)
+        name = _find(base, chip)
+        path = base.join("dev", name)
+        return cls(_opened(base, name, line, f"{path} line {line}"), path)
+
+    @property
+    def value(self) -> int:
+        """0 or 1, as the chip reads it."""
+        try:
+            return native.get(self._handle)
+        except OSError as error:
+            raise self._error(error, "read a line of") from error
+
+    @value.setter
+    def value(self, value: int) -> None:
+        """Make the line an output with this value."""
+        try:
+            native.drive(self._handle, int(value))
+        except (OSError, OverflowError) as error:
+            raise self._error(error, "drive a line of") from error
+
+
+def _opened(root: Root, name: str, line: int, what: str) -> Handle:
+    try:
+        return native.open_line(root.prefix, name, line, CONSUMER)
+    except OverflowError as error:
+        raise device_error(errno.EINVAL, "open", what, "a line's number is 0 or more") from error
+    except OSError as error:
+        raise device_error(error, "open", what, _hint(error, root, name)) from error
+
+
+def _hint(error: OSError, root: Root, name: str) -> str:
+    if error.errno == errno.EBUSY:
+        return "somebody holds it; gpioinfo tells who"
+    if error.errno == errno.EINVAL and (chip := _chip(root, name)) is not None:
+        return f"{name} ({chip.label}) has lines 0 to {chip.lines - 1}"
+    return advice.unopened(error, root, root.join("dev", name), _names(root))
+
+
+def _find(root: Root, chip: str) -> str:
+    """The name in /dev of the chip with a name or label."""
+    present = _names(root)
+    if chip in present:
+        return chip
+    found = list_gpio(root)
+    labelled = [known.name for known in found if known.label == chip]
+    if len(labelled) == 1:
+        return labelled[0]
+    if labelled:
+        hint = f"{', '.join(labelled)} have that label: say which one"
+        raise device_error(errno.EINVAL, "open", f"GPIO chip {chip}", hint)
+    closed = [root.join("dev", name) for name in present if name not in {known.name for known in found}]
+    hint = f"there are: {', '.join(f'{known.name} ({known.label})' for known in found) or 'none'}"
+    if closed:
+        hint += f"; {closed[0].name} could not be asked: {advice.permission(closed[0])}"
+    raise device_error(errno.ENOENT, "open", f"GPIO chip {chip}", hint)
