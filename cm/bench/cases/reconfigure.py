@@ -16,6 +16,7 @@ from cm.bench.floor import TimedPort
 from cm.bench.peer import Unavailable
 from cm.bench.result import Goal, Result
 from cm.bench.run import Run
+from cm.bitstream.geometry import geometry_of
 from cm.bitstream.module import assemble_module
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles
@@ -45,11 +46,12 @@ RAN = (
     "bitstream of 8 MB, exchanges an overlay and writes a register; the image was prefetched. The transfer's own time "
     "is 8 MB / 400 MB/s; ratio: what software adds to the load, per transfer time"
 )
+_DEVICE = "xc7z100"  # the smallest with room for that many bytes
 _SCHEMA = """
 config:
   name: bench
   type: partial
-  device: xc7z020
+  device: xc7z100
   regions:
     prr0:
       loader: icap
@@ -68,7 +70,14 @@ config:
       overlay: [second]
       mmio: [{base_address: 0x2000, registers: {gain: {offset: 0x1010, default: 2}}}]
 """
-_FOOTPRINT = (FrameRange(block_type=0, row=0, column_first=0, column_last=1023),)
+
+
+def _footprint() -> tuple[FrameRange, ...]:
+    """All of the device's logic, from its first row on."""
+    geometry = geometry_of(_DEVICE)
+    assert geometry is not None
+    rows = [(number, row) for number in range(64) if (row := geometry.row(0, number)) is not None]
+    return tuple([FrameRange(0, number, 0, row.columns - 1) for number, row in rows])
 
 
 class _Clock:
@@ -155,7 +164,7 @@ def run(bench: Run) -> list[Result]:
 def _write_config(folder: Path) -> Path:
     (folder / "bench.yaml").write_text(_SCHEMA, encoding="utf-8")
     for name in ("one", "two"):
-        image = assemble_module(name, device="xc7z020", footprint=_FOOTPRINT, size=BYTES)
+        image = assemble_module(name, device=_DEVICE, footprint=_footprint(), size=BYTES)
         (folder / f"{name}.bit").write_bytes(image)
     return folder
 

@@ -83,7 +83,7 @@ def run(crc: int, register: int, words: Words) -> int:
 class Known:
     """`run`, which remembers what long data did: a board is loaded with the same few bitstreams again and again."""
 
-    def __init__(self, limit: int = 256) -> None:
+    def __init__(self, limit: int = 4096) -> None:
         self._limit = limit
         self._found: dict[tuple[int, int, bytes], int] = {}
 

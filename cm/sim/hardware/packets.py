@@ -27,6 +27,7 @@ _RCRC, _DESYNC = 7, 13
 _REVISION = 0x0FFFFFFF  # the rest of an IDCODE is the silicon's revision
 _REGISTERS = {0, 1, 2, 4, 5, 6, 8, 9, 10, 11, 12, 13, 14, 16, 17, 19, 24, 26, 31}  # that are written
 _BULK = {_FDRI, _MFWR, _CBC}
+_BLOCK = 1 << 16  # words that are taken into the CRC at a time
 # Words of a frame, and where the fields of FAR begin (type, row with its half, column, minor).
 _SHAPES = {"7series": (101, (23, 17, 7, 0)), "ultrascale+": (93, (24, 18, 8, 0))}
 
@@ -82,6 +83,7 @@ class ConfigPort:
 
     def reset(self) -> None:
         """Forget everything, as after power-on."""
+        self._due: list[NDArray[np.uint32]] = []  # data whose CRC is not reckoned yet
         self._rest = b""
         self._state = _State.UNSYNCED
         self._register = self._left = self._crc = self._far = self._count = 0
@@ -165,13 +167,27 @@ class ConfigPort:
         return len(words)
 
     def _bulk(self, words: NDArray[np.uint32]) -> None:
-        self._crc = self._known.run(self._crc, self._register, words)
+        self._due.append(words)
+        self._take_in(whole=self._left == 0)
         missing = 4 * self._frame_words - len(self._head)
         self._head += words[: -(-missing // 4)].astype(">u4").tobytes()
         if self._left == 0:
             self._state = _State.HEADER
             if self._register == _FDRI:
                 self._frames()
+
+    def _take_in(self, whole: bool) -> None:
+        """The CRC over what came, in blocks that begin at the same words however the data is cut on its way here."""
+        import numpy as np
+
+        there = sum(map(len, self._due))
+        if there < _BLOCK and not whole:
+            return
+        words = np.concatenate(self._due)
+        end = there if whole else there - there % _BLOCK
+        for at in range(0, end, _BLOCK):
+            self._crc = self._known.run(self._crc, self._register, words[at : min(at + _BLOCK, end)])
+        self._due = [words[end:]] if end < there else []
 
     def _frames(self) -> None:
         if self.errors:
