@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 from cm.errors import CmError
 from cm.manager.access.leases import Leases
-from cm.manager.access.register_bus import RegisterBus, checked_write, find, split_name
+from cm.manager.access.register_bus import RegisterBus
+from cm.manager.access.register_names import checked_write, find, split_name
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
 from cm.manager.planning import goals
 from cm.manager.state.board_state import LockedRegions, ManagerState

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from cm.errors import CmError
-from cm.manager.access.isolation import drive
+from cm.manager.access.register_bus import drive
 from cm.manager.errors import RecordFailed, StaticUnknown, StepFailed, UndoFailed
 from cm.manager.execution.transaction import StepContext, Tools
 from cm.manager.planning.goals import Goal

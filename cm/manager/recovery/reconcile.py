@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 from cm.errors import CmError
-from cm.manager.access.isolation import is_cut
-from cm.manager.access.register_bus import RegisterBus
+from cm.manager.access.register_bus import RegisterBus, is_cut
 from cm.manager.loaders import resolved
 from cm.manager.ports import Devices
 from cm.manager.state.clock_step import hertz

@@ -7,7 +7,7 @@ import contextlib
 from dataclasses import replace
 from types import MappingProxyType
 
-from cm.manager.access.isolation import drive, is_cut
+from cm.manager.access.register_bus import drive, is_cut
 from cm.manager.errors import IdentityMismatch, RecordFailed, VerifyFailed, WrongStatic
 from cm.manager.execution.actions.overlays import note_applied
 from cm.manager.execution.transaction import StepContext
