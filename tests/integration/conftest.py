@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+import zmq
 from manager_process import Manager, served, short_folder
 
 import cm
@@ -46,3 +48,23 @@ def board(manager: Manager) -> Iterator[cm.Board]:
     with manager.connected() as connected:
         connected.load("camera", "default", force=True)
         yield connected
+
+
+class KeptContext(zmq.Context[Any]):
+    """Keeps its sockets, so that a failed test leaves none unclosed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        object.__setattr__(self, "made", [])  # its attributes are options of the context
+
+    def socket(self, *arguments: Any, **options: Any) -> Any:
+        self.made.append(super().socket(*arguments, **options))
+        return self.made[-1]
+
+
+@pytest.fixture
+def context() -> Iterator[zmq.Context[Any]]:
+    """A ZeroMQ context whose sockets end with the test."""
+    made = KeptContext()
+    yield made
+    made.destroy(linger=0)

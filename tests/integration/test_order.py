@@ -60,25 +60,6 @@ class Sender:
         return [found[number] for number in sorted(found)]
 
 
-class _Context(zmq.Context[Any]):
-    """Keeps its sockets, so that a test need not close them."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        object.__setattr__(self, "made", [])
-
-    def socket(self, *arguments: Any, **options: Any) -> Any:
-        self.made.append(super().socket(*arguments, **options))
-        return self.made[-1]
-
-
-@pytest.fixture
-def context() -> Iterator[zmq.Context[Any]]:
-    context = _Context()
-    yield context
-    context.destroy(linger=0)
-
-
 @pytest.fixture
 def sender(context: zmq.Context[Any], slow: tuple[Manager, SimBoard]) -> Sender:
     return Sender(context, slow[0])

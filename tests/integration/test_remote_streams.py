@@ -62,25 +62,6 @@ def socket_of(stream: Any) -> Any:
     return stream._reader._subscription.socket
 
 
-class _Context(zmq.Context):
-    """Keeps its sockets, so that a failed test leaves none unclosed."""
-
-    made: list[zmq.Socket[bytes]] = []  # noqa: RUF012
-
-    def socket(self, *arguments: int, **options: Any) -> zmq.Socket[bytes]:
-        self.made.append(super().socket(*arguments, **options))
-        return self.made[-1]
-
-
-@pytest.fixture
-def context() -> Iterator[zmq.Context]:
-    made = _Context()
-    yield made
-    for socket in made.made:
-        socket.close(linger=0)
-    made.term()
-
-
 def rss(manager: Manager) -> int:
     """Resident memory of the manager, without what it shares with others; in bytes."""
     assert manager.process is not None

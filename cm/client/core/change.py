@@ -23,33 +23,35 @@ def loading(
         info: ChangeInfo = yield Ask(call, timeout)
         return info.seconds
 
-    def take(frames: list[bytes]) -> None:
-        event = decode_event(frames)
-        if isinstance(event, Status) and event.progress is not None:
-            progress(event.progress)
-
-    yield from _begun(subscription)
-    info = yield AskBeside(call, timeout, subscription, take)
-    yield from _caught_up(subscription, info.number, take)
+    told = _Told(progress)
+    yield Receive(subscription, _PATIENCE)  # the manager sends the current status at once: from here on it tells us
+    info = yield AskBeside(call, timeout, subscription, told.take)
+    yield from told.until(info.number, subscription)
     return info.seconds
 
 
-def _begun(subscription: Subscription) -> Flow[None]:
-    """Wait until the manager tells us statuses: it sends the current one at once."""
-    yield Receive(subscription, _PATIENCE)
+class _Told:
+    """Hands the progress of published statuses on."""
 
+    def __init__(self, progress: OnProgress) -> None:
+        self._progress = progress
+        self._last_change = 0
 
-def _caught_up(subscription: Subscription, number: int, take: Callable[[list[bytes]], None]) -> Flow[None]:
-    """The reply may overtake what was published before it: take all up to the change's end."""
-    deadline = Deadline(_PATIENCE)
-    while True:
-        frames = yield Receive(subscription, deadline.left)
-        if frames is None:
-            return
-        take(frames)
+    def take(self, frames: list[bytes]) -> None:
         event = decode_event(frames)
-        if isinstance(event, Status) and event.last_change >= number:
-            return
+        if isinstance(event, Status):
+            self._last_change = event.last_change
+            if event.progress is not None:
+                self._progress(event.progress)
+
+    def until(self, number: int, subscription: Subscription) -> Flow[None]:
+        """The reply may overtake what was published before it: take what is missing up to the change's end."""
+        deadline = Deadline(_PATIENCE)
+        while self._last_change < number:
+            frames = yield Receive(subscription, deadline.left)
+            if frames is None:
+                return
+            self.take(frames)
 
 
 class ChangeWatch:
