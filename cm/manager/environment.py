@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cm.manager.ports import Clock, DataPlane, Devices, Files, Observer
+from cm.manager.ports import DataPlane, Devices, Files, Observer, TimeSource
 from cm.manager.state.journal import Journal
 
 
@@ -24,6 +24,6 @@ class Environment:
     files: Files
     journal: Journal
     data_plane: DataPlane
-    clock: Clock
+    time: TimeSource
     observer: Observer
     settings: Settings = Settings()

@@ -42,13 +42,13 @@ class Manager:
         self._env = env
         self._state = state = ManagerState(configs, env.journal)
         self._bus = RegisterBus(env.devices)
-        self.leases = leases or Leases(env.clock)
-        self._loaders = Loaders(env.devices, env.files, env.clock, env.settings.prefetch_bytes)
+        self.leases = leases or Leases(env.time)
+        self._loaders = Loaders(env.devices, env.files, env.time, env.settings.prefetch_bytes)
         self.registers = RegisterService(state, self._bus, self.leases)
         self.memories = MemoryService(state, self.registers, self._bus, self.leases)
         self._reporter = StatusReporter(state, env.observer)
         self._tools = Tools(
-            state, self._reporter, env.devices, self._bus, self._loaders, env.files, env.data_plane, env.clock
+            state, self._reporter, env.devices, self._bus, self._loaders, env.files, env.data_plane, env.time
         )
         self._worker = Worker(self._tools, self.leases, prefetches=env.settings.prefetch_bytes > 0)
 

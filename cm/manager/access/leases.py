@@ -15,7 +15,7 @@ from difflib import get_close_matches
 
 from cm.errors import InvalidRequest, NotFound
 from cm.manager.errors import HeldBy
-from cm.manager.ports import Clock
+from cm.manager.ports import TimeSource
 from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
 from cm.messages.status import LeaseInfo
 from cm.schema.model import Config, Mode, Module
@@ -40,8 +40,8 @@ class _Lease:
 class Leases:
     """All leases that are held now."""
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, time: TimeSource) -> None:
+        self._time = time
         self._lock = threading.Lock()  # requests and the worker of changes both ask
         self._held: dict[str, _Lease] = {}
 
@@ -87,13 +87,13 @@ class Leases:
             if alone and _overlap(held.info.scope, request.scope):
                 raise HeldBy(_held_by(held.info, self._left(held)))
         info = LeaseInfo(secrets.token_hex(8), request.scope, request.exclusive, seconds, request.holder or "somebody")
-        self._held[info.id] = _Lease(info, self._clock.monotonic() + seconds)
+        self._held[info.id] = _Lease(info, self._time.monotonic() + seconds)
         return info
 
     def _renew(self, lease: str, seconds: float) -> LeaseInfo:
         held = self._take(lease, remove=False)
         info = replace(held.info, seconds=seconds)
-        self._held[lease] = _Lease(info, self._clock.monotonic() + seconds)
+        self._held[lease] = _Lease(info, self._time.monotonic() + seconds)
         return info
 
     def _take(self, lease: str, remove: bool) -> _Lease:
@@ -105,11 +105,11 @@ class Leases:
         return held
 
     def _expire(self) -> None:
-        now = self._clock.monotonic()
+        now = self._time.monotonic()
         self._held = {k: x for k, x in self._held.items() if x.until > now}
 
     def _left(self, held: _Lease) -> float:
-        return max(0.0, held.until - self._clock.monotonic())
+        return max(0.0, held.until - self._time.monotonic())
 
 
 def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str, ...]:

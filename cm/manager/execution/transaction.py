@@ -16,7 +16,7 @@ from cm.manager.errors import Cancelled, RecordFailed
 from cm.manager.loaders import Loaders, resolved
 from cm.manager.planning.goals import Goal, Plan, image_bytes
 from cm.manager.planning.planner import make_plan
-from cm.manager.ports import Clock, DataPlane, Devices, Files
+from cm.manager.ports import DataPlane, Devices, Files, TimeSource
 from cm.manager.reporting.status import StatusReporter
 from cm.manager.state import steps as s
 from cm.manager.state.board_state import ManagerState
@@ -36,7 +36,7 @@ class Tools:
     loaders: Loaders
     files: Files
     data_plane: DataPlane
-    clock: Clock
+    time: TimeSource
 
 
 @dataclass(slots=True)
@@ -135,9 +135,9 @@ def take_steps(run: StepContext, actions: Actions) -> None:
 
 
 def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], None]) -> None:
-    clock = run.tools.clock
-    started, run.port_seconds = clock.monotonic(), 0.0
+    time = run.tools.time
+    started, run.port_seconds = time.monotonic(), 0.0
     run.record(step)
     run.tell(0)
     action(run, step)
-    run.tools.state.took(step.kind, clock.monotonic() - started - run.port_seconds)
+    run.tools.state.took(step.kind, time.monotonic() - started - run.port_seconds)

@@ -139,11 +139,11 @@ class Worker:
 
     def _run(self, change: Change) -> None:
         """Run a change and finish it; the next may be asked for before the end of this one is told."""
-        state, reporter, clock = self._tools.state, self._tools.reporter, self._tools.clock
-        started = clock.monotonic()
+        state, reporter, time = self._tools.state, self._tools.reporter, self._tools.time
+        started = time.monotonic()
         self._begin(change)
         error = self._outcome(change)
-        seconds = clock.monotonic() - started
+        seconds = time.monotonic() - started
         state.pending, self.running = None, None
         reporter.ended(change.number, error, seconds)
         state.release_regions()

@@ -14,7 +14,7 @@ from cm.manager.loaders.fpga_manager import FpgaManagerLoader
 from cm.manager.loaders.icap import IcapLoader
 from cm.manager.loaders.job import Job, Loader, Start
 from cm.manager.loaders.overlay import OverlayLoader
-from cm.manager.ports import Clock, Devices, Files
+from cm.manager.ports import Devices, Files, TimeSource
 from cm.manager.state.choice import Choice
 from cm.schema.model import Config, LoaderKind, Region
 
@@ -24,9 +24,9 @@ __all__ = ["Job", "Loader", "Loaders", "Start"]
 class Loaders:
     """One loader of each kind."""
 
-    def __init__(self, devices: Devices, files: Files, clock: Clock, prefetch_bytes: int) -> None:
+    def __init__(self, devices: Devices, files: Files, time: TimeSource, prefetch_bytes: int) -> None:
         self._files, self._devices = files, devices
-        self._icap = IcapLoader(devices, files, clock, prefetch_bytes)
+        self._icap = IcapLoader(devices, files, time, prefetch_bytes)
         self._all: dict[LoaderKind, Loader] = {
             LoaderKind.ICAP: self._icap,
             LoaderKind.FPGA_MANAGER: FpgaManagerLoader(devices, files),

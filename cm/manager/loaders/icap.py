@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from cm.errors import Busy
 from cm.manager.errors import LoadFailed, StepTimeout, WrongDevice
 from cm.manager.loaders.job import Job, OnBytes, Start
-from cm.manager.ports import Clock, ConfigPort, Devices, Files, Image, PortBuffer, PortCompletion
+from cm.manager.ports import ConfigPort, Devices, Files, Image, PortBuffer, PortCompletion, TimeSource
 
 _POLL = 0.05  # seconds between two looks at how far a load is; most loads are shorter, and none is slowed by a look
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
@@ -100,10 +100,10 @@ def _filled(icap: ConfigPort, data: bytes) -> Held:
 class IcapLoader:
     """A DMA-fed ICAP: started without blocking, watched until its own end."""
 
-    def __init__(self, devices: Devices, files: Files, clock: Clock, budget: int) -> None:
+    def __init__(self, devices: Devices, files: Files, time: TimeSource, budget: int) -> None:
         self._devices = devices
         self._files = files
-        self._clock = clock
+        self._time = time
         self._cache = BufferCache(budget, self._dispose)
         self._in_use: list[Held] = []
         self._cookies = itertools.count(1)
@@ -163,9 +163,9 @@ class IcapLoader:
 
     def _await_idle(self, icap: ConfigPort, image: Image, timeout: float) -> None:
         """A load that was given up as hung may still hold the port; the driver ends it in its own time."""
-        until = self._clock.monotonic() + timeout
+        until = self._time.monotonic() + timeout
         while icap.status().loading:
-            if self._clock.monotonic() >= until:
+            if self._time.monotonic() >= until:
                 raise StepTimeout(
                     f"the port was busy with an earlier load for {timeout:.1f} s; {image.path.name} waits"
                 )
@@ -173,8 +173,8 @@ class IcapLoader:
 
     def _wait(self, icap: ConfigPort, cookie: int, image: Image, timeout: float, on_bytes: OnBytes) -> PortCompletion:
         """The end of our load; that of an earlier one, given up as hung, is passed over."""
-        until = self._clock.monotonic() + timeout
-        while self._clock.monotonic() < until:
+        until = self._time.monotonic() + timeout
+        while self._time.monotonic() < until:
             try:
                 completion = icap.wait(_POLL)
             except TimeoutError:

@@ -97,9 +97,9 @@ def _forget_device(run: StepContext, step: s.LoadStatic) -> None:
 
 
 def _timed(run: StepContext, step: s.Load | s.LoadStatic, start: Start) -> None:
-    started = run.tools.clock.monotonic()
+    started = run.tools.time.monotonic()
     start(run.tell)
-    run.port_seconds = run.tools.clock.monotonic() - started
+    run.port_seconds = run.tools.time.monotonic() - started
     run.tools.state.observed(step.port_kind, step.image.length, run.port_seconds)
 
 

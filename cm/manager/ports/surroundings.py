@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is around the manager: the streams, time, and who is told."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Protocol
+
+from cm.messages.status import RegValues
+from cm.schema.model import Config
+
+
+class DataPlane(Protocol):
+    """The streams, as far as a change has to stop and start them."""
+
+    def quiesce(self, streams: Collection[str]) -> None:
+        """Stop these streams; when it returns no transfer of theirs is under way."""
+
+    def resume(self, config: Config | None, mode: str | None) -> None:
+        """Streams are those of this mode now; start again what somebody listens to."""
+
+
+class TimeSource(Protocol):
+    """The time that passes; Python's module `time` is one, and tests have their own."""
+
+    def monotonic(self) -> float:
+        """Seconds."""
+
+
+class Observer(Protocol):
+    """Who is told; called from any thread, must not block."""
+
+    def status_changed(self) -> None:
+        """The status differs from before."""
+
+    def registers_changed(self, values: RegValues) -> None:
+        """Registers were written."""
