@@ -23,8 +23,9 @@ from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.manager.planning.goals import hint
+from cm.manager.reporting.descriptions import config_list
 from cm.messages import requests as rq
-from cm.messages.status import ChangeInfo, ConfigInfo, Reply, Status
+from cm.messages.status import ChangeInfo, Reply, Status
 from cm.schema.model import Config
 
 _T = TypeVar("_T")
@@ -119,7 +120,7 @@ class Handlers:
         respond(Reply(self._s.memories.described(info)))
 
     def _list_configs(self, _: rq.ListConfigs, respond: Respond) -> None:
-        respond(Reply(ConfigInfo(names=tuple(sorted(self._s.manager.configs)))))
+        respond(Reply(config_list(self._s.manager.configs)))
 
     def _plan_change(self, request: rq.PlanChange, respond: Respond) -> None:
         change = rq.ChangeMode(request.config_name, request.mode)

@@ -101,6 +101,7 @@ class StreamStatus:
     limit: float = 0.0  # frames handed on per second at most; 0: all
     exact: bool = False  # the channel cannot tell how many bytes arrived: each frame must end with TLAST; while open
     max_length: int = 0  # bytes of one transfer at most; 0 while the stream is closed
+    last_error: ErrorInfo | None = None  # why it last failed, or lost a transfer, in this mode
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +125,7 @@ class Status:
     clocks: tuple[ClockStatus, ...] = ()
     board: str = ""  # the board's name
     realtime_offset_ns: int = 0  # CLOCK_REALTIME less CLOCK_MONOTONIC of the manager's machine
+    generation: int = 0  # of the registers: grows with every write by a request, and with every change
 
 
 class RegValue(NamedTuple):
@@ -140,6 +142,7 @@ class RegValues(NamedTuple):
     values: tuple[RegValue, ...]
     config_name: str = ""
     mode: str = ""
+    generation: int = 0  # of what was written; 0 beside values that were read
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +209,16 @@ class InterruptInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class ConfigEntry:
+    """A configuration in the list of all; `default_mode` is the one that is loaded where none is named."""
+
+    name: str
+    type: str = ""
+    modes: tuple[str, ...] = ()
+    default_mode: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class ConfigInfo:
     """A configuration's description; `mode` is empty while it is not loaded."""
 
@@ -219,6 +232,7 @@ class ConfigInfo:
     names: tuple[str, ...] = ()
     schema: str = ""
     memories: tuple[MemoryInfo, ...] = ()
+    entries: tuple[ConfigEntry, ...] = ()  # in a list of all configurations
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,6 +265,7 @@ class ChangeInfo:
     number: int
     done: bool
     seconds: float = 0.0
+    generation: int = 0  # of the registers when it had ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,6 +296,7 @@ class FrameInfo:
     mode: str = ""
     compression: str = ""
     offset: int = 0
+    generation: int = 0  # of the registers, when the frame began; 0: not known
 
 
 @dataclass(frozen=True, slots=True)

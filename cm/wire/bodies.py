@@ -36,6 +36,7 @@ def status_to_pb(s: st.Status) -> pb.Status:
         clocks=_clocks_to_pb(s.clocks),
         board=s.board,
         realtime_offset_ns=s.realtime_offset_ns,
+        generation=s.generation,
     )
     if s.progress is not None:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
@@ -63,6 +64,7 @@ def status_from_pb(m: pb.Status) -> st.Status:
         clocks=_clocks_from_pb(m.clocks),
         board=m.board,
         realtime_offset_ns=m.realtime_offset_ns,
+        generation=m.generation,
     )
 
 
@@ -115,6 +117,7 @@ def stream_to_pb(s: st.StreamStatus) -> pb.StreamState:
         limit=s.limit,
         exact=s.exact,
         max_length=s.max_length,
+        last_error=None if s.last_error is None else error_to_pb(s.last_error),
     )
 
 
@@ -146,6 +149,7 @@ def stream_from_pb(m: pb.StreamState) -> st.StreamStatus:
         m.limit,
         m.exact,
         m.max_length,
+        error_from_pb(m.last_error) if m.HasField("last_error") else None,
     )
 
 
@@ -159,6 +163,7 @@ def registers_into(message: pb.RegValues, r: st.RegValues) -> None:
     """Fill a message in its place: a third of the time that keyword arguments and a copy take."""
     message.config_name = r.config_name
     message.mode = r.mode
+    message.generation = r.generation
     for value in r.values:
         entry = message.values.add()
         entry.name = value.name
@@ -168,7 +173,7 @@ def registers_into(message: pb.RegValues, r: st.RegValues) -> None:
 
 
 def registers_from_pb(m: pb.RegValues) -> st.RegValues:
-    return st.RegValues(tuple([_value_from_pb(v) for v in m.values]), m.config_name, m.mode)
+    return st.RegValues(tuple([_value_from_pb(v) for v in m.values]), m.config_name, m.mode, m.generation)
 
 
 def _value_from_pb(m: pb.RegValue) -> st.RegValue:
@@ -190,6 +195,9 @@ def config_to_pb(c: st.ConfigInfo) -> pb.Config:
         names=c.names,
         schema=c.schema,
         memories=[memory_to_pb(x) for x in c.memories],
+        entries=[
+            pb.ConfigEntry(name=e.name, type=e.type, modes=e.modes, default_mode=e.default_mode) for e in c.entries
+        ],
     )
 
 
@@ -205,6 +213,7 @@ def config_from_pb(m: pb.Config) -> st.ConfigInfo:
         names=tuple(m.names),
         schema=m.schema,
         memories=tuple(memory_from_pb(x) for x in m.memories),
+        entries=tuple(st.ConfigEntry(e.name, e.type, tuple(e.modes), e.default_mode) for e in m.entries),
     )
 
 
@@ -285,11 +294,11 @@ def plan_from_pb(m: pb.Plan) -> st.PlanInfo:
 
 
 def change_to_pb(c: st.ChangeInfo) -> pb.Change:
-    return pb.Change(number=c.number, done=c.done, seconds=c.seconds)
+    return pb.Change(number=c.number, done=c.done, seconds=c.seconds, generation=c.generation)
 
 
 def change_from_pb(m: pb.Change) -> st.ChangeInfo:
-    return st.ChangeInfo(m.number, m.done, m.seconds)
+    return st.ChangeInfo(m.number, m.done, m.seconds, m.generation)
 
 
 def lease_to_pb(x: st.LeaseInfo) -> pb.Lease:
@@ -312,6 +321,7 @@ def frame_to_pb(f: st.FrameInfo) -> pb.Frame:
         mode=f.mode,
         compression=f.compression,
         offset=f.offset,
+        generation=f.generation,
     )
 
 
@@ -327,6 +337,7 @@ def frame_from_pb(m: pb.Frame) -> st.FrameInfo:
         m.mode,
         m.compression,
         m.offset,
+        m.generation,
     )
 
 

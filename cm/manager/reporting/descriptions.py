@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 from cm.manager.reporting.status import stream_status
 from cm.messages.status import (
+    ConfigEntry,
     ConfigInfo,
     FieldInfo,
     InterruptInfo,
@@ -31,6 +32,14 @@ def config_info(config: Config, mode: str, counts: Mapping[str, int], schema: st
         schema=schema,
         memories=_memories(config),
     )
+
+
+def config_list(configs: Mapping[str, Config]) -> ConfigInfo:
+    """All configurations by name, with their modes."""
+    entries = tuple(
+        ConfigEntry(name, c.type.value, tuple(c.modes), c.first_mode()) for name, c in sorted(configs.items())
+    )
+    return ConfigInfo(names=tuple(e.name for e in entries), entries=entries)
 
 
 def _mode(config: Config, name: str) -> ModeInfo:
