@@ -575,6 +575,26 @@ def test_a_plan_expects_what_such_changes_took_even_after_a_restart(
         assert abs(again.manager.plan(request).seconds - plan.seconds) < 0.25 * took
 
 
+def test_a_slow_first_change_is_not_what_the_next_is_expected_to_take(made: Rig) -> None:
+    """As after a start, where nothing is in a cache yet."""
+    made.clock.stand_still()
+
+    def slowly(name: str) -> None:
+        made.clock.ahead += cost if name.startswith("icap") else 0.001
+
+    made.fault.watch, cost = slowly, 3.0
+    at(made, "duo/default")
+    assert made.manager.status().last_change_seconds > 3
+    cost = 0.001
+    at(made, "duo/both", "duo/default")
+    made.fault.watch = lambda _: None
+    expected = made.manager.plan(ChangeMode(config_name="duo", mode="both")).seconds
+    made.fault.watch = slowly
+    at(made, "duo/both")
+    took = made.manager.status().last_change_seconds  # by the clock of the test: the machine does not count
+    assert 0.5 * took < expected < 1.5 * took
+
+
 def test_a_mode_that_went_while_its_change_waited_is_unknown(made: Rig, configs: dict[str, Config]) -> None:
     """The configuration was provisioned anew without it."""
     at(made, "duo/default")

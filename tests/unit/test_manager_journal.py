@@ -35,7 +35,7 @@ FULL = Record(
         values=MappingProxyType({"focus": 2**64 - 1}),
     ),
     Pending(7, "camera", "default", "camera", "edge", "load", "prr0", None, "whole"),
-    Throughput(MappingProxyType({LoaderKind.ICAP: 123.5}), MappingProxyType({"load": 0.5})),
+    Throughput(MappingProxyType({LoaderKind.ICAP: (123.5, 99.0)}), MappingProxyType({"load": (0.5,)})),
     7,
 )
 
@@ -143,10 +143,25 @@ def test_a_second_manager_with_the_same_state_folder_is_refused(journal: Journal
 def test_what_an_older_program_wrote_without_seconds_is_read(journal: Journal) -> None:
     journal.write(FULL)
     plain = json.loads(encode(FULL).split(b" ", 1)[1])
-    assert plain.pop("seconds") == {"load": 0.5}
+    assert plain.pop("seconds") == {"load": [0.5]}
+    plain["throughput"] = {"icap": 123.5}  # a mean
     body = json.dumps(plain).encode()
     record = newest(b"\n%08x %b\n" % (zlib.crc32(body), body))
-    assert record == replace(FULL, throughput=replace(FULL.throughput, steps=MappingProxyType({})))
+    measured = Throughput(MappingProxyType({LoaderKind.ICAP: (123.5,)}))
+    assert record == replace(FULL, throughput=measured)
+
+
+def test_one_disturbed_measurement_says_nothing_of_the_next() -> None:
+    known = Throughput()
+    nominal = known.seconds(LoaderKind.ICAP, 4_000_000)
+    for seconds in (0.900, 0.021, 0.020, 0.022, 0.700, 0.020):
+        known = known.observed(LoaderKind.ICAP, 4_000_000, seconds).took("load", seconds)
+        expected = known.seconds(LoaderKind.ICAP, 4_000_000)
+        assert expected == nominal if seconds == 0.900 else expected == pytest.approx(0.021, rel=0.05)
+    assert known.overhead("load") == 0.021
+    for _ in range(5):
+        known = known.observed(LoaderKind.ICAP, 4_000_000, 0.5).took("load", 0.5)
+    assert (known.seconds(LoaderKind.ICAP, 4_000_000), known.overhead("load")) == (0.5, 0.5)
 
 
 def test_a_record_that_cannot_be_read_is_said_to_be_so(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,26 +17,30 @@ from cm.schema.model import LoaderKind, Region
 _NOMINAL = {LoaderKind.ICAP: 400e6, LoaderKind.FPGA_MANAGER: 145e6, LoaderKind.OVERLAY: 145e6}
 _MARGIN = 20.0  # a load may take this many times what is expected before it counts as hung
 _GRACE = 2.0  # seconds that any load may take
-_WEIGHT = 0.25  # of the newest measurement in the running mean
+_RECENT = 5  # measurements of a kind that count
 
 _VERSION = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Throughput:
-    """Running means of what was measured.
+    """What was measured, the last few of each kind, the newest last.
 
     `measured` are bytes per second of the ports, by kind of loader. `steps` are seconds by kind of step
     (`cm.manager.state.steps`) beside what a port takes for an image: reading files, the kernel's drivers, the
-    record.
+    record. What is expected is their median: a single one that was disturbed, as the first after a start is by
+    cold caches, says nothing of the next. Of two the quicker counts, and beside a single load the port's nominal
+    rate.
     """
 
-    measured: Mapping[LoaderKind, float] = field(default_factory=lambda: MappingProxyType({}))
-    steps: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    measured: Mapping[LoaderKind, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
+    steps: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
 
     def rate(self, loader: LoaderKind) -> float:
         """Bytes per second to expect."""
-        return self.measured.get(loader) or _NOMINAL[loader]
+        rates = self.measured.get(loader, ())
+        known = sorted(rates if len(rates) > 1 else (*rates, _NOMINAL[loader]))
+        return known[len(known) // 2]
 
     def seconds(self, loader: LoaderKind, length: int) -> float:
         """Expected duration of a load of `length` bytes."""
@@ -44,7 +48,8 @@ class Throughput:
 
     def overhead(self, step: str) -> float:
         """Expected seconds of a kind of step beside the port; 0 before it was measured."""
-        return self.steps.get(step, 0.0)
+        known = sorted(self.steps.get(step) or (0.0,))
+        return known[(len(known) - 1) // 2]
 
     def timeout(self, region: Region, length: int) -> float:
         """Seconds after which a load counts as hung: the schema's, else from size and throughput."""
@@ -56,18 +61,16 @@ class Throughput:
         """With one more load."""
         if seconds <= 0 or length <= 0:
             return self
-        rate = length / seconds
-        mean = _mean(self.measured.get(loader, rate), rate)
-        return replace(self, measured=MappingProxyType({**self.measured, loader: mean}))
+        rates = _with(self.measured.get(loader, ()), length / seconds)
+        return replace(self, measured=MappingProxyType({**self.measured, loader: rates}))
 
     def took(self, step: str, seconds: float) -> Throughput:
         """With one more step, without what the port took in it."""
-        mean = _mean(self.steps.get(step, seconds), seconds)
-        return replace(self, steps=MappingProxyType({**self.steps, step: mean}))
+        return replace(self, steps=MappingProxyType({**self.steps, step: _with(self.steps.get(step, ()), seconds)}))
 
 
-def _mean(before: float, new: float) -> float:
-    return before + _WEIGHT * (new - before)
+def _with(before: tuple[float, ...], new: float) -> tuple[float, ...]:
+    return (*before, float(f"{new:.4g}"))[-_RECENT:]  # it is recorded before every step: no digits that say nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +156,7 @@ def _to_plain(r: Record) -> dict[str, Any]:
             "clocks": dict(r.state.clocks),
         },
         "pending": None if r.pending is None else _pending_to_plain(r.pending),
-        "throughput": {kind.value: rate for kind, rate in r.throughput.measured.items()},
+        "throughput": {kind.value: rates for kind, rates in r.throughput.measured.items()},
         "seconds": dict(r.throughput.steps),
     }
 
@@ -193,7 +196,12 @@ def _from_plain(plain: Mapping[str, Any]) -> Record:
         ),
         pending=None if plain["pending"] is None else _pending_from_plain(plain["pending"]),
         throughput=Throughput(
-            MappingProxyType({LoaderKind(k): float(v) for k, v in plain["throughput"].items()}),
-            MappingProxyType({str(k): float(v) for k, v in plain.get("seconds", {}).items()}),
+            MappingProxyType({LoaderKind(k): _several(v) for k, v in plain["throughput"].items()}),
+            MappingProxyType({str(k): _several(v) for k, v in plain.get("seconds", {}).items()}),
         ),
     )
+
+
+def _several(plain: float | list[float]) -> tuple[float, ...]:
+    """Measurements; older programs wrote their mean."""
+    return tuple(map(float, plain)) if isinstance(plain, list) else (float(plain),)

@@ -29,7 +29,7 @@ _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
 class Buffer:
     """Memory that a client shares with the board; unmapped when nothing refers to it any more."""
 
-    __slots__ = ("allocated", "bytes", "counters", "inflight", "length", "writable")
+    __slots__ = ("_array", "_mapping", "allocated", "counters", "inflight", "length", "writable")
 
     def __init__(
         self, fd: int, length: int, allocated: bool, writable: bool = True, counters: Counters | None = None
@@ -37,13 +37,20 @@ class Buffer:
         """With `counters` (``syncs.py``) the device's view lies behind the processor's."""
         protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
         flags, offset = mmap.MAP_SHARED | mmap.MAP_POPULATE, length if counters else 0
-        mapping = mmap.mmap(fd, length, flags, protection, offset=offset)
-        self.bytes: NDArray[np.uint8] = np.frombuffer(mapping, np.uint8)
+        self._mapping = mmap.mmap(fd, length, flags, protection, offset=offset)
+        self._array: NDArray[np.uint8] | None = None
         self.length = length
         self.allocated = allocated
         self.writable = writable
         self.inflight = 0
         self.counters = counters
+
+    @property
+    def bytes(self) -> NDArray[np.uint8]:
+        """The content; numpy is not there before the board moves its first bytes."""
+        if self._array is None:
+            self._array = np.frombuffer(self._mapping, np.uint8)
+        return self._array
 
 
 class DmaMemory:
