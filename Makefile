@@ -17,7 +17,7 @@ COMMA := ,
 SUITES ?= tests/unit tests/release tests/integration tests/device tests/soak tests/vm
 OUT ?= demo
 IMAGES ?=
-COUNT ?= 400
+COUNT ?= 100
 SEED ?= 1
 
 .DEFAULT_GOAL := help
@@ -80,9 +80,9 @@ vm: $(STAMP) ## a shell on that board, with a manager running and its ports forw
 soak: $(STAMP) ## ten thousand changes of mode, and a minute of killed readers
 	$(PYTEST) tests/soak --changes=10000 --stress=60 $(PYTEST_ARGS)
 
-mutation: $(STAMP) ## whether the unit tests notice defects: 400 mutants, drawn with a fixed seed (COUNT=…, SEED=…)
+mutation: $(STAMP) ## whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
 	$(call install,mutation)
-	nice $(BIN)/python tests/mutation/sample.py --count $(COUNT) --seed $(SEED)
+	nice $(BIN)/python tests/mutation/sample.py $(PACKAGES) --count $(COUNT) --seed $(SEED)
 
 bench: $(BENCH_STAMP) ## measure latency and throughput beside the alternatives
 	$(BIN)/cm bench --json bench.json --plots bench-plots

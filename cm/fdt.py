@@ -11,7 +11,7 @@ check that looks at one while the kernel obeys the other is none.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 MAGIC = 0xD00DFEED
@@ -20,8 +20,6 @@ _HEADER = struct.Struct(">10I")
 _RESERVED = struct.Struct(">2Q")
 _BEGIN_NODE, _END_NODE, _PROP, _NOP, _END = 1, 2, 3, 4, 9
 _VERSION, _COMPATIBLE = 17, 16
-
-Change = Callable[[str, str, bytes], bytes]
 
 
 class FdtError(ValueError):
@@ -66,21 +64,6 @@ def overlay(target_path: str, content: FdtNode) -> FdtNode:
     content.name = "__overlay__"
     fragment = FdtNode("fragment@0", {"target-path": target_path.encode() + b"\0"}, [content])
     return FdtNode("", {}, [fragment])
-
-
-def rewrite(blob: bytes, change: Change) -> bytes:
-    """The blob with every property's value replaced by ``change(path of the node, name, value)``.
-
-    Nodes, names, their order, reservations and the boot processor stay. Values may change their length;
-    `__fixups__` of an overlay count bytes within a property, so leave those that hold a phandle as long.
-
-    Raises:
-        FdtError: as `read`.
-    """
-    fdt = read(blob)
-    for path, node in fdt.root.walk():
-        node.properties = {name: change(path, name, value) for name, value in node.properties.items()}
-    return write(fdt)
 
 
 def pack(root: FdtNode) -> bytes:

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import os
+import re
 
+import pytest
 from hypothesis import HealthCheck, Phase, settings
 
 # A busy machine must not fail a test: no deadlines. The explain phase costs much and tells little here.
@@ -18,3 +20,10 @@ settings.load_profile("cm")
 
 # Nor do simulators that get no processor time; tests of silent ones say their own (seconds).
 os.environ.setdefault("CM_SIM_TIMEOUT", "60")
+
+
+def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None:
+    """Names that can be read and given back: pytest loses some with escaped characters among hundreds of others."""
+    if isinstance(val, bytes):
+        return f"{len(val)} bytes"
+    return re.sub(r"[^ -~]|\\", " ", val[:40]) if isinstance(val, str) else None

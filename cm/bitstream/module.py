@@ -48,13 +48,8 @@ def _identity_bytes(name: str, model: str) -> bytes:
     return head + raw_name + raw_model
 
 
-def identify_words(words: Sequence[int]) -> ModuleIdentity | None:
-    """Return the module that a frame's words name; None if they are no frame of our assembler."""
-    return identify_bytes(struct.pack(f">{len(words)}I", *words))
-
-
 def identify_bytes(data: bytes) -> ModuleIdentity | None:
-    """The same for a frame's bytes as they stand in a `.bit`."""
+    """The module that a frame names, from its bytes as they stand in a `.bit`; None if it is not one of ours."""
     if len(data) < _LAYOUT.size or not data.startswith(_MAGIC):
         return None
     _, digest, name_length, model_length = _LAYOUT.unpack_from(data)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whether the unit tests notice a defect: mutants of manager, daemon, bitstream and schema (`make mutation`).
 
-    python tests/mutation/sample.py [--count N] [--seed S] [--keep] [--max-survivors PERCENT]
+    python tests/mutation/sample.py [PACKAGE…] [--count N] [--seed S] [--keep] [--max-survivors PERCENT]
 
 mutmut makes every mutant it knows of these packages; this draws the same number from each package with a
 fixed seed, has them tested, and prints those that lived, by package. A mutant of a function that no unit
 test enters counts as one that lived. It works in `mutants/` (`--keep` goes on with what is there, and
-`mutmut show NAME` says what a mutant changes). Exit status 1 with more survivors than allowed.
+`mutmut show NAME` says what a mutant changes). A package by itself gets the mutants that it gets among
+the others. Exit status 1 with more survivors than allowed.
 """
 
 from __future__ import annotations
@@ -46,19 +47,21 @@ def tested() -> set[str]:
     return {name for name, tests in stats["tests_by_mangled_function_name"].items() if tests}
 
 
-def draw(names: Iterable[str], count: int, seed: int) -> dict[str, list[str]]:
-    """As many of each package."""
-    by_package: dict[str, list[str]] = {package: [] for package in PACKAGES}
+def draw(names: Iterable[str], packages: Iterable[str], share: int, seed: int) -> dict[str, list[str]]:
+    """As many of each package, each with dice of its own: what is added to one changes no draw of another."""
+    by_package: dict[str, list[str]] = {package: [] for package in packages}
     for name in sorted(names):
-        by_package[name.split(".")[1]].append(name)
-    share = count // len(PACKAGES)
-    dice = random.Random(seed)
-    return {package: sorted(dice.sample(of, min(share, len(of)))) for package, of in by_package.items()}
+        by_package.get(name.split(".")[1], []).append(name)
+    return {
+        package: sorted(random.Random(f"{seed} {package}").sample(of, min(share, len(of))))
+        for package, of in by_package.items()
+    }
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=400)
+    parser.add_argument("packages", nargs="*", metavar="PACKAGE", choices=(*PACKAGES, []), help=", ".join(PACKAGES))
+    parser.add_argument("--count", type=int, default=100, help="mutants of each package")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--keep", action="store_true")
@@ -73,7 +76,7 @@ def main() -> int:
     if not (MUTANTS / "mutmut-stats.json").exists():
         print(f"the unit tests failed before anything was changed: {log}", file=sys.stderr)
         return 2
-    drawn, entered = draw(results(), args.count, args.seed), tested()
+    drawn, entered = draw(results(), args.packages or PACKAGES, args.count, args.seed), tested()
     names = [name for of in drawn.values() for name in of if name.rpartition("__mutmut_")[0] in entered]
     for start in range(0, len(names), CHUNK):
         mutmut(names[start : start + CHUNK], args.jobs, log)

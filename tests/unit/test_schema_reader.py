@@ -45,7 +45,6 @@ def refusal(text: str) -> tuple[str, int]:
         ("just text", "bad_type", 1),
         ("conf: {}", "unknown_key", 1),
     ],
-    ids=lambda value: str(value)[:20],
 )
 def test_text_that_is_no_schema_is_refused(text: str, code: str, line: int) -> None:
     assert refusal(text) == (code, line)

@@ -99,9 +99,9 @@ class Engine:
         """Work on the words that are due before the next look: a port does that while the clock ticks."""
         target = run.bytes_at(time.monotonic() + _STEP)
         if target > run.fed:
-            progress = self._port.feed(run.data[run.fed : target])
+            writes = self._port.feed(run.data[run.fed : target])
             run.fed = target
-            self._memory.apply(progress.writes, run.full)
+            self._memory.apply(writes, run.full)
 
     def _wait(self, run: _Run) -> None:
         """Until the next look; the loop's own clock ticks in milliseconds, which is too coarse for the last."""

@@ -50,14 +50,6 @@ class FrameWrite:
     module: ModuleIdentity | None
 
 
-@dataclass(frozen=True, slots=True)
-class Progress:
-    """What one `ConfigPort.feed` brought; `desynced`: a section ended with DESYNC in it."""
-
-    writes: tuple[FrameWrite, ...] = ()
-    desynced: bool = False
-
-
 class _State(Enum):
     UNSYNCED = auto()
     HEADER = auto()
@@ -103,19 +95,19 @@ class ConfigPort:
         """Whether a whole bitstream went through without error: synced at least once, and out of sync again."""
         return self.errors is PortError.NONE and self.sections > 0 and not self.synced
 
-    def feed(self, data: bytes | bytearray | memoryview) -> Progress:
-        """Take the next bytes; bytes of a word that is not whole yet wait for the next call."""
+    def feed(self, data: bytes | bytearray | memoryview) -> tuple[FrameWrite, ...]:
+        """The frames that the next bytes write. Bytes of a word that is not whole yet wait for the next call."""
         import numpy as np
 
         raw = self._rest + bytes(data)
         whole = len(raw) - len(raw) % 4
         self._rest = raw[whole:]
         words = np.frombuffer(raw[:whole], dtype=self._order).astype(np.uint32)
-        sections, self._writes = self.sections, []
+        self._writes = []
         at = 0
         while at < len(words) and self._state is not _State.DEAD:
             at += self._take(words[at:])
-        return Progress(tuple(self._writes), self.sections > sections)
+        return tuple(self._writes)
 
     def _take(self, words: NDArray[np.uint32]) -> int:
         """Take one word at least; returns how many."""
