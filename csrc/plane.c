@@ -120,6 +120,7 @@ struct cm_plane *cm_plane_new(void)
 	if (!plane)
 		return NULL;
 	pthread_mutex_init(&plane->lock, NULL);
+	pthread_mutex_init(&plane->generations.lock, NULL);
 	plane->events_end = &plane->events;
 	plane->epoll_fd = epoll_create1(EPOLL_CLOEXEC);
 	plane->wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
@@ -158,6 +159,7 @@ void cm_plane_close(struct cm_plane *plane)
 	while (cm_plane_take(plane, &event))
 		;
 	pthread_mutex_destroy(&plane->lock);
+	pthread_mutex_destroy(&plane->generations.lock);
 	free_plane(plane);
 }
 
@@ -351,6 +353,7 @@ static int attach(struct client *client, struct stream *stream, uint32_t depth, 
 	client->stream = stream;
 	client->frames = 0;
 	client->dropped = 0;
+	client->generation = 0;
 	if (client_send(client, geometry.bytes, size) || client_send_slots(client, stream, 0))
 		return 0; /* hung up on by the thread, which tells */
 	if (stream->setup.write)

@@ -107,6 +107,14 @@ int cm_plane_tell(struct cm_plane *plane, int stream, const void *packet, size_t
  */
 void cm_plane_settle(struct cm_plane *plane);
 
+/**
+ * cm_plane_wrote() - registers were written, and what was written is in effect
+ * @generation: a number that grows; frames that begin from now on are of it
+ *
+ * Never waits for a device.
+ */
+void cm_plane_wrote(struct cm_plane *plane, uint64_t generation);
+
 /* Hang up. */
 int cm_plane_drop(struct cm_plane *plane, int client);
 

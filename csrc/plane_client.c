@@ -41,10 +41,29 @@ int client_send(struct client *client, const void *packet, size_t size)
 	return -1;
 }
 
+/* A packet of its own where it is another than before, so that descriptors stay as they are. */
+static int tell_generation(struct client *client, const struct stream *stream, uint64_t generation)
+{
+	struct cm_plane_descriptor packet = {
+		.kind = CM_PLANE_GENERATION,
+		.flags = stream->epoch,
+		.sequence = generation,
+	};
+
+	if (client->generation == generation)
+		return 0;
+	if (try_send(client, &packet, sizeof(packet)))
+		return -1;
+	client->generation = generation;
+	return 0;
+}
+
 /* Lend a frame to a reader; -1 if it has as many as it may, or does not read. */
 int client_offer(struct client *client, const struct stream *stream, uint32_t number)
 {
 	if (!stream->setup.backpressure && client->held_count >= client->depth)
+		return -1;
+	if (tell_generation(client, stream, stream->slot[number].generation))
 		return -1;
 	if (try_send(client, &stream->slot[number].frame, sizeof(struct cm_plane_descriptor)))
 		return -1;

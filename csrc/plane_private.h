@@ -20,6 +20,7 @@ struct slot {
 	bool queued;			  /* at the hardware, or waits for it */
 	struct client *owner;		  /* a writer's */
 	struct cm_plane_descriptor frame; /* what it holds, or carries */
+	uint64_t generation;		  /* of the registers when that began */
 };
 
 struct stream {
@@ -40,6 +41,7 @@ struct stream {
 	int cycling;	/* slot that repeats, or -1 */
 	bool announced; /* its writer knows that it does */
 	uint64_t sequence;
+	uint64_t generation; /* of the frame that comes next; 0: not known */
 	uint64_t due_ns;
 	uint64_t recent; /* entries ever written to the statistics */
 	struct cm_plane_stats stats;
@@ -52,10 +54,11 @@ struct client {
 	struct stream *stream; /* or NULL */
 	uint32_t depth;
 	uint32_t held_count;
-	uint64_t frames;  /* handed to it, or taken from it, well; since it was attached */
-	uint64_t dropped; /* that it did not get */
-	bool leaving;	  /* wants no more frames */
-	bool broken;	  /* to be dropped */
+	uint64_t frames;     /* handed to it, or taken from it, well; since it was attached */
+	uint64_t dropped;    /* that it did not get */
+	uint64_t generation; /* that it was told last */
+	bool leaving;	     /* wants no more frames */
+	bool broken;	     /* to be dropped */
 	int error;
 	bool held[CM_PLANE_SLOTS_MAX];
 };
@@ -65,8 +68,24 @@ struct event {
 	struct cm_plane_event event;
 };
 
+#define GENERATIONS_KEPT 256
+
+/* A generation of the registers, and when what made it had been written. */
+struct generation {
+	uint64_t number;
+	uint64_t done_ns;
+};
+
+struct generations {
+	pthread_mutex_t lock; /* its own: who writes a register does not wait for a device */
+	uint64_t latest;
+	uint64_t count; /* entries ever made */
+	struct generation recent[GENERATIONS_KEPT];
+};
+
 struct cm_plane {
 	pthread_t thread;
+	struct generations generations;
 	pthread_mutex_t lock; /* of everything below */
 	atomic_int callers;   /* that wait for the lock */
 	int epoll_fd;
@@ -95,6 +114,9 @@ void stream_stop_queueing(struct stream *stream);
 void stream_cancel(struct stream *stream);
 void stream_end(struct cm_plane *plane, struct stream *stream, int error);
 struct stream *stream_find(struct cm_plane *plane, int id);
+
+/* Under its own lock: the latest generation that was there at @at_ns; @before if none newer is known. */
+uint64_t generation_at(struct cm_plane *plane, uint64_t at_ns, uint64_t before);
 
 /* Handle one packet; whether there may be more. */
 bool client_readable(struct cm_plane *plane, struct client *client);

@@ -207,8 +207,10 @@ static void read_done(struct cm_plane *plane, struct stream *stream,
 			.sequence = stream->sequence++,
 			.timestamp_ns = completion->timestamp_ns,
 		};
+		slot->generation = stream->generation;
 		hand_on(plane, stream, number);
 	}
+	stream->generation = generation_at(plane, completion->timestamp_ns, stream->generation);
 	if (!slot->holders)
 		stream_queue(plane, stream, number);
 }

@@ -57,6 +57,8 @@ class Nobody:
     def resume(self, config: Config | None, mode: str | None) -> None:
         self.calls.append(("resume", mode))
 
+    def wrote(self, generation: int) -> None: ...
+
 
 @dataclass
 class Fault:

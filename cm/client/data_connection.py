@@ -40,6 +40,7 @@ class DataConnection:
         self.memory: SlotMappings | None = None
         self._left: SlotMappings | None = None  # of frames that are held beyond `close`
         self.names = ("", "", "")
+        self.generation = 0  # of the registers, under which the frames that come began; 0: not known
         self.lost = 0
         self.held = 0
         self.done: deque[Descriptor] = deque()
@@ -52,6 +53,7 @@ class DataConnection:
             packets.GEOMETRY: self._geometry,
             packets.SLOTS: self._slots,
             packets.LABEL: self._label,
+            packets.GENERATION: self._generation,
             packets.STOPPED: self._stopped,
             packets.REFUSED: self._refused,
             packets.LATE: self._late,
@@ -107,7 +109,7 @@ class DataConnection:
             self.lost += (head.sequence - self._expected) % _SEQUENCES
         self._expected = head.sequence + 1
         self.held += 1
-        return lend(memory, head, self.names, self.give_back)
+        return lend(memory, head, self.names, self.give_back, self.generation)
 
     def give_back(self, memory: SlotMappings, frame: Descriptor) -> None:
         """Release a frame; nobody is told if the stream was stopped meanwhile: its memory is not used again."""
@@ -165,6 +167,7 @@ class DataConnection:
         self.memory = SlotMappings(geometry, head.flags)
         self.names = self.memory.names
         self._expected = None
+        self.generation = 0
 
     def _slots(self, head: Descriptor, _: int, fds: list[int]) -> None:
         if self.memory is not None:
@@ -175,6 +178,9 @@ class DataConnection:
     def _label(self, _: Descriptor, size: int, __: list[int]) -> None:
         stream, config, mode = packets.decode_names(bytes(self._buffer[DESCRIPTOR.size : size]))
         self.names = (stream, config, mode)
+
+    def _generation(self, head: Descriptor, _: int, __: list[int]) -> None:
+        self.generation = head.sequence
 
     def _stopped(self, _: Descriptor, __: int, ___: list[int]) -> None:
         self._end_memory()

@@ -35,6 +35,11 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
         """CLOCK_MONOTONIC of the manager's machine when the transfer had ended."""
         return self.info.timestamp_ns
 
+    @property
+    def generation(self) -> int:
+        """Of the registers, when this frame began (`registers.write(…).generation`); 0: not known."""
+        return self.info.generation
+
     def copy(self, order: Any = "C") -> npt.NDArray[Any]:
         """The content as a plain, writable array."""
         return np.array(self, order=order, copy=True, subok=False)

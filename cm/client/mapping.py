@@ -149,6 +149,7 @@ class LocalFrame(Frame):
             str(self.dtype),
             lease.names[1],
             lease.names[2],
+            generation=lease.generation,
         )
 
     @property
@@ -160,6 +161,11 @@ class LocalFrame(Frame):
     def timestamp_ns(self) -> int:
         """CLOCK_MONOTONIC of this machine when the transfer had ended."""
         return self._held().frame.timestamp_ns
+
+    @property
+    def generation(self) -> int:
+        """Of the registers, when this frame began; 0: not known."""
+        return self._held().generation
 
     def release(self) -> None:
         """Give the slot back now; any use of the frame raises FrameReleased from here on. Twice is fine.
@@ -238,7 +244,7 @@ def _plain(value: Any) -> Any:
 class Lease:
     """The right to a slot's content."""
 
-    __slots__ = ("_give_back", "ended", "frame", "memory", "names")
+    __slots__ = ("_give_back", "ended", "frame", "generation", "memory", "names")
 
     def __init__(
         self,
@@ -246,7 +252,9 @@ class Lease:
         frame: Descriptor,
         names: tuple[str, str, str],
         give_back: Callable[[SlotMappings, Descriptor], None],
+        generation: int = 0,
     ) -> None:
+        self.generation = generation
         self.memory = memory
         self.frame = frame
         self.names = names
@@ -265,9 +273,10 @@ def lend(
     frame: Descriptor,
     names: tuple[str, str, str],
     give_back: Callable[[SlotMappings, Descriptor], None],
+    generation: int = 0,
 ) -> LocalFrame:
     """A leased frame as an array."""
     array: LocalFrame = memory.array(frame, LocalFrame)
-    array._lease = Lease(memory, frame, names, give_back)
+    array._lease = Lease(memory, frame, names, give_back, generation)
     memory.begin(frame.slot)
     return array

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from cm.client.core import calls, registers
 from cm.client.core.events import RegisterEvents
+from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.client.events import EventStream
 from cm.messages.status import RegisterInfo, RegValues
@@ -53,16 +54,22 @@ class Registers(MutableMapping[str, int]):
         """What the schema says of each register that the current mode has."""
         return registers.visible(self._board.config())
 
+    @property
+    def generation(self) -> int:
+        """Of the registers now: grows with every write, by whomever, and with every change of mode."""
+        return self._board.ask(calls.status()).generation
+
     def read(self, *names: str) -> dict[str, int]:
         """Several at once; all that can be read if none is named."""
         return registers.values(self._board.ask(calls.read_registers(names)))
 
-    def write(self, values: Mapping[str, int | str], lease: str = "") -> dict[str, int]:
+    def write(self, values: Mapping[str, int | str], lease: str = "") -> Written:
         """Several in order, all checked before the first is written; returns what they hold then.
 
-        Values are integers, or names that the schema gives to a field's values: ``{"led.colour": "red"}``.
+        Values are integers, or names that the schema gives to a field's values: ``{"led.colour": "red"}``. The result's
+        `generation` is what frames after the write have at least (`stream.after`).
         """
-        return registers.values(self._board.ask(calls.write_registers(values, lease)))
+        return Written(self._board.ask(calls.write_registers(values, lease)))
 
     def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:
         """Only the bits in `mask`; returns the register's value."""

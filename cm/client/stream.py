@@ -10,6 +10,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, seconds
+from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
 from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed
@@ -31,10 +32,26 @@ class Stream:
     """Frames of one stream. Iterating ends only by an exception; leaving the context closes it."""
 
     name: str
+    _timeout: float | None
 
     def read(self, timeout: Limit = DEFAULT) -> Frame:
         """The next frame. `timeout` in seconds (None waits for ever), else that of the stream. Raises Timeout."""
         raise NotImplementedError
+
+    def after(self, write: Written | int, timeout: Limit = DEFAULT) -> Frame:
+        """The first frame that began after a write was done; those before it are passed over.
+
+        `write` is what `registers.write` returned, or a generation of the registers. Raises Timeout.
+        """
+        wanted = FirstAfter(self.name, write, timeout, self._timeout)
+        for left in wanted.limits():
+            try:
+                frame = self.read(left)
+            except Timeout:
+                raise wanted.nothing() from None
+            if wanted.has(frame):
+                return frame
+        raise AssertionError("limits end by an exception")
 
     def open(self) -> None:
         """Connect; `read` does it by itself. Raises RequestNotFound for an unknown stream."""
@@ -188,6 +205,7 @@ class RemoteStream(Stream):
 
     def __init__(self, board: Board, wanted: Wanted) -> None:
         self.name = wanted.name
+        self._timeout = wanted.timeout
         self._board = board  # what hangs on a board holds it
         self._reader: Reader = self._made(wanted)
 

@@ -191,4 +191,4 @@ def _raise(error: Exception) -> NoReturn:
 def _ended(change: Change) -> Reply:
     if change.error is not None:
         return Reply(error=change.error)
-    return Reply(ChangeInfo(change.number, done=True, seconds=change.seconds))
+    return Reply(ChangeInfo(change.number, done=True, seconds=change.seconds, generation=change.generation))

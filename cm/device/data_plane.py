@@ -137,6 +137,10 @@ class Plane:
         """Send a packet to all clients of a stream."""
         native.tell(self._handle, stream, packet)
 
+    def wrote(self, generation: int) -> None:
+        """Registers were written, and hold what was: frames that begin from now on are of this generation."""
+        native.wrote(self._handle, generation)
+
     def settle(self) -> None:
         """Take what clients have sent by now: events tell of all who hung up before the call."""
         native.settle(self._handle)

@@ -236,6 +236,7 @@ class Manager:
     def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "") -> RegValues:
         """Check all, then write in order; returns and publishes what the registers then hold."""
         result = self.registers.write(writes, lease)
+        self._env.data_plane.wrote(result.generation)  # before anybody knows its number
         self._env.observer.registers_changed(result)
         return result
 

@@ -113,6 +113,11 @@ def tell(plane: Handle, stream: int, packet: bytes) -> None:
     check(lib.cm_plane_tell(plane, stream, packet, len(packet)))
 
 
+def wrote(plane: Handle, generation: int) -> None:
+    """Registers were written: frames that begin from now on are of this generation."""
+    lib.cm_plane_wrote(plane, generation)
+
+
 def settle(plane: Handle) -> None:
     """Take what clients have sent by now: who hung up before has gone."""
     lib.cm_plane_settle(plane)

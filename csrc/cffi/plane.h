@@ -56,6 +56,7 @@ int cm_plane_attach(struct cm_plane *plane, int client, int stream, uint32_t dep
 		    const void *packet, size_t size);
 int cm_plane_tell(struct cm_plane *plane, int stream, const void *packet, size_t size);
 void cm_plane_settle(struct cm_plane *plane);
+void cm_plane_wrote(struct cm_plane *plane, uint64_t generation);
 int cm_plane_drop(struct cm_plane *plane, int client);
 int cm_plane_get_stats(struct cm_plane *plane, int stream, struct cm_plane_stats *stats);
 int cm_plane_get_client_stats(struct cm_plane *plane, int client,

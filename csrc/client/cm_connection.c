@@ -204,6 +204,7 @@ static int begin(struct connection *connection, const struct packet *packet)
 	memory->next = connection->memories;
 	connection->memories = memory;
 	connection->running = true;
+	connection->generation = 0;
 	read_mode(connection, packet->bytes + fixed, packet->bytes + packet->size);
 	connection_sweep(connection);
 	return 0;
@@ -288,6 +289,9 @@ int connection_take(struct connection *connection, const struct packet *packet)
 	case CM_PLANE_LABEL:
 		read_mode(connection, packet->bytes + sizeof(packet->head),
 			  packet->bytes + packet->size);
+		return 0;
+	case CM_PLANE_GENERATION:
+		connection->generation = packet->head.sequence;
 		return 0;
 	case CM_PLANE_STOPPED:
 		stop(connection);

@@ -154,6 +154,11 @@ const char *cm_reader_mode(const struct cm_reader *reader)
 	return reader->connection.mode;
 }
 
+uint64_t cm_reader_generation(const struct cm_reader *reader)
+{
+	return reader->connection.generation;
+}
+
 uint64_t cm_reader_lost(const struct cm_reader *reader)
 {
 	return reader->lost;

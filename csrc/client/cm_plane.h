@@ -98,6 +98,12 @@ const struct cm_plane_geometry *cm_reader_geometry(const struct cm_reader *reade
 /* Name of the mode that frames are of now. */
 const char *cm_reader_mode(const struct cm_reader *reader);
 
+/*
+ * Generation of the registers under which the frame that cm_reader_next() gave last began, 0: not known.
+ * One that is no smaller than that of a write (RegValues.generation in cm.proto) is a frame after it.
+ */
+uint64_t cm_reader_generation(const struct cm_reader *reader);
+
 /* Frames that came while all that may be held were. */
 uint64_t cm_reader_lost(const struct cm_reader *reader);
 

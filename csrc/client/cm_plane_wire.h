@@ -34,6 +34,8 @@
 #define CM_PLANE_LATE 23    /* a RELEASE of a slot that this client does not hold */
 #define CM_PLANE_LABEL 24   /* names follow: frames from here on are of this mode */
 #define CM_PLANE_REFUSED 25 /* code, NUL, sentence follow; the connection ends */
+#define CM_PLANE_GENERATION \
+	26 /* frames from here on began under generation @sequence of the registers */
 
 /* flags of OPEN; those of other packets are the low bits of the epoch, which change with GEOMETRY */
 #define CM_PLANE_OPEN_WRITE 1

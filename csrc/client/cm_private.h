@@ -27,6 +27,7 @@ struct connection {
 	int fd;
 	struct cm_memory *memories; /* the first is that of what comes now, if @running */
 	bool running;
+	uint64_t generation; /* of the frame that came last */
 	char mode[256];
 	char error[CM_PLANE_PACKET_MAX + 16];
 };

@@ -44,7 +44,8 @@ static int read_frames(struct cm_reader *reader, int count)
 						   : strerror(errno));
 			return 1;
 		}
-		printf("frame %" PRIu64 " of %s: ", frame.sequence, cm_reader_mode(reader));
+		printf("frame %" PRIu64 ", generation %" PRIu64 ", of %s: ", frame.sequence,
+		       cm_reader_generation(reader), cm_reader_mode(reader));
 		describe(reader);
 		printf(", %zu bytes, mean %.1f\n", frame.length, mean(&frame));
 		cm_reader_release(reader, &frame);

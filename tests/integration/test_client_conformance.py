@@ -45,6 +45,7 @@ from cm.client.errors import (
 from cm.errors import InvalidRequest, Timeout
 from cm.messages.status import Progress
 from cm.sim import Board as SimBoard
+from cm.sim.hardware import camera
 
 PICTURE = (np.arange(480 * 640) % 251).astype(np.uint8).reshape(480, 640)
 
@@ -289,6 +290,16 @@ def test_a_name_that_a_value_has_not_is_refused(board: Any, name: str, value: st
     assert board.registers.read(name) == before
 
 
+def test_every_write_and_every_change_is_a_generation_of_its_own(board: Any, other: Any) -> None:
+    first = board.registers.write({"focus": 2}).generation
+    second = other.registers.write({"zoom": 1}).generation
+    assert board.registers.generation == second > first > 0
+    board.registers.write_masked("focus", 1, 3)
+    third = board.registers.generation
+    board.set_mode("edge_detection")
+    assert board.registers.generation > third > second
+
+
 def test_writes_are_told_to_who_listens(board: Any, other: Any) -> None:
     with board.registers.events("focus", timeout=20) as listening:
         other.registers.write({"zoom": 1})
@@ -350,6 +361,34 @@ def test_frames_come_in_their_shape(board: Any, newest: bool) -> None:
         frame = next(iter(frames))
         assert (frame.shape, frame.info.mode) == ((480, 640), "default")
         assert frames.lost >= 0
+
+
+@pytest.mark.parametrize("newest", [False, True])
+def test_the_first_frame_after_a_write_shows_what_was_written(board: Any, sim: SimBoard, newest: bool) -> None:
+    sharp, blurred = (set(_pictures(focus)) for focus in (1, 4))
+    with board.stream("camera", timeout=20, newest=newest) as frames:
+        for _ in range(5):
+            for focus, right in ((4, blurred), (1, sharp)):
+                written = board.registers.write({"focus": focus})
+                frame = frames.after(written)
+                assert frame.generation == frame.info.generation == written.generation
+                assert frame.tobytes() in right
+        kept = frames.after(board.registers.generation, timeout=20)
+        assert pickle.loads(pickle.dumps(kept)).generation == written.generation
+
+
+def _pictures(focus: int) -> Iterator[bytes]:
+    """All that the camera of the simulated board takes."""
+    for photo in camera.shipped_photos().values():
+        yield camera.frame(photo, focus=focus).tobytes()
+
+
+def test_a_write_that_is_still_to_come_is_waited_for_as_long_as_was_said(board: Any) -> None:
+    with board.stream("camera", timeout=20) as frames:
+        with pytest.raises(Timeout, match=r"generation \d+ within 0\.3 s"):
+            frames.after(board.registers.generation + 1, timeout=0.3)
+        with pytest.raises(InvalidRequest, match=r"registers\.write"):
+            frames.after({"focus": 2})
 
 
 def test_a_stream_without_frames_tells_its_own_time_out(board: Any) -> None:

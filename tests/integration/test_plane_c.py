@@ -66,12 +66,20 @@ def test_the_documented_reader_reads(board: cm.Board, manager: Manager, reader: 
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert all("of default: 480x640 uint8, 307200 bytes, mean " in line for line in lines[:5])
-    numbers = [int(line.split()[1]) for line in lines[:5]]
+    numbers = [int(line.split()[1].rstrip(",")) for line in lines[:5]]
     assert numbers == list(range(numbers[0], numbers[0] + 5))
     assert lines[5] == "0 lost"
     means = {line.rpartition(" ")[2] for line in lines[:5]}
     with board.stream("camera") as stream:
         assert means & {f"{frame.mean():.1f}" for frame, _ in zip(stream, range(8), strict=False)}
+
+
+def test_in_c_frames_after_a_write_are_of_its_generation(board: cm.Board, manager: Manager, reader: Path) -> None:
+    with board.stream("camera", timeout=30) as stream:
+        written = board.registers.write({"focus": 2})
+        stream.after(written)
+        lines = run(reader, manager, "camera").stdout.splitlines()
+    assert {int(line.split()[3].rstrip(",")) for line in lines[:5]} == {written.generation}
 
 
 def test_an_unknown_stream_is_refused_with_the_reason(board: cm.Board, manager: Manager, reader: Path) -> None:

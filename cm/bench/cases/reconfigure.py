@@ -92,6 +92,9 @@ class _NoStreams:
     def resume(self, config: Config | None, mode: str | None) -> None:
         """There are none."""
 
+    def wrote(self, generation: int) -> None:
+        """There are none."""
+
 
 class _Watch:
     """Notes when each step begins, as a client of ``cm_status`` is told."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 from cm.client.aio.link import Subscription
 from cm.client.aio.waiting import readable
 from cm.client.core.effects import DEFAULT, Limit, seconds
+from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
 from cm.client.errors import BoardClosed
 from cm.client.frame import Frame
@@ -30,10 +31,26 @@ class Stream:
     """Frames of one stream: ``async for``, or ``await read()``; also an async context manager."""
 
     name: str
+    _timeout: float | None
 
     async def read(self, timeout: Limit = DEFAULT) -> Frame:
         """The next frame. `timeout` in seconds (None waits for ever), else that of the stream. Raises Timeout."""
         raise NotImplementedError
+
+    async def after(self, write: Written | int, timeout: Limit = DEFAULT) -> Frame:
+        """The first frame that began after a write was done; those before it are passed over.
+
+        `write` is what `registers.write` returned, or a generation of the registers. Raises Timeout.
+        """
+        wanted = FirstAfter(self.name, write, timeout, self._timeout)
+        for left in wanted.limits():
+            try:
+                frame = await self.read(left)
+            except Timeout:
+                raise wanted.nothing() from None
+            if wanted.has(frame):
+                return frame
+        raise AssertionError("limits end by an exception")
 
     async def open(self) -> None:
         """Connect; `read` does it by itself. Raises RequestNotFound for an unknown stream."""
@@ -113,6 +130,7 @@ class AsyncRemoteStream(Stream):
 
     def __init__(self, board: Board, wanted: Wanted) -> None:
         self.name = wanted.name
+        self._timeout = wanted.timeout
         self._board = board  # what hangs on a board holds it
         self._reader: Reader = NewestReader(wanted) if wanted.newest else PublishedReader(wanted, self._listen)
 

@@ -94,7 +94,7 @@ class RegisterEvents(Events[RegValues]):
         if not self._names:
             return event
         values = tuple([v for v in event.values if v.name in self._names])
-        return RegValues(values, event.config_name, event.mode) if values else None
+        return event._replace(values=values) if values else None
 
 
 class InterruptEvents(Events[Irq]):

@@ -56,13 +56,13 @@ class StreamDriver:
         self._audience = audience
         self._policy = policy
         self._on_error = on_error
-        self._plane = Plane()
-        self.echoes = Echoes(self._plane)
+        self.plane = Plane()
+        self.echoes = Echoes(self.plane)
         self.open: dict[str, OpenStream] = {}
-        self.locals = LocalClients(self._plane, on_error)
-        self.zmq = ZmqClients(loop, self._plane, audience.frame)
+        self.locals = LocalClients(self.plane, on_error)
+        self.zmq = ZmqClients(loop, self.plane, audience.frame)
         self._stalled = StalledChannels(devices.probe_dma)
-        loop.add(self._plane.fileno(), self._plane_event)
+        loop.add(self.plane.fileno(), self._plane_event)
 
     def refresh(self) -> None:
         """Open what is wanted, close what is not wanted any more."""
@@ -87,7 +87,7 @@ class StreamDriver:
 
     def settle(self) -> None:
         """Clients that have just hung up do not use their stream any more when this returns."""
-        self._plane.settle()
+        self.plane.settle()
         self._plane_event()
 
     def running(self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None) -> OpenStream:
@@ -118,8 +118,8 @@ class StreamDriver:
     def close(self) -> None:
         """Hang up on all clients, end the plane's thread."""
         self._stalled.close()
-        self._loop.remove(self._plane.fileno())
-        self._plane.close()
+        self._loop.remove(self.plane.fileno())
+        self.plane.close()
 
     def _start(self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None) -> OpenStream:
         """Open a stream; its clients, and what `first` attaches, get it from its first frame on."""
@@ -138,7 +138,7 @@ class StreamDriver:
 
     def _opened(self, stream: Stream) -> OpenStream:
         try:
-            opened = OpenStream(self._plane, self._devices.dma(stream.channel), stream)
+            opened = OpenStream(self.plane, self._devices.dma(stream.channel), stream)
         except DeviceTimeout:
             with suppress(OSError):  # then the next who opens it finds out anew
                 self._stalled.probe(stream)
@@ -163,7 +163,7 @@ class StreamDriver:
         self.zmq.close(name)
 
     def _plane_event(self) -> None:
-        while (event := self._plane.event()) is not None:
+        while (event := self.plane.event()) is not None:
             if isinstance(event, ClientGone):
                 self._client_gone(event.client)
             elif isinstance(event, ClientLeaves):

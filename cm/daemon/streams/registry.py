@@ -55,6 +55,10 @@ class Streams:
         """The streams are those of this mode."""
         self._loop.ask(lambda: self._enter(config, mode))
 
+    def wrote(self, generation: int) -> None:
+        """Registers were written. Any thread, and never waits: what frames need is noted beside them."""
+        self._driver.plane.wrote(generation)
+
     def _hold(self, names: Collection[str]) -> None:
         for name in names:
             self._driver.stop(name)

@@ -159,8 +159,8 @@ class OpenStream:
 
     # ---- what is told -----------------------------------------------------------------
 
-    def info(self, frame: Descriptor) -> FrameInfo:
-        """A frame's description; one that is not whole is flat bytes."""
+    def info(self, frame: Descriptor, generation: int = 0) -> FrameInfo:
+        """A frame's description; one that is not whole is flat bytes. `generation`: of the registers it began under."""
         whole = frame.length == frame_bytes(self.stream) and self.stream.shape is not None
         return FrameInfo(
             stream=self.stream.name,
@@ -171,6 +171,7 @@ class OpenStream:
             dtype=self.stream.dtype if whole else "uint8",
             config_name=self._names[0],
             mode=self._names[1],
+            generation=generation,
         )
 
     def status(self) -> StreamStatus:

@@ -25,6 +25,7 @@ class ZmqReader(ZmqClient):
     def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, deliver: Callable[[Frame], None]) -> None:
         self._deliver = deliver
         self._readers: deque[tuple[Done, Timer]] = deque()
+        self._generation = 0
         super().__init__(loop, plane, opened, _READ_DEPTH)
 
     @property
@@ -46,6 +47,8 @@ class ZmqReader(ZmqClient):
         self._used_at = time.monotonic()
 
     def _take(self, packet: Descriptor) -> None:
+        if packet.kind == packets.GENERATION:
+            self._generation = packet.sequence
         if packet.kind != packets.FRAME:
             return
         try:
@@ -57,7 +60,7 @@ class ZmqReader(ZmqClient):
         slot = self._stream.slots[packet.slot]
         slot.sync_begin(write=False)
         try:
-            frame = Frame(self._stream.info(packet), self._bytes(packet))
+            frame = Frame(self._stream.info(packet, self._generation), self._bytes(packet))
             readers, self._readers = self._readers, deque()
             for done, timer in readers:
                 timer.cancel()

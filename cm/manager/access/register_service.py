@@ -152,7 +152,7 @@ class RegisterService:
             for register, _, _ in checked:
                 self._check_free(register)
             values = tuple([self._write(register, value, mask) for register, value, mask in checked])
-            return RegValues(values, view.config.name, view.mode or "")
+            return RegValues(values, view.config.name, view.mode or "", self._state.written())
 
     def take_flags(self, name: str, clear: int) -> int:
         """Read a status register and acknowledge those interrupts of `clear` (bits) that stand; what was read.

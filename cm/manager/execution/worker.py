@@ -39,6 +39,7 @@ class Change:
     lease: str = ""  # the requester's own
     error: ErrorInfo | None = None
     seconds: float = 0.0
+    generation: int = 0  # of the registers at its end
     on_done: Callable[[Change], None] | None = None
     also: tuple[str, ...] = ()  # modules of regions that the mode leaves alone, which the way back restores
     values: Mapping[str, int] = field(default_factory=dict)  # registers that it restores
@@ -143,6 +144,8 @@ class Worker:
         started = time.monotonic()
         self._begin(change)
         error = self._outcome(change)
+        change.generation = state.written()
+        self._tools.data_plane.wrote(change.generation)
         seconds = time.monotonic() - started
         state.pending, self.running = None, None
         reporter.ended(change.number, error, seconds)

@@ -19,6 +19,9 @@ class DataPlane(Protocol):
     def resume(self, config: Config | None, mode: str | None) -> None:
         """Streams are those of this mode now; start again what somebody listens to."""
 
+    def wrote(self, generation: int) -> None:
+        """Registers were written, by requests or a change: what begins from now on is of this generation."""
+
 
 class TimeSource(Protocol):
     """The time that passes; Python's module `time` is one, and tests have their own."""

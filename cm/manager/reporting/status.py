@@ -82,6 +82,7 @@ class StatusReporter:
             last_change=self._last[0],
             last_change_seconds=self._last[1],
             clocks=clock_states(self._state.loaded_config(), board),
+            generation=self._state.generation,
         )
 
     def _pr_mode(self, running: bool) -> PrMode:

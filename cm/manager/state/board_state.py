@@ -50,6 +50,7 @@ class ManagerState:
         self._journal = journal
         self._boot_id = ""
         self._number = 0
+        self.generation = 0  # of the registers
         self._recorded: Pending | None = None  # as it stands in the record
         self._dirty = False
         self._written: dict[str, int] = {}  # registers that were written since `latest` was made
@@ -68,6 +69,12 @@ class ManagerState:
         with self.lock:
             self._written[register] = value
             self._dirty = True
+
+    def written(self) -> int:
+        """Everything that was noted is in the registers; the number of that generation of them."""
+        with self.lock:
+            self.generation += 1
+            return self.generation
 
     def note_found(self, place: Place, value: int) -> None:
         """Remember what a register held before the change that runs, for the way back after a crash."""

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Generations of the registers: what was written, and which frames began after it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from cm.client.core.effects import Deadline, Limit, seconds
+from cm.client.frame import Frame
+from cm.errors import InvalidRequest, Timeout
+from cm.messages.status import RegValues
+
+
+class Written(dict[str, int]):
+    """What registers hold after a write, by name; `generation` is what frames after it have at least."""
+
+    generation: int
+
+    def __init__(self, answer: RegValues) -> None:
+        super().__init__((v.name, v.value) for v in answer.values)
+        self.generation = answer.generation
+
+
+def number(write: Written | int) -> int:
+    """The generation that is meant. Raises InvalidRequest."""
+    generation = write.generation if isinstance(write, Written) else write
+    if isinstance(generation, bool) or not isinstance(generation, int) or generation < 0:
+        raise InvalidRequest(f"after {write!r}: it takes what registers.write() returned, or a generation")
+    return generation
+
+
+class FirstAfter:
+    """Frames are read until one began after a write: iterate over what is left of the time-out, and offer each."""
+
+    def __init__(self, stream: str, write: Written | int, timeout: Limit, default: float | None) -> None:
+        self._generation = number(write)
+        self._deadline = Deadline(seconds(timeout, default))
+        self._stream = stream
+
+    def limits(self) -> Iterator[float | None]:
+        """How long each read may take. Raises Timeout when nothing is left."""
+        while True:
+            left = self._deadline.left
+            if left is not None and left <= 0:
+                raise self.nothing()
+            yield left
+
+    def has(self, frame: Frame) -> bool:
+        """Whether it is one; one that is not goes back."""
+        if frame.generation >= self._generation:
+            return True
+        frame.release()
+        return False
+
+    def nothing(self) -> Timeout:
+        """None came."""
+        limit = self._deadline.limit or 0
+        return Timeout(f"stream {self._stream!r} gave no frame of generation {self._generation} within {limit:g} s")
