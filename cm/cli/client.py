@@ -6,15 +6,17 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cm
-from cm.client.board import Board
+if TYPE_CHECKING:
+    from cm.client.board import Board
 
 
 def connected(args: argparse.Namespace) -> Board:
     """The manager that ``--runtime-dir`` or ``--connect`` names, or this machine's."""
-    return cm.connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys)
+    from cm.client.board import connect  # here: a completed name or a help text needs no client
+
+    return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys)
 
 
 def plain(value: Any) -> Any:

@@ -38,8 +38,9 @@ COMMANDS = (
     Command("configs", "cm.cli.configs", "list the configurations and their modes"),
     Command("load", "cm.cli.load", "load a configuration"),
     Command("mode", "cm.cli.mode", "change the mode"),
+    Command("cancel", "cm.cli.cancel", "cancel the change that runs"),
     Command("plan", "cm.cli.plan", "show what a change of mode would do"),
-    Command("reg", "cm.cli.reg", "list, read and write registers"),
+    Command("reg", "cm.cli.reg", "list, read, write and watch registers"),
     Command("mem", "cm.cli.mem", "list, read and write memories"),
     Command("irq", "cm.cli.irq", "list interrupts and wait for them"),
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams"),
@@ -54,6 +55,7 @@ COMMANDS = (
     Command("bench", "cm.cli.bench", "measure latency and throughput"),
     Command("check", "cm.cli.check", "check runtime schemas"),
     Command("completion", "cm.cli.completion", "print a completion script for a shell"),
+    Command("help", "cm.cli.help", "describe a command"),
 )
 
 

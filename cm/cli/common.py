@@ -12,6 +12,11 @@ from types import TracebackType
 from typing import Any, TextIO
 
 
+def completes(argument: argparse.Action, *words: str) -> None:
+    """Have the completion scripts offer `words`, and what runs for ``<KIND>`` (`cm.cli.completion.running`)."""
+    argument.completes = words  # type: ignore[attr-defined]
+
+
 def add_connection_options(parser: argparse.ArgumentParser) -> None:
     """Add ``--runtime-dir`` and ``--connect``: which configuration manager to talk to."""
     group = parser.add_argument_group("connection")

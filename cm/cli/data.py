@@ -7,13 +7,13 @@ import argparse
 from typing import Any
 
 from cm.cli.client import connected, plain
-from cm.cli.common import add_connection_options, add_json_option, print_json
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser("data", help="configure the data channels")
-    parser.add_argument("stream", metavar="STREAM")
+    completes(parser.add_argument("stream", metavar="STREAM"), "<stream>")
     parser.add_argument("--shape", type=_shape, metavar="480x640", help="of one frame")
     parser.add_argument("--dtype", metavar="TYPE", help="a numpy dtype, such as uint8")
     parser.add_argument("--slots", type=int, metavar="N", help="buffers in the ring")

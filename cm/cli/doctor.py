@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from cm.device.survey import survey
 
     found = survey(args.root)
-    findings = [*_packages(), _curve(), _manager(args), *map(_plain, found.findings)]
+    findings = [_board(found), _manager(args), *map(_plain, found.findings), *_packages(), _curve()]
     verdict = _verdict(found, findings)
     if args.report:
         from cm.cli.doctor_report import report
@@ -68,6 +68,21 @@ def _entry(kind: str, name: str, state: str, detail: str = "", advice: str = "",
 
 def _plain(finding: Finding) -> dict[str, str]:
     return _entry(finding.kind, finding.name, finding.state.value, finding.detail, finding.advice, finding.path)
+
+
+def _board(found: Survey) -> dict[str, str]:
+    """The machine that was looked at."""
+    from cm.device.checks.machine import Machine
+    from cm.device.paths import Root
+
+    machine = Machine(Root.of(found.root))
+    if found.simulated:
+        return _entry("board", "board", "ok", "a simulated board", "", found.root)
+    model = machine.text("proc/device-tree/model")
+    if model:
+        return _entry("board", "board", "ok", ", ".join(filter(None, (model, machine.release))), "", found.root)
+    advice = "'cm serve --sim' brings a simulated board; --connect reaches one elsewhere"
+    return _entry("board", "board", "missing", f"this {platform.machine()} machine is none", advice, found.root)
 
 
 def _packages() -> Iterator[dict[str, str]]:

@@ -7,7 +7,7 @@ import argparse
 from itertools import islice
 
 from cm.cli.client import connected, plain
-from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -17,7 +17,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     listing = actions.add_parser("list", help="the interrupts of the loaded configuration")
     listing.set_defaults(run=run_list)
     wait = actions.add_parser("wait", help="wait for an interrupt")
-    wait.add_argument("name", metavar="NAME")
+    completes(wait.add_argument("name", metavar="NAME"), "<interrupt>")
     wait.add_argument("--timeout", type=float, metavar="SECONDS", help="give up after so long (exit status 1)")
     wait.add_argument("--count", type=int, default=1, metavar="N", help="wait for so many")
     wait.set_defaults(run=run_wait)

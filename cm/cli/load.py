@@ -4,17 +4,23 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from cm.cli.client import connected
-from cm.cli.common import Progress, add_connection_options, add_json_option, print_json
-from cm.client.board import Board
+from cm.cli.common import Progress, add_connection_options, add_json_option, completes, print_json
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser("load", help="load a configuration")
-    parser.add_argument("config", metavar="CONFIG")
-    parser.add_argument("mode", metavar="MODE", nargs="?", default="", help="default: the configuration's default mode")
+    completes(parser.add_argument("config", metavar="CONFIG"), "<config>")
+    mode = parser.add_argument(
+        "mode", metavar="MODE", nargs="?", default="", help="default: the configuration's default"
+    )
+    completes(mode, "<mode of config>")
     add_options(parser)
     parser.set_defaults(run=run)
 

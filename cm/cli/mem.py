@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from cm.cli.client import connected, number, plain
-from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
 from cm.errors import InvalidRequest
 from cm.messages.status import MemoryInfo
 
@@ -27,7 +27,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     listing = actions.add_parser("list", help="the memories of the current mode")
     listing.set_defaults(run=run_list)
     read = actions.add_parser("read", help="print bytes of a memory, or write them to a file")
-    read.add_argument("name", metavar="NAME")
+    completes(read.add_argument("name", metavar="NAME"), "<memory>")
     read.add_argument("--offset", type=number, default=0, metavar="BYTES", help="begin there, at a multiple of 4")
     read.add_argument("--length", type=number, metavar="BYTES", help="so many, a multiple of 4 (default: the rest)")
     read.add_argument(
@@ -35,7 +35,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     read.set_defaults(run=run_read)
     write = actions.add_parser("write", help="write a file or values to a memory")
-    write.add_argument("name", metavar="NAME")
+    completes(write.add_argument("name", metavar="NAME"), "<memory>")
     source = write.add_mutually_exclusive_group(required=True)
     source.add_argument(
         "file", metavar="FILE", nargs="?", type=Path, help="NAME.npy, else the bytes as they are; - is stdin"

@@ -6,13 +6,15 @@ from __future__ import annotations
 import argparse
 
 from cm.cli.client import connected
+from cm.cli.common import completes
 from cm.cli.load import add_options, go
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser("mode", help="change the mode")
-    parser.add_argument("mode", metavar="MODE", help="a mode, or the module that exactly one mode consists of")
+    mode = parser.add_argument("mode", metavar="MODE", help="a mode, or the module that exactly one mode consists of")
+    completes(mode, "<mode>")
     add_options(parser)
     parser.set_defaults(run=run)
 

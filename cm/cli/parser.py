@@ -21,6 +21,13 @@ class Parser(argparse.ArgumentParser):
         kwargs.setdefault("allow_abbrev", False)
         super().__init__(*args, **kwargs)
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Refuse what is left over here, by the command that it stands behind: `cm` itself would show its own usage."""
+        known, left = super().parse_known_args(args, namespace)
+        if left:
+            self.error(f"unrecognized arguments: {' '.join(left)}")
+        return known, left
+
 
 def build_parser(chosen: str | None) -> argparse.ArgumentParser:
     """The parser of `cm`, with the arguments of the command called `chosen`.

@@ -6,16 +6,15 @@ from __future__ import annotations
 import argparse
 
 from cm.cli.client import connected, plain
-from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser("plan", help="show what a change of mode would do")
-    parser.add_argument("mode", metavar="MODE", nargs="?", default="")
-    parser.add_argument(
-        "--config", default="", metavar="CONFIG", help="of this configuration instead of the loaded one"
-    )
+    completes(parser.add_argument("mode", metavar="MODE", nargs="?", default=""), "<mode>")
+    config = parser.add_argument("--config", default="", metavar="CONFIG", help="of this one instead of the loaded one")
+    completes(config, "<config>")
     add_connection_options(parser)
     add_json_option(parser)
     parser.set_defaults(run=run)

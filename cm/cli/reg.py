@@ -1,29 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm reg list|read|write``: registers by name."""
+"""``cm reg list|read|write|watch``: registers by name."""
 
 from __future__ import annotations
 
 import argparse
+import time
+from collections.abc import Iterator
+from difflib import get_close_matches
+from itertools import islice
+from typing import TYPE_CHECKING
 
 from cm.cli.client import connected, number, plain
-from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+from cm.client.core import registers
+from cm.errors import NotFound
 from cm.messages.status import RegisterInfo
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = subparsers.add_parser("reg", help="list, read and write registers")
+    parser = subparsers.add_parser("reg", help="list, read, write and watch registers")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the registers of the current mode")
     listing.set_defaults(run=run_list)
     read = actions.add_parser("read", help="read registers or fields (NAME.FIELD); all if none is named")
-    read.add_argument("names", metavar="NAME", nargs="*")
+    completes(read.add_argument("names", metavar="NAME", nargs="*"), "<register>")
     read.set_defaults(run=run_read)
     write = actions.add_parser("write", help="write registers or fields, in order, all checked first")
-    write.add_argument("writes", metavar="NAME=VALUE", nargs="+", type=_assignment)
+    completes(write.add_argument("writes", metavar="NAME=VALUE", nargs="+", type=_assignment), "<assignment>")
     write.add_argument("--mask", type=number, metavar="BITS", help="change only these bits (one register)")
-    write.set_defaults(run=run_write)
-    for action in (listing, read, write):
+    write.set_defaults(run=run_write, refuse=write.error)
+    watch = actions.add_parser(
+        "watch",
+        help="print registers as they are written",
+        description="Print what registers hold whenever one is written, by whomever. What the hardware itself changes "
+        "shows with --every only.",
+    )
+    completes(watch.add_argument("names", metavar="NAME", nargs="*", help="only these"), "<register>")
+    watch.add_argument("--every", type=_seconds, metavar="SECONDS", help="read so often, and print what has changed")
+    watch.add_argument("--count", type=int, metavar="N", help="end after N lines")
+    watch.set_defaults(run=run_watch)
+    for action in (listing, read, write, watch):
         add_connection_options(action)
         add_json_option(action)
 
@@ -36,6 +56,13 @@ def _assignment(text: str) -> tuple[str, int | str]:
         return name, number(value)
     except ValueError:
         return name, value  # a field's value by its name
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text} is no time in seconds")
+    return value
 
 
 def run_list(args: argparse.Namespace) -> int:
@@ -67,17 +94,52 @@ def run_read(args: argparse.Namespace) -> int:
 
 def run_write(args: argparse.Namespace) -> int:
     """Write values and print what the registers hold then; the exit status."""
-    with connected(args) as board:
-        if args.mask is None:
+    if args.mask is None:
+        with connected(args) as board:
             return _show(args, board.registers.write(dict(args.writes)))
-        if len(args.writes) != 1:
-            print("cm reg write: --mask goes with one register")
-            return 2
-        name, value = args.writes[0]
-        if not isinstance(value, int):
-            print("cm reg write: with --mask the value is a number")
-            return 2
+    if len(args.writes) != 1:
+        args.refuse("--mask goes with one register")
+    name, value = args.writes[0]
+    if not isinstance(value, int):
+        args.refuse("with --mask the value is a number")
+    with connected(args) as board:
         return _show(args, {name: board.registers.write_masked(name, value, args.mask)})
+
+
+def run_watch(args: argparse.Namespace) -> int:
+    """Print each value as it changes, until interrupted; the exit status."""
+    names = tuple(args.names)
+    with connected(args) as board:
+        values = _written(board, names) if args.every is None else _changed(board, names, args.every)
+        for name, value in islice(values, args.count):
+            if args.json:
+                print_json({"name": name, "value": value}, lines=True)
+            else:
+                print(f"{name} {value}  {value:#x}", flush=True)
+    return 0
+
+
+def _written(board: Board, names: tuple[str, ...]) -> Iterator[tuple[str, int]]:
+    """What registers hold after each write of one; names that the mode does not have are an error."""
+    known = registers.names(board.registers.info)
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            raise NotFound(f"no register {name!r} in this mode" + (f"; did you mean {near[0]!r}?" if near else ""))
+    for event in board.registers.events(*(name.partition(".")[0] for name in names)):
+        for register in event.values:
+            values = {register.name: register.value, **{f"{register.name}.{f}": v for f, v in register.fields}}
+            yield from ((name, values[name]) for name in (names or (register.name,)) if name in values)
+
+
+def _changed(board: Board, names: tuple[str, ...], every: float) -> Iterator[tuple[str, int]]:
+    """What they hold now, and then whatever differs from the look before."""
+    before: dict[str, int] = {}
+    while True:
+        now = board.registers.read(*names)
+        yield from ((name, value) for name, value in now.items() if before.get(name) != value)
+        before = now
+        time.sleep(every)
 
 
 def _show(args: argparse.Namespace, values: dict[str, int]) -> int:

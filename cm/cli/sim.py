@@ -10,6 +10,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from cm.cli.common import completes
+
 if TYPE_CHECKING:
     from cm.sim import Control
 
@@ -22,6 +24,7 @@ _FAULTS = """faults (TARGET, VALUE):
   overlay_error    overlay             the next one cannot be applied
   fpga_manager_error                   the next load fails at its end
   register_stuck   register            writes are lost until cleared
+  clock_stuck      clock               its rate stays until cleared
   gpio_stuck       LABEL:LINE          the line keeps its value until cleared
 """
 
@@ -38,7 +41,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_arguments(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, refuse=parser.error)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=False)
     _add_actions(actions)
 
@@ -55,23 +58,24 @@ def run(args: argparse.Namespace) -> int:
 
 def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     inject = actions.add_parser("inject", help="order a fault")
-    inject.add_argument("name", metavar="FAULT")
-    inject.add_argument("target", nargs="?")
+    completes(inject.add_argument("name", metavar="FAULT"), "<fault>")
+    completes(inject.add_argument("target", nargs="?"), "<target>")
     inject.add_argument("value", nargs="?", type=int, default=0)
     inject.add_argument("--count", type=int, default=1, help="how often; 0: until cleared")
     clear = actions.add_parser("clear", help="forget faults")
-    clear.add_argument("name", nargs="?", metavar="FAULT")
-    clear.add_argument("target", nargs="?")
+    completes(clear.add_argument("name", nargs="?", metavar="FAULT"), "<fault>")
+    completes(clear.add_argument("target", nargs="?"), "<target>")
     interrupt = actions.add_parser("interrupt", help="raise an interrupt")
-    interrupt.add_argument("name")
+    completes(interrupt.add_argument("name"), "<interrupt>")
     for name, text in (("pause", "hold a camera"), ("resume", "let a camera run again")):
-        actions.add_parser(name, help=text).add_argument("channel")
+        completes(actions.add_parser(name, help=text).add_argument("channel"), "<channel>")
     step = actions.add_parser("step", help="let a held camera give frames")
-    step.add_argument("channel")
+    completes(step.add_argument("channel"), "<channel>")
     step.add_argument("frames", nargs="?", type=int, default=1)
     actions.add_parser("state", help="print what the board holds, as JSON")
     for parser in actions.choices.values():
         parser.add_argument("--root", type=Path, default=argparse.SUPPRESS, help="folder that the simulator serves")
+        parser.set_defaults(refuse=parser.error)
 
 
 def _act(args: argparse.Namespace) -> int:
@@ -79,8 +83,7 @@ def _act(args: argparse.Namespace) -> int:
     from cm.sim import Control
 
     if args.root is None:
-        print("cm sim: --root is missing: the folder that the simulator serves", file=sys.stderr)
-        return 2
+        args.refuse("--root is missing: the folder that the simulator serves")
     try:
         _carry_out(Control(args.root), args)
     except CmError as error:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from cm.cli.client import connected, plain
-from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
 from cm.errors import InvalidRequest
 from cm.messages.status import StreamStatus
 
@@ -30,16 +30,16 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     _add_settings(settings)
     settings.set_defaults(run=run_set)
     capture = actions.add_parser("capture", help="write frames to a .npy file, or to PNG files")
-    capture.add_argument("stream", metavar="STREAM")
+    completes(capture.add_argument("stream", metavar="STREAM"), "<stream>")
     capture.add_argument("file", metavar="FILE", type=Path, help="NAME.npy, or NAME.png (numbered if several)")
     capture.add_argument("--count", type=int, default=1, metavar="N", help="so many frames")
     capture.set_defaults(run=run_capture)
     play = actions.add_parser("play", help="send the frames of a .npy file to the hardware")
-    play.add_argument("stream", metavar="STREAM")
+    completes(play.add_argument("stream", metavar="STREAM"), "<stream>")
     play.add_argument("file", metavar="FILE.npy", type=Path, help="one frame, or frames along the first axis")
     play.set_defaults(run=run_play)
     ping = actions.add_parser("ping", help="measure how long frames take from completion to here")
-    ping.add_argument("stream", metavar="STREAM")
+    completes(ping.add_argument("stream", metavar="STREAM"), "<stream>")
     ping.add_argument("--count", type=int, default=20, metavar="N", help="so many frames")
     ping.set_defaults(run=run_ping)
     for action in (listing, settings, capture, play, ping):
@@ -76,7 +76,7 @@ def run_list(args: argparse.Namespace) -> int:
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
     add, switch = parser.add_argument, argparse.BooleanOptionalAction
-    add("stream", metavar="STREAM")
+    completes(add("stream", metavar="STREAM"), "<stream>")
     add("--shape", type=_shape, default=(), metavar="AxB…", help="of a whole frame, slowest axis first: 480x640")
     add("--dtype", default="", help="numpy's name of an element's type, such as uint8")
     add("--slots", type=int, default=0, metavar="N", help="buffers to begin with")

@@ -89,6 +89,20 @@ def test_verify_learns_the_footprint_from_another_module(tmp_path: Path, capsys:
     assert "column 30" in capsys.readouterr().out
 
 
+def test_verify_says_what_it_could_not_compare(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = module(tmp_path, "edge")  # the only one here: nothing tells what its region is
+    arguments = ["bitstream", "verify", str(path), "--config", str(schema(tmp_path)), "--region", "prr0"]
+    assert main(arguments) == 0
+    said = capsys.readouterr().out
+    assert "not compared: the footprint of region prr0 is not known" in said
+    assert "good" not in said
+    assert main([*arguments, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["not_compared"] == ["footprint"]
+    module(tmp_path, "zoom")
+    assert main(arguments) == 0
+    assert capsys.readouterr().out == f"{path}: good\n"
+
+
 def test_verify_refuses_another_device(tmp_path: Path) -> None:
     path = module(tmp_path, "edge")
     arguments = ["--config", str(schema(tmp_path, device="xc7z010")), "--region", "prr0"]

@@ -130,6 +130,39 @@ def test_the_page_of_the_docs_has_every_command() -> None:
     assert rows in page
 
 
+@pytest.mark.parametrize("words", [["reg", "write"], ["status"], []])
+def test_help_of_a_command_is_what_its_option_prints(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([*words, "--help"])
+    by_option = capsys.readouterr().out
+    assert main(["help", *words]) == 0
+    assert capsys.readouterr().out == by_option
+
+
+def test_help_of_what_is_no_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "there is no command rge; did you mean reg?" in usage_error(["help", "rge"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("line", "usage"),
+    [
+        ("plan a b", "usage: cm plan [-h]"),
+        ("reg read --nmae", "usage: cm reg read [-h]"),
+        ("reg write --mask 3 a=1 b=2", "usage: cm reg write [-h]"),
+        ("reg write --mask 3 led.blink=fast", "usage: cm reg write [-h]"),
+        ("stream capture camera x.png y.png", "usage: cm stream capture [-h]"),
+        ("sim inject hang", "usage: cm sim inject [-h]"),
+        ("build check --no-such", "usage: cm build check [-h]"),
+        ("bitstream verify", "usage: cm bitstream verify [-h]"),
+    ],
+)
+def test_wrong_usage_shows_the_usage_of_the_command_that_it_is_of(
+    line: str, usage: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CM_ROOT", raising=False)
+    assert usage_error(line.split(), capsys).startswith(usage)
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--version"])

@@ -64,7 +64,9 @@ def test_an_interrupt_that_does_not_exist_fails(root, capsys):
 
 
 def test_an_action_without_a_root_is_wrong_usage(capsys):
-    assert main(["sim", "state"]) == 2
+    with pytest.raises(SystemExit) as caught:
+        main(["sim", "state"])
+    assert caught.value.code == 2
     assert "--root" in capsys.readouterr().err
 
 

@@ -10,8 +10,19 @@ from cm.cli.completion.tree import Word
 
 _SCRIPT = """\
 # bash completion for cm, made by `cm completion bash`
+_cm_names() {{  # of what runs; bash took the word apart at =
+    local line=${{COMP_LINE:0:COMP_POINT}} found
+    local -a typed
+    read -ra typed <<< "$line"
+    [[ $line == *[[:space:]] ]] && typed+=("")
+    found=$("${{typed[0]}}" completion names "${{typed[@]:1}}" 2>/dev/null) || return
+    local last=${{typed[-1]}}
+    [[ $last == *=* ]] && found=${{found//"${{last%%=*}}="/}}
+    COMPREPLY+=($found)
+    [[ ${{COMPREPLY[0]-}} == *= ]] && compopt -o nospace 2>/dev/null
+}}
 _cm() {{
-    local cur=${{COMP_WORDS[COMP_CWORD]}} prev=${{COMP_WORDS[COMP_CWORD-1]}} at=cm words= options= i
+    local cur=${{COMP_WORDS[COMP_CWORD]}} prev=${{COMP_WORDS[COMP_CWORD-1]}} at=cm words= options= live= i
     COMPREPLY=()
     for ((i = 1; i < COMP_CWORD; i++)); do
         case "$at ${{COMP_WORDS[i]}}" in
@@ -26,6 +37,7 @@ _cm() {{
     esac
     [[ $cur == -* ]] && words=$options
     COMPREPLY=($(compgen -W "$words" -- "$cur"))
+    [[ $live && $cur != -* ]] && _cm_names
 }}
 complete -o bashdefault -o default -F _cm cm
 """
@@ -49,11 +61,11 @@ def _values(word: Word) -> Iterable[str]:
             patterns = "|".join(shlex.quote(f"{word.path}:{name}") for name in option.names)
             choices = shlex.quote(" ".join(option.choices))
             reply = f'COMPREPLY=($(compgen -W {choices} -- "$cur")); ' if option.choices else ""
-            yield f"        {patterns}) {reply}return ;;"
+            yield f"        {patterns}) {reply}{'_cm_names; ' if option.live else ''}return ;;"
 
 
 def _words(word: Word) -> str:
     names = [child.name for child in word.children] + list(word.choices)
     options = [name for option in word.options for name in option.names]
     words, spellings = shlex.quote(" ".join(names)), shlex.quote(" ".join(options))
-    return f"        {shlex.quote(word.path)}) words={words} options={spellings} ;;"
+    return f"        {shlex.quote(word.path)}) words={words} options={spellings}{' live=1' if word.live else ''} ;;"

@@ -19,6 +19,10 @@ function __cm_at
     end
     test "$at" = "$argv[1]"
 end
+function __cm_names
+    set -l words (commandline -opc)
+    $words[1] completion names $words[2..-1] (commandline -ct) 2>/dev/null
+end
 complete -c cm -e
 {lines}
 """
@@ -37,13 +41,17 @@ def _lines(word: Word) -> Iterable[str]:
         yield f"{here} -f -a {_quote(child.name)} -d {_quote(child.help)}"
     if word.choices:
         yield f"{here} -f -a {_quote(' '.join(word.choices))}"
+    if word.live:
+        yield f"{here}{'' if word.files else ' -f'} -a '(__cm_names)'"
     for option in word.options:
         yield f"{here} {_option(option)}"
 
 
 def _option(option: Option) -> str:
     words = [f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}" for name in option.names]
-    if option.choices:
+    if option.live:
+        words.append("-x -a '(__cm_names)'")
+    elif option.choices:
         words.append(f"-x -a {_quote(' '.join(option.choices))}")
     elif option.takes_value:
         words.append("-r")

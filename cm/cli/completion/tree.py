@@ -18,6 +18,7 @@ class Option:
     help: str
     takes_value: bool
     choices: tuple[str, ...]
+    live: bool  # a name of what runs
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,8 @@ class Word:
     help: str
     options: tuple[Option, ...]
     choices: tuple[str, ...]  # of its arguments
+    live: bool  # whether an argument is a name of what runs
+    files: bool  # whether an argument may be anything, such as a file
     children: tuple[Word, ...]
 
     @property
@@ -48,7 +51,7 @@ def command_tree(parser: argparse.ArgumentParser) -> Word:
 
 
 def _word(parser: argparse.ArgumentParser, path: str, text: str, known: dict[str, str]) -> Word:
-    options, choices, children = [], [], []
+    options, choices, children, live, files = [], [], [], False, False
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             helps = known | {choice.dest: _one_line(choice.help) for choice in action._choices_actions}
@@ -57,13 +60,30 @@ def _word(parser: argparse.ArgumentParser, path: str, text: str, known: dict[str
         elif action.option_strings:
             options.append(_option(action))
         else:
-            choices += [str(choice) for choice in action.choices or ()]
-    return Word(path, text, tuple(options), tuple(choices), tuple(children))
+            choices += _choices(action)
+            live = live or is_live(action)
+            files = files or not (action.choices or completed(action))
+    return Word(path, text, tuple(options), tuple(choices), live, files, tuple(children))
 
 
 def _option(action: argparse.Action) -> Option:
-    choices = tuple(str(choice) for choice in action.choices or ())
-    return Option(tuple(action.option_strings), _one_line(action.help), action.nargs != 0, choices)
+    choices = tuple(_choices(action))
+    return Option(tuple(action.option_strings), _one_line(action.help), action.nargs != 0, choices, is_live(action))
+
+
+def completed(action: argparse.Action) -> tuple[str, ...]:
+    """What `cm.cli.common.completes` said of it."""
+    words: tuple[str, ...] = getattr(action, "completes", ())
+    return words
+
+
+def is_live(action: argparse.Action) -> bool:
+    """Whether its value is a name of what runs."""
+    return any(word.startswith("<") for word in completed(action))
+
+
+def _choices(action: argparse.Action) -> list[str]:
+    return [str(word) for word in completed(action) or action.choices or () if not str(word).startswith("<")]
 
 
 def _one_line(text: str | None) -> str:

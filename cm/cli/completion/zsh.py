@@ -11,8 +11,15 @@ from cm.cli.completion.tree import Word
 _SCRIPT = """\
 #compdef cm
 # zsh completion for cm, made by `cm completion zsh`
+_cm_names() {{  # of what runs
+    local -a found=("${{(@f)$($words[1] completion names "${{(@)words[2,CURRENT]}}" 2>/dev/null)}}")
+    found=(${{found:#}})
+    (( $#found )) || {{ _files; return }}
+    compadd -S '' -- ${{(M)found:#*=}}
+    compadd -- ${{found:#*=}}
+}}
 _cm() {{
-    local at=cm prev=${{words[CURRENT-1]}} i
+    local at=cm prev=${{words[CURRENT-1]}} live= i
     local -a names options
     for ((i = 2; i < CURRENT; i++)); do
         case "$at ${{words[i]}}" in
@@ -27,8 +34,9 @@ _cm() {{
     esac
     if [[ $PREFIX == -* ]]; then
         _describe option options
-    elif (( $#names )); then
-        _describe command names
+    elif [[ -n $live ]] || (( $#names )); then
+        (( $#names )) && _describe command names
+        [[ -n $live ]] && _cm_names
     else
         _files
     fi
@@ -58,6 +66,7 @@ def _values(word: Word) -> Iterable[str]:
         if option.takes_value:
             patterns = "|".join(_pattern(f"{word.path}:{name}") for name in option.names)
             reply = f"compadd -- {shlex.join(option.choices)}" if option.choices else "_files"
+            reply = "_cm_names" if option.live else reply
             yield f"        {patterns}) {reply}; return ;;"
 
 
@@ -65,7 +74,8 @@ def _words(word: Word) -> str:
     names = [_described(child.name, child.help) for child in word.children]
     names += [_described(choice, "") for choice in word.choices]
     options = [_described(name, option.help) for option in word.options for name in option.names]
-    return f"        {_pattern(word.path)}) names=({' '.join(names)}) options=({' '.join(options)}) ;;"
+    live = " live=1" if word.live else ""
+    return f"        {_pattern(word.path)}) names=({' '.join(names)}) options=({' '.join(options)}){live} ;;"
 
 
 def _described(name: str, text: str) -> str:

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm cancel``: end the change that runs; the board goes back to the mode before."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from cm.cli.client import connected
+from cm.cli.common import add_connection_options, add_json_option, print_json
+from cm.messages.status import Status
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "cancel",
+        help="cancel the change that runs",
+        description="Cancel the change that runs, before its next load, and wait until the board is back in the mode "
+        "before. One that has taken its last load ends as it was meant to.",
+    )
+    add_connection_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Cancel and tell where the board is; the exit status."""
+    with connected(args) as board:
+        under_way, status = _cancelled(board)
+    reached = f"{status.config_name}/{status.mode}" if status.config_name else "nothing loaded"
+    cancelled = status.last_error is not None and status.last_error.code == "cancelled"
+    if args.json:
+        told = {"config_name": status.config_name, "mode": status.mode}
+        print_json({"change": under_way, "cancelled": cancelled and bool(under_way), **told})
+    elif not under_way:
+        print(f"no change is under way; the board is at {reached}")
+    elif cancelled:
+        print(f"change {under_way} was cancelled; the board is at {reached}")
+    else:
+        print(f"change {under_way} had ended before; the board is at {reached}")
+    return 0
+
+
+def _cancelled(board: Board) -> tuple[int, Status]:
+    """The change that was asked to end (0: none ran), and the status after its end."""
+    with board.watch() as statuses:  # begins with the status now
+        status = statuses.next()
+        if status.progress is None:
+            return 0, status
+        change = status.progress.change
+        board.cancel()
+        while status.last_change < change:
+            status = statuses.next(None)
+    return change, status

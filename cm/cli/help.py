@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm help [COMMAND…]``: what ``cm COMMAND --help`` prints."""
+
+from __future__ import annotations
+
+import argparse
+
+from cm.cli.commands import COMMANDS
+from cm.cli.common import completes
+from cm.cli.parser import build_parser, refuse_unknown
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser("help", help="describe a command")
+    words = parser.add_argument("words", metavar="COMMAND", nargs="*", help="such as `reg write`; else all commands")
+    completes(words, *(command.name for command in COMMANDS))
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print it; the exit status."""
+    words: list[str] = args.words
+    if words:
+        refuse_unknown(build_parser(None), words[0])
+    parser = build_parser(words[0] if words else None)
+    try:
+        parser.parse_args([*words, "--help"])
+    except SystemExit as end:  # argparse has printed the help, or why there is none
+        return end.code if isinstance(end.code, int) else 1
+    return 0

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one expects of a command line: help by name, a change that can be cancelled, registers that can be watched."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+import pytest
+from manager_process import Manager, environment
+
+import cm
+from cm.cli.main import main
+from cm.sim import Board as SimBoard
+
+
+@contextmanager
+def told(manager: Manager, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A `cm` that runs on; its lines come as they are printed."""
+    command = [sys.executable, "-m", "cm", *arguments, "--runtime-dir", str(manager.runtime)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment()) as process:
+        yield process
+        process.terminate()
+
+
+def lines(process: subprocess.Popen[str], count: int) -> list[str]:
+    stdout: IO[str] = process.stdout  # type: ignore[assignment]
+    return [stdout.readline().strip() for _ in range(count)]
+
+
+def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
+    own: tuple[Manager, SimBoard], capsys: pytest.CaptureFixture[str]
+) -> None:
+    manager, sim = own
+    place = ["--runtime-dir", str(manager.runtime)]
+    with manager.connected() as board:
+        board.load("camera", "default")
+        sim.control.inject("icap_hang", count=1)
+        change = board.load_async("camera", "edge_detection")
+        assert main(["cancel", "--json", *place]) == 0
+        said = json.loads(capsys.readouterr().out)
+        assert (said["change"], said["config_name"], said["mode"]) == (change.number, "camera", "default")
+        assert main(["cancel", *place]) == 0
+        assert capsys.readouterr().out == "no change is under way; the board is at camera/default\n"
+
+
+def test_writes_of_registers_are_watched_by_name(board: cm.Board, manager: Manager) -> None:
+    stop = threading.Event()
+
+    def write() -> None:  # it is not told when the watch listens
+        value = 0
+        with manager.connected() as other:
+            while not stop.wait(0.02):
+                value = value % 15 + 1
+                other.registers.write({"scratch": value, "focus": value})
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    try:
+        with told(manager, "reg", "watch", "focus", "led.blink", "--count", "2") as watch:
+            first, second = lines(watch, 2)
+            assert watch.wait(60) == 0
+    finally:
+        stop.set()
+        writer.join()
+    assert {first.split()[0], second.split()[0]} == {"focus"}
+    assert int(second.split()[1]) == int(first.split()[1]) % 15 + 1
+
+
+def test_registers_are_looked_at_every_so_often(board: cm.Board, manager: Manager) -> None:
+    scratch = board.registers["scratch"]
+    with told(manager, "reg", "watch", "scratch", "focus", "--every", "0.01", "--json") as watch:
+        seen = [json.loads(line) for line in lines(watch, 2)]
+        assert seen == [{"name": "scratch", "value": scratch}, {"name": "focus", "value": 1}]
+        board.registers["focus"] = 7
+        assert json.loads(lines(watch, 1)[0]) == {"name": "focus", "value": 7}
+
+
+def test_a_register_that_the_mode_does_not_have_is_not_watched(
+    board: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["reg", "watch", "focsu", "--runtime-dir", str(manager.runtime)]) == 1
+    assert "no register 'focsu' in this mode; did you mean 'focus'?" in capsys.readouterr().err
+
+
+def test_doctor_begins_with_the_board_and_who_manages_it(
+    board: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = next(path for path in (manager.runtime / "board", *_roots(manager)) if path.exists())
+    assert main(["doctor", "--root", str(root), "--runtime-dir", str(manager.runtime)]) == 0
+    first, second, *rest = capsys.readouterr().out.splitlines()
+    assert first.split() == ["ok", "board", "board", "a", "simulated", "board"]
+    assert second.split()[:3] == ["ok", "manager", "manager"]
+    packages = next(at for at, line in enumerate(rest) if " package " in line)
+    assert any(" icap " in line for line in rest[:packages])
+
+
+def _roots(manager: Manager) -> list[Path]:
+    arguments = list(manager.arguments)
+    return [Path(arguments[arguments.index("--root") + 1])] if "--root" in arguments else []

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tab in bash, zsh and fish knows the names of what runs: each shell itself completes, on a terminal."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from manager_process import Manager, environment
+
+import cm
+from cm.cli.completion import script
+from cm.cli.completion.running import names
+
+# What is typed, and what Tab makes of it (with a blank where the word is complete).
+LINES = {
+    "cm mode edg": "cm mode edge_detection ",
+    "cm load camera loopback_": "cm load camera loopback_edge ",
+    "cm reg read led.bl": "cm reg read led.blink ",
+    "cm reg write foc": "cm reg write focus=",
+    "cm reg write led.blink=fa": "cm reg write led.blink=fast ",
+    "cm irq wait frame": "cm irq wait frame_done ",
+    "cm sim inject register_stuck scr": "cm sim inject register_stuck scratch ",
+    "cm plan --config camera colo": "cm plan --config camera colorise ",
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, manager: Manager, board: cm.Board) -> Path:
+    """A folder with a `cm` to run, and the scripts of all shells."""
+    assert board.mode == "default"
+    program = tmp_path / "cm"
+    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m cm "$@"\n')
+    program.chmod(0o755)
+    for shell in ("bash", "zsh", "fish"):
+        (tmp_path / f"cm.{shell}").write_text(script(shell))
+    return tmp_path
+
+
+def at(folder: Path, manager: Manager) -> dict[str, str]:
+    """The surroundings of a shell of somebody who uses that manager."""
+    return {
+        **environment(),
+        "PATH": f"{folder}:{os.environ['PATH']}",
+        "CM_RUNTIME_DIR": str(manager.runtime),
+        "HOME": str(folder),
+        "TERM": "dumb",
+        "PS1": "",
+    }
+
+
+@contextmanager
+def on_a_terminal(arguments: list[str], env: dict[str, str]) -> Iterator[int]:
+    """A shell's terminal."""
+    terminal, inner = pty.openpty()
+    shell = subprocess.Popen(arguments, stdin=inner, stdout=inner, stderr=inner, env=env, start_new_session=True)
+    os.close(inner)
+    try:
+        yield terminal
+    finally:
+        shell.kill()
+        shell.wait()
+        os.close(terminal)
+
+
+def typed(terminal: int, keys: str, until: Path) -> str:
+    """Type, and wait until a file is there with a line."""
+    os.write(terminal, keys.encode())
+    end, shown = time.monotonic() + 60, b""
+    while not (until.exists() and until.read_text().endswith("\n")):
+        assert time.monotonic() < end, shown.decode(errors="replace")
+        if select.select([terminal], [], [], 0.02)[0]:
+            shown += os.read(terminal, 4096)
+    return until.read_text()
+
+
+BEGIN = {
+    "bash": (["bash", "--norc", "--noprofile", "-i"], "source {folder}/cm.bash"),
+    "zsh": (["zsh", "-f", "-i"], "autoload -U compinit; compinit -u; bindkey -e; source {folder}/cm.zsh"),
+}
+
+
+@pytest.mark.parametrize("shell", BEGIN)
+def test_tab_on_a_terminal_completes_names_of_what_runs(shell: str, folder: Path, manager: Manager) -> None:
+    if shutil.which(shell) is None:
+        pytest.skip(f"needs_{shell}")
+    arguments, begin = BEGIN[shell]
+    with on_a_terminal(arguments, at(folder, manager)) as terminal:
+        typed(terminal, f"{begin.format(folder=folder)}; echo ready > {folder}/ready\n", folder / "ready")
+        for number, (line, expected) in enumerate(LINES.items()):
+            kept = folder / str(number)
+            # To the line's begin, so that what was completed is printed and not run: Ctrl-A, Ctrl-E.
+            found = typed(terminal, f"{line}\t'\x01printf '%s\\n' '\x05 > {kept}\n", kept)
+            assert found == f"{expected}\n"
+
+
+def test_fish_completes_names_of_what_runs(folder: Path, manager: Manager) -> None:
+    if shutil.which("fish") is None:
+        pytest.skip("needs_fish")
+    asked = "".join(f"echo; complete -C '{line}'\n" for line in LINES)
+    told = subprocess.run(
+        ["fish", "--no-config"],
+        input=f"source {folder}/cm.fish\n{asked}",
+        env=at(folder, manager),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    ).stdout
+    for answer, expected in zip(told.split("\n\n"), LINES.values(), strict=False):
+        assert answer.strip().split("\t")[0] == expected.split(" ")[-2 if expected.endswith(" ") else -1], told
+
+
+def test_another_manager_than_the_default_is_asked_where_the_line_names_it(board: cm.Board, manager: Manager) -> None:
+    assert board.mode == "default"
+    assert names(["mode", "--runtime-dir", str(manager.runtime), "edg"]) == ["edge_detection"]
+    assert names(["mode", "--connect", str(manager.runtime), "edg"]) == ["edge_detection"]
+
+
+@pytest.mark.parametrize("line", [["mode", ""], ["reg", "read", ""], ["nothing", ""], [""], []])
+def test_where_nobody_serves_nothing_is_offered_and_nothing_said(
+    line: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CM_RUNTIME_DIR", str(tmp_path))
+    assert names(line) == []
+    assert capfd.readouterr() == ("", "")
+
+
+def test_names_at_tab_cost_neither_numpy_nor_a_client() -> None:
+    code = "import sys\nfrom cm.cli.completion.running import names\nnames(['mode', ''])\n"
+    code += "print([n for n in sys.modules if n in ('numpy', 'cm.client.board', 'yaml')])"
+    told = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True)
+    assert told.stdout == "[]\n"
