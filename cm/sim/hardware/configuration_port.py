@@ -15,6 +15,7 @@ from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.hardware.configuration_memory import ConfigMemory
 from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.logic import Logic
 from cm.sim.hardware.packets import ConfigPort, PortError
 from cm.sim.transport import protocol
 
@@ -42,8 +43,16 @@ class Engine:
     """One load at a time, in steps of simulated time; other nodes are served between them."""
 
     def __init__(
-        self, loop: Loop, fabric: Fabric, memory: ConfigMemory, faults: Faults, device: Device, rate: float
+        self,
+        loop: Loop,
+        logic: Logic,
+        fabric: Fabric,
+        memory: ConfigMemory,
+        faults: Faults,
+        device: Device,
+        rate: float,
     ) -> None:
+        self._logic = logic
         self._loop, self._fabric, self._memory, self._faults = loop, fabric, memory, faults
         self._port = ConfigPort(device)
         self.rate = rate
@@ -139,6 +148,7 @@ class Engine:
         self.state = protocol.STATE_ERROR if status else protocol.STATE_IDLE
         if run.full and status == 0:
             self._fabric.reset()
+        self._logic.settled(errors if status else 0)
         self._memory.settle(status == 0, run.data)
         run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
 

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 from cm.sim.errors import NodeError
 from cm.sim.faults import KINDS, Faults
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.interrupts import InterruptWiring
 from cm.sim.hardware.links import CameraLink, Link
+from cm.sim.hardware.logic import Interrupts
 from cm.sim.nodes.attributes import AttributeNode
 from cm.sim.transport.protocol import CONTROL_PATH
 from cm.sim.transport.root import Root
@@ -33,8 +33,11 @@ class Controlled(Protocol):
 
     fabric: Fabric
     faults: Faults
-    interrupts: InterruptWiring
     links: dict[str, Link]
+
+    @property
+    def interrupts(self) -> Interrupts:
+        """The lines to the processor."""
 
     @property
     def parent(self) -> Owner | None:

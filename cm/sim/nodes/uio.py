@@ -7,9 +7,9 @@ import errno
 from collections.abc import Sequence
 
 from cm.sim.errors import NodeError
-from cm.sim.hardware.bus import Bus
 from cm.sim.hardware.cells import Window
 from cm.sim.hardware.interrupts import Line
+from cm.sim.hardware.logic import Accesses
 from cm.sim.transport import protocol
 from cm.sim.transport.events import Events
 from cm.sim.transport.root import Root
@@ -19,7 +19,7 @@ from cm.sim.transport.session import Answer, Opened
 class UioNode:
     """``/dev/uioN``; any number of files may be open."""
 
-    def __init__(self, window: Window, line: Line, bus: Bus) -> None:
+    def __init__(self, window: Window, line: Line, bus: Accesses) -> None:
         self._window, self._line, self._bus = window, line, bus
 
     def open(self, events: Events) -> Opened:
@@ -31,7 +31,7 @@ class UioNode:
 class UioSession:
     """One open file: register accesses, and the interrupt through the event socket."""
 
-    def __init__(self, window: Window, line: Line, bus: Bus, events: Events) -> None:
+    def __init__(self, window: Window, line: Line, bus: Accesses, events: Events) -> None:
         self._window, self._line, self._bus, self._events = window, line, bus, events
         line.listen(events)
 

@@ -10,20 +10,18 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from cm.loop import Loop
-from cm.schema.model import Direction, LoaderKind
+from cm.schema.model import LoaderKind
 from cm.sim.errors import SimError
 from cm.sim.faults import Faults
 from cm.sim.hardware.board import BoardSpec
-from cm.sim.hardware.bus import Bus
-from cm.sim.hardware.camera import Photo, PhotoReel
+from cm.sim.hardware.camera import Photo
 from cm.sim.hardware.channels import ChannelSpec
 from cm.sim.hardware.configuration_memory import ConfigMemory
 from cm.sim.hardware.configuration_port import Engine
-from cm.sim.hardware.datapath import Datapath
 from cm.sim.hardware.dma import Channel
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.interrupts import InterruptWiring
-from cm.sim.hardware.links import CameraLink, Link, LoopLink, SinkLink
+from cm.sim.hardware.links import CameraLink
+from cm.sim.hardware.logic import Interrupts, LogicParts, MakeLogic, SoftwareLogic
 from cm.sim.hardware.models import Models
 from cm.sim.nodes import uio
 from cm.sim.nodes.clocks import Clocks
@@ -63,32 +61,38 @@ class Options:
 class Machine:
     """A running board."""
 
-    def __init__(self, loop: Loop, root: Root, spec: BoardSpec, models: Models, options: Options) -> None:
+    def __init__(
+        self, loop: Loop, root: Root, spec: BoardSpec, models: Models, options: Options, make: MakeLogic = SoftwareLogic
+    ) -> None:
         self.loop, self.root, self.spec, self.options = loop, root, spec, options
         self.models = models
         self.parent: Parent | None = None  # if the board ends with its owner
         self.server = Server(loop)
         self.faults = Faults()
         self.fabric = Fabric(spec, options.seed)
-        self.bus = Bus(self.fabric, self.faults)
-        self.interrupts = InterruptWiring(self.fabric, self.faults)
+        self.logic = make(self._parts())
         self.memory = DmaMemory(options.memory, options.coherent)
         self.engine = self._engine()
         self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
         self.overlays = Overlays(root, self.manager, self.faults)
         self.clocks = Clocks(root, _clock_names(spec), spec.device.family.label, self.faults)
         self.channels = {name: Channel(channel) for name, channel in _with_engines(spec, options).items()}
-        self.links = self._links()
+        self.links = self.logic.links(self.channels)
         self.dma_nodes = {name: DmaNode(channel, self.memory) for name, channel in self.channels.items()}
         self.icap_node = self._icap_node()
         self.fabric.changed = self.faults.ordered = self.kick
+
+    @property
+    def interrupts(self) -> Interrupts:
+        """The lines to the processor."""
+        return self.logic.interrupts
 
     def serve(self) -> None:
         """Make the nodes; from now on clients can come."""
         self.root.write("proc/sys/kernel/random/boot_id", f"{uuid.uuid4()}\n")
         for index, window in enumerate(self.fabric.windows):
             uio.write_sysfs(self.root, index, window)
-            node = uio.UioNode(window, self.interrupts.lines[index], self.bus)
+            node = uio.UioNode(window, self.interrupts.lines[index], self.logic.bus)
             self.server.listen(self.root.bind(f"dev/uio{index}"), node)
         for name, dma_node in self.dma_nodes.items():
             self.server.listen(self.root.bind(f"dev/cm_dma/{name}"), dma_node)
@@ -113,6 +117,7 @@ class Machine:
         self.server.close()
         for link in self.links.values():
             link.close()
+        self.logic.close()
 
     def state(self) -> dict[str, object]:
         """What the board holds now, for tests and people."""
@@ -140,6 +145,7 @@ class Machine:
             "overlays": self.overlays.applied,
             "clocks": self.clocks.rates,
             "faults": self.faults.listing(),
+            **self.logic.state(),
         }
 
     def _buffers(self) -> int:
@@ -171,38 +177,17 @@ class Machine:
         rate = self.options.icap_rate
         if rate is None:
             rate = 4.0 * ICAP_CLOCK[self.spec.device.family.label]
-        return Engine(self.loop, self.fabric, self._config, self.faults, self.spec.device, rate)
+        return Engine(self.loop, self.logic, self.fabric, self._config, self.faults, self.spec.device, rate)
+
+    def _parts(self) -> LogicParts:
+        options = self.options
+        return LogicParts(
+            self.loop, self.fabric, self.faults, self.models, options.photos, options.hold, options.rate, options.seed
+        )
 
     def _icap_node(self) -> IcapNode:
         device = self.spec.device
         return IcapNode(self.engine, self.memory, device.idcode, ICAP_CLOCK[device.family.label])
-
-    def _links(self) -> dict[str, Link]:
-        links: dict[str, Link] = {}
-        for name, channel in self.channels.items():
-            spec = channel.spec
-            if name in links:
-                continue
-            path = Datapath(self.fabric, self.models, spec.region, spec.shape)
-            if spec.is_camera:
-                reel = PhotoReel(self.options.photos, self.options.hold)
-                rate = spec.rate if self.options.rate is None else self.options.rate
-                links[name] = CameraLink(self.loop, self.faults, self.interrupts, path, channel, reel, rate)
-            elif spec.partner is None:
-                links[name] = SinkLink(self.loop, self.faults, self.interrupts, path, channel)
-            else:
-                links |= self._loop_link(name, spec.partner)
-            channel.kick = links[name].kick
-        return links
-
-    def _loop_link(self, one: str, other: str) -> dict[str, Link]:
-        source, sink = self.channels[one], self.channels[other]
-        if source.spec.direction is Direction.S2MM:
-            source, sink = sink, source
-        path = Datapath(self.fabric, self.models, source.spec.region, source.spec.shape)
-        link = LoopLink(self.loop, self.faults, self.interrupts, path, source, sink)
-        source.kick = sink.kick = link.kick
-        return {one: link, other: link}
 
 
 def _with_engines(spec: BoardSpec, options: Options) -> dict[str, ChannelSpec]:

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What lies behind the nodes of a board: the software models here, or something that runs the design itself.
+
+A maker gets the parts of the board that are the same for all (`LogicParts`) and gives a `Logic`. The regions of the
+fabric say what is loaded where: `Fabric.answering` is called when that changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from cm.loop import Loop
+from cm.schema.model import Direction
+from cm.sim.faults import Faults
+from cm.sim.hardware.bus import Bus
+from cm.sim.hardware.camera import Photo, PhotoReel
+from cm.sim.hardware.cells import Window
+from cm.sim.hardware.datapath import Datapath
+from cm.sim.hardware.dma import Channel
+from cm.sim.hardware.fabric import Fabric
+from cm.sim.hardware.interrupts import InterruptWiring, Line
+from cm.sim.hardware.links import CameraLink, Link, LoopLink, SinkLink
+from cm.sim.hardware.models import Models
+
+
+class Accesses(Protocol):
+    """Reads and writes as the processor makes them; `NodeError` where they fail."""
+
+    def read(self, window: Window, offset: int, width: int) -> int:
+        """The value of `width` bits at an offset."""
+
+    def write(self, window: Window, offset: int, width: int, value: int) -> None:
+        """Write `width` bits at an offset."""
+
+    def read_block(self, window: Window, offset: int, length: int) -> bytes:
+        """The bytes that accesses of 32 bits, one after the other, return."""
+
+    def write_block(self, window: Window, offset: int, data: bytes) -> None:
+        """Accesses of 32 bits, one after the other."""
+
+
+class Interrupts(Protocol):
+    """The lines of the UIO devices, in the order of the windows."""
+
+    @property
+    def lines(self) -> Sequence[Line]:
+        """One for each window."""
+
+    def fire(self, name: str) -> bool:
+        """Raise an interrupt by name; False where none of that name can be raised from here."""
+
+
+class Logic(Protocol):
+    """The programmable logic as nodes see it."""
+
+    @property
+    def bus(self) -> Accesses:
+        """The way to the registers."""
+
+    @property
+    def interrupts(self) -> Interrupts:
+        """The lines to the processor."""
+
+    def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
+        """What lies at the stream side of each channel; called once."""
+
+    def configure(self, words: memoryview) -> memoryview:
+        """The words that reach the configuration logic when these are given to the port."""
+
+    def settled(self, errors: int) -> None:
+        """A load has ended; `errors` as the port shows them, 0 for none."""
+
+    def state(self) -> dict[str, object]:
+        """What there is to tell besides what every board tells."""
+
+    def close(self) -> None:
+        """End what runs beside us."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogicParts:
+    """What a maker of logic is given. `rate`: frames per second of every camera; None: as the schema says."""
+
+    loop: Loop
+    fabric: Fabric
+    faults: Faults
+    models: Models
+    photos: Sequence[Photo] | None
+    hold: int
+    rate: float | None
+    seed: int
+
+
+MakeLogic = Callable[[LogicParts], Logic]
+
+
+class SoftwareLogic:
+    """Modules as functions on frames, registers as memory."""
+
+    def __init__(self, parts: LogicParts) -> None:
+        self._parts = parts
+        self.bus = Bus(parts.fabric, parts.faults)
+        self.interrupts = InterruptWiring(parts.fabric, parts.faults)
+
+    def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
+        """A camera, a loop through a region, or an end that consumes, by what the channel says."""
+        links: dict[str, Link] = {}
+        for name, channel in channels.items():
+            spec = channel.spec
+            if name in links:
+                continue
+            if spec.is_camera:
+                links[name] = self._camera(channel)
+            elif spec.partner is None:
+                links[name] = SinkLink(*self._common, self._path(channel), channel)
+            else:
+                links |= self._loop_link(channels, name, spec.partner)
+            channel.kick = links[name].kick
+        return links
+
+    def configure(self, words: memoryview) -> memoryview:
+        """The same: there is nothing in between."""
+        return words
+
+    def settled(self, errors: int) -> None:
+        """Nothing here shows it."""
+
+    def state(self) -> dict[str, object]:
+        """Nothing more."""
+        return {}
+
+    def close(self) -> None:
+        """Links end by themselves."""
+
+    @property
+    def _common(self) -> tuple[Loop, Faults, InterruptWiring]:
+        return self._parts.loop, self._parts.faults, self.interrupts
+
+    def _path(self, channel: Channel) -> Datapath:
+        return Datapath(self._parts.fabric, self._parts.models, channel.spec.region, channel.spec.shape)
+
+    def _camera(self, channel: Channel) -> CameraLink:
+        reel = PhotoReel(self._parts.photos, self._parts.hold)
+        rate = channel.spec.rate if self._parts.rate is None else self._parts.rate
+        return CameraLink(*self._common, self._path(channel), channel, reel, rate)
+
+    def _loop_link(self, channels: Mapping[str, Channel], one: str, other: str) -> dict[str, Link]:
+        source, sink = channels[one], channels[other]
+        if source.spec.direction is Direction.S2MM:
+            source, sink = sink, source
+        link = LoopLink(*self._common, self._path(source), source, sink)
+        source.kick = sink.kick = link.kick
+        return {one: link, other: link}
