@@ -125,6 +125,7 @@ int cm_plane_drop(struct cm_plane *plane, int client);
  * @frames: that came, or went, well
  * @dropped: frames × readers that did not get them
  * @errors: transfers that failed
+ * @bytes: of the frames
  * @late: slots given back by who did not hold them
  * @held: slots that clients hold now
  * @queued: slots that the hardware has now
@@ -137,6 +138,7 @@ struct cm_plane_stats {
 	uint64_t frames;
 	uint64_t dropped;
 	uint64_t errors;
+	uint64_t bytes;
 	uint64_t late;
 	uint32_t held;
 	uint32_t queued;

@@ -43,12 +43,13 @@ static int submit(struct stream *stream, const struct slot *slot, uint32_t numbe
 			     setup->cyclic ? length : 0);
 }
 
-static void record(struct stream *stream, uint64_t completed_ns)
+static void record(struct stream *stream, uint64_t length, uint64_t completed_ns)
 {
 	uint64_t now = (uint64_t)cm_clock_ns();
 	uint32_t place = (uint32_t)(stream->recent++ % CM_PLANE_RECENT);
 
 	stream->stats.frames++;
+	stream->stats.bytes += length;
 	stream->stats.at_ns[place] = completed_ns;
 	stream->stats.latency_ns[place] = now > completed_ns ? now - completed_ns : 0;
 }
@@ -74,7 +75,7 @@ static void written(struct stream *stream, struct slot *slot, uint32_t error, ui
 	slot->queued = false;
 	tell_done(stream, slot, error, at_ns);
 	if (!error)
-		record(stream, at_ns);
+		record(stream, slot->frame.length, at_ns);
 	else if (error != ECANCELED)
 		stream->stats.errors++;
 }
@@ -182,7 +183,7 @@ static void hand_on(struct cm_plane *plane, struct stream *stream, uint32_t numb
 		client->dropped++;
 		stream->stats.dropped++;
 	}
-	record(stream, slot->frame.timestamp_ns);
+	record(stream, slot->frame.length, slot->frame.timestamp_ns);
 }
 
 static void read_done(struct cm_plane *plane, struct stream *stream,
@@ -229,7 +230,7 @@ static void cycle_done(struct stream *stream, const struct cm_dma_completion *co
 	if (!stream->announced)
 		tell_done(stream, slot, 0, completion->timestamp_ns);
 	stream->announced = true;
-	record(stream, completion->timestamp_ns);
+	record(stream, slot->frame.length, completion->timestamp_ns);
 }
 
 static void completed(struct cm_plane *plane, struct stream *stream,

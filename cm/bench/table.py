@@ -33,6 +33,7 @@ CASES = (
     Case("reconfigure", ("reconfigure",)),
     Case("fanout", ("fanout",)),
     Case("footprint", ("footprint",)),
+    Case("scraping", ("scraping",)),
     Case("sync", ("frame_sync",)),
     Case("fig4", ("fig4",)),
     Case("fig5", ("fig5",)),

@@ -59,6 +59,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--keys", type=Path, metavar="FILE", help="server key file of 'cm keygen', for TCP")
     parser.add_argument("--insecure", action="store_true", help="allow TCP beyond this machine without keys")
+    parser.add_argument(
+        "--metrics", metavar="[HOST:]PORT", help="serve metrics for Prometheus there, by default on this machine only"
+    )
     parser.add_argument("--prefetch", type=int, metavar="MIB", help="DMA memory for images held ready (default: 64)")
     parser.add_argument("--stream-queue", type=_mebibytes, metavar="MIB",
         help="frames that may wait for each subscriber over ZeroMQ, by the schemas' longest (default: 32)")  # fmt: skip
@@ -153,6 +156,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         listen=tuple(listen),
         security=security_of(listen, keys, insecure),
         name=args.name or said.name,
+        metrics=args.metrics or said.metrics,
         load=args.load or said.load or ("camera" if example else ""),
         settings=ManagerSettings(prefetch_bytes=prefetch << 20),
         queue_bytes=queue,

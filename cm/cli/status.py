@@ -9,6 +9,8 @@ from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
 from cm.messages.status import Status
 
+_UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}
+
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
@@ -42,6 +44,14 @@ def show(status: Status) -> None:
         print()
         rates = [(c.name, _megahertz(c.wanted), _megahertz(c.rate) if c.rate else "not known") for c in status.clocks]
         print_table(rates, ("CLOCK", "WANTED MHZ", "RUNS AT MHZ"))
+    if status.sensors:
+        print()
+        print(
+            "  ".join(
+                f"{s.name} {s.value:.{1 if s.quantity == 'temperature' else 2}f} {_UNITS.get(s.quantity, '')}".rstrip()
+                for s in status.sensors
+            )
+        )
     if status.streams:
         print()
         rows = [

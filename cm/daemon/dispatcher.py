@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -180,10 +180,13 @@ class Dispatcher:
         self._publisher = publisher
         self._board = board
         self._note_error = note_error
+        self.taken = 0
+        self.refused = Counter[str]()  # by the error's code
 
     def on_request(self) -> None:
         """A message on the ROUTER: answer it, now or when its work has ended."""
         envelope, message = split_envelope(multipart.receive(self._sockets.req))
+        self.taken += 1
         sender, again = bytes(envelope[0]), len(message) == 2 and message[0] == READ_REG
         if again and not self._order.waits(sender) and self._read_again(envelope, message[1]):
             return
@@ -207,15 +210,19 @@ class Dispatcher:
         return reply is not None
 
     def _reply(self, envelope: list[Frame], topic: bytes, reply: Reply) -> None:
+        if reply.error is not None:
+            self.refused[reply.error.code] += 1
         frames = encode_reply(topic, reply, self._publisher.sequence)
         self._loop.send(self._sockets.req, [*envelope, *frames])
 
     def on_message(self) -> None:
         """A message on the SUB: the same requests without a reply; what is wrong with them shows in the status."""
+        self.taken += 1
         self._dispatch(_PUBLISHED, multipart.receive(self._sockets.sub), self._fire_and_forget)
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:
+            self.refused[reply.error.code] += 1
             self._note_error(reply.error)
 
     def _dispatch(self, sender: bytes, frames: Sequence[bytes | memoryview], respond: Respond) -> None:

@@ -78,6 +78,23 @@ class BoardLock:
         os.close(self._fd)
 
 
+class Locks:
+    """Both, held until `release`. Raises AlreadyServed."""
+
+    def __init__(self, folder: Path, root: AnyRoot) -> None:
+        self._folder = FolderLock(folder)
+        try:
+            self._board = BoardLock(root)
+        except BaseException:
+            self._folder.release()
+            raise
+
+    def release(self) -> None:
+        """Give them back."""
+        self._board.release()
+        self._folder.release()
+
+
 def _holder(fd: int) -> str:
     """Who holds an flock on a file, as /proc/locks has it."""
     wanted = os.fstat(fd).st_ino
@@ -169,10 +186,11 @@ class Sockets:
             socket.curve_publickey = security.public_key
             socket.curve_secretkey = security.secret_key
 
-    def announce(self) -> None:
+    def announce(self, metrics: str = "") -> None:
         """Write where this manager listens, for clients and people."""
         listens = {"ipc": asdict(self.ipc), "tcp": [asdict(e) for e in self.tcp], "data": str(self._folder / SOCKET)}
-        text = json.dumps({"pid": os.getpid(), **listens}, indent=1)
+        beside = {"metrics": metrics} if metrics else {}
+        text = json.dumps({"pid": os.getpid(), **listens, **beside}, indent=1)
         new = self._folder / (ENDPOINTS_FILE + ".new")
         new.write_text(text + "\n", encoding="utf-8")
         new.replace(self._folder / ENDPOINTS_FILE)

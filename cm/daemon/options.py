@@ -26,6 +26,7 @@ class Options:
     listen: tuple[str, ...] = ()
     security: Security | None = None
     load: str = ""
+    metrics: str = ""  # where to serve them: PORT on this machine, or HOST:PORT
     name: str = ""  # of the board, for people and to tell several apart; empty: that of its host
     queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
     firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway

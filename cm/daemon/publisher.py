@@ -21,7 +21,7 @@ from cm._version import __version__
 from cm.daemon.loop import Loop
 from cm.daemon.streams.compression import Compressor, compressions
 from cm.daemon.streams.stream import Frame
-from cm.messages.status import FrameInfo, Irq, RegValues, Status
+from cm.messages.status import FrameInfo, Irq, RegValues, SensorStatus, Status
 from cm.wire import encode, topics
 
 # libzmq's thread takes short messages off a queue in no time, once it has a processor: seconds to give it.
@@ -84,6 +84,7 @@ class Publisher:
         self._overruns: Counter[str] = Counter()
         self._numbers = itertools.count(1)
         self._started_ns = time.time_ns()
+        self._sensors: tuple[SensorStatus, ...] = ()
         self.sequence = 0
 
     def take_subscriptions(self) -> bool:
@@ -119,6 +120,10 @@ class Publisher:
         """How often a subscriber began to lose a stream's frames."""
         return self._overruns[stream]
 
+    def measured(self, sensors: tuple[SensorStatus, ...]) -> None:
+        """What the board's sensors say now; told with the statuses from here on. Any thread."""
+        self._sensors = sensors
+
     def complete(self, status: Status) -> Status:
         """A status with what only the daemon knows."""
         return replace(
@@ -128,6 +133,7 @@ class Publisher:
             started_ns=self._started_ns,
             board=self._board,
             realtime_offset_ns=time.time_ns() - time.monotonic_ns(),
+            sensors=self._sensors,
         )
 
     def status(self, status: Status) -> None:

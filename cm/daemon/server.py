@@ -15,7 +15,7 @@ import zmq
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.curve import CurveAuthenticator
 from cm.daemon.dispatcher import Dispatcher
-from cm.daemon.endpoints import BoardLock, FolderLock, Sockets
+from cm.daemon.endpoints import Locks, Sockets
 from cm.daemon.handlers import Handlers, Services
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles, Footprints
@@ -26,10 +26,12 @@ from cm.daemon.interrupts import InterruptWatch
 from cm.daemon.lease_watch import LeaseWatch
 from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import MemoryTransfers
+from cm.daemon.metrics import Metrics
 from cm.daemon.options import Options
 from cm.daemon.publisher import Publisher
 from cm.daemon.queue_limit import mark
 from cm.daemon.read_cache import ReadCache
+from cm.daemon.sensor_watch import SensorWatch
 from cm.daemon.streams.acceptor import Acceptor
 from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
@@ -50,12 +52,7 @@ class Server:
 
     def __init__(self, options: Options) -> None:
         self._options = options
-        self._lock = FolderLock(options.runtime_dir)
-        try:
-            self._board_lock = BoardLock(options.root)
-        except BaseException:
-            self._lock.release()
-            raise
+        self._locks = Locks(options.runtime_dir, options.root)
         self._loop = Loop()
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
@@ -63,8 +60,7 @@ class Server:
         self._journal = Journal(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         configs = self._configs()
-        waiting = mark(configs.values(), options.queue_bytes)
-        self._sockets = Sockets(self._context, options.runtime_dir, waiting)
+        self._sockets = Sockets(self._context, options.runtime_dir, mark(configs.values(), options.queue_bytes))
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time)
         self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)
@@ -77,6 +73,8 @@ class Server:
         self._memories = MemoryTransfers(self._loop, self._manager.memories)
         self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
         self._dispatcher = self._make_dispatcher()
+        self._metrics = Metrics(self._services(), self._dispatcher)
+        self._sensors = SensorWatch(options.root, self._publisher.measured)
         self._statuses: deque[Status] = deque()
         self._authenticator: CurveAuthenticator | None = None
         self._service = ServiceManager()
@@ -132,7 +130,7 @@ class Server:
             self._bind()
             self._start_manager()
             self._loop.every(_TICK, self._tick)
-            self._sockets.announce()
+            self._sockets.announce(self._metrics.address)
             self._service.ready()
             if self._service.interval is not None:  # from the loop, so that one that hangs is restarted
                 self._loop.every(self._service.interval, self._service.alive)
@@ -160,6 +158,8 @@ class Server:
         for address in self._options.listen:
             bound = self._sockets.bind_tcp(address, security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
+        self._metrics.open(self._options.metrics)
+        self._sensors.start()
         self._loop.add_socket(self._sockets.pub, self._on_subscription)
         self._loop.add_socket(self._sockets.sub, self._dispatcher.on_message)
         self._loop.add_socket(self._sockets.req, self._dispatcher.on_request, foremost=True)
@@ -181,6 +181,8 @@ class Server:
         self._streams.end()
         self._memories.close()
         self._interrupts.close()
+        self._metrics.close()
+        self._sensors.close()
         self._leases.close()
         self._aside.shutdown()
         self._publisher.close()
@@ -191,8 +193,7 @@ class Server:
             self._authenticator.close()
         self._context.term()
         self._loop.close()
-        self._board_lock.release()
-        self._lock.release()
+        self._locks.release()
 
     def _on_subscription(self) -> None:
         if self._publisher.take_subscriptions():

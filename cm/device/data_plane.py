@@ -34,6 +34,7 @@ class StreamCounts:
     frames: int
     dropped: int
     errors: int
+    bytes: int
     late: int
     held: int
     queued: int
@@ -155,7 +156,7 @@ class Plane:
     def counts(self, stream: int) -> StreamCounts:
         """What happened on a stream."""
         raw = native.stats(self._handle, stream)
-        return StreamCounts(*raw[:7], tuple(raw.at_ns), tuple(raw.latency_ns))
+        return StreamCounts(*raw[:8], tuple(raw.at_ns), tuple(raw.latency_ns))
 
     def client_counts(self, client: int) -> ClientCounts | None:
         """What one client got; None if it has gone."""

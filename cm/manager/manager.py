@@ -41,7 +41,7 @@ class Manager:
         """`leases` are those that the data plane knows too."""
         self._env = env
         self._state = state = ManagerState(configs, env.journal)
-        self._bus = RegisterBus(env.devices)
+        self.totals, self._bus = state.totals, RegisterBus(env.devices)
         self.leases = leases or Leases(env.time)
         self._loaders = Loaders(env.devices, env.files, env.time, env.settings.prefetch_bytes)
         self.registers = RegisterService(state, self._bus, self.leases)

@@ -62,6 +62,19 @@ class ClockStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class SensorStatus:
+    """What a sensor of the board measured last: `value` in °C, V, A or W by `quantity`.
+
+    `quantity`: temperature, voltage, current or power. `device`: as its driver calls it.
+    """
+
+    device: str
+    name: str
+    quantity: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
 class StreamClient:
     """A client of a stream on the manager's machine: its process, and what it got since it was attached.
 
@@ -126,6 +139,7 @@ class Status:
     board: str = ""  # the board's name
     realtime_offset_ns: int = 0  # CLOCK_REALTIME less CLOCK_MONOTONIC of the manager's machine
     generation: int = 0  # of the registers: grows with every write by a request, and with every change
+    sensors: tuple[SensorStatus, ...] = ()  # of the board; within the last seconds
 
 
 class RegValue(NamedTuple):

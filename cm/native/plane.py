@@ -27,6 +27,7 @@ class Stats(NamedTuple):
     frames: int
     dropped: int
     errors: int
+    bytes: int
     late: int
     held: int
     queued: int
@@ -133,7 +134,7 @@ def stats(plane: Handle, stream: int) -> Stats:
     raw = ffi.new("struct cm_plane_stats *")
     check(lib.cm_plane_get_stats(plane, stream, raw))
     recent = list(raw.at_ns)[: raw.count], list(raw.latency_ns)[: raw.count]
-    return Stats(raw.frames, raw.dropped, raw.errors, raw.late, raw.held, raw.queued, raw.idle, *recent)
+    return Stats(raw.frames, raw.dropped, raw.errors, raw.bytes, raw.late, raw.held, raw.queued, raw.idle, *recent)
 
 
 def client_stats(plane: Handle, client: int) -> ClientStats:

@@ -53,6 +53,7 @@ class Settings:
     configs: tuple[str, ...] = SEARCH_PATH
     load: str = ""
     name: str = ""
+    metrics: str = ""
     runtime_dir: Path | None = None
     state_dir: Path | None = None
     firmware_dir: Path | None = None

@@ -37,6 +37,7 @@ def status_to_pb(s: st.Status) -> pb.Status:
         board=s.board,
         realtime_offset_ns=s.realtime_offset_ns,
         generation=s.generation,
+        sensors=[pb.SensorState(device=x.device, name=x.name, quantity=x.quantity, value=x.value) for x in s.sensors],
     )
     if s.progress is not None:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
@@ -65,6 +66,7 @@ def status_from_pb(m: pb.Status) -> st.Status:
         board=m.board,
         realtime_offset_ns=m.realtime_offset_ns,
         generation=m.generation,
+        sensors=tuple([st.SensorStatus(x.device, x.name, x.quantity, x.value) for x in m.sensors]),
     )
 
 

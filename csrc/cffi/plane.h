@@ -27,6 +27,7 @@ struct cm_plane_stats {
 	uint64_t frames;
 	uint64_t dropped;
 	uint64_t errors;
+	uint64_t bytes;
 	uint64_t late;
 	uint32_t held;
 	uint32_t queued;

@@ -17,6 +17,7 @@ import pytest
 from manager_process import CAMERA, short_folder
 
 import cm
+from cm.daemon import sensor_watch
 from cm.daemon import server as daemon
 from cm.daemon.options import Options
 from cm.device import Root
@@ -68,6 +69,7 @@ def entered() -> Iterator[set[str]]:
     found = Entered()
     patch = pytest.MonkeyPatch()
     patch.setattr(daemon, "_TICK", 3600.0)
+    patch.setattr(sensor_watch, "_SECONDS", 3600.0)
     threading.setprofile(found)
     try:
         with (

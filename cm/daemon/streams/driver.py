@@ -22,6 +22,7 @@ from cm.device import DeviceTimeout
 from cm.device.data_plane import ClientGone, ClientLeaves, Plane
 from cm.errors import CmError
 from cm.messages.status import ErrorInfo
+from cm.metrics.counts import Moved, StreamTotals
 from cm.schema.model import Direction, Stream
 
 _LOG = logging.getLogger(__name__)
@@ -59,6 +60,7 @@ class StreamDriver:
         self.plane = Plane()
         self.echoes = Echoes(self.plane)
         self.open: dict[str, OpenStream] = {}
+        self._totals = StreamTotals()
         self.locals = LocalClients(self.plane, on_error)
         self.zmq = ZmqClients(loop, self.plane, audience.frame)
         self._stalled = StalledChannels(devices.probe_dma)
@@ -110,10 +112,15 @@ class StreamDriver:
         if opened is None:
             return
         self._policy.after(name, StreamEvent.CLOSE)
+        self._totals.add(name, opened.moved())
         try:
             opened.close(error)
         finally:
             self.zmq.close(name)
+
+    def moved(self) -> dict[str, Moved]:
+        """What each stream moved since the manager's start, however often it was opened."""
+        return self._totals.with_ended({name: opened.moved() for name, opened in self.open.items()})
 
     def close(self) -> None:
         """Hang up on all clients, end the plane's thread."""
@@ -158,6 +165,7 @@ class StreamDriver:
     def _stall(self, name: str, error: int) -> None:
         """As `_stop`, for a channel that does not answer: it is kept, and asked whether it does again."""
         opened = self.open.pop(name)
+        self._totals.add(name, opened.moved())
         self._policy.after(name, StreamEvent.STALL)
         self._stalled.begin(name, opened.release(error))
         self.zmq.close(name)

@@ -44,6 +44,7 @@ class Streams:
         self._policy = StreamPolicy()
         self._driver = StreamDriver(loop, devices, audience, self._policy, on_error)
         self.echoes = self._driver.echoes
+        self.moved = self._driver.moved
 
     # ---- DataPlane: called by the worker ----------------------------------------------
 

@@ -20,6 +20,7 @@ from cm.device.data_plane import Plane, StreamCounts
 from cm.errors import Busy, CmError
 from cm.manager.reporting.status import stream_status
 from cm.messages.status import FrameInfo, StreamClient, StreamStatus
+from cm.metrics.counts import Moved
 from cm.schema.model import Direction, Stream
 from cm.wire.plane_packets import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
 
@@ -190,6 +191,11 @@ class OpenStream:
             exact=not (self.writes or self.channel.tells_length or self.channel.type is DmaType.VDMA),
             max_length=self.channel.max_length,
         )
+
+    def moved(self) -> Moved:
+        """What it moved since it was opened."""
+        counts = self._plane.counts(self.id)
+        return Moved(counts.frames, counts.dropped, counts.errors, counts.bytes)
 
     def _clients(self) -> Iterator[StreamClient]:
         for client, peer in self._peers.items():

@@ -75,6 +75,12 @@ class Leases:
             self._expire()
             return lease in self._held
 
+    def held(self) -> tuple[LeaseInfo, ...]:
+        """Those that have not ended, oldest first."""
+        with self._lock:
+            self._expire()
+            return tuple(lease.info for lease in self._held.values())
+
     def drop(self, lease: str) -> bool:
         """End a lease whose holder has died."""
         with self._lock:

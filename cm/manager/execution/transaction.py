@@ -140,4 +140,4 @@ def _take(run: StepContext, step: Step, action: Callable[[StepContext, Any], Non
     run.record(step)
     run.tell(0)
     action(run, step)
-    run.tools.state.took(step.kind, time.monotonic() - started - run.port_seconds)
+    run.tools.state.took(step.kind, time.monotonic() - started, run.port_seconds)

@@ -41,6 +41,7 @@ class StatusReporter:
     def ended(self, number: int, error: ErrorInfo | None, seconds: float) -> None:
         """No change runs any more; `changed` tells it."""
         self._progress, self._running = None, False
+        self._state.totals.ended(error.code if error else None, seconds)
         self._last = (number, seconds)
         self._error, self._failed = error, error is not None and error.code != "cancelled"
         if self._notice_read:

@@ -19,6 +19,7 @@ from cm.manager.state.record import Pending, Record, Throughput
 from cm.manager.state.steps import ApplyOverlay, Place, RemoveOverlay, SetClock, Step
 from cm.manager.state.table import BoardState
 from cm.messages.status import ErrorInfo
+from cm.metrics.counts import ChangeTotals
 from cm.schema.model import Config, LoaderKind, Memory
 
 
@@ -40,6 +41,7 @@ class ManagerState:
         self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
         self.latest = BoardState()  # what the board holds, but for `_written`
         self.throughput = Throughput()
+        self.totals = ChangeTotals()  # since this manager's start
         self.choices: Mapping[tuple[str, str], Choice] = MappingProxyType({})  # by configuration and region
         self.lock = threading.RLock()
         self.pending: Pending | None = None  # the change under way
@@ -138,10 +140,12 @@ class ManagerState:
     def observed(self, kind: LoaderKind, length: int, seconds: float) -> None:
         """Keep a measurement for plans and time-outs."""
         self.throughput = self.throughput.observed(kind, length, seconds)
+        self.totals.loaded(kind.value, length, seconds)
 
-    def took(self, step: str, seconds: float) -> None:
-        """Keep how long a kind of step took, for plans."""
-        self.throughput = self.throughput.took(step, seconds)
+    def took(self, step: str, seconds: float, port_seconds: float) -> None:
+        """Keep how long a kind of step took: for plans without what the port did in it."""
+        self.throughput = self.throughput.took(step, seconds - port_seconds)
+        self.totals.took(step, seconds)
 
     # ---- the record ----------------------------------------------------------------
 

@@ -31,6 +31,7 @@ from cm.sim.nodes.fpga_manager import FpgaManager
 from cm.sim.nodes.gpio import GpioChipNode
 from cm.sim.nodes.icap import IcapNode
 from cm.sim.nodes.overlays import Overlays
+from cm.sim.nodes.sensors import serve_sensors
 from cm.sim.process.arguments import PCAP_RATE
 from cm.sim.process.firmware import Firmware
 from cm.sim.process.parent import Parent
@@ -98,6 +99,7 @@ class Machine:
             self.server.listen(self.root.bind(f"dev/cm_dma/{name}"), dma_node)
         for name in _icap_names(self.spec):
             self.server.listen(self.root.bind(f"dev/{name}"), self.icap_node)
+        serve_sensors(self.root, self.spec.device.family.label)
         self.manager.serve(self.server)
         self.overlays.serve(self.server)
         self.clocks.serve(self.server)

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `cm serve --metrics` tells, put together from manager, streams and the loop; docs/metrics.md has the list."""
+
+from __future__ import annotations
+
+import logging
+import os
+import resource
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Protocol
+
+from cm.daemon.handlers import Services
+from cm.messages.status import SensorStatus, Status
+from cm.metrics.counts import LAG_SECONDS, ChangeCounts, Histogram, Moved
+from cm.metrics.http import MetricsServer
+from cm.metrics.text import Family, by_label, histogram, many, render, single, times
+
+_LOG = logging.getLogger("cm")
+_LAG_EVERY = 0.1  # seconds between two looks at how late the loop's timers are
+_UNITS = {"temperature": "celsius", "voltage": "volts", "current": "amperes", "power": "watts"}
+
+
+class Requests(Protocol):
+    """What the dispatcher counts."""
+
+    taken: int  # requests
+    refused: Counter[str]  # by the error's code
+
+
+class Metrics:
+    """Serves them from `open` on; costs nothing before. The loop's thread."""
+
+    def __init__(self, services: Services, requests: Requests) -> None:
+        self._s = services
+        self._requests = requests
+        self._lag = Histogram(LAG_SECONDS)
+        self._due = 0.0
+        self.address = ""  # where they are served
+        self._server = MetricsServer(services.loop, self.page)
+
+    def open(self, address: str) -> None:
+        """Listen, if there is an address. Raises InvalidRequest."""
+        if address:
+            self.address = self._server.open(address)
+            _LOG.info("metrics at http://%s/metrics", self.address)
+            self._wait()
+
+    def close(self) -> None:
+        """Serve no more; fine before `open`."""
+        self._server.close()
+
+    def page(self) -> bytes:
+        """The text, as it is now."""
+        status = self._s.status()
+        families = [
+            *_of_board(status),
+            *_of_changes(status, self._s.manager.totals.read()),
+            *self._of_streams(status),
+            *_of_sensors(status.sensors),
+            *self._of_requests(),
+            *self._of_process(),
+        ]
+        return render(families)
+
+    def _wait(self) -> None:
+        self._due = time.monotonic() + _LAG_EVERY
+        self._s.loop.call_at(self._due, self._late)
+
+    def _late(self) -> None:
+        """How late this call is, is how long whoever asks now has to wait for the loop."""
+        self._lag.add(max(0.0, time.monotonic() - self._due))
+        self._wait()
+
+    def _of_streams(self, status: Status) -> Iterator[Family]:
+        told = {s.name: s for s in status.streams}
+        moved = {**dict.fromkeys(told, Moved()), **self._s.streams.moved()}
+        counted: dict[str, tuple[str, Mapping[str, float]]] = {
+            "frames": ("Frames that came, or were taken", {n: m.frames for n, m in moved.items()}),
+            "bytes": ("Bytes of these frames", {n: m.bytes for n, m in moved.items()}),
+            "dropped": ("Frames times local readers that did not get them", {n: m.dropped for n, m in moved.items()}),
+            "errors": ("Transfers that failed", {n: m.errors for n, m in moved.items()}),
+            "overruns": (
+                "Times that a subscriber over ZeroMQ began to lose frames",
+                {n: s.overruns for n, s in told.items()},
+            ),
+        }
+        for name, (text, values) in counted.items():
+            yield by_label(
+                f"cm_stream_{name}_total", "counter", f"{text}, since the manager's start.", "stream", values
+            )
+        now: dict[str, tuple[str, Mapping[str, float]]] = {
+            "open": ("Whether it runs.", {n: s.open for n, s in told.items()}),
+            "frames": ("Frames since it was opened, as cm_status has them.", {n: s.frames for n, s in told.items()}),
+            "rate": ("Frames per second, over the last second.", {n: s.rate for n, s in told.items()}),
+            "latency_seconds": (
+                "From a frame's completion until every client had it, median of the last 64.",
+                {n: s.latency_us / 1e6 for n, s in told.items()},
+            ),
+            "clients": ("Clients on the manager's machine.", {n: len(s.clients) for n, s in told.items()}),
+            "slots": ("Frame buffers.", {n: s.slots for n, s in told.items()}),
+        }
+        for name, (text, values) in now.items():
+            yield by_label(f"cm_stream_{name}", "gauge", text, "stream", values)
+
+    def _of_requests(self) -> Iterator[Family]:
+        requests = self._requests
+        yield single("cm_requests_total", "counter", "Requests of clients.", requests.taken)
+        yield by_label(
+            "cm_request_errors_total", "counter", "Refused ones, by the error's code.", "code", requests.refused
+        )
+        held = Counter(
+            (lease.scope.partition(":")[0], "alone" if lease.exclusive else "shared")
+            for lease in self._s.manager.leases.held()
+        )
+        kinds = [({"scope": scope, "how": how}, float(count)) for (scope, how), count in sorted(held.items())]
+        yield single("cm_leases", "gauge", "Leases that are held.", held.total())
+        yield many("cm_leases_by_scope", "gauge", "The same, by what they cover.", kinds)
+        counts = self._s.interrupts.counts
+        yield by_label(
+            "cm_interrupts_total", "counter", "Interrupts since the configuration was loaded.", "interrupt", counts
+        )
+
+    def _of_process(self) -> Iterator[Family]:
+        yield histogram(
+            "cm_loop_lag_seconds", "How late the daemon's loop was, asked ten times a second.", self._lag.read()
+        )
+        yield single("cm_scrapes_total", "counter", "Replies with this page.", self._server.scrapes)
+        used = resource.getrusage(resource.RUSAGE_SELF)
+        pages = int(Path("/proc/self/statm").read_text("ascii").split()[1])
+        seconds = used.ru_utime + used.ru_stime
+        yield single("process_cpu_seconds_total", "counter", "Processor time of the manager.", seconds)
+        resident = pages * os.sysconf("SC_PAGE_SIZE")
+        yield single("process_resident_memory_bytes", "gauge", "Its resident memory.", resident)
+        yield single("process_open_fds", "gauge", "Its descriptors.", len(os.listdir("/proc/self/fd")))  # noqa: PTH208
+
+
+def _of_board(status: Status) -> Iterator[Family]:
+    about = {"version": status.version, "board": status.board}
+    yield many("cm_info", "gauge", "The manager's version and the board's name.", [(about, 1)])
+    yield single("cm_start_time_seconds", "gauge", "When the manager started (Unix time).", status.started_ns / 1e9)
+    yield single("cm_status_sequence", "gauge", "Number of the last published status.", status.sequence)
+    loaded = {"config": status.config_name, "mode": status.mode}
+    yield many("cm_mode", "gauge", "1 for the configuration and mode that are loaded.", [(loaded, 1)])
+    yield single("cm_busy", "gauge", "Whether a change runs.", status.fpga_busy)
+    yield single("cm_failed", "gauge", "Whether the last change failed.", status.pr_mode.value == "error")
+    regions = [({"region": r.name, "module": r.module or "", "state": r.state}, 1) for r in status.regions]
+    yield many("cm_region", "gauge", "1 for what each region holds and its state.", regions)
+    rates = {c.name: float(c.rate) for c in status.clocks if c.rate}
+    yield by_label("cm_clock_hertz", "gauge", "Clocks of the loaded configuration.", "clock", rates)
+
+
+def _of_changes(status: Status, counts: ChangeCounts) -> Iterator[Family]:
+    outcomes = {name: counts.outcomes.get(name, 0) for name in ("done", "failed", "cancelled")}
+    yield by_label("cm_changes_total", "counter", "Changes of mode, by how they ended.", "outcome", outcomes)
+    failures = dict(counts.failures)
+    yield by_label("cm_change_failures_total", "counter", "Those that did not end well, by code.", "code", failures)
+    yield histogram("cm_change_seconds", "How long changes took.", counts.seconds)
+    yield times("cm_change_step_seconds", "How long the steps of changes took.", "step", counts.steps)
+    yield single("cm_last_change", "gauge", "Number of the last change that ended.", status.last_change)
+    yield single("cm_last_change_seconds", "gauge", "How long it took.", status.last_change_seconds)
+    loads = counts.loads
+    for name, text, values in (
+        ("cm_loads_total", "Images that went through a port.", {p: x.number for p, x in loads.items()}),
+        ("cm_loaded_bytes_total", "Their bytes.", {p: x.bytes for p, x in loads.items()}),
+        ("cm_load_seconds_total", "The port's time for them.", {p: x.seconds for p, x in loads.items()}),
+    ):
+        yield by_label(name, "counter", text, "port", values)
+
+
+def _of_sensors(sensors: tuple[SensorStatus, ...]) -> Iterator[Family]:
+    for quantity, unit in _UNITS.items():
+        found = {(s.device, s.name): s.value for s in sensors if s.quantity == quantity}
+        samples = [({"device": device, "sensor": name}, value) for (device, name), value in found.items()]
+        yield many(f"cm_{quantity}_{unit}", "gauge", f"What the board's sensors say, in {unit}.", samples)

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prometheus' text as its own parser reads it, and a server that no scraper can hold up."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from prometheus_client.parser import text_string_to_metric_families
+
+from cm.daemon.loop import Loop
+from cm.errors import InvalidRequest
+from cm.metrics.counts import ChangeTotals, Histogram, Moved, StreamTotals
+from cm.metrics.http import CONNECTIONS, MetricsServer, split_address
+from cm.metrics.text import by_label, histogram, many, render, single, times
+
+WAIT = 30.0
+TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\r"), max_size=20)
+
+
+def parsed(text: bytes) -> dict[str, dict[tuple[tuple[str, str], ...], float]]:
+    """Sample's name → labels → value, as Prometheus' client has them."""
+    found: dict[str, dict[tuple[tuple[str, str], ...], float]] = {}
+    for family in text_string_to_metric_families(text.decode()):
+        for sample in family.samples:
+            found.setdefault(sample.name, {})[tuple(sorted(sample.labels.items()))] = sample.value
+    return found
+
+
+# ---- the text ---------------------------------------------------------------------------
+
+
+@given(TEXT, TEXT, st.floats() | st.integers(-(2**53), 2**53))
+def test_any_label_and_number_comes_back_from_an_independent_parser(label: str, other: str, value: float) -> None:
+    text = render([many("x", "gauge", "What.\nEver \\ so", [({"a": label, "b": other}, value)])])
+    ((labels, read),) = parsed(text)["x"].items()
+    assert dict(labels) == {"a": label, "b": other}
+    assert read == value or (read != read and value != value)
+
+
+def test_a_family_without_samples_is_not_told() -> None:
+    assert render([by_label("x", "gauge", "help", "a", {})]) == b""
+
+
+def test_a_histogram_adds_up_from_bucket_to_bucket() -> None:
+    made = Histogram((0.1, 1.0))
+    for value in (0.05, 0.1, 0.5, 3.0):
+        made.add(value)
+    found = parsed(render([histogram("h", "help", made.read())]))
+    assert found["h_bucket"] == {(("le", "0.1"),): 2, (("le", "1"),): 3, (("le", "+Inf"),): 4}
+    assert found["h_count"][()] == 4
+    assert found["h_sum"][()] == pytest.approx(3.65)
+
+
+def test_steps_and_loads_of_changes_are_added_up() -> None:
+    totals = ChangeTotals()
+    for code in (None, None, "cancelled", "load_failed"):
+        totals.ended(code, 0.25)
+    totals.took("load", 0.5)
+    totals.took("load", 0.25)
+    totals.loaded("icap", 1000, 0.125)
+    counts = totals.read()
+    assert counts.outcomes == {"done": 2, "cancelled": 1, "failed": 1}
+    assert counts.failures == {"cancelled": 1, "load_failed": 1}
+    assert counts.loads["icap"] == (1, 1000, 0.125)
+    found = parsed(render([times("s", "help", "step", counts.steps)]))
+    assert (found["s_count"], found["s_sum"]) == ({(("step", "load"),): 2}, {(("step", "load"),): 0.75})
+
+
+def test_what_a_stream_moved_before_it_was_closed_still_counts() -> None:
+    totals = StreamTotals()
+    totals.add("camera", Moved(10, 1, 0, 1000))
+    totals.add("camera", Moved(5, 0, 2, 500))
+    assert totals.with_ended({"camera": Moved(1, 0, 0, 100), "other": Moved(frames=7)}) == {
+        "camera": Moved(16, 1, 2, 1600),
+        "other": Moved(frames=7),
+    }
+    assert totals.with_ended({})["camera"].frames == 15
+
+
+# ---- the server -------------------------------------------------------------------------
+
+
+class Served:
+    """A metrics server, its loop in a thread."""
+
+    def __init__(self, page: bytes = b"x 1\n") -> None:
+        self.loop = Loop()
+        self.pages = 0
+        self._page = page
+        self.server = MetricsServer(self.loop, self._made)
+        where = self.server.open("0")
+        self.port = int(where.rpartition(":")[2])
+        self.thread = threading.Thread(target=self.loop.run)
+        self.thread.start()
+
+    def _made(self) -> bytes:
+        self.pages += 1
+        return self._page
+
+    def get(self, path: str = "/metrics", method: str = "GET") -> tuple[int, bytes]:
+        request = urllib.request.Request(f"http://127.0.0.1:{self.port}{path}", method=method)
+        try:
+            with urllib.request.urlopen(request, timeout=WAIT) as reply:
+                return reply.status, reply.read()
+        except urllib.error.HTTPError as error:
+            with error:
+                return error.code, error.read()
+
+    def connect(self) -> socket.socket:
+        return socket.create_connection(("127.0.0.1", self.port), WAIT)
+
+
+@contextmanager
+def serving(page: bytes = b"x 1\n") -> Iterator[Served]:
+    served = Served(page)
+    try:
+        yield served
+    finally:
+        served.loop.call_threadsafe(served.server.close)
+        served.loop.stop()
+        served.thread.join(WAIT)
+        served.loop.close()
+
+
+@pytest.fixture
+def served() -> Iterator[Served]:
+    with serving() as made:
+        yield made
+
+
+def test_the_page_is_at_its_place_and_nothing_elsewhere(served: Served) -> None:
+    assert served.get() == (200, b"x 1\n")
+    assert served.get("/metrics?x=1")[0] == 200
+    assert served.get("/etc/passwd")[0] == 404
+    assert served.get(method="POST")[0] == 405
+    assert served.get(method="HEAD") == (200, b"")
+
+
+def test_a_request_may_come_in_pieces(served: Served) -> None:
+    with served.connect() as sock:
+        for piece in (b"GET /metr", b"ics HTTP/1.1\r\nHost: x\r", b"\n\r\n"):
+            sock.sendall(piece)
+        assert b"x 1\n" in sock.makefile("rb").read()
+
+
+def test_a_request_without_an_end_is_refused(served: Served) -> None:
+    with served.connect() as sock:
+        sock.sendall(b"GET /" + b"a" * 4091)
+        assert sock.makefile("rb").read().startswith(b"HTTP/1.1 431 ")
+
+
+def test_who_asks_for_much_and_reads_nothing_holds_nobody_up() -> None:
+    with serving(b"x" * (8 << 20)) as served, ExitStack() as stack:
+        for _ in range(CONNECTIONS // 2):
+            stack.enter_context(served.connect()).sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
+        assert served.loop.ask(lambda: "answered", WAIT) == "answered"
+        assert len(served.get()[1]) == 8 << 20
+
+
+def test_more_connections_than_there_may_be_cost_the_oldest(served: Served) -> None:
+    with ExitStack() as stack:
+        idle = [stack.enter_context(served.connect()) for _ in range(CONNECTIONS * 3)]
+        assert served.get() == (200, b"x 1\n")
+        assert idle[0].recv(1) == b""
+
+
+def test_however_many_ask_at_once_the_page_is_made_seldom(served: Served) -> None:
+    go_on = threading.Event()
+    served.loop.call_threadsafe(lambda: go_on.wait(WAIT) and None)
+    with ExitStack() as stack:
+        asked = [stack.enter_context(served.connect()) for _ in range(CONNECTIONS)]
+        for sock in asked:
+            sock.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        go_on.set()
+        for sock in asked:
+            assert sock.makefile("rb").read().endswith(b"x 1\n")
+    assert served.pages <= 2
+
+
+@pytest.mark.parametrize("reply", ["half", "none"])
+def test_who_hangs_up_before_the_reply_is_forgotten(served: Served, reply: str) -> None:
+    for _ in range(CONNECTIONS * 2):
+        with served.connect() as sock:
+            sock.sendall(b"GET / HTTP/1.0\r\n\r\n" if reply == "none" else b"GET / HT")
+    assert served.get() == (200, b"x 1\n")
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("9469", ("127.0.0.1", 9469)),
+        ("0.0.0.0:80", ("0.0.0.0", 80)),
+        ("[::1]:1", ("::1", 1)),
+        ("board.local:9469", ("board.local", 9469)),
+    ],
+)
+def test_a_port_alone_is_of_this_machine(text: str, where: tuple[str, int]) -> None:
+    assert split_address(text) == where
+
+
+@pytest.mark.parametrize("text", ["", "here", ":80", "localhost:", "1.2.3.4:65536", "x:-1", "x:٣"])
+def test_what_is_no_address_is_told(text: str) -> None:
+    with pytest.raises(InvalidRequest, match="PORT on this machine"):
+        split_address(text)
+
+
+def test_a_port_that_is_taken_is_told() -> None:
+    with serving() as served, pytest.raises(InvalidRequest, match="cannot listen on"):
+        MetricsServer(served.loop, bytes).open(str(served.port))
+
+
+def test_a_single_number_stands_alone() -> None:
+    assert parsed(render([single("x", "gauge", "help", 3)])) == {"x": {(): 3.0}}
