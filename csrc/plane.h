@@ -130,6 +130,7 @@ int cm_plane_drop(struct cm_plane *plane, int client);
  * @held: slots that clients hold now
  * @queued: slots that the hardware has now
  * @idle: times that the hardware had no slot left after a frame
+ * @error: errno of the last transfer that failed, 0: none has
  * @count: of the entries below that are valid, newest last
  * @at_ns: when recent frames came (CLOCK_MONOTONIC)
  * @latency_ns: from their completion until every client had them
@@ -143,6 +144,7 @@ struct cm_plane_stats {
 	uint32_t held;
 	uint32_t queued;
 	uint32_t idle;
+	int32_t error;
 	uint32_t count;
 	uint64_t at_ns[CM_PLANE_RECENT];
 	uint64_t latency_ns[CM_PLANE_RECENT];

@@ -54,6 +54,12 @@ static void record(struct stream *stream, uint64_t length, uint64_t completed_ns
 	stream->stats.latency_ns[place] = now > completed_ns ? now - completed_ns : 0;
 }
 
+static void note_error(struct stream *stream, int error)
+{
+	stream->stats.errors++;
+	stream->stats.error = error;
+}
+
 /* Tell a writer how its transfer fared. */
 static void tell_done(struct stream *stream, struct slot *slot, uint32_t error, uint64_t at_ns)
 {
@@ -77,7 +83,7 @@ static void written(struct stream *stream, struct slot *slot, uint32_t error, ui
 	if (!error)
 		record(stream, slot->frame.length, at_ns);
 	else if (error != ECANCELED)
-		stream->stats.errors++;
+		note_error(stream, (int)error);
 }
 
 /* A new frame takes the place of the one that repeats. */
@@ -198,7 +204,7 @@ static void read_done(struct cm_plane *plane, struct stream *stream,
 	if (completion->status == -ECANCELED)
 		return;
 	if (completion->status) {
-		stream->stats.errors++;
+		note_error(stream, -completion->status);
 	} else if (!too_soon(stream, completion->timestamp_ns)) {
 		slot->frame = (struct cm_plane_descriptor){
 			.slot = (uint16_t)number,

@@ -54,7 +54,7 @@ class Nobody:
     def quiesce(self, streams: Collection[str]) -> None:
         self.calls.append(("quiesce", tuple(streams)))
 
-    def resume(self, config: Config | None, mode: str | None) -> None:
+    def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
         self.calls.append(("resume", mode))
 
     def wrote(self, generation: int) -> None: ...

@@ -58,7 +58,9 @@ def run_list(args: argparse.Namespace) -> int:
         (s.name, s.channel, s.direction, "x".join(map(str, s.shape)) or "-", s.dtype, s.slots, *_flow(s))
         for s in streams
     ]
-    print_table(rows, ("NAME", "CHANNEL", "DIRECTION", "SHAPE", "DTYPE", "SLOTS", "FRAMES", "LOST", "RATE", "LATENCY"))
+    print_table(
+        rows, ("NAME", "CHANNEL", "DIRECTION", "SHAPE", "DTYPE", "SLOTS", "FRAMES", "LOST", "ERRORS", "RATE", "LATENCY")
+    )
     for s in streams:
         for c in s.clients:
             does = "writes" if c.writes else "reads"
@@ -69,6 +71,8 @@ def run_list(args: argparse.Namespace) -> int:
             print(
                 f"  {s.name}: its DMA cannot tell how much arrived: a frame that ends early is handed on as a whole one"
             )
+        if s.last_error is not None:
+            print(f"  {s.name}: {s.last_error.message}")
         if s.overruns:
             print(f"  {s.name}: subscribers over ZeroMQ fell behind {s.overruns} times")
     return 0
@@ -127,8 +131,14 @@ def _switches(stream: StreamStatus) -> list[str]:
 
 def _flow(stream: StreamStatus) -> tuple[str, ...]:
     if not stream.open:
-        return ("-",) * 4
-    return str(stream.frames), str(stream.dropped), f"{stream.rate:.1f}/s", f"{stream.latency_us:.0f} us"
+        return ("-",) * 5
+    return (
+        str(stream.frames),
+        str(stream.dropped),
+        str(stream.errors),
+        f"{stream.rate:.1f}/s",
+        f"{stream.latency_us:.0f} us",
+    )
 
 
 def run_capture(args: argparse.Namespace) -> int:

@@ -29,7 +29,10 @@ class StreamSetup:
 
 @dataclass(frozen=True, slots=True)
 class StreamCounts:
-    """What happened since a stream's start; of recent frames, the times of completion and latencies (ns)."""
+    """What happened since a stream's start; of recent frames, the times of completion and latencies (ns).
+
+    `error`: the errno of the last transfer that failed, 0 where none has.
+    """
 
     frames: int
     dropped: int
@@ -39,6 +42,7 @@ class StreamCounts:
     held: int
     queued: int
     idle: int
+    error: int
     at_ns: tuple[int, ...]
     latency_ns: tuple[int, ...]
 
@@ -156,7 +160,7 @@ class Plane:
     def counts(self, stream: int) -> StreamCounts:
         """What happened on a stream."""
         raw = native.stats(self._handle, stream)
-        return StreamCounts(*raw[:8], tuple(raw.at_ns), tuple(raw.latency_ns))
+        return StreamCounts(*raw[:9], tuple(raw.at_ns), tuple(raw.latency_ns))
 
     def client_counts(self, client: int) -> ClientCounts | None:
         """What one client got; None if it has gone."""

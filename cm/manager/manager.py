@@ -80,7 +80,7 @@ class Manager:
         if finding.notes:
             self._reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
         self._repair(finding.interrupted)
-        self._env.data_plane.resume(self.loaded_config(), self.state.mode)
+        self._env.data_plane.resume(self.loaded_config(), self.state.mode, self.state.modules)
         self._reporter.note(self._state.try_record())  # a disk that is full is no reason not to serve
         self._reporter.changed()
         return finding.notes
@@ -147,7 +147,7 @@ class Manager:
         if self.state.config == config.name and self.state.mode not in config.modes:
             self._state.update(lambda state: replace(state, mode=None))  # it is in none of the modes that there are now
         if self.state.config == config.name and not self._worker.busy:
-            self._env.data_plane.resume(config, self.state.mode)
+            self._env.data_plane.resume(config, self.state.mode, self.state.modules)
         self._reporter.changed()
 
     def forget_config(self, name: str) -> None:
@@ -188,7 +188,7 @@ class Manager:
         config = goals.config_named(name or loaded.config or "", self.configs)
         mode = loaded.mode if loaded.config == config.name else ""
         text = config.source.read_text(encoding="utf-8") if config.source and config.source.exists() else ""
-        return config_info(config, mode or "", counts, text)
+        return config_info(config, mode or "", counts, text, loaded.modules)
 
     # ---- changes --------------------------------------------------------------------
 

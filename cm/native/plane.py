@@ -32,6 +32,7 @@ class Stats(NamedTuple):
     held: int
     queued: int
     idle: int
+    error: int
     at_ns: list[int]
     latency_ns: list[int]
 
@@ -134,7 +135,8 @@ def stats(plane: Handle, stream: int) -> Stats:
     raw = ffi.new("struct cm_plane_stats *")
     check(lib.cm_plane_get_stats(plane, stream, raw))
     recent = list(raw.at_ns)[: raw.count], list(raw.latency_ns)[: raw.count]
-    return Stats(raw.frames, raw.dropped, raw.errors, raw.bytes, raw.late, raw.held, raw.queued, raw.idle, *recent)
+    counts = raw.frames, raw.dropped, raw.errors, raw.bytes, raw.late, raw.held, raw.queued, raw.idle, raw.error
+    return Stats(*counts, *recent)
 
 
 def client_stats(plane: Handle, client: int) -> ClientStats:

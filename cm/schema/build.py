@@ -14,7 +14,7 @@ from typing import Any
 
 from cm.schema.build_memories import build_memories
 from cm.schema.build_registers import build_registers
-from cm.schema.context import IMPLIED_REGION, Context, Owner
+from cm.schema.context import IMPLIED_REGION, STATIC, Context, Owner
 from cm.schema.model import (
     Clock,
     Config,
@@ -44,7 +44,8 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
     top: KeyPath = ("config",)
     kind = ConfigType(data.get("type", "partial"))
     regions = _regions(data, kind, context)
-    streams = _streams(data.get("streams", {}), {}, (*top, "streams"), context)
+    through = only_region(regions)
+    streams = _streams(data.get("streams", {}), {}, through, (*top, "streams"), context)
     modules = _modules(data.get("modules", {}), regions, context)
     modes = data.get("modes", {})
     if not modes and kind is ConfigType.FULL:
@@ -62,7 +63,9 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
         default_mode=data.get("default_mode"),
         regions=MappingProxyType(regions),
         modules=modules,
-        modes=MappingProxyType({name: _mode(name, mode, modules, streams, context) for name, mode in modes.items()}),
+        modes=MappingProxyType(
+            {name: _mode(name, mode, modules, streams, through, context) for name, mode in modes.items()}
+        ),
         registers=build_registers(data, Owner(top, None), context),
         overlays=_overlays(data),
         streams=streams,
@@ -77,6 +80,12 @@ def build_config(data: dict[str, Any], context: Context) -> Config:
 def _static(values: dict[str, Any]) -> StaticIdentity:
     uid = values.get("uid")
     return StaticIdentity(**_integers({key: value for key, value in values.items() if key != "uid"}), uid=uid)
+
+
+def only_region(regions: Iterable[str]) -> str | None:
+    """The region that streams pass through where none is named: the one that there is."""
+    names = list(regions)
+    return names[0] if len(names) == 1 else None
 
 
 def default_region(modules: Iterable[str], known: Mapping[str, Module]) -> str | None:
@@ -164,11 +173,16 @@ def _modules(data: dict[str, Any], regions: Mapping[str, Region], context: Conte
 
 
 def _mode(
-    name: str, values: dict[str, Any], modules: Mapping[str, Module], streams: Mapping[str, Stream], context: Context
+    name: str,
+    values: dict[str, Any],
+    modules: Mapping[str, Module],
+    streams: Mapping[str, Stream],
+    through: str | None,
+    context: Context,
 ) -> Mode:
     path: KeyPath = ("config", "modes", name)
     named = tuple(values.get("modules", ()))
-    own = _streams(values.get("streams", {}), streams, (*path, "streams"), context)
+    own = _streams(values.get("streams", {}), streams, through, (*path, "streams"), context)
     owner = Owner(path, default_region(named, modules))
     return Mode(
         name=name,
@@ -185,8 +199,13 @@ def _overlays(data: dict[str, Any]) -> tuple[Overlay, ...]:
     return tuple(Overlay(values["name"], _path(values.get("file"))) for values in data.get("overlays", ()))
 
 
-def _streams(data: dict[str, Any], base: Mapping[str, Stream], path: KeyPath, context: Context) -> Mapping[str, Stream]:
-    """The streams of `data`; keys left out are those of the stream of that name in `base`."""
+def _streams(
+    data: dict[str, Any], base: Mapping[str, Stream], through: str | None, path: KeyPath, context: Context
+) -> Mapping[str, Stream]:
+    """The streams of `data`; keys left out are those of the stream of that name in `base`.
+
+    `through` is the region of a stream that names none: where there is but one, its data can hardly pass it by.
+    """
     found: dict[str, Stream] = {}
     for name, values in data.items():
         if name not in base and "direction" not in values:
@@ -194,7 +213,7 @@ def _streams(data: dict[str, Any], base: Mapping[str, Stream], path: KeyPath, co
             context.report((*path, name), "missing_key", f"direction of stream {name} is missing", hint)
             continue
         changes = _stream_values(values)
-        start = base.get(name) or Stream(name, changes.get("channel", name), changes["direction"])
+        start = base.get(name) or Stream(name, changes.get("channel", name), changes["direction"], region=through)
         found[name] = replace(start, **changes)
     return MappingProxyType(found)
 
@@ -205,6 +224,8 @@ def _stream_values(values: dict[str, Any]) -> dict[str, Any]:
         changes["direction"] = Direction(_DIRECTIONS.get(changes["direction"], changes["direction"]))
     if "shape" in changes:
         changes["shape"] = tuple(int(length) for length in changes["shape"])
+    if changes.get("region") == STATIC:
+        changes["region"] = None
     for name, kind in (("slots", int), ("stride", int), ("rate", float), ("limit", float)):
         if name in changes:
             changes[name] = kind(changes[name])

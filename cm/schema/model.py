@@ -357,6 +357,24 @@ class Config:
             return self.default_mode
         return "default" if "default" in self.modes else next(iter(self.modes))
 
+    def streams_in(self, mode: str | None, held: Mapping[str, str | None]) -> Mapping[str, Stream]:
+        """The streams of `mode`, where regions hold what `held` says; none without a mode of this name.
+
+        A region that the mode does not name keeps its module, and so its streams keep what the modes of that
+        module say of them, if they all say the same and this mode says nothing.
+        """
+        there = self.modes.get(mode) if mode is not None else None
+        if there is None:
+            return _empty()
+        named = {self.modules[module].region for module in there.modules}
+        found = dict(there.streams)
+        for name, stream in there.streams.items():
+            if stream.region is not None and stream.region not in named and stream == self.streams.get(name):
+                module = held.get(stream.region)
+                others = {m.streams[name] for m in self.modes.values() if module in m.modules and name in m.streams}
+                found[name] = others.pop() if len(others) == 1 else stream
+        return found
+
     def visible_registers(self, mode: str | None) -> dict[str, Register]:
         """Registers that can be named in `mode`: the static part's, its modules' and its own."""
         found = dict(self.registers)

@@ -9,7 +9,7 @@ from enum import Enum
 from pathlib import PurePath
 from typing import Any
 
-from cm.schema.build import default_region
+from cm.schema.build import default_region, only_region
 from cm.schema.context import IMAGE_KEYS, STATIC
 from cm.schema.model import BitField, Config, Decoupler, Memory, Mode, Module, Overlay, Region, Register, Stream
 from cm.schema.text import Hex, to_yaml
@@ -39,7 +39,7 @@ def to_plain(config: Config) -> dict[str, Any]:
     _put(data, "mmio", _windows(config.registers.values(), None))
     _put(data, "memories", _memories(config.memories.values(), None))
     _put(data, "overlays", _overlays(config.overlays))
-    _put(data, "streams", {name: _stream(stream) for name, stream in config.streams.items()})
+    _put(data, "streams", {name: _stream(stream, config) for name, stream in config.streams.items()})
     _put(data, "interrupts", {name: _simple(interrupt) for name, interrupt in config.interrupts.items()})
     _put(data, "clocks", {name: _simple(clock) for name, clock in config.clocks.items()})
     data["modes"] = {name: _mode(mode, config) for name, mode in config.modes.items()}
@@ -107,7 +107,7 @@ def _mode(mode: Mode, config: Config) -> dict[str, Any]:
     region = default_region(mode.modules, config.modules)
     _put(data, "mmio", _windows(mode.registers.values(), region))
     _put(data, "memories", _memories(mode.memories.values(), region))
-    streams = {name: _stream(stream, config.streams.get(name)) for name, stream in mode.streams.items()}
+    streams = {name: _stream(stream, config, config.streams.get(name)) for name, stream in mode.streams.items()}
     _put(data, "streams", {name: keys for name, keys in streams.items() if keys})
     return data
 
@@ -116,17 +116,17 @@ def _overlays(overlays: tuple[Overlay, ...]) -> list[Any]:
     return [one.name if one.file is None else {"name": one.name, "file": str(one.file)} for one in overlays]
 
 
-def _stream(stream: Stream, base: Stream | None = None) -> dict[str, Any]:
+def _stream(stream: Stream, config: Config, base: Stream | None = None) -> dict[str, Any]:
     """The keys of `stream`; with `base` those that are different there."""
     data: dict[str, Any] = {}
+    implied = only_region(config.regions) if stream.region is None else None  # a region is said where there is one
+    start = base or Stream(stream.name, stream.name, stream.direction, region=implied)
     for field in fields(stream):
         value = getattr(stream, field.name)
-        if base is not None:
-            said = value == getattr(base, field.name)
-        else:
-            said = value == field.default or (field.name == "channel" and value == stream.name)
-        if field.name == "name" or said:
+        if value == getattr(start, field.name) and (base is not None or field.name != "direction"):
             continue
+        if field.name == "region":
+            value = value or STATIC
         value = list(value) if isinstance(value, tuple) else value
         data[field.name] = value.value if isinstance(value, Enum) else value
     return data

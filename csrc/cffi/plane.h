@@ -32,6 +32,7 @@ struct cm_plane_stats {
 	uint32_t held;
 	uint32_t queued;
 	uint32_t idle;
+	int32_t error;
 	uint32_t count;
 	uint64_t at_ns[...];
 	uint64_t latency_ns[...];

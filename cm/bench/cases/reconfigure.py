@@ -6,7 +6,7 @@ from __future__ import annotations
 import statistics
 import threading
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -89,7 +89,7 @@ class _NoStreams:
     def quiesce(self, streams: Collection[str]) -> None:
         """There are none."""
 
-    def resume(self, config: Config | None, mode: str | None) -> None:
+    def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
         """There are none."""
 
     def wrote(self, generation: int) -> None:

@@ -61,6 +61,7 @@ class StreamDriver:
         self.echoes = Echoes(self.plane)
         self.open: dict[str, OpenStream] = {}
         self._totals = StreamTotals()
+        self.failures: dict[str, ErrorInfo] = {}  # of streams of this mode: why the last time was no success
         self.locals = LocalClients(self.plane, on_error)
         self.zmq = ZmqClients(loop, self.plane, audience.frame)
         self._stalled = StalledChannels(devices.probe_dma)
@@ -113,6 +114,7 @@ class StreamDriver:
             return
         self._policy.after(name, StreamEvent.CLOSE)
         self._totals.add(name, opened.moved())
+        self._keep_failure(name, opened)
         try:
             opened.close(error)
         finally:
@@ -121,6 +123,15 @@ class StreamDriver:
     def moved(self) -> dict[str, Moved]:
         """What each stream moved since the manager's start, however often it was opened."""
         return self._totals.with_ended({name: opened.moved() for name, opened in self.open.items()})
+
+    def _keep_failure(self, name: str, opened: OpenStream) -> None:
+        failure = opened.failure()
+        if failure is not None:
+            self.failures[name] = failure
+
+    def _failed(self, name: str, error: ErrorInfo) -> None:
+        self.failures[name] = error
+        self._on_error(error)
 
     def close(self) -> None:
         """Hang up on all clients, end the plane's thread."""
@@ -160,7 +171,7 @@ class StreamDriver:
             self._start(stream)
         except (CmError, OSError) as error:
             code = error.code if isinstance(error, CmError) else "device_error"
-            self._on_error(ErrorInfo(code, f"stream {stream.name!r} cannot be opened: {error}"))
+            self._failed(stream.name, ErrorInfo(code, f"stream {stream.name!r} cannot be opened: {error}"))
 
     def _stall(self, name: str, error: int) -> None:
         """As `_stop`, for a channel that does not answer: it is kept, and asked whether it does again."""
@@ -195,4 +206,4 @@ class StreamDriver:
                 self._stall(name, error)
             else:
                 self.stop(name, error)
-            self._on_error(ErrorInfo("device_error", f"stream {name!r} ended: {text}"))
+            self._failed(name, ErrorInfo("device_error", f"stream {name!r} ended: {text}"))

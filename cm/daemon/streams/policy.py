@@ -45,7 +45,7 @@ class StreamEvent(str, Enum):
     ANSWER = "answer"
 
 
-_P, _E = StreamPhase, StreamEvent
+_P, _E, _NOTHING = StreamPhase, StreamEvent, MappingProxyType[str, str | None]({})
 
 TRANSITIONS: Mapping[tuple[StreamPhase, StreamEvent], StreamPhase] = MappingProxyType(
     {
@@ -157,9 +157,9 @@ class StreamPolicy:
             raise IllegalTransition(f"stream {name!r}, which is {self.phase(name).value}, cannot {event.value}")
         self._phases[name] = phase
 
-    def enter(self, config: Config | None, mode: str | None) -> list[str]:
+    def enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None] = _NOTHING) -> list[str]:
         """The streams are those of this mode, and none is held; returns those that run and have to be closed for it."""
-        streams = dict(config.modes[mode].streams) if config and mode is not None and mode in config.modes else {}
+        streams = config.streams_in(mode, held) if config else {}
         if config is not None and (self.config is None or config.name != self.config.name):
             self._overrides.config_changed()
         if mode != self.mode:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import logging
 import socket
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
 from cm.daemon.host.devices import BoardDevices
@@ -52,9 +52,9 @@ class Streams:
         """Stop streams; their transfers have ended when this returns."""
         self._loop.ask(lambda: self._hold(streams))
 
-    def resume(self, config: Config | None, mode: str | None) -> None:
-        """The streams are those of this mode."""
-        self._loop.ask(lambda: self._enter(config, mode))
+    def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
+        """The streams are those of this mode, where regions hold these modules."""
+        self._loop.ask(lambda: self._enter(config, mode, held))
 
     def wrote(self, generation: int) -> None:
         """Registers were written. Any thread, and never waits: what frames need is noted beside them."""
@@ -65,9 +65,10 @@ class Streams:
             self._driver.stop(name)
             self._policy.after(name, StreamEvent.HOLD)
 
-    def _enter(self, config: Config | None, mode: str | None) -> None:
-        for name in self._policy.enter(config, mode):
+    def _enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
+        for name in self._policy.enter(config, mode, held):
             self._driver.stop(name)
+        self._driver.failures.clear()
         for opened in self._driver.open.values():
             opened.label(config.name if config else "", mode or "")
         self.refresh()
@@ -161,6 +162,9 @@ class Streams:
         """One stream."""
         opened = self._driver.open.get(name)
         status = opened.status() if opened else stream_status(self._policy.streams[name])
+        failure = status.last_error or self._driver.failures.get(name)
+        if failure is not None:
+            status = replace(status, last_error=failure)
         overruns = self._audience.overruns(name)
         return replace(status, overruns=overruns) if overruns else status  # not for nothing: it is half the work
 

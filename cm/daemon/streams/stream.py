@@ -8,18 +8,18 @@ given memory, measured and closed, in the loop's thread.
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
+from cm.daemon.streams.figures import median, rate, transfer_error
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.settings import frame_bytes, setup
 from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
-from cm.device.data_plane import Plane, StreamCounts
+from cm.device.data_plane import Plane
 from cm.errors import Busy, CmError
 from cm.manager.reporting.status import stream_status
-from cm.messages.status import FrameInfo, StreamClient, StreamStatus
+from cm.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.metrics.counts import Moved
 from cm.schema.model import Direction, Stream
 from cm.wire.plane_packets import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
@@ -185,17 +185,22 @@ class OpenStream:
             frames=counts.frames,
             dropped=counts.dropped,
             errors=counts.errors,
-            rate=_rate(counts),
-            latency_us=_median(counts.latency_ns) / 1000,
+            rate=rate(counts),
+            latency_us=median(counts.latency_ns) / 1000,
             clients=tuple(self._clients()),
             exact=not (self.writes or self.channel.tells_length or self.channel.type is DmaType.VDMA),
             max_length=self.channel.max_length,
+            last_error=transfer_error(counts, self.setup),
         )
 
     def moved(self) -> Moved:
         """What it moved since it was opened."""
         counts = self._plane.counts(self.id)
         return Moved(counts.frames, counts.dropped, counts.errors, counts.bytes)
+
+    def failure(self) -> ErrorInfo | None:
+        """Why a transfer failed last, if one has."""
+        return transfer_error(self._plane.counts(self.id), self.setup)
 
     def _clients(self) -> Iterator[StreamClient]:
         for client, peer in self._peers.items():
@@ -226,25 +231,9 @@ class OpenStream:
         return self._dma
 
 
-def _median(values: Sequence[int]) -> int:
-    """0 without any; the module `statistics` is half a MiB."""
-    return sorted(values)[len(values) // 2] if values else 0
-
-
 def _read_only(fd: int) -> int:
     """The same memory for readers, who then cannot map it writable; a dma-buf cannot be opened anew."""
     try:
         return os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
         return os.dup(fd)
-
-
-def _rate(counts: StreamCounts) -> float:
-    """Frames per second over the last second."""
-    now = time.monotonic_ns()
-    recent = [t for t in counts.at_ns if t > now - 1_000_000_000]
-    return (
-        (len(recent) - 1) * 1e9 / (recent[-1] - recent[0])
-        if len(recent) > 1 and recent[-1] > recent[0]
-        else float(len(recent))
-    )

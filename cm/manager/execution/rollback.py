@@ -103,7 +103,7 @@ class Rollback:
         values = {**failure.values, **self._before.values}
         also = self._beside(old, mode)
         self._go_to(Goal(old, mode, False, values, also, static, failure.rates, failure.found))
-        self._tools.data_plane.resume(old, mode)
+        self._tools.data_plane.resume(old, mode, self._state.board.modules)
 
     def _beside(self, old: Config, mode: str) -> tuple[str, ...]:
         """Modules of regions that the mode leaves alone, but that the failed change did not."""
@@ -175,7 +175,7 @@ class Rollback:
             self._state.record(None)
         except RecordFailed as error:
             problems.append(str(error))
-        self._tools.data_plane.resume(self._old, mode)
+        self._tools.data_plane.resume(self._old, mode, self._state.board.modules)
         return "; ".join([self._left(), *problems])
 
     def _rates_again(self, rates: Mapping[str, int]) -> list[str]:

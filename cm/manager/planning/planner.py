@@ -175,6 +175,7 @@ class _Planner:
         mode = self._state.mode
         if self._old is None or mode is None or mode not in self._old.modes:
             return ()
-        now = self._old.modes[mode].streams
-        then = self._mode.streams if self._old.name == self._config.name else {}
+        held = self._state.modules
+        now = self._old.streams_in(mode, held)
+        then = self._config.streams_in(self._mode.name, held) if self._old.name == self._config.name else {}
         return tuple(name for name, x in now.items() if everything or x.region in regions or then.get(name) != x)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Protocol
 
 from cm.messages.status import RegValues
@@ -16,8 +16,8 @@ class DataPlane(Protocol):
     def quiesce(self, streams: Collection[str]) -> None:
         """Stop these streams; when it returns no transfer of theirs is under way."""
 
-    def resume(self, config: Config | None, mode: str | None) -> None:
-        """Streams are those of this mode now; start again what somebody listens to."""
+    def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
+        """Streams are those of this mode now, where regions hold what `held` says; start again what is listened to."""
 
     def wrote(self, generation: int) -> None:
         """Registers were written, by requests or a change: what begins from now on is of this generation."""

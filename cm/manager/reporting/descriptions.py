@@ -18,9 +18,11 @@ from cm.messages.status import (
 from cm.schema.model import Config, Memory, Register
 
 
-def config_info(config: Config, mode: str, counts: Mapping[str, int], schema: str) -> ConfigInfo:
-    """A configuration; `mode` is empty while it is not loaded, `counts` are its interrupts'."""
-    streams = config.modes[mode].streams if mode in config.modes else config.streams
+def config_info(
+    config: Config, mode: str, counts: Mapping[str, int], schema: str, held: Mapping[str, str | None]
+) -> ConfigInfo:
+    """A configuration; `mode` is empty while it is not loaded, `counts` are its interrupts', `held` the modules."""
+    streams = config.streams_in(mode, held) if mode in config.modes else config.streams
     return ConfigInfo(
         name=config.name,
         type=config.type.value,

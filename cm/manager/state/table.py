@@ -137,6 +137,11 @@ class BoardState:
         """State of a region; one never heard of is unknown."""
         return self.regions.get(name, _UNKNOWN)
 
+    @property
+    def modules(self) -> Mapping[str, str | None]:
+        """The module that each region holds, as far as is known."""
+        return {name: region.module for name, region in self.regions.items()}
+
     def with_region(self, name: str, region: RegionState) -> BoardState:
         """A copy with one region changed."""
         return replace(self, regions=MappingProxyType({**self.regions, name: region}))

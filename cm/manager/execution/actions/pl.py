@@ -205,7 +205,7 @@ def publish(run: StepContext, step: s.Publish) -> None:
     with contextlib.suppress(RecordFailed):
         run.record(None)
     run.tools.state.release_regions()
-    run.tools.data_plane.resume(run.plan.goal.config, step.mode)
+    run.tools.data_plane.resume(run.plan.goal.config, step.mode, run.tools.state.board.modules)
 
 
 def _entered(state: BoardState, goal: Goal, written: dict[str, int]) -> BoardState:
