@@ -14,14 +14,15 @@ PYTEST_ARGS ?=
 JOBS ?= 2
 EXTRAS := demo,test,build
 COMMA := ,
-SUITES ?= tests/unit tests/release tests/integration tests/device tests/soak tests/vm
+SUITES ?= tests/unit tests/fuzz tests/release tests/integration tests/device tests/soak tests/vm
 OUT ?= demo
 IMAGES ?=
 COUNT ?= 100
 SEED ?= 1
+MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -79,6 +80,10 @@ vm: $(STAMP) ## a shell on that board, with a manager running and its ports forw
 
 soak: $(STAMP) ## ten thousand changes of mode, and a minute of killed readers
 	$(PYTEST) tests/soak --changes=10000 --stress=60 $(PYTEST_ARGS)
+
+fuzz: $(STAMP) ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…)
+	$(call install,fuzz)
+	nice $(BIN)/python tests/fuzz/fuzz.py $(TARGETS) --minutes $(MINUTES) --jobs $(JOBS)
 
 mutation: $(STAMP) ## whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
 	$(call install,mutation)

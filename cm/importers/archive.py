@@ -42,7 +42,8 @@ def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = Non
     The archive holds ``<config>/<file>…`` and nothing else. Schema, files and hashes are checked aside, then the
     folder takes its place in one step: a killed import leaves the old one or the new one. The last `keep` before
     it stay for a rollback. `judge` is asked last, with the new folder, the configuration's name and the folder
-    in force; what it raises is a refusal. Raises ImportRefused, SchemaError, OSError; `out` is then as before.
+    in force; what it raises is a refusal. Raises ImportRefused, SchemaError, FileMissing, OSError; `out` is then as
+    before.
     """
     out = out.resolve()  # what a schema names is compared by its whole path
     with locked(out):
@@ -61,7 +62,7 @@ def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = Non
 def back(place: Path, number: int | None = None) -> Unpacked:
     """Put an earlier version of the configuration at `place` in force, checked as an archive is.
 
-    Raises NoSuchVersion, ImportRefused, SchemaError, OSError; what was in force is then still.
+    Raises NoSuchVersion, ImportRefused, SchemaError, FileMissing, OSError; what was in force is then still.
     """
     place = place.parent.resolve() / place.name
     with locked(place.parent):

@@ -110,7 +110,7 @@ class _Builder:
             return Scalar(event.value, mark, event.value)
         if is_octal_trap(event.value):
             self._report(mark, "bad_value", f"{event.value} has a leading zero", "0x… is hexadecimal, 0o… octal")
-            return Scalar(int(event.value), mark, event.value)
+            return Scalar(0, mark, event.value)  # any number: it is refused, and may be too long for an int
         return Scalar(resolve(event.value), mark, event.value)
 
     def _refuse_tag(self, event: Any, mark: Mark) -> None:

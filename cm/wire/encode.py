@@ -267,7 +267,7 @@ def decode_event(frames: Sequence[Frame]) -> Event:
     try:
         message.ParseFromString(bytes(frames[1]))
     except DecodeError as problem:
-        raise InvalidRequest(f"{topic.decode()}: {problem}") from problem
+        raise InvalidRequest(f"{topic.decode(errors='backslashreplace')}: {problem}") from problem
     event: Event = entry[1](message)
     return event
 

@@ -212,6 +212,13 @@ def test_a_directory_that_lies_about_a_length_is_refused(tmp_path: Path) -> None
         collect([path])
 
 
+def test_a_member_without_a_name_is_refused(tmp_path: Path) -> None:
+    path = packed(tmp_path / "nameless.xsa", ("x", b"data"))
+    path.write_bytes(path.read_bytes().replace(b"x", b"\0"))  # zipfile ends a name at a NUL
+    with pytest.raises(BuildError, match=r"nameless\.xsa: no XSA or HDF"):
+        collect([path])
+
+
 def test_two_members_of_one_name_are_told(tmp_path: Path) -> None:
     path = packed(tmp_path / "two.xsa", ("a/top.bit", b"1"), ("b/top.bit", b"2"))
     with pytest.raises(BuildError, match=re.escape("a/top.bit and b/top.bit have one name")):

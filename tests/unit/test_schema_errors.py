@@ -51,6 +51,8 @@ CASES = [
     ("width that no bus has", "bad_value", "mmio[0].registers.r.width", "8, 16, 32, 64",
      "mmio: [{base_address: 0, registers: {r: {offset: 0, §width: 24}}}]"),
     ("leading zero", "bad_value", "", "0o", "clocks: {fclk: §0100}"),
+    ("leading zero and nothing else", "bad_value", "", "0o", "clocks: {fclk: §0_}"),
+    ("more zeros than Python reads", "bad_value", "", "0o", f"clocks: {{fclk: §{'0' * 5000}}}"),
     ("sha256 too short", "bad_value", "modules.a.sha256", "64 hexadecimal digits", "modules: {a: {§sha256: abc}}"),
     ("negative address", "value_range", "mmio[0].base_address", "at least 0",
      "mmio: [{§base_address: -4, registers: {}}]"),

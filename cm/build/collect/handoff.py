@@ -20,7 +20,7 @@ from cm.schema.model import Clock, Direction, Register, Stream
 ARCHIVES = (".xsa", ".hdf", ".zip")
 MAX_MEMBER = 64 << 20  # bytes of a file in an archive
 # an exception for each kind of damage; RuntimeError is a password
-_DAMAGED = (zipfile.BadZipFile, OSError, EOFError, ValueError, zlib.error, lzma.LZMAError, RuntimeError)
+_DAMAGED = (zipfile.BadZipFile, OSError, EOFError, ValueError, zlib.error, lzma.LZMAError, RuntimeError, IndexError)
 MAX_ARCHIVE = 512 << 20  # bytes of all that is read from one
 
 

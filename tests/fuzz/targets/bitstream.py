@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bitstreams: inspected, or refused with a BitstreamError; what can be converted comes back byte for byte.
+
+The simulated port takes them in any pieces.
+"""
+
+from __future__ import annotations
+
+from cm.bitstream import (
+    BitstreamError,
+    Container,
+    FrameAddress,
+    FrameRun,
+    assemble,
+    convert,
+    device_by_name,
+    inspect,
+    open_image,
+)
+from cm.sim.hardware.packets import ConfigPort
+
+PACKAGES = ("cm.bitstream", "cm.sim.hardware")
+MAX_LENGTH = 8192
+
+_DEVICE = device_by_name("xc7z020")
+
+
+def seeds() -> list[bytes]:
+    bit = assemble("xc7z020", [FrameRun(FrameAddress(0, 0, 26), bytes(404))])
+    header = bytearray(0x8C0)
+    header[0x24:0x28] = b"XNLX"
+    swapped = convert(bit, Container.BIN_SWAPPED)
+    return [bit, swapped, convert(bit, Container.BIN_STRAIGHT), bytes(header) + swapped]
+
+
+def one(data: bytes) -> None:
+    assert _DEVICE is not None
+    port = ConfigPort(_DEVICE, swapped=bool(len(data) & 1))
+    half = len(data) // 2
+    port.feed(data[:half])
+    port.feed(data[half:])
+    try:
+        image = open_image(data)
+        inspect(data).to_json()
+        other = convert(data, Container.BIN_STRAIGHT)
+    except BitstreamError:
+        return
+    if image.container is Container.BIT:
+        assert convert(other, Container.BIT, image.header) == data
