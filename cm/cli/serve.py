@@ -17,6 +17,7 @@ from cm.cli.serve_options import (
     configs_of,
     default_runtime_dir,
     default_state_dir,
+    limits_of,
     read_again,
     secure_as,
     security_of,
@@ -161,6 +162,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         settings=ManagerSettings(prefetch_bytes=prefetch << 20),
         queue_bytes=queue,
         firmware_dir=said.firmware_dir,
+        limits=limits_of(said),
         unsigned=said.policy.signatures != "require",
         reload=partial(read_again, args, paths, settings),
     )

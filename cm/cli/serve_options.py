@@ -16,6 +16,7 @@ from cm.settings.model import FILE as SETTINGS_FILE
 if TYPE_CHECKING:
     from cm.daemon.endpoints import Security
     from cm.daemon.host.reload import Reloaded
+    from cm.daemon.limits import Limits
     from cm.schema.model import Config
     from cm.settings import Settings
 
@@ -155,3 +156,21 @@ def _needs_restart(began: Settings | None, now: Settings | None) -> tuple[str, .
         return ()
     names = [name for name in began.__slots__ if name != "configs" and getattr(began, name) != getattr(now, name)]
     return tuple(f"settings: {name} has changed; it counts after a restart" for name in names)
+
+
+def limits_of(settings: Settings) -> Limits:
+    """How much clients may take, in bytes."""
+    from cm.daemon.limits import MIB, Limits
+
+    said = settings.limits
+    return Limits(
+        connections=said.connections,
+        connections_each=said.connections_each,
+        message_bytes=said.message_mib * MIB,
+        waiting_bytes=said.waiting_mib * MIB,
+        upload_bytes=said.upload_mib * MIB,
+        uploads_bytes=said.uploads_mib * MIB,
+        leases=said.leases,
+        leases_each=said.leases_each,
+        slots_each=said.slots_each,
+    )

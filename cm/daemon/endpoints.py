@@ -12,6 +12,8 @@ from pathlib import Path
 
 import zmq
 
+from cm.daemon.connections import REQUESTS, TOPICS, listening
+from cm.daemon.limits import Limits
 from cm.device.base import AnyRoot
 from cm.device.paths import Root
 from cm.errors import Busy, InvalidRequest
@@ -21,6 +23,8 @@ from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
 ENDPOINTS_FILE = "endpoints.json"
 _TRIES = 64  # of ports, until three in a row are free
 _LAST = 65533  # the first of the last three
+_HANDSHAKE = 10_000  # milliseconds for which a connection may say nothing
+_WAITING = 64  # messages of each connection that wait to be taken
 
 
 class AlreadyServed(Busy):
@@ -117,10 +121,15 @@ class Security:
     clients: frozenset[bytes]
 
 
+_DEFAULTS = Limits()
+
+
 class Sockets:
     """XPUB, SUB and ROUTER, bound. `waiting`: messages that may wait for each slow subscriber."""
 
-    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], runtime_dir: Path, waiting: int) -> None:
+    def __init__(
+        self, context: zmq.Context[zmq.Socket[bytes]], runtime_dir: Path, waiting: int, limits: Limits = _DEFAULTS
+    ) -> None:
         self._folder = runtime_dir
         self.ipc = ipc_endpoints(runtime_dir)
         self.pub = context.socket(zmq.XPUB)
@@ -135,6 +144,10 @@ class Sockets:
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IPV6, 1)
             socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+            socket.setsockopt(zmq.MAXMSGSIZE, limits.message_bytes)
+            socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE)
+        for socket in (self.sub, self.req):
+            socket.setsockopt(zmq.RCVHWM, _WAITING)
         self.tcp: list[Endpoints] = []
 
     @property
@@ -205,6 +218,7 @@ class Sockets:
 
 def _bind(socket: zmq.Socket[bytes], address: str) -> None:
     try:
-        socket.bind(address)
+        with listening(TOPICS if socket.type == zmq.XPUB else REQUESTS):
+            socket.bind(address)
     except zmq.ZMQError as error:
         raise InvalidRequest(f"cannot listen on {address}: {error}") from error

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cm.daemon.endpoints import Security
 from cm.daemon.host.reload import Reloaded
+from cm.daemon.limits import Limits
 from cm.daemon.queue_limit import BYTES
 from cm.device import Root
 from cm.manager.manager import Settings
@@ -33,3 +34,4 @@ class Options:
     unsigned: bool = True  # whether clients may provision configurations, which nobody can have signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
     settings: Settings = Settings()  # noqa: RUF009 (frozen)
+    limits: Limits = Limits()  # noqa: RUF009 (frozen)

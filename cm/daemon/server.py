@@ -13,6 +13,7 @@ from dataclasses import replace
 import zmq
 
 from cm.daemon.board_watch import BoardWatch
+from cm.daemon.connections import Connections
 from cm.daemon.curve import CurveAuthenticator
 from cm.daemon.dispatcher import Dispatcher
 from cm.daemon.endpoints import Locks, Sockets
@@ -54,13 +55,15 @@ class Server:
         self._options = options
         self._locks = Locks(options.runtime_dir, options.root)
         self._loop = Loop()
+        self._connections = Connections(options.limits)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned)
         self._journal = Journal(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         configs = self._configs()
-        self._sockets = Sockets(self._context, options.runtime_dir, mark(configs.values(), options.queue_bytes))
+        waiting = mark(configs.values(), options.queue_bytes)
+        self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time)
         self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)
@@ -176,19 +179,11 @@ class Server:
 
     def _close(self) -> None:
         self._service.stopping()
-        self._manager.stop()
-        self._acceptor.close()
-        self._streams.end()
-        self._memories.close()
-        self._interrupts.close()
-        self._metrics.close()
-        self._sensors.close()
-        self._leases.close()
-        self._aside.shutdown()
-        self._publisher.close()
-        self._devices.lost()
-        self._journal.close()
-        self._sockets.close()
+        users = (self._acceptor.close, self._streams.end, self._memories.close, self._interrupts.close)
+        watches = (self._metrics.close, self._sensors.close, self._leases.close, self._aside.shutdown)
+        board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
+        for end in (self._manager.stop, *users, *watches, *board):
+            end()
         if self._authenticator is not None:
             self._authenticator.close()
         self._context.term()
@@ -246,5 +241,6 @@ class Server:
         self._streams.refresh()
         self._reloader.continue_waiting()
         self._board.look()
+        self._connections.tell()
         if self._streams.any_open:
             self._publisher.status(self._status())

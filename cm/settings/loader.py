@@ -15,10 +15,24 @@ from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
-from cm.settings.model import FILE, DmaSettings, ImportSettings, PolicySettings, Settings, StreamSettings
+from cm.settings.model import (
+    FILE,
+    DmaSettings,
+    ImportSettings,
+    LimitSettings,
+    PolicySettings,
+    Settings,
+    StreamSettings,
+)
 
 SCHEMA = Path(__file__).with_name("settings.schema.json")
-_GROUPS = {"streams": StreamSettings, "dma": DmaSettings, "imports": ImportSettings, "policy": PolicySettings}
+_GROUPS = {
+    "streams": StreamSettings,
+    "dma": DmaSettings,
+    "imports": ImportSettings,
+    "policy": PolicySettings,
+    "limits": LimitSettings,
+}
 _PATHS = ("keys", "signers", "runtime_dir", "state_dir", "firmware_dir")
 
 

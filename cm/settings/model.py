@@ -44,6 +44,21 @@ class PolicySettings:
 
 
 @dataclass(frozen=True, slots=True)
+class LimitSettings:
+    """What one client (`…_each`), and all together, may take of the manager; see docs/limits.md."""
+
+    connections: int = 1024
+    connections_each: int = 256
+    message_mib: int = 8
+    waiting_mib: int = 32
+    upload_mib: int = 256
+    uploads_mib: int = 512
+    leases: int = 256
+    leases_each: int = 32
+    slots_each: int = 64
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """What an operator may say of the service; each key is described in ``settings.schema.json``."""
 
@@ -62,3 +77,4 @@ class Settings:
     dma: DmaSettings = DmaSettings()
     imports: ImportSettings = ImportSettings()
     policy: PolicySettings = PolicySettings()
+    limits: LimitSettings = LimitSettings()

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who is connected over ZeroMQ, and how many may be: `cm.native.guard` below libzmq, with this manager's bounds.
+
+libzmq cannot refuse a connection, and ends its process where descriptors run out; docs/decisions/guarded-connections.md
+says what was tried.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from cm.daemon.limits import Limits
+from cm.native import guard
+from cm.native.guard import REQUESTS, TOPICS
+
+__all__ = ["REQUESTS", "TOPICS", "Connections", "listening", "raise_descriptors", "who"]
+
+_LOG = logging.getLogger("cm")
+_DESCRIPTORS = 65536  # asked for, where as many are allowed
+_RESERVE = 128  # descriptors that no connection takes: for devices, frames, files and leases
+_NEWCOMERS = 64  # connections for clients that have few
+PARTS = 300  # of one message
+_TOPICS = 4096  # subscriptions and their ends at once; 256 more each second
+_CAUSES = {
+    "full": "as many are connected as may be (limits.connections)",
+    "each": "it has as many connections as one client may have (limits.connections_each)",
+    "descriptors": "the other descriptors of this process are kept for the manager's own work (RLIMIT_NOFILE)",
+    "protocol": "it does not speak ZMTP 3",
+    "parts": f"it sent a message of more than {PARTS} parts",
+    "bytes": "it sent a message that is too long, or has no end (limits.message_mib)",
+    "rate": f"it subscribed to more than {_TOPICS} topics at once",
+    "cut": "it has lost its right to be connected",
+}
+
+
+def raise_descriptors() -> None:
+    """Allow this process as many descriptors as it may have, up to 65,536."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _DESCRIPTORS if hard == resource.RLIM_INFINITY else min(_DESCRIPTORS, hard)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+@contextmanager
+def listening(kind: int) -> Iterator[None]:
+    """What this thread binds meanwhile is guarded."""
+    guard.expect(kind)
+    try:
+        yield
+    finally:
+        guard.expect(guard.NONE)
+
+
+def who(peer: guard.Peer) -> str:
+    """A client's name for people: ``pid 123``, or its address."""
+    if peer.pid:
+        return f"pid {peer.pid}" if peer.pid > 0 else "a process of another container"
+    address = ipaddress.IPv6Address(peer.address)
+    return str(address.ipv4_mapped or address)
+
+
+class Connections:
+    """Sets the bounds, and tells once in a while of those that were refused."""
+
+    def __init__(self, limits: Limits) -> None:
+        raise_descriptors()
+        if not guard.install():
+            _LOG.warning("connections cannot be limited here: libzmq does not call the C library by its tables")
+        guard.limit(bounds(limits))
+        self._told = guard.counts().refused
+
+    def tell(self) -> None:
+        """Log what was refused since the last call: one line for each cause, however many there were."""
+        now = guard.counts()
+        for cause, count in now.refused.items():
+            more = count - self._told[cause]
+            if more:
+                name = who(now.last) if cause == now.last_cause else "others"
+                _LOG.warning("%d connections refused, the last of %s: %s", more, name, _CAUSES[cause])
+        self._told = now.refused
+
+
+def bounds(limits: Limits) -> guard.Limits:
+    """The bounds as the guard has them."""
+    newcomers = min(_NEWCOMERS, limits.connections // 4)
+    return guard.Limits(
+        limits.connections, limits.connections_each, newcomers, _RESERVE, PARTS, limits.message_bytes, _TOPICS
+    )

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much one client may take, and all together: docs/limits.md has every bound, and what happens beyond it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+MIB = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What an operator may set (`limits` of ``/etc/cm/cm.yaml``); `…_each` is of one client.
+
+    A client is a process of this machine, or an address beyond it. `message_bytes`: of one ZeroMQ message.
+    `waiting_bytes`: of one client's requests that wait, and likewise of its replies that it has not read.
+    `upload_bytes`, `uploads_bytes`: sent in parts and not used yet, of one client and of all. `slots_each`: of one
+    stream.
+    """
+
+    connections: int = 1024
+    connections_each: int = 256
+    message_bytes: int = 8 * MIB
+    waiting_bytes: int = 32 * MIB
+    upload_bytes: int = 256 * MIB
+    uploads_bytes: int = 512 * MIB
+    leases: int = 256
+    leases_each: int = 32
+    slots_each: int = 64

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bounds on libzmq's connections (csrc/guard.h). State is the process's, as descriptors are."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from cm.native._cm import ffi, lib
+from cm.native.call import check
+
+NONE: int = lib.CM_GUARD_NONE
+REQUESTS: int = lib.CM_GUARD_REQUESTS
+TOPICS: int = lib.CM_GUARD_TOPICS
+CAUSES = ("full", "each", "descriptors", "protocol", "parts", "bytes", "rate", "cut")
+
+
+class Limits(NamedTuple):
+    """``struct cm_guard_limits``."""
+
+    connections: int
+    each: int
+    newcomers: int
+    descriptors: int
+    parts: int
+    bytes: int
+    topics: int
+
+
+class Peer(NamedTuple):
+    """``struct cm_guard_peer``; `address` is IPv6, or IPv4 mapped into it, all zero where there is a `pid`."""
+
+    fd: int
+    kind: int
+    pid: int
+    uid: int
+    gid: int
+    address: bytes
+
+
+class Counts(NamedTuple):
+    """``struct cm_guard_counts``: `refused` by their cause, and who was refused last."""
+
+    connections: int
+    refused: dict[str, int]
+    last: Peer
+    last_cause: str
+
+
+def install() -> bool:
+    """Lead libzmq's calls through the guard; False where that cannot be done here."""
+    return int(lib.cm_guard_install()) > 0
+
+
+def limit(limits: Limits) -> None:
+    """From now on."""
+    lib.cm_guard_limit(ffi.new("struct cm_guard_limits *", limits))
+
+
+def expect(kind: int) -> None:
+    """Listeners that this thread makes from now on are of that kind."""
+    lib.cm_guard_expect(kind)
+
+
+def peers() -> list[Peer]:
+    """Who is connected, one for each connection."""
+    room = ffi.new("struct cm_guard_peer[]", int(counts().connections) + 64)
+    return [_peer(room[i]) for i in range(lib.cm_guard_peers(room, len(room)))]
+
+
+def peer(fd: int) -> Peer:
+    """Who is at the other end of a connection; OSError (ENOENT) where it is none."""
+    found = ffi.new("struct cm_guard_peer *")
+    check(lib.cm_guard_peer(fd, found))
+    return _peer(found)
+
+
+def cut(fd: int) -> None:
+    """End a connection; OSError (ENOENT) where it is none."""
+    check(lib.cm_guard_cut(fd))
+
+
+def taken(fd: int, size: int) -> None:
+    """A message was taken that has `size` bytes in large frames."""
+    lib.cm_guard_taken(fd, size)
+
+
+def counts() -> Counts:
+    """How many there are, and how many were refused."""
+    now = ffi.new("struct cm_guard_counts *")
+    lib.cm_guard_count(now)
+    refused = dict(zip(CAUSES, map(int, now.refused), strict=True))
+    return Counts(now.connections, refused, _peer(now.last), CAUSES[now.last_cause])
+
+
+def _peer(found: object) -> Peer:
+    return Peer(found.fd, found.kind, found.pid, found.uid, found.gid, bytes(found.address))  # type: ignore[attr-defined]

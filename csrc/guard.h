@@ -1,0 +1,93 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/*
+ * What libzmq lacks: bounds on connections and on what they send before anybody has looked at it.
+ *
+ * libzmq takes every connection there is, and ends its process where there is no descriptor for one more
+ * (`errno_assert` in ipc_listener.cpp, up to 4.3.5). So its calls of accept(), accept4(), listen(), recv() and
+ * close() are led through here, by the table of functions that its ELF object has for those of others
+ * (guard_hook.c). A connection too many is taken and closed; one that breaks a bound while it sends ends.
+ *
+ * Only listeners are guarded that a thread made after cm_guard_expect(). State is that of the process, as
+ * descriptors are. Any thread.
+ */
+#ifndef CM_SHIM_GUARD_H
+#define CM_SHIM_GUARD_H
+
+#include <stdint.h>
+
+#define CM_GUARD_SMALL 4096
+
+enum cm_guard_kind {
+	CM_GUARD_NONE,	   /* not ours */
+	CM_GUARD_REQUESTS, /* what comes is messages of several parts */
+	CM_GUARD_TOPICS,   /* what comes is subscriptions */
+};
+
+/* Why a connection was refused or ended; the index of cm_guard_counts.refused. */
+enum cm_guard_cause {
+	CM_GUARD_FULL,	      /* as many connections as there may be */
+	CM_GUARD_EACH,	      /* as many of this peer as it may have */
+	CM_GUARD_DESCRIPTORS, /* the rest of the descriptors is the manager's */
+	CM_GUARD_PROTOCOL,    /* not ZMTP 3 */
+	CM_GUARD_PARTS,	      /* a message of too many parts */
+	CM_GUARD_BYTES,	      /* a message that is too long, or has no end */
+	CM_GUARD_RATE,	      /* subscribes too often */
+	CM_GUARD_CUT,	      /* by cm_guard_cut() */
+	CM_GUARD_CAUSES,
+};
+
+struct cm_guard_limits {
+	uint32_t connections; /* in all; three quarters of them for the processes of one user */
+	uint32_t each;	      /* of one peer: a process of this machine, or an address */
+	uint32_t newcomers;   /* of all, for peers with few */
+	uint32_t descriptors; /* of the process, that no connection may take */
+	uint32_t parts;	      /* of a message */
+	uint64_t bytes;	      /* of a message; of twice as many that nobody took, no more is read */
+	uint32_t
+		topics; /* subscriptions and their ends at once; a sixteenth of it comes back every second */
+};
+
+/* A connection, and who is at its other end. */
+struct cm_guard_peer {
+	int32_t fd;
+	uint32_t kind;
+	int32_t pid; /* of this machine; 0: see address */
+	uint32_t uid;
+	uint32_t gid;
+	uint8_t address[16]; /* IPv6, or IPv4 mapped into it */
+};
+
+struct cm_guard_counts {
+	uint32_t connections;
+	uint64_t refused[CM_GUARD_CAUSES];
+	struct cm_guard_peer last; /* who was refused last */
+	uint32_t last_cause;
+};
+
+/*
+ * Lead libzmq's calls through here; twice is fine. How many functions are: 0 where libzmq calls them in a way that
+ * cannot be changed, then nothing is guarded.
+ */
+int cm_guard_install(void);
+
+/* From now on; all zero: none. */
+void cm_guard_limit(const struct cm_guard_limits *limits);
+
+/* Listeners that this thread makes from now on are of a kind of enum cm_guard_kind. */
+void cm_guard_expect(uint32_t kind);
+
+/* The connections there are, @max at most; how many were written. */
+int cm_guard_peers(struct cm_guard_peer *peers, int max);
+
+/* One by its descriptor; ENOENT. */
+int cm_guard_peer(int fd, struct cm_guard_peer *peer);
+
+/* End a connection: libzmq sees that its peer has gone. ENOENT. */
+int cm_guard_cut(int fd);
+
+/* A message of this connection was taken, which has @bytes in frames of more than CM_GUARD_SMALL. */
+void cm_guard_taken(int fd, uint64_t bytes);
+
+void cm_guard_count(struct cm_guard_counts *counts);
+
+#endif

@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: Apache-2.0
+/* What libzmq calls in place of the C library's functions. */
+#include <errno.h>
+#include <fcntl.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "guard_private.h"
+
+#define FRAMES \
+	32768 /* that nobody took: more than libzmq lets wait, unless their message has no end */
+#define PATIENCE 10 /* seconds for which a message without end is not read any further */
+
+/* No descriptor is left: the cm_guard_spare one lets who waits be refused, so that nobody is called for it for ever. */
+static void turn_away(int listener)
+{
+	int fd;
+
+	pthread_mutex_lock(&cm_guard_lock);
+	if (cm_guard_spare >= 0)
+		close(cm_guard_spare);
+	fd = accept4(listener, NULL, NULL, SOCK_CLOEXEC | SOCK_NONBLOCK);
+	if (fd >= 0) {
+		struct cm_guard_peer peer = cm_guard_look(fd, cm_guard_place(listener)->listens);
+
+		cm_guard_refuse(&peer, CM_GUARD_DESCRIPTORS);
+		close(fd);
+	}
+	cm_guard_spare = open("/dev/null", O_RDONLY | O_CLOEXEC);
+	pthread_mutex_unlock(&cm_guard_lock);
+	if (fd < 0)
+		nanosleep(&(struct timespec){ .tv_nsec = 1000000 },
+			  NULL); /* it will be called again at once */
+}
+
+int cm_guard_accept4(int listener, struct sockaddr *address, socklen_t *length, int flags)
+{
+	struct cm_guard_place *place = cm_guard_place(listener);
+	int fd = accept4(listener, address, length, flags);
+
+	if (!place || !place->listens)
+		return fd;
+	if (fd >= 0 && cm_guard_admit(fd, place->listens))
+		return fd;
+	if (fd >= 0)
+		close(fd);
+	else if (errno == EMFILE || errno == ENFILE)
+		turn_away(listener);
+	else
+		return fd;
+	errno = ECONNABORTED; /* which libzmq passes over */
+	return -1;
+}
+
+int cm_guard_accept(int listener, struct sockaddr *address, socklen_t *length)
+{
+	return cm_guard_accept4(listener, address, length, 0);
+}
+
+int cm_guard_listen(int fd, int backlog)
+{
+	struct cm_guard_place *place = cm_guard_place(fd);
+	int result = listen(fd, backlog);
+
+	if (!result && place)
+		place->listens = cm_guard_expected;
+	return result;
+}
+
+int cm_guard_close(int fd)
+{
+	struct cm_guard_place *place = cm_guard_place(fd);
+	int result;
+
+	if (!place || (!place->listens && !atomic_load(&place->kind)))
+		return close(fd);
+	pthread_mutex_lock(&cm_guard_lock);
+	if (atomic_exchange(&place->kind, CM_GUARD_NONE))
+		cm_guard_leave(place);
+	place->listens = CM_GUARD_NONE;
+	result = close(fd); /* within the lock: nobody cuts another that gets the same descriptor */
+	pthread_mutex_unlock(&cm_guard_lock);
+	return result;
+}
+
+static int64_t seconds(void)
+{
+	struct timespec now = { 0 };
+
+	clock_gettime(CLOCK_MONOTONIC_COARSE, &now);
+	return now.tv_sec + 1;
+}
+
+/*
+ * As much as may wait of this connection does: let its peer wait. libzmq asks again at once, since the descriptor is
+ * readable still, so it is kept for a moment. A message that is encrypted may be one without end, which nobody can take.
+ */
+static bool holds_back(struct cm_guard_place *place)
+{
+	uint64_t waits =
+		place->stream.large - atomic_load_explicit(&place->large, memory_order_relaxed);
+
+	if (!cm_guard_limits.bytes || waits <= 2 * cm_guard_limits.bytes ||
+	    !cm_guard_between(&place->stream)) {
+		place->held_s = 0;
+		return false;
+	}
+	if (!place->held_s)
+		place->held_s = seconds();
+	nanosleep(&(struct timespec){ .tv_nsec = 200000 }, NULL);
+	return true;
+}
+
+static int ended(struct cm_guard_place *place, int cause)
+{
+	pthread_mutex_lock(&cm_guard_lock);
+	cm_guard_refuse(&place->peer, cause);
+	pthread_mutex_unlock(&cm_guard_lock);
+	errno = ECONNRESET;
+	return -1;
+}
+
+ssize_t cm_guard_recv(int fd, void *data, size_t size, int flags)
+{
+	struct cm_guard_place *place = cm_guard_place(fd);
+	uint32_t kind =
+		place ? atomic_load_explicit(&place->kind, memory_order_relaxed) : CM_GUARD_NONE;
+	ssize_t got;
+	int cause;
+
+	if (kind == CM_GUARD_REQUESTS && holds_back(place)) {
+		if (place->stream.curve && seconds() - place->held_s > PATIENCE)
+			return ended(place, CM_GUARD_BYTES);
+		errno = EAGAIN;
+		return -1;
+	}
+	got = recv(fd, data, size, flags);
+	if (got <= 0 || !kind)
+		return got;
+	cause = cm_guard_follow(&place->stream, kind, &cm_guard_limits, data, (size_t)got,
+				kind == CM_GUARD_TOPICS ? seconds() : 0);
+	if (cause < 0 && kind == CM_GUARD_REQUESTS && place->stream.curve &&
+	    place->stream.frames - atomic_load_explicit(&place->frames, memory_order_relaxed) >
+		    FRAMES)
+		cause = CM_GUARD_PARTS;
+	return cause < 0 ? got : ended(place, cause);
+}
+
+ssize_t cm_guard_recv_chk(int fd, void *data, size_t size, size_t room, int flags)
+{
+	return cm_guard_recv(fd, data, size < room ? size : room, flags);
+}

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""More connections than there are descriptors: the manager goes on, and serves who has few."""
+
+from __future__ import annotations
+
+import json
+import resource
+import socket
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import zmq
+from flood import descriptors, idle_connections, resident_mib
+from manager_process import Manager, served, short_folder, until
+
+import cm
+from cm.cli.main import main
+
+NOFILE = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Guarded:
+    """A manager with few descriptors, on ipc and on TCP with keys."""
+
+    manager: Manager
+    keys: Path
+
+    @property
+    def pid(self) -> int:
+        assert self.manager.process is not None
+        return self.manager.process.pid
+
+    @property
+    def tcp(self) -> tuple[str, int]:
+        endpoints = json.loads((self.manager.runtime / "endpoints.json").read_text("ascii"))
+        return "127.0.0.1", int(endpoints["tcp"][0]["pub"].rpartition(":")[2])
+
+    def allow(self, count: int) -> None:
+        resource.prlimit(self.pid, resource.RLIMIT_NOFILE, (count, NOFILE))
+
+
+@pytest.fixture
+def guarded(capsys: pytest.CaptureFixture[str]) -> Iterator[Guarded]:
+    with short_folder() as folder:
+        assert main(["keygen", str(folder), "me"]) == 0
+        arguments = ("--listen", "tcp://127.0.0.1:0", "--keys", str(folder / "server.key"))
+        with served(arguments=arguments) as (manager, _):
+            made = Guarded(manager, folder / "me.key")
+            with manager.connected() as board:
+                board.load("camera", "default")
+            resource.prlimit(made.pid, resource.RLIMIT_NOFILE, (NOFILE, NOFILE))
+            yield made
+
+
+def works(board: cm.Board) -> bool:
+    board.registers["focus"] = 3
+    return board.registers["focus"] == 3
+
+
+@pytest.mark.parametrize("name", ["req", "sub", "pub"])
+def test_1500_idle_connections_of_a_user_leave_room_for_a_client(guarded: Guarded, name: str) -> None:
+    before = descriptors(guarded.pid)
+    with idle_connections(guarded.manager.runtime / name, 250, 6) as kept:
+        assert sum(kept) <= NOFILE * 3 // 4
+        assert descriptors(guarded.pid) <= before + NOFILE * 3 // 4 + 16
+        with cm.connect(f"tcp://127.0.0.1:{guarded.tcp[1]}", keys=str(guarded.keys)) as board:
+            assert works(board)
+    until(lambda: descriptors(guarded.pid) <= before + 16)
+    with guarded.manager.connected() as board:
+        assert works(board)
+
+
+def test_one_process_has_256_connections_at_most_and_others_go_on_connecting(guarded: Guarded) -> None:
+    with idle_connections(guarded.manager.runtime / "req", 700, 1) as kept:
+        assert kept == [256]
+        with guarded.manager.connected() as board:
+            assert works(board)
+
+
+def test_1500_bare_connections_to_a_port_with_keys_leave_room_for_a_client(guarded: Guarded) -> None:
+    before = descriptors(guarded.pid)
+    host, port = guarded.tcp
+    with idle_connections((host, port + 2), 250, 6) as kept:
+        assert sum(kept) == 256  # of one address
+        with guarded.manager.connected() as board:
+            assert works(board)
+    until(lambda: descriptors(guarded.pid) <= before + 16)
+    with cm.connect(f"tcp://{host}:{port}", keys=str(guarded.keys)) as board:
+        assert works(board)
+
+
+def test_the_last_descriptors_are_no_connections(guarded: Guarded) -> None:
+    before = descriptors(guarded.pid)
+    guarded.allow(before + 200)
+    with idle_connections(guarded.manager.runtime / "req", 250, 2) as kept:
+        assert 0 < sum(kept) <= 100
+    guarded.allow(before + 8)  # none at all: fewer than are kept back
+    with idle_connections(guarded.manager.runtime / "req", 50, 2) as kept:
+        assert sum(kept) == 0
+    guarded.allow(NOFILE)
+    with guarded.manager.connected() as board:
+        assert works(board)
+
+
+def frame(flags: int, body: bytes = b"", length: int | None = None) -> bytes:
+    return bytes([flags | 2]) + (len(body) if length is None else length).to_bytes(8, "big") + body
+
+
+def raw(path: Path, kind: bytes = b"DEALER") -> socket.socket:
+    """A peer that has shaken hands as ZMTP 3.0 says (RFC 23), without libzmq."""
+    made = socket.socket(socket.AF_UNIX)
+    made.settimeout(60)
+    made.connect(str(path))
+    made.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(16) + bytes(32))
+    ready = b"\x05READY\x0bSocket-Type" + len(kind).to_bytes(4, "big") + kind
+    made.sendall(bytes([4, len(ready)]) + ready)
+    return made
+
+
+def send_until_hung_up(peer: socket.socket, piece: bytes, times: int) -> int:
+    """How many pieces went before the manager ended the connection."""
+    for sent in range(times):
+        try:
+            peer.sendall(piece)
+        except (BrokenPipeError, ConnectionResetError):
+            return sent
+    return times
+
+
+def test_a_message_of_a_gibibyte_and_a_half_is_refused_when_it_is_announced(guarded: Guarded) -> None:
+    before = resident_mib(guarded.pid)
+    with raw(guarded.manager.runtime / "req") as peer:
+        peer.sendall(frame(0, length=3 << 29))
+        assert send_until_hung_up(peer, bytes(1 << 20), 1536) < 64
+    assert resident_mib(guarded.pid) < before + 64
+
+
+def test_a_message_of_two_million_parts_ends_its_connection_before_anybody_takes_it(guarded: Guarded) -> None:
+    before = resident_mib(guarded.pid)
+    with raw(guarded.manager.runtime / "req") as peer:
+        assert send_until_hung_up(peer, b"\x01\x00" * 1000, 2000) < 2000
+    assert resident_mib(guarded.pid) < before + 64
+    with guarded.manager.connected() as board:
+        assert works(board)
+
+
+def test_a_message_that_is_too_long_in_all_its_parts_ends_its_connection(guarded: Guarded) -> None:
+    with raw(guarded.manager.runtime / "req") as peer:
+        assert send_until_hung_up(peer, frame(1, bytes(1 << 20)), 64) < 64
+
+
+def test_what_does_not_speak_zmtp_3_is_hung_up_on(guarded: Guarded) -> None:
+    for greeting in (b"GET / HTTP/1.1\r\n\r\n", b"\x01\x00", b"\xff" + bytes(8) + b"\x7f\x01\x00" + bytes(52)):
+        with socket.socket(socket.AF_UNIX) as peer:
+            peer.settimeout(60)
+            peer.connect(str(guarded.manager.runtime / "req"))
+            peer.sendall(greeting)
+            while True:
+                try:
+                    if not peer.recv(4096):
+                        break
+                except ConnectionResetError:
+                    break
+
+
+def test_a_million_subscriptions_are_cut_off_after_some_thousand(guarded: Guarded) -> None:
+    before = resident_mib(guarded.pid)
+    with raw(guarded.manager.runtime / "pub", b"SUB") as peer:
+        thousand = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(1000))
+        assert send_until_hung_up(peer, thousand, 1000) < 1000
+    assert resident_mib(guarded.pid) < before + 64
+
+
+def test_a_message_as_long_as_may_be_arrives(guarded: Guarded) -> None:
+    with zmq.Context() as context, context.socket(zmq.REQ) as client:
+        client.linger = 0
+        client.connect(f"ipc://{guarded.manager.runtime}/req")
+        client.send_multipart([b"cm_write_data", b"", bytes((8 << 20) - 64)])
+        assert client.poll(60_000)
+        assert client.recv_multipart()[0] == b"cm_write_data"
