@@ -25,7 +25,7 @@ def add_connection_options(parser: argparse.ArgumentParser) -> None:
         "--runtime-dir",
         type=Path,
         metavar="DIR",
-        help="folder of the manager's sockets (default: /run/cm, or $XDG_RUNTIME_DIR/cm)",
+        help="folder of the manager's sockets (default: $CM_RUNTIME_DIR, /run/cm, or $XDG_RUNTIME_DIR/cm)",
     )
     choice.add_argument("--connect", metavar="ENDPOINT", help="a manager elsewhere, such as tcp://kria.local")
     group.add_argument("--keys", type=Path, metavar="FILE", help="this client's key file, for TCP with keys")

@@ -52,7 +52,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--load", metavar="CONFIG[/MODE]", help="enter this where nothing is loaded at start")
     parser.add_argument("--name", metavar="NAME", help="the board's name, told in its status (default: of its host)")
-    parser.add_argument("--runtime-dir", type=Path, metavar="DIR", help="folder of the sockets (default: /run/cm)")
+    parser.add_argument(
+        "--runtime-dir", type=Path, metavar="DIR", help="folder of the sockets (default: $CM_RUNTIME_DIR, /run/cm)"
+    )
     parser.add_argument("--state-dir", type=Path, metavar="DIR", help="folder of the state (default: /var/lib/cm)")
     parser.add_argument("--root", metavar="DIR", help="where the board's /dev and /sys begin (default: $CM_ROOT, /)")
     parser.add_argument(

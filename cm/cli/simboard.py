@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -21,5 +22,22 @@ def simulated_board(runtime: Path, root: Path, configs: list[Path], arguments: l
     takes it over if it was started with the same arguments.
     """
     runtime.mkdir(mode=0o750, parents=True, exist_ok=True)
+    _refuse_where_served(runtime)
     with Board(configs, root=root, arguments=["--linger", _LINGER, *arguments]) as board:
         yield Root.of(board.root)
+
+
+def _refuse_where_served(runtime: Path) -> None:
+    """Say that a manager serves the folder already, before its board is found to be in use.
+
+    The lock proper is taken by the daemon, whose modules are not imported yet.
+    """
+    try:
+        with (runtime / "lock").open("rb") as lock:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        from cm.daemon.endpoints import FolderLock
+
+        FolderLock(runtime).release()  # raises, with who it is
+    except OSError:
+        return  # nobody ever served there, or what is wrong is told by the daemon

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from cm.cli.client import connected, plain
+from cm.cli.client import awaited, connected, plain, settled
 from cm.cli.common import add_connection_options, add_json_option, print_json, print_table
 from cm.messages.status import Status
 
@@ -17,13 +17,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("status", help="show what is loaded and what goes on")
     add_connection_options(parser)
     add_json_option(parser)
+    parser.add_argument(
+        "--wait",
+        nargs="?",
+        type=float,
+        const=30.0,
+        metavar="SECONDS",
+        help="for a manager that is starting: wait until it answers and no change runs, so long at most (default: 30)",
+    )
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the status; the exit status."""
-    with connected(args) as board:
-        status = board.status
+    with connected(args) if args.wait is None else awaited(args, args.wait) as board:
+        status = board.status if args.wait is None else settled(board, args.wait)
     if args.json:
         print_json(plain(status))
     else:

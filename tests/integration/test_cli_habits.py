@@ -104,3 +104,20 @@ def test_doctor_begins_with_the_board_and_who_manages_it(
 def _roots(manager: Manager) -> list[Path]:
     arguments = list(manager.arguments)
     return [Path(arguments[arguments.index("--root") + 1])] if "--root" in arguments else []
+
+
+def test_a_second_manager_of_one_folder_is_told_which_option_helps(
+    manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["serve", "--sim", "--runtime-dir", str(manager.runtime)]) == 1
+    said = capsys.readouterr().err
+    assert f"serves {manager.runtime} already; stop it, or choose another --runtime-dir" in said
+    assert "--root" not in said
+
+
+def test_status_waits_for_a_manager_that_starts(
+    manager: Manager, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status", "--wait", "--runtime-dir", str(manager.runtime)]) == 0
+    assert main(["status", "--wait", "0", "--runtime-dir", str(tmp_path)]) == 1
+    assert "no configuration manager serves" in capsys.readouterr().err

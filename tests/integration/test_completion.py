@@ -4,18 +4,14 @@
 from __future__ import annotations
 
 import os
-import pty
-import select
 import shutil
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from manager_process import Manager, environment
+from terminal import on_a_terminal
 
 import cm
 from cm.cli.completion import script
@@ -58,31 +54,6 @@ def at(folder: Path, manager: Manager) -> dict[str, str]:
     }
 
 
-@contextmanager
-def on_a_terminal(arguments: list[str], env: dict[str, str]) -> Iterator[int]:
-    """A shell's terminal."""
-    terminal, inner = pty.openpty()
-    shell = subprocess.Popen(arguments, stdin=inner, stdout=inner, stderr=inner, env=env, start_new_session=True)
-    os.close(inner)
-    try:
-        yield terminal
-    finally:
-        shell.kill()
-        shell.wait()
-        os.close(terminal)
-
-
-def typed(terminal: int, keys: str, until: Path) -> str:
-    """Type, and wait until a file is there with a line."""
-    os.write(terminal, keys.encode())
-    end, shown = time.monotonic() + 60, b""
-    while not (until.exists() and until.read_text().endswith("\n")):
-        assert time.monotonic() < end, shown.decode(errors="replace")
-        if select.select([terminal], [], [], 0.02)[0]:
-            shown += os.read(terminal, 4096)
-    return until.read_text()
-
-
 BEGIN = {
     "bash": (["bash", "--norc", "--noprofile", "-i"], "source {folder}/cm.bash"),
     "zsh": (["zsh", "-f", "-i"], "autoload -U compinit; compinit -u; bindkey -e; source {folder}/cm.zsh"),
@@ -94,12 +65,12 @@ def test_tab_on_a_terminal_completes_names_of_what_runs(shell: str, folder: Path
     if shutil.which(shell) is None:
         pytest.skip(f"needs_{shell}")
     arguments, begin = BEGIN[shell]
-    with on_a_terminal(arguments, at(folder, manager)) as terminal:
-        typed(terminal, f"{begin.format(folder=folder)}; echo ready > {folder}/ready\n", folder / "ready")
+    with on_a_terminal(arguments, at(folder, manager), folder) as terminal:
+        terminal.type(f"{begin.format(folder=folder)}; echo ready > {folder}/ready\n", folder / "ready")
         for number, (line, expected) in enumerate(LINES.items()):
             kept = folder / str(number)
             # To the line's begin, so that what was completed is printed and not run: Ctrl-A, Ctrl-E.
-            found = typed(terminal, f"{line}\t'\x01printf '%s\\n' '\x05 > {kept}\n", kept)
+            found = terminal.type(f"{line}\t'\x01printf '%s\\n' '\x05 > {kept}\n", kept)
             assert found == f"{expected}\n"
 
 
