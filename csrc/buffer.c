@@ -20,6 +20,7 @@ int cm_buffer_alloc(struct cm_node *node, uint32_t op, uint64_t length, struct c
 	buffer->handle = arg.handle;
 	buffer->coherent = arg.coherent != 0;
 	buffer->length = arg.length;
+	buffer->address = arg.address;
 	return 0;
 }
 
@@ -41,6 +42,7 @@ int cm_buffer_import(struct cm_node *node, uint32_t op, int fd, struct cm_buffer
 	buffer->handle = arg.handle;
 	buffer->coherent = false; /* the exporter knows; a needless sync does no harm */
 	buffer->length = arg.length;
+	buffer->address = 0;
 	return 0;
 }
 

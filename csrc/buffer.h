@@ -17,12 +17,14 @@
  * @handle: valid on the device it came from only
  * @coherent: CPU access needs no cm_buffer_sync()
  * @length: bytes
+ * @address: where the device sees it; 0 where that is not told
  */
 struct cm_buffer {
 	int fd;
 	uint32_t handle;
 	bool coherent;
 	uint64_t length;
+	uint64_t address;
 };
 
 /* As the devices do it: @op is theirs.  See cm_dma_alloc() and its fellows. */

@@ -5,15 +5,18 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
+import numpy as np
+import numpy.typing as npt
 import zmq
 
 from cm.client import place
 from cm.client.address import Keys
+from cm.client.allocation import DeviceArray, allocated
 from cm.client.change import ChangeHandle
 from cm.client.core import calls, change, leases
 from cm.client.core.calls import Call
@@ -253,9 +256,12 @@ class Board(Guarded):
     def _new_link(self) -> Link:
         return Link(self._sockets, self.timeout)
 
-    def _using(self, user: _T) -> _T:
+    def _check_open(self) -> None:
         if self._sockets.closed:
             raise closed(self._place.endpoints.req)
+
+    def _using(self, user: _T) -> _T:
+        self._check_open()
         self._users.add(user)
         return user
 
@@ -280,6 +286,18 @@ class Board(Guarded):
     def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
         """Send an array or bytes to the hardware; returns when it has taken them."""
         return self.ask(calls.write_data(stream, data, lease), timeout=self.timeout + 5.0)
+
+    def allocate(
+        self, shape: int | Sequence[int], dtype: npt.DTypeLike = np.uint8, timeout: Limit = DEFAULT
+    ) -> DeviceArray:
+        """An array in memory in one piece, for masters in the PL: ``registers["source"] = array.device_address``.
+
+        It is zero at first, and is given back with the last array in it, or with this process. On the manager's
+        machine only. Raises InvalidRequest, RequestBusy where the manager gives no more, Timeout.
+        """
+        self._check_open()
+        folder = self._place.data_folder("memory for the PL")
+        return allocated(folder, shape, dtype, seconds(timeout, self.timeout))
 
     def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
         """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; what is left out stays.

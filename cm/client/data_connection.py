@@ -41,6 +41,7 @@ class DataConnection:
         self._left: SlotMappings | None = None  # of frames that are held beyond `close`
         self.names = ("", "", "")
         self.generation = 0  # of the registers, under which the frames that come began; 0: not known
+        self.address = 0  # of memory that was asked for, as devices see it
         self.lost = 0
         self.held = 0
         self.done: deque[Descriptor] = deque()
@@ -54,6 +55,7 @@ class DataConnection:
             packets.SLOTS: self._slots,
             packets.LABEL: self._label,
             packets.GENERATION: self._generation,
+            packets.ADDRESS: self._address,
             packets.STOPPED: self._stopped,
             packets.REFUSED: self._refused,
             packets.LATE: self._late,
@@ -178,6 +180,9 @@ class DataConnection:
     def _label(self, _: Descriptor, size: int, __: list[int]) -> None:
         stream, config, mode = packets.decode_names(bytes(self._buffer[DESCRIPTOR.size : size]))
         self.names = (stream, config, mode)
+
+    def _address(self, head: Descriptor, _: int, __: list[int]) -> None:
+        self.address = head.sequence
 
     def _generation(self, head: Descriptor, _: int, __: list[int]) -> None:
         self.generation = head.sequence

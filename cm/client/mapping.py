@@ -49,6 +49,14 @@ class SlotMappings:
     def __len__(self) -> int:
         return len(self._maps)
 
+    def take(self, slot: int) -> mmap.mmap:
+        """The mapping of a slot, which lives from here on as long as somebody else refers to it."""
+        return self._maps.pop(slot)
+
+    def is_begun(self, slot: int) -> bool:
+        """Whether the processor uses a slot now, as far as caches need to know."""
+        return slot in self._begun
+
     def add(self, first: int, fds: Sequence[int]) -> None:
         """Map slots, all pages at once, and take over their descriptors."""
         access = mmap.PROT_READ | (mmap.PROT_WRITE if self.geometry.writable else 0)

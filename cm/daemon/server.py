@@ -67,7 +67,7 @@ class Server:
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time)
         self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)
-        self._acceptor = Acceptor(self._loop, options.runtime_dir, self._streams.open_local, self._streams.echoes)
+        self._acceptor = Acceptor(self._loop, options.runtime_dir, self._streams.open_local, *self._streams.memories)
         self._manager = Manager(configs, self._environment(), leases)
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error

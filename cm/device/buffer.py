@@ -27,7 +27,8 @@ class DmaBuffer:
     """A buffer of one device, made by its ``allocate()`` or ``import_buffer()``.
 
     ``fd`` is a dma-buf (a memfd on a simulated board) and may be passed to other processes; it is
-    owned by this object.  ``handle`` is what the device knows the buffer by.  Arrays and views keep
+    owned by this object.  ``handle`` is what the device knows the buffer by, ``address`` where it sees
+    it (0: not told, as for an imported one).  Arrays and views keep
     the memory after ``close()``, and after the device was closed.
     """
 
@@ -37,7 +38,7 @@ class DmaBuffer:
         self._free: Callable[[int], None] | None = free
         self._path = path
         self._mappings: dict[bool, Any] = {}
-        self.fd, self.handle, self.coherent, self.length = native.fields(handle)
+        self.fd, self.handle, self.coherent, self.length, self.address = native.fields(handle)
         # Not __del__: where buffer and device are garbage together, the device might be freed first. A
         # weak reference's callback runs before any of that, and holds the device until it has run.
         # (mypy takes atexit, a property, for an attribute that __slots__ forbids.)

@@ -14,9 +14,9 @@ def new() -> Handle:
     return ffi.gc(ffi.new("struct cm_buffer *", {"fd": -1}), lib.cm_buffer_close)
 
 
-def fields(buffer: Handle) -> tuple[int, int, bool, int]:
-    """Return (fd, handle, coherent, length)."""
-    return buffer.fd, buffer.handle, bool(buffer.coherent), buffer.length
+def fields(buffer: Handle) -> tuple[int, int, bool, int, int]:
+    """Return (fd, handle, coherent, length, address)."""
+    return buffer.fd, buffer.handle, bool(buffer.coherent), buffer.length, buffer.address
 
 
 def map_memory(buffer: Handle, writable: bool) -> Any:

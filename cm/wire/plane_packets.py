@@ -15,8 +15,8 @@ SLOTS_MAX = 256
 FDS_MAX = 64
 
 OPEN, RELEASE, SUBMIT, PING, LEAVE = 1, 2, 3, 4, 5
-GEOMETRY, SLOTS, FRAME, GRANT, DONE, PONG, STOPPED, LATE, LABEL, REFUSED, GENERATION = range(16, 27)
-OPEN_WRITE, OPEN_ECHO = 1, 2
+GEOMETRY, SLOTS, FRAME, GRANT, DONE, PONG, STOPPED, LATE, LABEL, REFUSED, GENERATION, ADDRESS = range(16, 28)
+OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE = 1, 2, 4
 COHERENT, WRITABLE, CYCLIC = 1, 2, 4
 
 DESCRIPTOR = struct.Struct("=HBBIQQQ")
@@ -42,7 +42,8 @@ class Descriptor(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Open:
-    """What a client wants: a stream to read or write, or (`echo`) memory that comes back at once."""
+    """What a client wants: a stream to read or write, memory that comes back at once (`echo`), or memory for masters
+    in the PL (`allocate`)."""
 
     name: str
     write: bool = False
@@ -50,6 +51,7 @@ class Open:
     echo: bool = False
     length: int = 0
     lease: str = ""
+    allocate: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,7 @@ class Geometry:
 def encode_open(wanted: Open) -> bytes:
     """The first packet of a client."""
     flags = (OPEN_WRITE if wanted.write else 0) | (OPEN_ECHO if wanted.echo else 0)
+    flags |= OPEN_ALLOCATE if wanted.allocate else 0
     text = f"{wanted.name}\0{wanted.lease}" if wanted.lease else wanted.name
     return Descriptor(wanted.depth, OPEN, flags, length=wanted.length).pack() + text.encode()
 
@@ -80,13 +83,14 @@ def encode_open(wanted: Open) -> bytes:
 def decode_open(packet: bytes) -> Open:
     """Raises InvalidRequest."""
     head = _head(packet)
-    if head.kind != OPEN or head.flags & ~(OPEN_WRITE | OPEN_ECHO):
+    if head.kind != OPEN or head.flags & ~(OPEN_WRITE | OPEN_ECHO | OPEN_ALLOCATE):
         raise InvalidRequest("the first packet on the data socket must be an OPEN")
     try:
         name, _, lease = packet[DESCRIPTOR.size :].decode().partition("\0")
     except UnicodeDecodeError:
         raise InvalidRequest("the stream's name is not UTF-8") from None
-    return Open(name, bool(head.flags & OPEN_WRITE), head.slot, bool(head.flags & OPEN_ECHO), head.length, lease)
+    write, echo, allocate = (bool(head.flags & flag) for flag in (OPEN_WRITE, OPEN_ECHO, OPEN_ALLOCATE))
+    return Open(name, write, head.slot, echo, head.length, lease, allocate)
 
 
 def encode_geometry(geometry: Geometry) -> bytes:

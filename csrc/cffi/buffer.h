@@ -4,6 +4,7 @@ struct cm_buffer {
 	uint32_t handle;
 	bool coherent;
 	uint64_t length;
+	uint64_t address;
 	...;
 };
 

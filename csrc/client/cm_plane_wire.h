@@ -37,10 +37,15 @@
 #define CM_PLANE_GENERATION \
 	26 /* frames from here on began under generation @sequence of the registers */
 
+#define CM_PLANE_ADDRESS 27 /* of memory that was asked for: @sequence is where devices see it */
+
 /* flags of OPEN; those of other packets are the low bits of the epoch, which change with GEOMETRY */
 #define CM_PLANE_OPEN_WRITE 1
 #define CM_PLANE_OPEN_ECHO \
 	2 /* no stream: @length bytes of memory; SUBMIT comes back as DONE at once */
+
+#define CM_PLANE_OPEN_ALLOCATE \
+	4 /* no stream: @length bytes in one piece for masters in the PL, until we hang up */
 
 /**
  * struct cm_plane_descriptor - 32 bytes

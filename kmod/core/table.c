@@ -93,6 +93,7 @@ static int publish(struct cm_buffer *buffer, struct cm_buffer_alloc *args, void 
 	args->fd = fd;
 	args->length = buffer->length;
 	args->coherent = cm_buffer_coherent(buffer);
+	args->address = buffer->dma;
 	ret = cm_args_put(arg, args, sizeof(*args));
 	if (ret) {
 		put_unused_fd(fd);

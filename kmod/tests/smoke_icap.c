@@ -158,6 +158,7 @@ int main(int argc, char **argv)
 	CHECK(ioctl(port, CM_ICAP_IOC_INFO, &info) == 0 && info.word_bits == 32);
 	CHECK(info.idcode == IDCODE && info.caps == CM_ICAP_CAP_STATUS);
 	CHECK(ioctl(port, CM_ICAP_IOC_ALLOC, &args) == 0);
+	CHECK(args.address && args.address % 4096 == 0);
 	words = mmap(NULL, args.length, PROT_READ | PROT_WRITE, MAP_SHARED, args.fd, 0);
 	CHECK(words != MAP_FAILED);
 	length = assemble(words, IDCODE);

@@ -27,6 +27,8 @@
  * @fd: out: dma-buf file descriptor (O_CLOEXEC), mappable; the caller closes it
  * @coherent: out: 1 where CPU access needs no DMA_BUF_IOCTL_SYNC
  * @reserved: must be 0
+ * @address: out: where it begins for the device, in one piece: what other masters of
+ *           the bus reach it by too, unless an IOMMU lies between; 0: not told
  */
 struct cm_buffer_alloc {
 	__u32 size;
@@ -36,6 +38,7 @@ struct cm_buffer_alloc {
 	__s32 fd;
 	__u32 coherent;
 	__u32 reserved;
+	__u64 address;
 };
 
 /**

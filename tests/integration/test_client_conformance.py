@@ -443,6 +443,28 @@ def test_slots_are_borrowed_filled_and_sent(board: Any, reach: tuple[str, dict[s
         assert echo.round_trip() is not None
 
 
+def test_memory_for_the_pl_is_an_array_with_an_address(board: Any, reach: tuple[str, dict[str, Any]]) -> None:
+    if "endpoint" in reach[1]:
+        with pytest.raises(InvalidRequest, match="only its own machine has"):
+            board.allocate(16)
+        return
+    array, other = board.allocate((4, 1024), "uint32", timeout=20), board.allocate(16)
+    assert (array.shape, array.dtype, int(array.sum())) == ((4, 1024), np.uint32, 0)
+    assert array[1:].device_address == array.device_address + 4096
+    assert abs(other.device_address - array.device_address) >= 4096
+    array[...] = 7
+    array.sync_to_device()
+    array.sync_from_device()
+    assert (array == 7).all()
+    with pytest.raises(InvalidRequest, match="ordinary memory"):
+        (array + 1).device_address  # noqa: B018
+    array.free()
+    with pytest.raises(InvalidRequest, match="no bytes"):
+        board.allocate((0, 4))
+    with pytest.raises(RequestBusy, match="256 MiB"):
+        board.allocate(1 << 40)
+
+
 def test_memories_are_arrays_by_name(board: Any) -> None:
     memory = board.memories["scratchpad"]
     whole = memory.read()

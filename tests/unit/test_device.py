@@ -34,7 +34,7 @@ from cm.device.errors import device_error
 from cm.device.survey import State, survey
 from cm.errors import Busy, CmError, InvalidRequest, Timeout
 
-DMA_INFO, DMA_ALLOC, DMA_IMPORT, DMA_FREE, DMA_SUBMIT = 0xC048CD00, 0xC020CD01, 0xC018CD02, 0x4010CD03, 0x4030CD04
+DMA_INFO, DMA_ALLOC, DMA_IMPORT, DMA_FREE, DMA_SUBMIT = 0xC048CD00, 0xC028CD01, 0xC018CD02, 0x4010CD03, 0x4030CD04
 DTBO = b"\xd0\x0d\xfe\xed and the rest"
 OVERLAYS = "sys/kernel/config/device-tree/overlays"
 FPGA = "sys/class/fpga_manager/fpga0"
@@ -76,7 +76,7 @@ class Channel:
             size, flags, length = struct.unpack_from("=IIQ", payload)
             fd = os.memfd_create("fake")
             os.ftruncate(fd, length)
-            return 0, struct.pack("=IIQIiII", size, flags, length, 3, -1, 1, 0), [fd]
+            return 0, struct.pack("=IIQIiIIQ", size, flags, length, 3, -1, 1, 0, 0x1000), [fd]
         if op == DMA_IMPORT:
             self.imported = os.fstat(fds[0]).st_size
             return 0, struct.pack("=IIiIQ", 24, 0, -1, 4, self.imported), []

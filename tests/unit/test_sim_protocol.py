@@ -43,7 +43,7 @@ FIELDS = {
     "struct cm_node_reg": "map width offset value",
     "struct cm_node_mirror": "map fd size",
     "struct cm_node_block": "map length offset",
-    "struct cm_buffer_alloc": "size flags length handle fd coherent reserved",
+    "struct cm_buffer_alloc": "size flags length handle fd coherent reserved address",
     "struct cm_buffer_import": "size flags fd handle length",
     "struct cm_dma_info": "size flags direction type caps queue_depth max_length alignment frame_length name",
     "struct cm_dma_submit": "size flags handle reserved offset length period cookie",

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import weakref
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
+import numpy as np
+import numpy.typing as npt
 import zmq.asyncio
 
 from cm.client import place
@@ -23,6 +26,7 @@ from cm.client.aio.memories import Memories, Memory
 from cm.client.aio.registers import Registers
 from cm.client.aio.stream import AsyncLocalStream, AsyncRemoteStream, Stream
 from cm.client.aio.writer import AsyncWriter
+from cm.client.allocation import DeviceArray, allocated
 from cm.client.core import calls, change, leases
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Flow, Limit, seconds
@@ -230,9 +234,12 @@ class Board(Guarded):
         published = Wanted(name, timeout, newest, compression, depth)
         return AsyncRemoteStream(self, published)
 
-    def _using(self, user: _T) -> _T:
+    def _check_open(self) -> None:
         if self._sockets.closed:
             raise closed(self._place.endpoints.req)
+
+    def _using(self, user: _T) -> _T:
+        self._check_open()
         self._users.add(user)
         return user
 
@@ -257,6 +264,18 @@ class Board(Guarded):
     async def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
         """Send an array or bytes to the hardware; returns when it has taken them."""
         return await self.ask(calls.write_data(stream, data, lease), timeout=self.timeout + 5.0)
+
+    async def allocate(
+        self, shape: int | Sequence[int], dtype: npt.DTypeLike = np.uint8, timeout: Limit = DEFAULT
+    ) -> DeviceArray:
+        """An array in memory in one piece, for masters in the PL: ``{"source": array.device_address}``.
+
+        It is zero at first, and is given back with the last array in it, or with this process. On the manager's
+        machine only. Raises InvalidRequest, RequestBusy where the manager gives no more, Timeout.
+        """
+        self._check_open()
+        folder, limit = self._place.data_folder("memory for the PL"), seconds(timeout, self.timeout)
+        return await asyncio.get_running_loop().run_in_executor(None, allocated, folder, shape, dtype, limit)
 
     async def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
         """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; what is left out stays.

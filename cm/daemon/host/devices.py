@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
+from cm.daemon.host.memory import DeviceMemory, device_memory
 from cm.device import AxiDma, FpgaManager, GpioLine, Icap, Overlays, PlClocks, Root, Uio, find_uio
 from cm.manager.ports import Window
 
@@ -87,6 +88,10 @@ class BoardDevices:
     def dma(self, channel: str) -> AxiDma:
         """A DMA channel, opened anew: its handle belongs to the caller, who closes it."""
         return AxiDma.open(channel, self._root)
+
+    def memory(self, length: int) -> DeviceMemory:
+        """Memory in one piece for masters in the PL. Raises DeviceError, NotFound."""
+        return device_memory(length, self._root)
 
     def probe_dma(self, channel: str) -> int:
         """A descriptor that polls readable when a channel answers that did not. Raises OSError."""

@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from cm.daemon.loop import Loop
+from cm.daemon.streams.allocations import Allocations
 from cm.daemon.streams.echo import Echoes
 from cm.errors import CmError
 from cm.wire import plane_packets as packets
@@ -22,11 +23,19 @@ _WAITING = 64  # connections that have not said yet what they want; the oldest m
 class Acceptor:
     """Listens; every connection says once what it wants. The loop's thread."""
 
-    def __init__(self, loop: Loop, folder: Path, enter: Callable[[socket.socket, Open], None], echoes: Echoes) -> None:
+    def __init__(
+        self,
+        loop: Loop,
+        folder: Path,
+        enter: Callable[[socket.socket, Open], None],
+        echoes: Echoes,
+        allocations: Allocations,
+    ) -> None:
         self._loop = loop
         self._path = folder.absolute() / packets.SOCKET
         self._enter = enter
         self._echoes = echoes
+        self._allocations = allocations
         self._waiting: dict[int, socket.socket] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 
@@ -68,6 +77,8 @@ class Acceptor:
     def _admit(self, connection: socket.socket, wanted: Open) -> None:
         if wanted.echo:
             self._echoes.open(os.dup(connection.fileno()), wanted)
+        elif wanted.allocate:
+            self._allocations.open(os.dup(connection.fileno()), wanted)
         else:
             self._enter(connection, wanted)
 

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.loop import Loop
+from cm.daemon.streams.allocations import Allocations
 from cm.daemon.streams.clients import LocalClients, ZmqClients
 from cm.daemon.streams.echo import Echoes
 from cm.daemon.streams.peer import Peer
@@ -59,6 +60,7 @@ class StreamDriver:
         self._on_error = on_error
         self.plane = Plane()
         self.echoes = Echoes(self.plane)
+        self.allocations = Allocations(self.plane, devices.memory)
         self.open: dict[str, OpenStream] = {}
         self._totals = StreamTotals()
         self.failures: dict[str, ErrorInfo] = {}  # of streams of this mode: why the last time was no success
@@ -193,6 +195,7 @@ class StreamDriver:
 
     def _client_gone(self, client: int) -> None:
         self.echoes.gone(client)
+        self.allocations.gone(client)
         opened = self.open.get(self.locals.gone(client) or "")
         if opened is not None:
             opened.detached(client)

@@ -43,7 +43,7 @@ class Streams:
         self._leases = leases
         self._policy = StreamPolicy()
         self._driver = StreamDriver(loop, devices, audience, self._policy, on_error)
-        self.echoes = self._driver.echoes
+        self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
 
     # ---- DataPlane: called by the worker ----------------------------------------------

@@ -10,7 +10,7 @@ import os
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from cm.sim.errors import NodeError
+from cm.sim.errors import NodeError, SimError
 from cm.sim.transport import protocol
 from cm.sim.transport.session import Answer
 from cm.sim.transport.syncs import NAME, Counters, Syncs
@@ -23,13 +23,14 @@ else:
 
 
 PAGE = mmap.PAGESIZE
+BASE = 0x1000_0000  # of the memory that is allocated, for masters in the PL
 _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
 
 
 class Buffer:
     """Memory that a client shares with the board; unmapped when nothing refers to it any more."""
 
-    __slots__ = ("_array", "_mapping", "allocated", "counters", "inflight", "length", "writable")
+    __slots__ = ("_array", "_mapping", "address", "allocated", "counters", "inflight", "length", "writable")
 
     def __init__(
         self, fd: int, length: int, allocated: bool, writable: bool = True, counters: Counters | None = None
@@ -40,6 +41,7 @@ class Buffer:
         self._mapping = mmap.mmap(fd, length, flags, protection, offset=offset)
         self._array: NDArray[np.uint8] | None = None
         self.length = length
+        self.address = 0  # where devices see it, of memory that was allocated here
         self.allocated = allocated
         self.writable = writable
         self.inflight = 0
@@ -54,12 +56,36 @@ class Buffer:
 
 
 class DmaMemory:
-    """The memory that all devices of the board may allocate, like a CMA area."""
+    """The memory that all devices of the board may allocate, like a CMA area: at addresses from `BASE` on."""
 
     def __init__(self, total: int, coherent: bool = True) -> None:
         self.total = total
         self.coherent = coherent
         self.used = 0
+        self._placed: list[Buffer] = []  # in the order of their addresses
+
+    def place(self, buffer: Buffer) -> None:
+        """Give a buffer the first address where it has room."""
+        buffer.address, index = BASE, 0
+        for index, other in enumerate(self._placed):  # noqa: B007 - where it ended
+            if buffer.address + buffer.length <= other.address:
+                break
+            buffer.address = other.address + other.length
+        else:
+            index = len(self._placed)
+        self._placed.insert(index, buffer)
+
+    def view(self, address: int, length: int) -> NDArray[np.uint8]:
+        """The bytes at an address, as a master in the PL has them: writable, and no copy.
+
+        Raises:
+            SimError: no buffer has all of them.
+        """
+        for buffer in self._placed:
+            offset = address - buffer.address
+            if offset >= 0 and offset + length <= buffer.length:
+                return buffer.bytes[offset : offset + length]
+        raise SimError(f"no memory was allocated for {length} bytes at {address:#x}")
 
     def take(self, length: int) -> None:
         """Account for an allocation (ENOMEM)."""
@@ -67,9 +93,11 @@ class DmaMemory:
             raise NodeError(errno.ENOMEM, f"the board's {self.total} bytes of DMA memory are used up")
         self.used += length
 
-    def give(self, length: int) -> None:
+    def give(self, length: int, buffer: Buffer | None = None) -> None:
         """Account for a release."""
         self.used -= length
+        if buffer is not None:
+            self._placed.remove(buffer)
 
 
 class Buffers:
@@ -96,7 +124,7 @@ class Buffers:
 
     def allocate(self, payload: bytes) -> Answer:
         """Answer a cm_buffer_alloc; the memfd travels with the reply."""
-        flags, length, handle, fd, coherent, reserved = protocol.unpack(protocol.BUFFER_ALLOC, payload)
+        flags, length, handle, fd, coherent, reserved, _ = protocol.unpack(protocol.BUFFER_ALLOC, payload)
         protocol.require_zero(flags, reserved)
         if length <= 0:
             raise NodeError(errno.EINVAL, "a buffer has at least one byte")
@@ -107,8 +135,9 @@ class Buffers:
         except (OSError, ValueError, OverflowError) as error:
             self._memory.give(length)
             raise NodeError(errno.ENOMEM, str(error)) from error
+        self._memory.place(buffer)
         handle, coherent = self._add(buffer), int(buffer.counters is None)
-        reply = protocol.BUFFER_ALLOC.pack(len(payload), 0, length, handle, fd, coherent, 0)
+        reply = protocol.BUFFER_ALLOC.pack(len(payload), 0, length, handle, fd, coherent, 0, buffer.address)
         return Answer(fit(reply, payload), [fd])
 
     def _make(self, length: int) -> tuple[int, Buffer]:
@@ -153,7 +182,7 @@ class Buffers:
 
     def _release(self, buffer: Buffer) -> None:
         if buffer.allocated:
-            self._memory.give(buffer.length)
+            self._memory.give(buffer.length, buffer)
         if buffer.counters is not None:
             self.syncs.forget(buffer.counters)
 

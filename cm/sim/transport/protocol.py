@@ -34,7 +34,7 @@ OP_BLOCK_WRITE = 9
 OFFERS_MIRROR = 1
 OFFERS_BLOCKS = 2
 
-BUFFER_ALLOC = struct.Struct("<IIQIiII")  # size, flags, length, handle, fd, coherent, reserved
+BUFFER_ALLOC = struct.Struct("<IIQIiIIQ")  # size, flags, length, handle, fd, coherent, reserved, address
 BUFFER_IMPORT = struct.Struct("<IIiIQ")  # size, flags, fd, handle, length
 BUFFER_FREE = struct.Struct("<IIII")  # size, flags, handle, reserved
 

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arrays in memory that masters in the PL reach by address: HLS kernels with `m_axi`."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cm.client.data_connection import DataConnection
+from cm.client.mapping import SlotMappings
+from cm.errors import InvalidRequest, Timeout
+from cm.wire.plane_packets import Open
+
+
+class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
+    """An array, and slices of it, that a master in the PL has at `device_address`.
+
+    The memory is given back when the last array in it has gone, by `free`, or with this process.
+    """
+
+    _memory: _Memory | None = None
+
+    def __array_finalize__(self, origin: Any) -> None:
+        self._memory = getattr(origin, "_memory", None)
+
+    @property
+    def device_address(self) -> int:
+        """Where its first byte lies for the device. Raises InvalidRequest for an array in ordinary memory."""
+        memory, place = self._memory, self.__array_interface__["data"][0]
+        if memory is None or not memory.begin <= place < memory.begin + memory.length:
+            raise InvalidRequest("this array lies in ordinary memory: a result of arithmetic, or a copy, is no part")
+        return memory.address + int(place - memory.begin)
+
+    def sync_to_device(self) -> None:
+        """What was written is there for the device; nothing to do where the memory is coherent."""
+        if self._memory is not None:
+            self._memory.to_device()
+
+    def sync_from_device(self) -> None:
+        """What the device has written is there for us; nothing to do where the memory is coherent."""
+        if self._memory is not None:
+            self._memory.from_device()
+
+    def free(self) -> None:
+        """Give the memory back now: it is the device's no more, whoever still has arrays in it. Twice is fine."""
+        if self._memory is not None:
+            self._memory.free()
+
+
+class _Memory:
+    """A connection to the data socket that holds memory, and where that lies."""
+
+    def __init__(self, connection: DataConnection, mappings: SlotMappings, length: int) -> None:
+        self._connection = connection
+        self._mappings = mappings
+        self.length = length
+        self.address = connection.address
+        self.begin = 0
+
+    def to_device(self) -> None:
+        if self._mappings.is_begun(0):
+            self._mappings.end(0)
+
+    def from_device(self) -> None:
+        if not self._mappings.is_begun(0):
+            self._mappings.begin(0)
+
+    def free(self) -> None:
+        self.to_device()
+        self._connection.close()
+
+
+def nbytes(shape: int | Sequence[int], dtype: Any) -> int:
+    """Bytes of an array. Raises InvalidRequest for what is none."""
+    try:
+        extents = (shape,) if isinstance(shape, int) else tuple(shape)
+        length: int = math.prod(int(extent) for extent in extents) * int(np.dtype(dtype).itemsize)
+    except (TypeError, ValueError) as error:
+        raise InvalidRequest(f"an array of shape {shape!r} and type {dtype!r}: {error}") from error
+    if length <= 0 or min(extents, default=1) <= 0:
+        raise InvalidRequest(f"an array of shape {shape!r} has no bytes")
+    return length
+
+
+def allocated(folder: Path, shape: int | Sequence[int], dtype: Any, timeout: float | None) -> DeviceArray:
+    """Ask the manager that serves `folder`. Raises InvalidRequest, RequestFailed, Timeout, ConnectionLost."""
+    length = nbytes(shape, dtype)
+    connection = DataConnection(folder, Open("", length=length, allocate=True))
+    try:
+        connection.set_timeout(timeout)
+        while connection.memory is None or not connection.address:
+            connection.receive()
+    except BlockingIOError:
+        connection.close()
+        raise Timeout(f"memory: the manager did not answer within {timeout or 0:g} s") from None
+    except BaseException:
+        connection.close()
+        raise
+    return _array(connection, connection.memory, shape, dtype, length)
+
+
+def _array(
+    connection: DataConnection, mappings: SlotMappings, shape: int | Sequence[int], dtype: Any, length: int
+) -> DeviceArray:
+    mapping = mappings.take(0)
+    memory = _Memory(connection, mappings, length)
+    last = weakref.finalize(mapping, connection.close)  # every array in it refers to the mapping
+    last.atexit = False  # type: ignore[misc]
+    array = DeviceArray(shape, dtype, mapping)
+    memory.begin = array.__array_interface__["data"][0]
+    array._memory = memory
+    memory.from_device()
+    return array

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memory in one piece that masters in the PL can reach, from whichever device of the board gives it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from cm.device import AxiDma, DeviceBusy, DeviceError, DeviceNotFound, DmaBuffer, Icap, Root, list_dma
+from cm.errors import NotFound
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceMemory:
+    """`length` bytes behind a descriptor, which the device has at `address`; `free` gives them back."""
+
+    fd: int
+    length: int
+    coherent: bool
+    address: int
+    free: Callable[[], None]
+
+
+def device_memory(length: int, root: Root) -> DeviceMemory:
+    """Whole pages, `length` bytes at least. Raises DeviceError, NotFound where no device gives any.
+
+    A configuration port may be opened by any number of files, so one that is ours alone holds the memory. A DMA
+    channel may not: it is given back at once, and the descriptor alone keeps the memory.
+    """
+    try:
+        port = Icap.open(root=root)
+    except DeviceNotFound:
+        return _of_channel(length, root)
+    try:
+        buffer = _told(port.allocate(length))
+    except BaseException:
+        port.close()
+        raise
+
+    def free() -> None:
+        with suppress(DeviceError):
+            buffer.close()
+        port.close()
+
+    return DeviceMemory(buffer.fd, buffer.length, buffer.coherent, buffer.address, free)
+
+
+def _of_channel(length: int, root: Root) -> DeviceMemory:
+    busy: DeviceError | None = None
+    for name in list_dma(root):
+        try:
+            with AxiDma.open(name, root) as channel:
+                return _kept(_told(channel.allocate(length)))
+        except DeviceBusy as error:
+            busy = error
+    if busy is not None:
+        raise busy
+    raise NotFound("no device of this board gives memory: it has neither a configuration port nor a DMA channel")
+
+
+def _kept(buffer: DmaBuffer) -> DeviceMemory:
+    fd = os.dup(buffer.fd)
+    return DeviceMemory(fd, buffer.length, buffer.coherent, buffer.address, lambda: os.close(fd))
+
+
+def _told(buffer: DmaBuffer) -> DmaBuffer:
+    if buffer.address:
+        return buffer
+    buffer.close()
+    raise NotFound("the kernel module does not tell where memory lies: it is older than this package")
