@@ -18,6 +18,7 @@ static struct cm_guard_place places[DESCRIPTORS];
 static int first = -1;
 struct cm_guard_limits cm_guard_limits;
 static struct cm_guard_counts counts;
+static uint64_t serials;
 int cm_guard_spare = -1;
 _Thread_local uint32_t cm_guard_expected;
 
@@ -104,6 +105,7 @@ static void enter(const struct cm_guard_peer *peer)
 	if (first >= 0)
 		places[first].before = peer->fd;
 	first = peer->fd;
+	place->peer.serial = ++serials;
 	counts.connections++;
 	atomic_store(&place->kind, peer->kind);
 }
@@ -173,6 +175,13 @@ int cm_guard_peer(int fd, struct cm_guard_peer *peer)
 	if (result)
 		errno = ENOENT;
 	return result;
+}
+
+uint64_t cm_guard_serial(int fd)
+{
+	struct cm_guard_place *place = cm_guard_place(fd);
+
+	return place && atomic_load(&place->kind) ? place->peer.serial : 0;
 }
 
 int cm_guard_cut(int fd)

@@ -49,6 +49,7 @@ struct cm_guard_limits {
 
 /* A connection, and who is at its other end. */
 struct cm_guard_peer {
+	uint64_t serial; /* no other connection has it */
 	int32_t fd;
 	uint32_t kind;
 	int32_t pid; /* of this machine; 0: see address */
@@ -81,6 +82,9 @@ int cm_guard_peers(struct cm_guard_peer *peers, int max);
 
 /* One by its descriptor; ENOENT. */
 int cm_guard_peer(int fd, struct cm_guard_peer *peer);
+
+/* The serial of the connection that a descriptor is; 0: it is none. */
+uint64_t cm_guard_serial(int fd);
 
 /* End a connection: libzmq sees that its peer has gone. ENOENT. */
 int cm_guard_cut(int fd);

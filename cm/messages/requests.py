@@ -36,10 +36,10 @@ class PlanChange:
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """A file that comes with a schema; `data` are its bytes."""
+    """A file that comes with a schema; `data` are its bytes, `sha256` (hex) what they are to be."""
 
     name: str
-    data: bytes
+    data: bytes | memoryview = field(repr=False)
     sha256: str = ""
 
 

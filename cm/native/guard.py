@@ -29,6 +29,7 @@ class Limits(NamedTuple):
 class Peer(NamedTuple):
     """``struct cm_guard_peer``; `address` is IPv6, or IPv4 mapped into it, all zero where there is a `pid`."""
 
+    serial: int
     fd: int
     kind: int
     pid: int
@@ -74,6 +75,11 @@ def peer(fd: int) -> Peer:
     return _peer(found)
 
 
+def serial(fd: int) -> int:
+    """The serial of the connection that a descriptor is; 0: it is none."""
+    return int(lib.cm_guard_serial(fd))
+
+
 def cut(fd: int) -> None:
     """End a connection; OSError (ENOENT) where it is none."""
     check(lib.cm_guard_cut(fd))
@@ -93,4 +99,4 @@ def counts() -> Counts:
 
 
 def _peer(found: object) -> Peer:
-    return Peer(found.fd, found.kind, found.pid, found.uid, found.gid, bytes(found.address))  # type: ignore[attr-defined]
+    return Peer(found.serial, found.fd, found.kind, found.pid, found.uid, found.gid, bytes(found.address))  # type: ignore[attr-defined]

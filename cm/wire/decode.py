@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -13,8 +12,8 @@ from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
 from cm.messages import requests as rq
+from cm.wire import bounds, text, topics
 from cm.wire import cm_pb2 as pb
-from cm.wire import text, topics
 
 Frame = bytes | memoryview
 _Message = TypeVar("_Message", bound=Message)
@@ -56,10 +55,13 @@ def _decode(topic: bytes, message: bytes, payload: Sequence[Frame]) -> rq.Reques
 
 
 def _parse(message_type: type[_Message], topic: str, payload: bytes) -> _Message:
+    bounds.check_length(topic, payload, schema=message_type is pb.WriteConfig)
     try:
-        return message_type.FromString(payload)
+        message = message_type.FromString(payload)
     except DecodeError as error:
         raise InvalidRequest(f"{topic}: the second frame is no {message_type.__name__} message ({error})") from error
+    bounds.check(topic, message, len(payload))
+    return message
 
 
 def _no_payload(topic: str, payload: Sequence[Frame]) -> None:
@@ -105,14 +107,12 @@ def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 
 
 def _file(entry: pb.File, payload: Frame) -> rq.File:
-    data = bytes(payload)
-    if len(data) != entry.length:
+    """A file as it came; whether its sha256 is right takes its time, and is found out where it is stored."""
+    if len(payload) != entry.length:
         raise InvalidRequest(
-            f"cm_write_config: file {entry.name!r} has {len(data)} bytes, {entry.length} were announced"
+            f"cm_write_config: file {entry.name!r} has {len(payload)} bytes, {entry.length} were announced"
         )
-    if entry.sha256 and hashlib.sha256(data).hexdigest() != entry.sha256.lower():
-        raise InvalidRequest(f"cm_write_config: file {entry.name!r} does not have the sha256 announced for it")
-    return rq.File(entry.name, data, entry.sha256)
+    return rq.File(entry.name, payload, entry.sha256)
 
 
 def _read_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:

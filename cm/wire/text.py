@@ -7,14 +7,17 @@ names registers and values as a Python or JSON mapping.
 
 from __future__ import annotations
 
-import ast
 import re
 
 from cm.errors import InvalidRequest
 from cm.messages.requests import ChangeMode, RegWrite, WriteReg
+from cm.wire import bounds
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*(/[A-Za-z_][A-Za-z0-9_-]*)?")
-_LIMIT = 65536
+_STRING = r"""'[^'\\\n]*'|"[^"\\\n]*\""""
+_ENTRY = re.compile(rf"\s*({_STRING})\s*:\s*([A-Za-z0-9_]+)\s*(?:,|(?=\}}))")
+_KEY = re.compile(rf"\s*({_STRING}|\w+)\s*:")
+_END = re.compile(r"\s*\}")
 
 
 def is_word(payload: bytes) -> bool:
@@ -46,31 +49,63 @@ def parse_config(payload: bytes) -> ChangeMode:
 
 
 def parse_registers(payload: bytes) -> WriteReg:
-    """``{ 'focus':0x2}`` → the writes in their order. Values are integers or true/false."""
-    if len(payload) > _LIMIT:
-        raise InvalidRequest(f"cm_write_reg: text of {len(payload)} bytes; at most {_LIMIT} are read")
+    """``{ 'focus':0x2}`` → the writes in their order. Values are integers or true/false.
+
+    Raises InvalidRequest; TooLong, TooMany, NameTooLong and NumberTooLong for what no request may hold. Read entry by
+    entry, in a time that grows with the text and no faster.
+    """
+    if len(payload) > bounds.TEXT_BYTES:
+        raise bounds.TooLong(f"cm_write_reg: text of {len(payload)} bytes; at most {bounds.TEXT_BYTES} are read")
     try:
-        tree = ast.parse(payload.strip().decode("utf-8"), mode="eval").body
-    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        raise InvalidRequest(f"cm_write_reg: {_shown(payload)} is not a mapping such as {{'focus': 0x2}}") from error
-    if not isinstance(tree, ast.Dict) or not tree.keys:
-        raise InvalidRequest(f"cm_write_reg: {_shown(payload)} is not a mapping such as {{'focus': 0x2}}")
-    return WriteReg(tuple(_write(k, v) for k, v in zip(tree.keys, tree.values, strict=True)))
+        text = payload.strip().decode("utf-8")
+    except UnicodeDecodeError:
+        raise _no_mapping(payload) from None
+    if not text.startswith("{"):
+        raise _no_mapping(payload)
+    writes: list[RegWrite] = []
+    at = 1
+    while not (ended := _END.match(text, at)):
+        entry = _ENTRY.match(text, at)
+        if entry is None:
+            raise _wrong_entry(payload, text, at)
+        writes.append(_write(entry[1], entry[2]))
+        bounds.check_count("cm_write_reg", "writes", len(writes))
+        at = entry.end()
+    if ended.end() != len(text) or not writes:
+        raise _no_mapping(payload)
+    return WriteReg(tuple(writes))
 
 
-def _write(key: ast.expr | None, value: ast.expr) -> RegWrite:
-    name = key.value if isinstance(key, ast.Constant) else None
-    if not isinstance(name, str):
-        raise InvalidRequest("cm_write_reg: register names are strings, as in {'focus': 0x2}")
-    return RegWrite(name, _integer(name, value))
+def _write(quoted: str, value: str) -> RegWrite:
+    name = quoted[1:-1]
+    if len(name.encode()) > bounds.NAME_BYTES:
+        raise bounds.NameTooLong(f"cm_write_reg: a name of {len(name.encode())} bytes; {bounds.NAME_BYTES} at most")
+    if value in ("true", "True", "false", "False"):
+        return RegWrite(name, int(value in ("true", "True")))
+    try:
+        return RegWrite(name, bounds.number("cm_write_reg", name, value))
+    except bounds.NumberTooLong:
+        raise
+    except ValueError:
+        raise _no_integer(name) from None
 
 
-def _integer(name: str, node: ast.expr) -> int:
-    if isinstance(node, ast.Constant) and isinstance(node.value, int):
-        return int(node.value)
-    if isinstance(node, ast.Name) and node.id in ("true", "false"):
-        return int(node.id == "true")
-    raise InvalidRequest(f"cm_write_reg: the value of {name!r} is no integer of 0 or more, such as 2 or 0x2")
+def _wrong_entry(payload: bytes, text: str, at: int) -> InvalidRequest:
+    """What is wrong where an entry should be."""
+    key = _KEY.match(text, at)
+    if key is None:
+        return _no_mapping(payload)
+    if key[1][0] not in "'\"":
+        return InvalidRequest("cm_write_reg: register names are strings, as in {'focus': 0x2}")
+    return _no_integer(key[1][1:-1][: bounds.NAME_BYTES])
+
+
+def _no_integer(name: str) -> InvalidRequest:
+    return InvalidRequest(f"cm_write_reg: the value of {name!r} is no integer of 0 or more, such as 2 or 0x2")
+
+
+def _no_mapping(payload: bytes) -> InvalidRequest:
+    return InvalidRequest(f"cm_write_reg: {_shown(payload)} is not a mapping such as {{'focus': 0x2}}")
 
 
 def _shown(payload: bytes) -> str:

@@ -14,6 +14,7 @@ struct cm_guard_limits {
 	...;
 };
 struct cm_guard_peer {
+	uint64_t serial;
 	int32_t fd;
 	uint32_t kind;
 	int32_t pid;
@@ -34,6 +35,7 @@ void cm_guard_limit(const struct cm_guard_limits *limits);
 void cm_guard_expect(uint32_t kind);
 int cm_guard_peers(struct cm_guard_peer *peers, int max);
 int cm_guard_peer(int fd, struct cm_guard_peer *peer);
+uint64_t cm_guard_serial(int fd);
 int cm_guard_cut(int fd);
 void cm_guard_taken(int fd, uint64_t bytes);
 void cm_guard_count(struct cm_guard_counts *counts);

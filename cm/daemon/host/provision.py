@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import logging
 import os
 from collections.abc import Callable
@@ -83,6 +84,9 @@ class Provisioner:
         names = [checked_name(f.name) for f in files]
         if len(set(names)) != len(names) or SCHEMA_FILE in names:
             raise InvalidRequest(f"files of {config.name!r}: names must differ, and none may be {SCHEMA_FILE!r}")
+        for file in files:
+            if file.sha256 and hashlib.sha256(file.data).hexdigest() != file.sha256.lower():
+                raise InvalidRequest(f"cm_write_config: file {file.name!r} does not have the sha256 announced for it")
         if sum(len(f.data) for f in files) > MAX_BYTES:
             raise InvalidRequest(f"files of {config.name!r} have more than {MAX_BYTES >> 20} MiB together")
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -128,7 +132,7 @@ def _remove(folder: Path) -> None:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def _write(path: Path, data: bytes) -> None:
+def _write(path: Path, data: bytes | memoryview) -> None:
     """Written to the disk, not only to its cache: the renames that follow must not come before the content."""
     with path.open("wb") as file:
         file.write(data)

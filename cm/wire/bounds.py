@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much one request may hold; docs/limits.md lists them. What is within costs the manager milliseconds at most."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from google.protobuf.message import Message
+
+from cm.errors import InvalidRequest
+
+ENTRIES = 1024  # of anything that is listed: registers, extents of a shape
+FILES = 256  # of a configuration
+NAME_BYTES = 256
+LEASES_BYTES = 4096  # ids between commas
+SCHEMA_BYTES = 1 << 20
+MESSAGE_BYTES = 128 << 10  # of the second frame, but where it has a schema
+TEXT_BYTES = 64 << 10
+BITS = 64
+_DIGITS = {16: 16, 10: 20, 8: 22, 2: 64}  # that 64 bits have at most, by the base
+_ALWAYS_FINE = 256  # bytes of a message in which nothing can break a bound
+_LIMITS = {"schema": SCHEMA_BYTES, "lease": LEASES_BYTES}
+
+
+class TooMany(InvalidRequest):
+    """A request lists more than one may."""
+
+    code: ClassVar[str] = "too_many"
+
+
+class TooLong(InvalidRequest):
+    """A message or a text is longer than one may be."""
+
+    code: ClassVar[str] = "too_long"
+
+
+class NameTooLong(InvalidRequest):
+    """A name is longer than any there can be."""
+
+    code: ClassVar[str] = "name_too_long"
+
+
+class NumberTooLong(InvalidRequest):
+    """A number has more digits than 64 bits."""
+
+    code: ClassVar[str] = "number_too_long"
+
+
+def check_length(topic: str, message: bytes, schema: bool = False) -> None:
+    """Raise TooLong for a message that is not looked into; before it is parsed, which takes as long as it is long."""
+    most = SCHEMA_BYTES + MESSAGE_BYTES if schema else MESSAGE_BYTES
+    if len(message) > most:
+        raise TooLong(f"{topic}: a message of {len(message)} bytes; {most} at most, and data in frames behind it")
+
+
+def check(topic: str, message: Message, size: int) -> None:
+    """Raise TooMany, NameTooLong for what is in a message of `size` bytes."""
+    if size > _ALWAYS_FINE:
+        _check(topic, message)
+
+
+def _check(topic: str, message: Message) -> None:
+    for field, value in message.ListFields():
+        one = isinstance(value, (str, int, float, Message))
+        if not one:
+            check_count(topic, field.name, len(value), FILES if field.name == "files" else ENTRIES)
+        for part in (value,) if one else value:
+            if isinstance(part, str):
+                _check_text(topic, field.name, part)
+            elif isinstance(part, Message):
+                _check(topic, part)
+
+
+def check_count(topic: str, what: str, count: int, most: int = ENTRIES) -> None:
+    """Raise TooMany."""
+    if count > most:
+        raise TooMany(f"{topic}: {count} {what}; one request has {most} at most: send several")
+
+
+def _check_text(topic: str, field: str, text: str) -> None:
+    most = _LIMITS.get(field, NAME_BYTES)
+    if len(text.encode()) > most:
+        raise NameTooLong(f"{topic}: {field} has {len(text.encode())} bytes ({text[:32]!r}…); {most} at most")
+
+
+def number(topic: str, name: str, text: str) -> int:
+    """An integer as Python and JSON spell it. Raises NumberTooLong, ValueError."""
+    base = {"0x": 16, "0o": 8, "0b": 2}.get(text[:2].lower(), 10)
+    digits = text[2:] if base != 10 else text
+    if len(digits.replace("_", "").lstrip("0")) > _DIGITS[base]:
+        raise NumberTooLong(f"{topic}: the value of {name!r} has {len(digits)} digits; a register has {BITS} bits")
+    return int(text, base)
