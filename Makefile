@@ -99,10 +99,12 @@ $(BENCH_STAMP): $(STAMP)
 	$(call install,bench)
 	@touch $@
 
-lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict), clang-format, licences (reuse)
+lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and Windows too), clang-format, licences (reuse)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	@for system in win32 darwin; do echo "$(BIN)/mypy --platform $$system"; \
+		$(BIN)/mypy --config-file release/laptops.ini --platform $$system --cache-dir .mypy_cache/$$system || exit 1; done
 	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
 	$(BIN)/reuse lint --quiet || { $(BIN)/reuse lint; exit 1; }
 
@@ -131,9 +133,9 @@ sdist: $(STAMP) ## the archive of the sources, into build/release
 		{ cat $(RELEASE)/sdist.log; exit 1; }
 	@rm -f $(RELEASE)/sdist.log
 
-wheel: sdist ## wheels for ARCHES (amd64 arm64 armhf), into build/release
+wheel: sdist ## wheels for ARCHES (amd64 arm64 armhf) and one for any system, into build/release
 	@rm -f $(RELEASE)/*.whl
-	@python3 release/wheels.py $(ARCHES:%=--arch %) --out $(RELEASE) $(SDIST)
+	@python3 release/wheels.py $(ARCHES:%=--arch %) --pure --out $(RELEASE) $(SDIST)
 
 deb: wheel ## Debian packages for ARCHES, checked by lintian, into build/release
 	@rm -f $(RELEASE)/*.deb

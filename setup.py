@@ -122,9 +122,12 @@ ABI3 = not sysconfig.get_config_var("Py_GIL_DISABLED")
 # Core metadata 2.4 has a field for SPDX expressions, which setuptools writes from 77 on.
 LICENSE_FIELD = "license_expression" if int(setuptools_version.split(".")[0]) >= 77 else "license"
 
+# A client over TCP needs no shims; they are for what only Linux has. CM_PURE=1 makes that wheel on Linux.
+SHIMS = sys.platform == "linux" and os.environ.get("CM_PURE", "") in ("", "0")
+
 setup(
     **{LICENSE_FIELD: "Apache-2.0"},
-    cffi_modules=["csrc/build_cffi.py:ffibuilder"],
+    **({"cffi_modules": ["csrc/build_cffi.py:ffibuilder"]} if SHIMS else {}),
     cmdclass={"build_py": BuildPy, "build_ext": BuildExt},
-    options={"bdist_wheel": {"py_limited_api": "cp310"}} if ABI3 else {},
+    options={"bdist_wheel": {"py_limited_api": "cp310"}} if ABI3 and SHIMS else {},
 )

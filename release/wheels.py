@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wheels for boards and desktops, each with the distribution's Python and cross compiler.
+"""Wheels for boards and desktops, each with the distribution's Python and cross compiler, and one for any system.
 
-    release/wheels.py --out DIR [--arch amd64] [--arch arm64] [--arch armhf] SDIST
+    release/wheels.py --out DIR [--arch amd64] [--arch arm64] [--arch armhf] [--pure] SDIST
 
 They are built from the source archive, stripped, free of run paths, and tagged by the oldest glibc that has
 every symbol that they use (PEP 600). Needs Debian's python3-{setuptools,cffi,yaml,fastjsonschema,wheel},
@@ -81,6 +81,22 @@ def build(sdist: Path, target: Target, out: Path) -> Path:
         return _finish(next(work.glob("*.whl")), target, work, out)
 
 
+def pure(sdist: Path, out: Path) -> Path:
+    """Build the wheel without the compiled module, for clients on other systems, into `out`; its path."""
+    with tempfile.TemporaryDirectory() as name:
+        work = Path(name)
+        with tarfile.open(sdist) as tar:
+            tar.extractall(work)
+        source = next(path for path in work.iterdir() if path.is_dir())
+        keep = {name: os.environ[name] for name in ("PATH", "HOME", "SOURCE_DATE_EPOCH") if name in os.environ}
+        more = {"CM_PURE": "1", "PYTHONPATH": str(source / "release"), "SETUPTOOLS_USE_DISTUTILS": "local"}
+        _run([PYTHON, "-c", _BUILD, str(work)], source, {**keep, **more, "LC_ALL": "C.UTF-8"})
+        wheel = next(work.glob("*.whl"))
+        out.mkdir(parents=True, exist_ok=True)
+        (out / wheel.name).write_bytes(wheel.read_bytes())
+        return out / wheel.name
+
+
 def _environment(target: Target, source: Path) -> dict[str, str]:
     include = headers(target)
     python = next(include.glob("python3.*"))
@@ -148,9 +164,12 @@ def main() -> int:
     parser.add_argument("sdist", type=Path)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--arch", action="append", choices=list(TARGETS))
+    parser.add_argument("--pure", action="store_true", help="also the one without the compiled module")
     chosen = parser.parse_args()
     for name in chosen.arch or list(TARGETS):
         print(build(chosen.sdist.resolve(), TARGETS[name], chosen.out.resolve()))
+    if chosen.pure:
+        print(pure(chosen.sdist.resolve(), chosen.out.resolve()))
     return 0
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from importlib import import_module
 from typing import ClassVar, NamedTuple, Protocol, cast
 
@@ -16,6 +17,7 @@ class Command(NamedTuple):
     name: str
     module: str
     help: str
+    linux: bool = False  # it needs a board, or what Linux has
 
 
 class CommandModule(Protocol):
@@ -31,8 +33,8 @@ class CommandMissing(CmError):
 
 
 COMMANDS = (
-    Command("serve", "cm.cli.serve", "run the configuration manager"),
-    Command("sim", "cm.cli.sim", "serve a simulated board"),
+    Command("serve", "cm.cli.serve", "run the configuration manager", linux=True),
+    Command("sim", "cm.cli.sim", "serve a simulated board", linux=True),
     Command("status", "cm.cli.status", "show what is loaded and what goes on"),
     Command("watch", "cm.cli.watch", "follow the status as it changes"),
     Command("configs", "cm.cli.configs", "list the configurations and their modes"),
@@ -45,14 +47,19 @@ COMMANDS = (
     Command("irq", "cm.cli.irq", "list interrupts and wait for them"),
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams"),
     Command("data", "cm.cli.data", "configure the data channels"),
-    Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams"),
-    Command("import", "cm.cli.import_", "make a runtime schema from a dfx-mgr or PYNQ package, or unpack an archive"),
+    Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams", linux=True),
+    Command(
+        "import",
+        "cm.cli.import_",
+        "make a runtime schema from a dfx-mgr or PYNQ package, or unpack an archive",
+        linux=True,
+    ),
     Command("config", "cm.cli.config", "list and roll back versions of imported configurations"),
-    Command("build", "cm.cli.build", "make bitstreams, overlays and runtime schemas from HDL"),
+    Command("build", "cm.cli.build", "make bitstreams, overlays and runtime schemas from HDL", linux=True),
     Command("keygen", "cm.cli.keygen", "make keys for connections over TCP"),
-    Command("doctor", "cm.cli.doctor", "say what this machine has, and what to do about what it lacks"),
-    Command("demo", "cm.cli.demo", "run the camera demonstration on a simulated board"),
-    Command("bench", "cm.cli.bench", "measure latency and throughput"),
+    Command("doctor", "cm.cli.doctor", "say what this machine has, and what to do about what it lacks", linux=True),
+    Command("demo", "cm.cli.demo", "run the camera demonstration on a simulated board", linux=True),
+    Command("bench", "cm.cli.bench", "measure latency and throughput", linux=True),
     Command("check", "cm.cli.check", "check runtime schemas"),
     Command("completion", "cm.cli.completion", "print a completion script for a shell"),
     Command("help", "cm.cli.help", "describe a command"),
@@ -66,6 +73,11 @@ def find_command(name: str) -> Command | None:
 
 def add_command(command: Command, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Import `command` and add its parser; raises `CommandMissing` where it, or what it needs, is not there."""
+    if command.linux and sys.platform != "linux":
+        raise CommandMissing(
+            f"`cm {command.name}` is for the board, or another machine with Linux. What talks to a board works here: "
+            "cm status --connect tcp://kria.local"
+        )
     try:
         cast(CommandModule, import_module(command.module)).add_parser(subparsers)
     except ModuleNotFoundError as error:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,10 +24,18 @@ class Keys:
 
 
 def default_runtime_dir() -> Path:
-    """`$CM_RUNTIME_DIR`, else /run/cm if a manager serves there (or root asks), else `$XDG_RUNTIME_DIR`/cm."""
+    """`$CM_RUNTIME_DIR`, else /run/cm if a manager serves there (or root asks), else `$XDG_RUNTIME_DIR`/cm.
+
+    Raises InvalidRequest on other systems than Linux, where no manager runs.
+    """
     chosen = os.environ.get("CM_RUNTIME_DIR")
     if chosen:
         return Path(chosen)
+    if sys.platform != "linux":
+        raise InvalidRequest(
+            "a configuration manager runs on a Linux board, not here: say which one, "
+            "connect('tcp://kria.local'), or --connect tcp://kria.local"
+        )
     if (SYSTEM_DIR / "req").exists() or os.geteuid() == 0:
         return SYSTEM_DIR
     user = os.environ.get("XDG_RUNTIME_DIR")

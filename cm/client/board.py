@@ -8,7 +8,7 @@ import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -34,11 +34,13 @@ from cm.client.memories import Memories, Memory
 from cm.client.registers import Registers
 from cm.client.sockets import Sockets, closed
 from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream
-from cm.client.writer import Writer
 from cm.client.zmq_frames import Wanted
 from cm.messages.requests import ConfigureStream, DefineMemory
 from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Progress, Status, StreamStatus
 from cm.wire.plane_packets import Open
+
+if TYPE_CHECKING:
+    from cm.client.writer import Writer
 
 _T = TypeVar("_T")
 
@@ -272,12 +274,17 @@ class Board(Guarded):
         `lease`: the id of one's own, where the stream's region is held.
         """
         wanted = Open(name, write=True, depth=depth, lease=self._leases.named(lease))
-        return self._using(Writer(self._place.data_folder("a writer"), wanted, timeout, owner=self))
+        return self._writer(self._place.data_folder("a writer"), wanted, timeout)
 
     def echo(self, length: int, timeout: float | None = 5.0, *, depth: int = 2) -> Writer:
         """Slots of `length` bytes that need no hardware: what is sent is done at once. For measuring."""
         wanted = Open("", depth=depth, echo=True, length=length)
-        return self._using(Writer(self._place.data_folder("an echo"), wanted, timeout, owner=self))
+        return self._writer(self._place.data_folder("an echo"), wanted, timeout)
+
+    def _writer(self, folder: Path, wanted: Open, timeout: float | None) -> Writer:
+        from cm.client.writer import Writer  # here: other systems than Linux have no such sockets
+
+        return self._using(Writer(folder, wanted, timeout, owner=self))
 
     def read(self, stream: str = "", timeout: float = 1.0) -> Frame:
         """The next frame of a stream."""

@@ -26,6 +26,7 @@ _SEQUENCES = 1 << 64
 # as plain numbers: operators of the enumerations they come from cost more than the system call
 _CLOEXEC = int(socket.MSG_CMSG_CLOEXEC)
 _NOSIGNAL = int(socket.MSG_NOSIGNAL)
+_DONTWAIT = int(socket.MSG_DONTWAIT)
 
 
 class DataConnection:
@@ -101,6 +102,10 @@ class DataConnection:
             handler(head, size, fds)
         return None
 
+    def take(self) -> LocalFrame | None:
+        """As `receive`, of what is there already. Raises BlockingIOError where nothing is."""
+        return self.receive(_DONTWAIT)
+
     def _await_packet(self, seconds: float) -> None:
         """SO_RCVTIMEO would spare the call, but what it takes differs between 32-bit systems with old and new time."""
         if not self._readable.poll(math.ceil(seconds * 1000)):
@@ -152,7 +157,7 @@ class DataConnection:
         """Take no more frames; those that wait go back unseen. False if the manager has gone."""
         try:
             self.socket.shutdown(socket.SHUT_RD)
-            while self.socket.recv_into(self._buffer, 0, socket.MSG_DONTWAIT):  # closes descriptors that come along
+            while self.socket.recv_into(self._buffer, 0, _DONTWAIT):  # closes descriptors that come along
                 head = Descriptor._make(DESCRIPTOR.unpack_from(self._buffer))
                 if head.kind == packets.FRAME:
                     self.socket.send(head._replace(kind=packets.RELEASE).pack(), _NOSIGNAL)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,5 +41,6 @@ def find(
     endpoints = resolve(endpoint, runtime_dir)
     folder = Path(endpoints.req.removeprefix("ipc://")).parent
     local = endpoints.req.startswith("ipc://")
-    data = folder if local and (folder / packets.SOCKET).exists() else None
+    # Elsewhere than on Linux a folder can only be that of sockets that are forwarded, and frames come over ZeroMQ.
+    data = folder if local and sys.platform == "linux" and (folder / packets.SOCKET).exists() else None
     return Place(endpoints, keys if keys is None or isinstance(keys, Keys) else load_keys(keys), data)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, seconds
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
-from cm.client.data_connection import DataConnection
 from cm.client.errors import BoardClosed
 from cm.client.frame import Frame
 from cm.client.link import Link
@@ -22,6 +20,7 @@ from cm.wire.plane_packets import Geometry, Open
 
 if TYPE_CHECKING:
     from cm.client.board import Board
+    from cm.client.data_connection import DataConnection
 
 _T = TypeVar("_T")
 _ANSWER = 5.0  # seconds at least that opening a stream waits for the manager to say what there is
@@ -120,6 +119,8 @@ class LocalStream(Stream):
 
     def _opened(self) -> DataConnection:
         """Connect; what the manager refuses is raised here. A stream that is stopped just now comes later."""
+        from cm.client.data_connection import DataConnection  # here: other systems than Linux have no such sockets
+
         connection = DataConnection(self._folder, self._wanted)
         try:
             connection.set_timeout(None if self._timeout is None else max(self._timeout, _ANSWER))
@@ -167,7 +168,7 @@ class LocalStream(Stream):
         """The next frame if it is there already; never waits."""
         connection = self._connected()
         try:
-            while (frame := connection.receive(socket.MSG_DONTWAIT)) is None:
+            while (frame := connection.take()) is None:
                 pass
         except BlockingIOError:
             return None
@@ -176,7 +177,7 @@ class LocalStream(Stream):
     def _latest(self, connection: DataConnection, frame: Frame) -> Frame:
         while True:
             try:
-                newer = connection.receive(socket.MSG_DONTWAIT)
+                newer = connection.take()
             except BlockingIOError:
                 return frame
             if newer is not None:

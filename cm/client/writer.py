@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import socket
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -62,7 +61,7 @@ class Writer:
         """Take note of what has happened, if anything; never waits."""
         self._check()
         try:
-            self._connection.receive(socket.MSG_DONTWAIT)
+            self._connection.take()
         except BlockingIOError:
             return False
         self._collect()

@@ -6,8 +6,11 @@ releases the GIL around every call.  A handle is freed with its last reference; 
 the device before that, and later calls on it raise OSError with EBADF.
 """
 
+import sys
 from importlib.util import find_spec
 
+if sys.platform != "linux":
+    raise ImportError("devices are reached on Linux only: here is the client, cm.connect('tcp://kria.local')")
 if find_spec("cm.native._cm") is None:
     raise ImportError(
         "the C shims (cm.native._cm) are not built: install the package ('pip install .'), "

@@ -17,6 +17,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 RELEASE = ROOT / "build/release"
 WHEELS = sorted(RELEASE.glob("*.whl"))
+BINARY = [wheel for wheel in WHEELS if not wheel.stem.endswith("-any")]
 DEBS = sorted(RELEASE.glob("*.deb"))
 TOOLS = Path(sys.executable).parent
 ABSENT = "nothing in build/release: `make wheel deb` writes it"
@@ -50,20 +51,28 @@ def test_wheels_hold_what_wheels_hold() -> None:
 
 
 @needs("auditwheel")
-@pytest.mark.parametrize("wheel", WHEELS or [pytest.param(None, marks=wheels)], ids=lambda w: w and w.stem)
+@pytest.mark.parametrize("wheel", BINARY or [pytest.param(None, marks=wheels)], ids=lambda w: w and w.stem)
 def test_the_platform_that_a_wheel_names_is_the_one_that_it_needs(wheel: Path) -> None:
     shown = " ".join(run([TOOLS / "auditwheel", "show", wheel]).split())
     assert f'platform tag: "{wheel.stem.split("-")[-1]}"' in shown
 
 
 @needs("readelf")
-@pytest.mark.parametrize("wheel", WHEELS or [pytest.param(None, marks=wheels)], ids=lambda w: w and w.stem)
+@pytest.mark.parametrize("wheel", BINARY or [pytest.param(None, marks=wheels)], ids=lambda w: w and w.stem)
 def test_the_module_is_stripped_and_names_no_folder_of_the_builder(wheel: Path, tmp_path: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         module = Path(archive.extract("cm/native/_cm.abi3.so", tmp_path))
     assert not re.search(r"\(RUNPATH\)|\(RPATH\)", run(["readelf", "-d", module]))
     assert not re.search(r"\.symtab|\.debug", run(["readelf", "-SW", module]))
     assert str(ROOT).encode() not in module.read_bytes()
+
+
+@wheels
+def test_one_wheel_is_for_any_system_and_has_no_compiled_module() -> None:
+    (wheel,) = (wheel for wheel in WHEELS if wheel not in BINARY)
+    assert wheel.stem.endswith("-py3-none-any")
+    with zipfile.ZipFile(wheel) as archive:
+        assert not [name for name in archive.namelist() if name.endswith(".so")]
 
 
 @wheels

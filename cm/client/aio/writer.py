@@ -15,12 +15,12 @@ import numpy.typing as npt
 from cm.client.aio.waiting import readable
 from cm.client.core.effects import DEFAULT, Limit, seconds
 from cm.client.errors import BoardClosed
-from cm.client.writer import Writer
 from cm.errors import InvalidRequest, Timeout
 from cm.wire.plane_packets import Descriptor, Geometry, Open
 
 if TYPE_CHECKING:
     from cm.client.aio.board import Board
+    from cm.client.writer import Writer
 
 
 class AsyncWriter:
@@ -34,6 +34,8 @@ class AsyncWriter:
         self._writer: Writer | None = None
 
     async def __aenter__(self) -> AsyncWriter:
+        from cm.client.writer import Writer  # here: other systems than Linux have no such sockets
+
         make = asyncio.get_running_loop().run_in_executor
         self._writer = await make(None, Writer, self._folder, self._wanted, self._timeout)
         return self
