@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cm.manager.access.register_bus import RegisterBus
-from cm.manager.errors import Cancelled, RecordFailed
+from cm.manager.errors import Cancelled, NoPort, RecordFailed
 from cm.manager.loaders import Loaders, resolved
 from cm.manager.planning.goals import Goal, Plan, image_bytes
 from cm.manager.planning.planner import make_plan
@@ -23,6 +23,7 @@ from cm.manager.state.board_state import ManagerState
 from cm.manager.state.steps import Step
 from cm.manager.state.table import BoardState, RegionEvent, RegionState
 from cm.messages.status import Progress
+from cm.schema.model import Config
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,22 +114,43 @@ class StepContext:
 
 
 def plan_to(goal: Goal, tools: Tools) -> Plan:
-    """What going there would do from here; touches nothing. Raises what is wrong with the files."""
+    """What going there would do from here; touches nothing. Raises what is wrong with the files, and NoPort."""
     state = tools.state
     mode = goal.config.modes[goal.mode]
     wanted = {goal.config.modules[name].region for name in (*mode.modules, *goal.also)}
-    config, choices = resolved(goal.config, wanted, tools.devices)
+    try:
+        config, choices = resolved(goal.config, wanted, tools.devices)
+    except NoPort:
+        plan = _plan(goal, resolved(goal.config, (), tools.devices)[0], tools)
+        if not plan.then:  # else the port may come with the overlays that it begins with
+            raise
+        return replace(plan, ports_later=True)
     state.choose(goal.config.name, choices)
-    goal = replace(goal, config=config)
+    return _plan(goal, config, tools)
+
+
+def _plan(goal: Goal, config: Config, tools: Tools) -> Plan:
+    state = tools.state
     old = state.configs.get(state.board.config or "")
-    return make_plan(goal, state.board, old, tools.files, state.throughput, tools.devices)
+    return make_plan(replace(goal, config=config), state.board, old, tools.files, state.throughput, tools.devices)
 
 
 Actions = Mapping[type, Callable[[StepContext, Any], None]]
 
 
-def take_steps(run: StepContext, actions: Actions) -> None:
-    """Take each step by its action, once it is recorded. Raises what one raised; `run.step` is that step."""
+def take_steps(run: StepContext, goal: Goal, actions: Actions) -> None:
+    """Take each step by its action, once it is recorded. Raises what one raised; `run.step` is that step.
+
+    A plan that only brings the devices of the static part is followed by the one that they make possible.
+    """
+    _take_all(run, actions)
+    if run.plan.then:
+        run.at = -1
+        run.plan = plan_to(replace(goal, grounded=True), run.tools)
+        _take_all(run, actions)
+
+
+def _take_all(run: StepContext, actions: Actions) -> None:
     for at, step in enumerate(run.plan.steps):
         run.at = at
         _take(run, step, actions[type(step)])

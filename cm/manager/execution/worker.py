@@ -206,7 +206,7 @@ class Worker:
         before = self._tools.state.board
         run = StepContext(plan_to(goal, self._tools), self._tools, change.number, lambda: change.cancelled)
         try:
-            take_steps(run, ACTIONS)
+            take_steps(run, goal, ACTIONS)
         except Exception as error:
             rollback = Rollback(self._tools, before, functools.partial(self._go_back, run), run.sealed)
             raise rollback.run(failure_of(run, error)) from error  # in no variable: its traceback has this frame
@@ -214,7 +214,7 @@ class Worker:
     def _go_back(self, failed: StepContext, goal: Goal) -> None:
         plan = plan_to(goal, self._tools)
         back = StepContext(plan, self._tools, failed.number, lambda: False, best_effort=True, sealed=failed.sealed)
-        take_steps(back, ACTIONS)
+        take_steps(back, goal, ACTIONS)
 
 
 def _internal(problem: Exception) -> ErrorInfo:

@@ -94,6 +94,7 @@ class Goal:
     `static` is the full configuration whose image a partial one was running in, for the way back to it.
     `rates` are clocks' rates in Hz that the way back restores, whatever the configuration says of them; `found`
     likewise what registers held, by physical address and width, which no name of the configuration has to reach.
+    `grounded`: the configuration's own overlays are on, by a plan before this one.
     """
 
     config: Config
@@ -104,6 +105,7 @@ class Goal:
     static: Config | None = None
     rates: Mapping[str, int] = field(default_factory=lambda: MappingProxyType({}))
     found: Mapping[s.Place, int] = field(default_factory=lambda: MappingProxyType({}))
+    grounded: bool = False
 
     @property
     def base(self) -> Config | None:
@@ -113,27 +115,34 @@ class Goal:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Steps from one state to a goal."""
+    """Steps from one state to a goal.
+
+    The devices of the static part may come with the configuration's own overlays: the port, clocks, register windows.
+    Then `steps` end with those overlays, and `then` is what follows as far as it can be told before: the plan that is
+    carried out is made when the devices are there. `ports_later`: the port is among them, and cannot be asked now.
+    """
 
     goal: Goal
     steps: tuple[s.Step, ...]
     full: bool = False
+    then: tuple[s.Step, ...] = ()
+    ports_later: bool = False
 
     @property
     def bytes(self) -> int:
         """Bytes that go through configuration ports."""
-        return sum(map(image_bytes, self.steps))
+        return sum(map(image_bytes, (*self.steps, *self.then)))
 
     @property
     def regions(self) -> frozenset[str]:
         """The regions that are cut off for a while, or stand cut off."""
-        return frozenset(step.region.name for step in self.steps if isinstance(step, s.Recouple))
+        return frozenset(step.region.name for step in (*self.steps, *self.then) if isinstance(step, s.Recouple))
 
     def info(self, throughput: Throughput) -> PlanInfo:
         """As it is shown."""
         rows = tuple(
             PlanStep(step.kind, step.subject, step.text, image_bytes(step), _seconds(step, throughput))
-            for step in self.steps
+            for step in (*self.steps, *self.then)
         )
         seconds = sum(r.seconds for r in rows)
         clocks = tuple(ClockStatus(c.clock.name, c.clock.rate, c.achieved or 0) for c in self.clocks)
@@ -142,7 +151,7 @@ class Plan:
     @property
     def clocks(self) -> Iterator[s.SetClock]:
         """The clocks that are set."""
-        return (step for step in self.steps if isinstance(step, s.SetClock))
+        return (step for step in (*self.steps, *self.then) if isinstance(step, s.SetClock))
 
 
 def image_bytes(step: s.Step) -> int:

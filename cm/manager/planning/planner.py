@@ -2,8 +2,10 @@
 """From what the board holds and where it shall go to the steps in between; touches nothing.
 
 The order is that of the design: validate, quiesce, decouple, load, overlays, registers, verify,
-recouple, publish — with two deviations that the hardware asks for. Overlays that go are removed
-before their region is cut off (their drivers talk to it). A module's own registers and its identity
+recouple, publish — with three deviations that the hardware asks for. Overlays that go are removed
+before their region is cut off (their drivers talk to it). A configuration's own overlays come first
+of all: with them come the devices that the other steps need, and the plan ends there until they are
+there. A module's own registers and its identity
 lie behind the decoupler (PG375), so they are written and checked after recoupling, while the streams
 are still stopped.
 """
@@ -31,8 +33,7 @@ def make_plan(
 
     `old` is the configuration the board is in, if it is known. Of the devices only clocks are asked.
     """
-    clocks = clock_steps(goal, state, devices)
-    return _Planner(goal, state, old, files, throughput, clocks).plan()
+    return _Planner(goal, state, old, files, throughput, devices).plan()
 
 
 class _Planner:
@@ -43,7 +44,7 @@ class _Planner:
         old: Config | None,
         files: Files,
         throughput: Throughput,
-        clocks: tuple[s.SetClock, ...],
+        devices: Devices,
     ):
         self._goal = goal
         self._config = goal.config
@@ -52,11 +53,12 @@ class _Planner:
         self._old = old
         self._files = files
         self._throughput = throughput
-        self._clocks = clocks
+        self._devices = devices
+        self._clocks: tuple[s.SetClock, ...] = ()
 
     def plan(self) -> Plan:
         whole = self._whole_images()
-        static = whole[0] if whole and self._is_to_be_loaded(whole[0]) else None
+        static = whole[0] if whole and not self._goal.grounded and self._is_to_be_loaded(whole[0]) else None
         modules = [self._config.modules[name] for name in (*self._mode.modules, *self._goal.also)]
         images = {m.name: self._files.image(self._config, m) for m in modules}
         changed = [m for m in modules if static or self._differs(m, images[m.name])]
@@ -64,11 +66,20 @@ class _Planner:
         loads = [(m, images[m.name]) for m in changed]
         wanted = wanted_overlays(self._config, self._mode, self._files, [*whole, *images.values()])
         overlays = overlay_change(self._state, wanted, {m.region for m in changed}, static is not None)
+        ground = self._ground(overlays)
+        self._clocks = () if ground and not static else clock_steps(self._goal, self._state, self._devices)
         writing = Writing(self._goal, self._state, {m.region for m in (*changed, *cut)})
         writes = [*([] if static else writing.restored()), *writing.steps()]
         if not (static or changed or cut or overlays or writes or self._clocks or self._elsewhere()):
             return Plan(self._goal, ())
-        return Plan(self._goal, tuple(self._order(static, loads, cut, overlays, writes)), full=static is not None)
+        steps = tuple(self._order(static, loads, cut, overlays, writes))
+        known = steps.index(ground[-1]) + 1 if ground else len(steps)
+        return Plan(self._goal, steps[:known], static is not None, then=steps[known:])
+
+    def _ground(self, overlays: OverlayChange) -> tuple[s.ApplyOverlay, ...]:
+        """The configuration's own overlays, which bring the devices of the static part: they come before all else."""
+        own = () if self._goal.grounded else {overlay.name for overlay in self._config.overlays}
+        return tuple(step for step in overlays.applied if step.overlay.name in own)
 
     def _elsewhere(self) -> bool:
         return (self._state.config, self._state.mode) != (self._config.name, self._goal.mode)
@@ -118,21 +129,24 @@ class _Planner:
         regions = {m.region for m in joined}
         yield s.Validate((*((static,) if static else ()), *(image for _, image in loads)))
         asked = self._static_check() if loads else ()
-        if not static:
+        ground = self._ground(overlays)
+        if not (static or ground):
             yield from asked
-        streams = self._streams(regions, everything=static is not None)
+        streams = self._streams(regions, everything=bool(static or ground))
         if streams:
             yield s.Quiesce(streams)
         yield from (s.RemoveOverlay(name) for name in overlays.removed)
         if static:  # it runs from the first moment: its clocks are right by then
             yield from self._clocks
             yield self._load_static(static)
+        if static or ground:
+            yield from ground
             yield from asked
         yield from (s.Decouple(self._region(m)) for m in changed)
         if not static:
             yield from self._clocks
         yield from (self._load(m, image) for m, image in loads)
-        yield from overlays.applied
+        yield from (step for step in overlays.applied if step not in ground)
         yield from (w for w in writes if w.register.region not in regions)
         yield from (self._recouple(self._region(m)) for m in joined)
         yield from (s.CheckIdentity(self._region(m), m) for m in joined if self._has_identity(m))

@@ -60,7 +60,7 @@ def _regions_bound() -> bool:
 
 def _bring_back() -> None:
     if LOOK["overlay"]():
-        device.Overlays("/").apply("static", overlay("static"))
+        device.Overlays("/").apply("static", overlay(os.environ.get("CM_VM_STATIC", "static")))
         until(_regions_bound)
     else:
         LIVE.write_text("1")

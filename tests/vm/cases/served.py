@@ -64,10 +64,11 @@ def system(folder: Path) -> Path:
 class Manager:
     """A `cm serve` process; its state outlives it."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, config: Path | None = None) -> None:
+        """`config`: a schema or a folder of them; this board's own if None."""
         self.runtime = folder / "run"
         self._log = folder / "log"
-        self._command = [sys.executable, "-m", "cm.cli.main", "serve", "--config", str(system(folder))]
+        self._command = [sys.executable, "-m", "cm.cli.main", "serve", "--config", str(config or system(folder))]
         self._command += ["--runtime-dir", str(self.runtime), "--state-dir", str(folder / "state")]
         self.process: subprocess.Popen[bytes] | None = None
 

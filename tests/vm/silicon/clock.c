@@ -5,6 +5,7 @@
  */
 #include <linux/clk-provider.h>
 #include <linux/module.h>
+#include <linux/of.h>
 #include <linux/platform_device.h>
 #include <linux/slab.h>
 
@@ -20,10 +21,10 @@ struct model_clock {
 	bool open;
 };
 
+/* the first is the one that the tree's cell names as @first: 15 on Zynq-7000, 71 on ZynqMP */
 struct model_clocks {
+	u32 first;
 	struct model_clock clocks[CLOCKS];
-	/* its array of clocks is the last member */
-	struct clk_hw_onecell_data data;
 };
 
 static struct model_clock *to_model(struct clk_hw *hw)
@@ -87,28 +88,35 @@ static const struct clk_ops model_ops = {
 	.is_enabled = model_is_enabled,
 };
 
+static struct clk_hw *model_get(struct of_phandle_args *args, void *data)
+{
+	struct model_clocks *all = data;
+	u32 index = args->args[0] - all->first;
+
+	return index < CLOCKS ? &all->clocks[index].hw : ERR_PTR(-EINVAL);
+}
+
 static int clocks_probe(struct platform_device *pdev)
 {
 	struct device *dev = &pdev->dev;
-	struct model_clocks *all = devm_kzalloc(dev, struct_size(all, data.hws, CLOCKS), GFP_KERNEL);
+	struct model_clocks *all = devm_kzalloc(dev, sizeof(*all), GFP_KERNEL);
 	struct clk_init_data init = { .ops = &model_ops };
-	char name[16];
+	char name[32];
 	int i, ret;
 
 	if (!all)
 		return -ENOMEM;
+	of_property_read_u32(dev->of_node, "fpga-cm,first", &all->first);
 	init.name = name;
 	for (i = 0; i < CLOCKS; i++) {
-		snprintf(name, sizeof(name), "model_fclk%d", i);
+		snprintf(name, sizeof(name), "model_fclk%u", all->first + i);
 		all->clocks[i].divisor = 20;
 		all->clocks[i].hw.init = &init;
 		ret = devm_clk_hw_register(dev, &all->clocks[i].hw);
 		if (ret)
 			return ret;
-		all->data.hws[i] = &all->clocks[i].hw;
 	}
-	all->data.num = CLOCKS;
-	return devm_of_clk_add_hw_provider(dev, of_clk_hw_onecell_get, &all->data);
+	return devm_of_clk_add_hw_provider(dev, model_get, all);
 }
 
 static const struct of_device_id clocks_of_match[] = {

@@ -170,6 +170,7 @@ void axi_debugfs(struct axi_engine *engine, struct dentry *root)
 	debugfs_create_u32("words", 0400, folder, &engine->port.words);
 	debugfs_create_x32("inject_errors", 0600, folder, &engine->port.inject);
 	debugfs_create_x32("force_status", 0600, folder, &engine->port.force);
+	debugfs_create_x32("identity", 0600, folder, &engine->port.loaded);
 	debugfs_create_u32("delay_us", 0600, folder, &engine->port.delay_us);
 	channel_files(&engine->channels[0], "mm2s", folder);
 	channel_files(&engine->channels[1], "s2mm", folder);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
  * AXI DMA v7.1 (PG021): register space and descriptors of chapter 2,
- * programming sequences of chapter 3.
+ * programming sequences of chapter 3.  sources.md says where each bit and rule
+ * stands, and who else says so.
  */
 #include <linux/bitfield.h>
 #include <linux/irq.h>
@@ -172,9 +173,9 @@ void axi_write_control(struct axi_channel *channel, u32 value)
 		reset(channel);
 		return;
 	}
-	/* a threshold of 0 has no effect */
+	/* a threshold of 0 has no effect; to AXI VDMA it is 1 */
 	if (!FIELD_GET(CR_THRESHOLD, value))
-		value |= FIELD_PREP(CR_THRESHOLD, threshold);
+		value |= FIELD_PREP(CR_THRESHOLD, channel->engine->vdma ? 1 : threshold);
 	channel->cr = (channel->cr & ~writable) | (value & writable);
 	if (FIELD_GET(CR_THRESHOLD, value) != threshold)
 		reload(channel);
@@ -190,13 +191,13 @@ void axi_write_control(struct axi_channel *channel, u32 value)
 }
 
 /**
- * axi_write_status() - DMASR: the interrupts are cleared by writing 1, nothing else can be written
+ * axi_write_status() - DMASR: the interrupts are cleared by writing 1, and AXI VDMA's frame errors
  * @channel: channel
  * @value: value
  */
 void axi_write_status(struct axi_channel *channel, u32 value)
 {
-	channel->sr &= ~(value & SR_IRQS);
+	channel->sr &= ~(value & (channel->engine->vdma ? SR_IRQS | SR_FRAME_ERRORS : SR_IRQS));
 }
 
 /**
@@ -455,7 +456,7 @@ static bool simple_step(struct axi_channel *channel)
 
 	if (channel->receives && !axi_packet_first(channel))
 		return false;
-	error = take_injected(channel);
+	error = take_injected(channel) & (channel->receives ? ~0 : ~SR_INT_ERR);
 	if (error) {
 		axi_fail(channel, error);
 		return true;
@@ -464,8 +465,9 @@ static bool simple_step(struct axi_channel *channel)
 			receive(channel, channel->address, channel->length, &first, &last) :
 			send(channel, channel->address, channel->length, true);
 	if (moved < 0 || !last) {
-		/* a packet longer than the buffer is an overflow */
-		axi_fail(channel, moved < 0 ? SR_DEC_ERR : SR_INT_ERR);
+		/* S2MM_DMASR, DMAIntErr: any error of a write, or a packet longer than the buffer */
+		axi_fail(channel, (moved < 0 ? SR_DEC_ERR : 0) |
+				  (channel->receives ? SR_INT_ERR : 0));
 		return true;
 	}
 	channel->length = moved;

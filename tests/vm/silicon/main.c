@@ -9,6 +9,7 @@
 #include <linux/module.h>
 #include <linux/of.h>
 #include <linux/of_address.h>
+#include <linux/of_irq.h>
 #include <linux/platform_device.h>
 #include <linux/slab.h>
 #include <linux/vmalloc.h>
@@ -29,7 +30,7 @@ static int read_pl(struct device_node *node, struct axi_engine *engine)
 		[AXI_PORT] = "port",
 	};
 	const char *kind;
-	u32 status;
+	u32 address;
 	int ret = of_property_read_string(node, "fpga-cm,pl", &kind);
 
 	if (!ret)
@@ -40,24 +41,34 @@ static int read_pl(struct device_node *node, struct axi_engine *engine)
 	of_property_read_u32(node, "fpga-cm,frame-length", &engine->frame_length);
 	of_property_read_u32(node, "fpga-cm,interval-us", &engine->interval_us);
 	of_property_read_u32(node, "fpga-cm,idcode", &engine->port.port.idcode);
-	if (of_property_read_u32(node, "fpga-cm,status", &status))
-		return 0;
-	engine->port.status = ioremap(status, sizeof(u32));
-	return engine->port.status ? 0 : -ENOMEM;
+	if (!of_property_read_u32(node, "fpga-cm,status", &address))
+		engine->port.status = ioremap(address, sizeof(u32));
+	if (!of_property_read_u32(node, "fpga-cm,identity", &address))
+		engine->port.identity = ioremap(address, sizeof(u32));
+	return 0;
+}
+
+/* a line of the model's own controller, or one of the board's, by its name */
+static void read_line(struct device_node *node, struct axi_channel *channel, const char *name,
+		      u32 line)
+{
+	int irq = of_irq_get_byname(node, name);
+
+	channel->irq = line;
+	channel->virq = irq > 0 ? irq : 0;
 }
 
 static int read_engine(struct device_node *node, struct axi_engine *engine)
 {
-	u32 address, bits = 26, lines[2];
+	u32 address, bits = 26, lines[2] = {};
 	int ret;
 
 	ret = of_property_read_u32(node, "reg", &address);
 	if (!ret)
 		ret = of_property_read_string(node, "label", &engine->label);
-	if (!ret)
-		ret = of_property_read_u32_array(node, "fpga-cm,lines", lines, 2);
 	if (ret)
 		return ret;
+	of_property_read_u32_array(node, "fpga-cm,lines", lines, 2);
 	engine->address = address;
 	engine->vdma = of_property_read_bool(node, "fpga-cm,vdma");
 	engine->sg = of_property_read_bool(node, "fpga-cm,sg");
@@ -66,8 +77,8 @@ static int read_engine(struct device_node *node, struct axi_engine *engine)
 	engine->length_mask = GENMASK(bits - 1, 0);
 	engine->channels[0].there = !of_property_read_bool(node, "fpga-cm,no-mm2s");
 	engine->channels[1].there = !of_property_read_bool(node, "fpga-cm,no-s2mm");
-	engine->channels[0].irq = lines[0];
-	engine->channels[1].irq = lines[1];
+	read_line(node, &engine->channels[0], "mm2s", lines[0]);
+	read_line(node, &engine->channels[1], "s2mm", lines[1]);
 	return read_pl(node, engine);
 }
 
@@ -84,6 +95,8 @@ static void engine_free(void *data)
 	axi_packet_drop(engine->channels[0].packet);
 	if (engine->port.status)
 		iounmap(engine->port.status);
+	if (engine->port.identity)
+		iounmap(engine->port.identity);
 	iounmap(engine->mirror);
 	kvfree(engine->trace);
 	kfree(engine);
@@ -169,6 +182,7 @@ static struct platform_driver model_driver = {
 static struct platform_driver * const drivers[] = {
 	&model_driver,
 	&axi_clocks_driver,
+	&axi_manager_driver,
 };
 
 static int __init model_init(void)
@@ -176,7 +190,9 @@ static int __init model_init(void)
 	int ret;
 
 	root = debugfs_create_dir("cm_axi", NULL);
-	ret = platform_register_drivers(drivers, ARRAY_SIZE(drivers));
+	ret = axi_firmware_start(root);
+	if (!ret)
+		ret = platform_register_drivers(drivers, ARRAY_SIZE(drivers));
 	if (ret)
 		debugfs_remove_recursive(root);
 	return ret;

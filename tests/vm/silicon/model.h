@@ -1,7 +1,7 @@
 /* SPDX-License-Identifier: GPL-2.0-only */
 /*
  * Register models of AXI DMA (PG021) and AXI VDMA (PG020), written from the
- * product guides.
+ * product guides; sources.md says where each bit stands.
  *
  * A register of an engine is read and written by axi_model_read() and
  * axi_model_write(), which see each access in order.  Memory is moved by a
@@ -42,7 +42,11 @@
 #define SR_SG_INT_ERR BIT(8)
 #define SR_SG_SLV_ERR BIT(9)
 #define SR_SG_DEC_ERR BIT(10)
-#define SR_ERRORS (GENMASK(6, 4) | GENMASK(10, 8))
+#define SR_ERRORS (GENMASK(6, 4) | GENMASK(10, 8)) /* bits 10 to 8: AXI DMA */
+/* of AXI VDMA, S2MM: SOFEarlyErr, EOLEarlyErr, SOFLateErr, EOLLateErr; they halt nothing */
+#define SR_SOF_EARLY BIT(7)
+#define SR_SOF_LATE BIT(11)
+#define SR_FRAME_ERRORS (SR_SOF_EARLY | BIT(8) | SR_SOF_LATE | BIT(15))
 #define SR_IOC BIT(12)
 #define SR_DLY BIT(13)
 #define SR_ERR BIT(14)
@@ -70,7 +74,8 @@ struct axi_engine;
  * @there: the engine was built with it
  * @receives: S2MM
  * @offset: of its registers
- * @irq: input of the interrupt controller
+ * @irq: input of the model's interrupt controller
+ * @virq: interrupt of the board's controller in place of it, or 0
  * @cr: DMACR
  * @sr: DMASR without SR_SG
  * @curdesc: CURDESC
@@ -104,6 +109,7 @@ struct axi_channel {
 	bool receives;
 	u32 offset;
 	u32 irq;
+	unsigned int virq;
 	u32 cr;
 	u32 sr;
 	u64 curdesc;
@@ -148,6 +154,8 @@ struct axi_access {
  * struct axi_port - a configuration port behind MM2S
  * @port: packet processor; a load is over when it is desynchronised
  * @status: its status register, in memory that the loader's driver maps
+ * @identity: identity register of the region, or NULL
+ * @loaded: what that says after the next good load
  * @loads: loads done
  * @errors: CM_ICAP_ERR_* of the last one
  * @words: words of the last one
@@ -158,6 +166,8 @@ struct axi_access {
 struct axi_port {
 	struct cm_configport port;
 	u32 __iomem *status;
+	u32 __iomem *identity;
+	u32 loaded;
 	u64 loads;
 	u32 errors;
 	u32 words;
@@ -276,8 +286,21 @@ void axi_kick(struct axi_engine *engine);
 /* clock.c */
 extern struct platform_driver axi_clocks_driver;
 
-/* debugfs.c */
+/* manager.c */
+extern struct platform_driver axi_manager_driver;
+
+/* firmware.c */
 struct dentry;
+#ifdef CONFIG_ARM64
+int axi_firmware_start(struct dentry *root);
+#else
+static inline int axi_firmware_start(struct dentry *root)
+{
+	return 0;
+}
+#endif
+
+/* debugfs.c */
 void axi_debugfs(struct axi_engine *engine, struct dentry *root);
 
 #endif /* _CM_AXI_MODEL_H */

@@ -43,6 +43,8 @@ static void port_end(struct axi_port *port)
 	if (port->status)
 		writel(port->force ?: port_status(port), port->status);
 	port->force = 0;
+	if (port->identity && !port->errors)
+		writel(port->loaded, port->identity);
 }
 
 /* a load may come in several transfers; it begins with padding, and ends desynchronised */
@@ -139,6 +141,11 @@ static void delay_timer(struct axi_channel *channel)
 	axi_raise(channel, SR_DLY);
 }
 
+static unsigned int line_of(const struct axi_channel *channel)
+{
+	return channel->virq ?: irq_find_mapping(channel->engine->irqs, channel->irq);
+}
+
 /* the lines are levels: they stay until the driver has cleared what raises them */
 static bool drive_lines(struct axi_engine *engine)
 {
@@ -152,7 +159,7 @@ static bool drive_lines(struct axi_engine *engine)
 		high[i] = engine->channels[i].sr & engine->channels[i].cr & SR_IRQS;
 	spin_unlock_irqrestore(&engine->lock, flags);
 	for (i = 0; i < 2; i++) {
-		irq = high[i] ? irq_find_mapping(engine->irqs, engine->channels[i].irq) : 0;
+		irq = high[i] ? line_of(&engine->channels[i]) : 0;
 		if (irq)
 			irq_set_irqchip_state(irq, IRQCHIP_STATE_PENDING, true);
 	}

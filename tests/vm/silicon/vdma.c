@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: GPL-2.0-only
 /*
- * AXI VDMA v6.3 (PG020), register direct mode, without fsync: a frame begins
- * when there is one.
+ * AXI VDMA v6.3 (PG020), register direct mode, flushing on frame sync, which
+ * comes with each frame: a frame begins when there is one.  sources.md says
+ * where each bit stands.
  *
  * Until it is stopped it goes on: parked, with the frame store of PARK_PTR;
  * circular, with one after the other.
@@ -21,6 +22,8 @@
 
 #define PARK_READ GENMASK(4, 0)
 #define PARK_WRITE GENMASK(12, 8)
+#define PARK_READ_STORE GENMASK(20, 16)
+#define PARK_WRITE_STORE GENMASK(28, 24)
 #define VSIZE_BITS GENMASK(12, 0)
 #define HSIZE_BITS GENMASK(15, 0)
 
@@ -42,7 +45,8 @@ u32 axi_vdma_read(struct axi_channel *channel, u32 offset)
 	u32 store;
 
 	if (offset == PARK_PTR)
-		return engine->park;
+		return engine->park | FIELD_PREP(PARK_READ_STORE, engine->channels[0].store) |
+		       FIELD_PREP(PARK_WRITE_STORE, engine->channels[1].store);
 	if (offset == VERSION)
 		return 0x62000000;
 	if (!channel->there)
@@ -117,9 +121,8 @@ static u32 store_now(struct axi_channel *channel)
 	u32 park = channel->receives ? FIELD_GET(PARK_WRITE, channel->engine->park) :
 				       FIELD_GET(PARK_READ, channel->engine->park);
 
-	if (!(channel->cr & CR_CIRCULAR))
-		return park % channel->engine->fstores;
-	channel->store = (channel->store + 1) % channel->engine->fstores;
+	channel->store = channel->cr & CR_CIRCULAR ? channel->store + 1 : park;
+	channel->store %= channel->engine->fstores;
 	return channel->store;
 }
 
@@ -149,8 +152,10 @@ static struct axi_packet *frame(struct axi_channel *channel)
 	if (!channel->receives)
 		return axi_packet_new(length, GFP_ATOMIC);
 	packet = axi_packet_first(channel);
-	/* a frame of another size: as the stream errors of table 2-11, dropped */
+	/* a frame of another size is flushed and told; the channel goes on with the next one */
 	while (packet && packet->length != length) {
+		channel->sr |= packet->length < length ? SR_SOF_EARLY : SR_SOF_LATE;
+		axi_raise(channel, SR_ERR);
 		axi_packet_drop(packet);
 		packet = axi_packet_first(channel);
 	}

@@ -20,6 +20,7 @@ class Arch:
 
 
 ARM64 = Arch("arm64", "arm64", "aarch64-linux-gnu", "aarch64", "qemu-system-aarch64", "Image")
+ARMHF = Arch("armhf", "arm", "arm-linux-gnueabihf", "armv7l", "qemu-system-arm", "zImage")
 AMD64 = Arch("amd64", "x86_64", "x86_64-linux-gnu", "x86_64", "qemu-system-x86_64", "bzImage")
 
 

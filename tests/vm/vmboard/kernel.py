@@ -88,8 +88,11 @@ def _build(tree: Path, out: Path, arch: Arch, config: str) -> None:
 def _check_config(fragment: str, config: Path) -> None:
     """Kconfig drops silently what it cannot set; that must not pass unseen."""
     chosen = set(config.read_text().splitlines())
-    wanted = {line.split("=")[0]: line for line in fragment.splitlines() if line.startswith("CONFIG_")}
-    dropped = [line for line in wanted.values() if line not in chosen]
+    wanted: dict[str, str] = {}
+    for line in fragment.splitlines():  # a later one counts, one that takes a symbol away too
+        if found := re.fullmatch(r"(CONFIG_\w+)=.*|# (CONFIG_\w+) is not set", line):
+            wanted[found[1] or found[2]] = line
+    dropped = [line for line in wanted.values() if line not in chosen and not line.startswith("#")]
     if dropped:
         config.unlink()
         raise VmError(f"the kernel's configuration does not take: {', '.join(dropped)}")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from . import software
+from . import designs, software
 from .cache import Cache
 from .kernel import Kernel
 from .shell import run
@@ -26,14 +26,16 @@ def image(cache: Cache, kernel: Kernel) -> Path:
     modules += [silicon] if silicon else []
     trees = software.overlays(cache)
     programs = software.programs(cache, kernel.arch)
+    made_designs = designs.folder(cache)
     tests = [REPOSITORY / "tests" / name for name in SHARED_TESTS if (REPOSITORY / "tests" / name).exists()]
-    made = [package.name, *(folder.name for folder in modules), trees.name, programs.name]
+    made = [package.name, *(folder.name for folder in modules), trees.name, programs.name, made_designs.name]
     inputs = [kernel.release, str(kernel.build), *made, HERE, *tests]
 
     def build(place: Path) -> None:
         root = place / "root"
         _copy_software(root, package, trees, tests)
         shutil.copytree(programs, root / "bin", ignore=shutil.ignore_patterns(".*"))
+        shutil.copytree(made_designs, root / "designs", ignore=shutil.ignore_patterns(".*", "*.dtso"))
         _copy_modules(root, kernel, modules)
         filesystem = ["-t", "ext4", "-O", "^has_journal", "-L", "cm-payload"]
         run(["mke2fs", "-q", *filesystem, "-d", root, place / "payload.ext4", "96M"])

@@ -24,6 +24,7 @@ class Machine:
     root: Path
     payload: Path
     memory_mb: int
+    machine: str = ""  # more properties of QEMU's machine
     initrd: Path | None = None  # None: the kernel has its disk drivers built in
     dtb: Path | None = None  # None: the tree QEMU makes
     kvm: bool = False
@@ -54,7 +55,15 @@ def _board(machine: Machine) -> list[str]:
         return ["-M", "q35", "-cpu", "host" if machine.kvm else "max", "-accel", accelerator, "-nodefaults"]
     if machine.kvm:
         return ["-M", "virt,gic-version=host", "-cpu", "host", "-accel", "kvm", "-nodefaults"]
-    return ["-M", "virt,gic-version=2", "-cpu", "cortex-a53", "-accel", "tcg,thread=multi", "-nodefaults"]
+    return [
+        "-M",
+        ",".join(filter(None, ["virt,gic-version=2", machine.machine])),
+        "-cpu",
+        "cortex-a53",
+        "-accel",
+        "tcg,thread=multi",
+        "-nodefaults",
+    ]
 
 
 def _device(machine: Machine, name: str) -> str:

@@ -20,6 +20,7 @@ from .shell import require, run
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 MODEL = REPOSITORY / "tests/vm/silicon"
+TREES = REPOSITORY / "tests/vm/trees"  # of boards that are the virtual board's alone
 
 
 def python_package(cache: Cache, arch: Arch) -> Path:
@@ -122,11 +123,15 @@ def _build_programs(arch: Arch, sources: list[Path], place: Path) -> None:
 
 
 def overlays(cache: Cache) -> Path:
-    """A folder with every compiled tree and overlay of dts/."""
+    """A folder with every compiled tree and overlay of dts/, and the trees of virtual boards."""
     require("dtc", "cpp", "make")
     source = REPOSITORY / "dts"
-    return cache.entry("dts", [source], lambda place: _build_overlays(source, place))
+    return cache.entry("dts", [source, TREES], lambda place: _build_overlays(source, place))
 
 
 def _build_overlays(source: Path, place: Path) -> None:
     run(["make", "-s", "-C", source, f"O={place}", "dtbo"])
+    for tree in TREES.glob("*.dts"):
+        expand = ["cpp", "-nostdinc", "-undef", "-D__DTS__", "-x", "assembler-with-cpp", "-I", source / "boards"]
+        (place / tree.name).write_text(run([*expand, tree]))
+        run(["dtc", "-q", "-@", "-I", "dts", "-O", "dtb", "-o", place / f"{tree.stem}.dtb", place / tree.name])

@@ -28,6 +28,8 @@ class Tier:
     kvm: bool = False  # where the host's works; emulated otherwise
     append: str = ""  # more arguments of the kernel
     remote: bool = False  # tests run on the host and talk to the board over TCP
+    dtb: str = "qemu-virt"  # tree, where the kernel is our own
+    machine: str = ""  # more properties of QEMU's machine
     static: str = "static"  # overlay of the board's own engines, where the kernel takes overlays
     cases: tuple[str, ...] = ("vm/cases", "device")  # what is run there, below tests/
 
@@ -43,6 +45,7 @@ FULL = (*BASIC, "overlay", "fpga", "uio_genirq", "kunit")
 SANITIZERS = ("kasan", "lockdep", "dma_debug")
 CUSTOM = ("custom.config",)
 SANITIZE = (*CUSTOM, "sanitize.config")
+SILICON_CASES = ("silicon", "generated", "overlays", "board", "manager")
 TIERS = {
     tier.name: tier
     for tier in (
@@ -54,11 +57,14 @@ TIERS = {
             ARM64,
             SANITIZE,
             (*BASIC, "overlay", "fpga", "uio_genirq", *SANITIZERS, "xilinx_dma"),
-            memory_mb=768,
+            memory_mb=2048,  # from 768 MB on it stands for what is in the PL
             slow=12,
             changes=20,
+            append="mem=768M",
+            dtb="qemu-zynqmp",
+            machine="virtualization=on",  # for the platform firmware's model, at EL2
             static="silicon",
-            cases=("vm/cases/test_silicon.py", "vm/cases/test_board.py", "vm/cases/test_manager.py", "device"),
+            cases=(*(f"vm/cases/test_{name}.py" for name in SILICON_CASES), "device"),
         ),
         Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, slow=6, remote=True),
         Tier("x86", AMD64, (), BASIC, memory_mb=768, slow=6, kvm=True),

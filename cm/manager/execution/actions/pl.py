@@ -132,10 +132,11 @@ def check_identity(run: StepContext, step: s.CheckIdentity) -> None:
 
 def validate(run: StepContext, _: s.Validate) -> None:
     """The planner has read and checked every image; what is left is to ask the ports, and to keep readers off."""
-    for step in run.plan.steps:
+    plan = run.plan
+    for step in (*plan.steps, *(() if plan.ports_later else plan.then)):
         if isinstance(step, s.Load | s.LoadStatic):
             run.tools.loaders.kind(step.port_kind).check(job_of(run, step))
-    run.tools.state.lock_regions(run.plan.regions, whole=run.plan.full)
+    run.tools.state.lock_regions(plan.regions, whole=plan.full)
     run.check_cancelled()
 
 
