@@ -358,6 +358,24 @@ def test_a_port_that_the_platform_refuses_leaves_bridge_and_engine_as_they_were(
         assert port.status().state is device.IcapState.IDLE
 
 
+def firmware(name: str) -> Path:
+    """The model of the ZynqMP's platform firmware, which sees cm_icap's own calls."""
+    return Path("/sys/kernel/debug/cm_axi/firmware", name)
+
+
+def test_a_port_that_the_platform_gives_is_selected_for_the_load_alone() -> None:
+    name, engine = port_behind("icap-that-is-refused"), Engine("refused")
+    writes, loads = int(firmware("writes").read_text()), engine.number("loads")
+    firmware("secure_access").write_text("1")
+    try:
+        assert load(name).status == 0
+    finally:
+        firmware("secure_access").write_text("0")
+    assert engine.number("loads") == loads + 1
+    assert int(firmware("writes").read_text()) == writes + 2  # ICAP, and PCAP again
+    assert firmware("pcap_ctrl").read_text() == "0x00000001\n"
+
+
 # clocks: UG585, FPGA0_CLK_CTRL: two divisors of 1 to 63, the nearest rate below
 
 

@@ -32,7 +32,7 @@ board_up() {
 		modprobe uio_pdrv_genirq of_id=fpga-cm,uio
 		modprobe -a cm_dma cm_icap cm_plsim cm_clock
 		# the kernel's own driver of the engines, and what stands behind it
-		[ "${CM_VM_STATIC:-static}" = static ] || modprobe -a cm_axi_model xilinx_dma xilinx-pr-decoupler
+		[ "${CM_VM_STATIC:-static}" = static ] || modprobe -a cm_axi_model "${CM_VM_DRIVER:-xilinx_dma}" xilinx-pr-decoupler
 		overlay static "/opt/cm/firmware/qemu-virt/${CM_VM_STATIC:-static}.dtbo"
 		mkdir -p /lib/firmware/cm/camera
 		cp /opt/cm/firmware/qemu-virt/*.dtbo /lib/firmware/cm/camera

@@ -13,18 +13,21 @@ import time
 from pathlib import Path
 
 from .arch import Arch
+from .errors import MissingError
 from .progress import step
 from .shell import require, run
 
 LISTS_MAX_AGE_S = 12 * 3600
+KEYRING = "/usr/share/keyrings/debian-archive-keyring.gpg"
 
 
 class Apt:
-    """apt-get for one architecture with state of its own."""
+    """apt-get for one architecture with state of its own; of the machine's sources, or of one suite of their mirror."""
 
-    def __init__(self, root: Path, arch: Arch) -> None:
+    def __init__(self, root: Path, arch: Arch, suite: str = "") -> None:
         self.arch = arch
-        self._root = root / f"apt-{arch.debian}"
+        self._root = root / "-".join(filter(None, ["apt", arch.debian, suite]))
+        self._suite = suite
 
     def _command(self, tool: str, archives: Path | None = None) -> list[str]:
         options = {
@@ -39,6 +42,9 @@ class Apt:
             "DPkg::Post-Invoke": "",
             "APT::Update::Post-Invoke": "",
         }
+        if self._suite:
+            options |= {"Dir::Etc::sourcelist": self._root / "sources.list", "Dir::Etc::sourceparts": "-"}
+            options |= {"Dir::Etc::preferencesparts": "-", "APT::Update::Error-Mode": "any"}
         return [tool, *(f"-o{name}={value}" for name, value in options.items())]
 
     def refresh(self) -> None:
@@ -50,6 +56,8 @@ class Apt:
         for folder in ("state/lists/partial", "cache/archives/partial"):
             (self._root / folder).mkdir(parents=True, exist_ok=True)
         (self._root / "status").touch()
+        if self._suite:
+            (self._root / "sources.list").write_text(f"deb [signed-by={KEYRING}] {_mirror()} {self._suite} main\n")
         with step(f"fetching the {self.arch.debian} package lists"):
             run([*self._command("apt-get"), "update", "-q"])
         stamp.touch()
@@ -76,6 +84,15 @@ class Apt:
         if found is None:
             raise LookupError(f"package {name} ({self.arch.debian}) depends on nothing like {pattern}:\n{listing}")
         return found.group(1)
+
+
+def _mirror() -> str:
+    """The mirror that this machine has its Debian packages from."""
+    found = run(["apt-get", "indextargets", "--format", "$(REPO_URI)"]).split()
+    mirror = next((uri.rstrip("/") for uri in found if re.search(r"/debian/?$", uri)), None)
+    if mirror is None:
+        raise MissingError("apt's sources name no Debian mirror")
+    return mirror
 
 
 def unpack(debs: list[Path], target: Path) -> None:

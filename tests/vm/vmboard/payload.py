@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 from . import designs, software
+from . import silicon as models
 from .cache import Cache
 from .kernel import Kernel
 from .shell import run
@@ -18,11 +19,11 @@ STOCK_DRIVERS = ("configfs", "uio", "virtio_net", "virtio_console", "virtio_rng"
 SHARED_TESTS = ("device", "data")
 
 
-def image(cache: Cache, kernel: Kernel) -> Path:
-    """The ext4 image with our software, tests and kernel modules for one kernel."""
+def image(cache: Cache, kernel: Kernel, driver: models.Source | None = None) -> Path:
+    """The ext4 image with our software, tests and kernel modules for one kernel, and another's driver of engines."""
     package = software.python_package(cache, kernel.arch)
     modules = [software.kernel_modules(cache, kernel)]
-    silicon = software.silicon_modules(cache, kernel)
+    silicon = models.modules(cache, kernel, driver)
     modules += [silicon] if silicon else []
     trees = software.overlays(cache)
     programs = software.programs(cache, kernel.arch)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from . import initrd, kvm, payload, qemu, remote, report, rootfs, software
 from .cache import Cache
-from .errors import EXIT_MISSING, MissingError
+from .errors import EXIT_MISSING, MissingError, VmError
 from .progress import say, step
 from .shell import require
 from .tiers import TIERS, Tier
@@ -19,14 +19,27 @@ PORTS = (5560, 5561, 5562)
 
 
 def worth_while(cache: Cache) -> list[str]:
-    """All boards but those that are meant for KVM where it does not work; says which are left out."""
+    """All boards but those that this machine cannot have, such as with KVM where it does not work; says which."""
     chosen = []
     for name, tier in TIERS.items():
-        if tier.kvm and not (kvm.there(tier.arch) and kvm.works(cache, tier.kernel(cache))):
+        reason = _out_of_reach(cache, tier)
+        if reason:
+            say(f"LEFT OUT {name}: {reason}")
+        elif tier.kvm and not (kvm.there(tier.arch) and kvm.works(cache, tier.kernel(cache))):
             say(f"LEFT OUT {name}: no working /dev/kvm here; --tier {name} runs it emulated, which tells little new")
         else:
             chosen.append(name)
     return chosen
+
+
+def _out_of_reach(cache: Cache, tier: Tier) -> str:
+    """Why what a board has from another release of Debian cannot be had; empty: it can."""
+    try:
+        if tier.driver:
+            tier.driver.driver(cache)
+    except VmError as error:
+        return str(error).splitlines()[0]
+    return ""
 
 
 def build(cache: Cache, names: list[str]) -> None:
@@ -47,11 +60,12 @@ def machine(
         say(f"{tier.name}: no working /dev/kvm here, the board is emulated")
     own = (f"cm.tier={tier.name}", f"cm.expects={','.join(tier.expects)}", f"cm.slow={slow}")
     own += (f"cm.static={tier.static}", f"cm.cases={'+'.join(tier.cases)}")
+    own += (f"cm.driver=xilinx_dma{'_other' if tier.driver else ''}",)
     return qemu.Machine(
         arch=tier.arch,
         image=kernel.image,
         root=rootfs.image(cache, tier.arch),
-        payload=payload.image(cache, kernel),
+        payload=payload.image(cache, kernel, tier.driver),
         memory_mb=tier.memory_mb,
         machine=tier.machine,
         initrd=None if tier.fragments else initrd.image(cache, kernel),

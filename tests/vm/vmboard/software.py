@@ -19,7 +19,6 @@ from .kernel import Kernel
 from .shell import require, run
 
 REPOSITORY = Path(__file__).resolve().parents[3]
-MODEL = REPOSITORY / "tests/vm/silicon"
 TREES = REPOSITORY / "tests/vm/trees"  # of boards that are the virtual board's alone
 
 
@@ -83,28 +82,6 @@ def _build_modules(kernel: Kernel, source: Path, place: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(path, target)
     run([*kernel.make(), f"-j{os.cpu_count() or 1}", f"M={place}", "modules"], log=place / "build.log")
-
-
-def silicon_modules(cache: Cache, kernel: Kernel) -> Path | None:
-    """The kernel's own xilinx_dma under a model of its engines; None for a kernel without its source."""
-    driver = kernel.build / "source/drivers/dma/xilinx/xilinx_dma.c"
-    if not driver.exists():
-        return None
-    ours = REPOSITORY / "kmod"
-    parts = [ours / "plsim/configport.c", ours / "plsim/configport.h", ours / "uapi", ours / "include"]
-    inputs = [kernel.release, str(kernel.build), MODEL, driver, *parts]
-
-    def build(place: Path) -> None:
-        shutil.copytree(MODEL, place, dirs_exist_ok=True)
-        shutil.copy2(driver, place / "driver")
-        for part in parts:
-            target = place / part.relative_to(ours)
-            target.parent.mkdir(exist_ok=True)
-            copy = shutil.copytree if part.is_dir() else shutil.copy2
-            copy(part, target)
-        run([*kernel.make(), f"-j{os.cpu_count() or 1}", f"M={place}", "modules"], log=place / "build.log")
-
-    return cache.entry(f"silicon-{kernel.release}", inputs, build)
 
 
 def programs(cache: Cache, arch: Arch) -> Path:

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from . import kernel
 from .arch import AMD64, ARM64, Arch
 from .cache import Cache
+from .silicon import Source
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,7 @@ class Tier:
     dtb: str = "qemu-virt"  # tree, where the kernel is our own
     machine: str = ""  # more properties of QEMU's machine
     static: str = "static"  # overlay of the board's own engines, where the kernel takes overlays
+    driver: Source | None = None  # of the engines, of another kernel
     cases: tuple[str, ...] = ("vm/cases", "device")  # what is run there, below tests/
 
     def kernel(self, cache: Cache) -> kernel.Kernel:
@@ -46,26 +48,29 @@ SANITIZERS = ("kasan", "lockdep", "dma_debug")
 CUSTOM = ("custom.config",)
 SANITIZE = (*CUSTOM, "sanitize.config")
 SILICON_CASES = ("silicon", "generated", "overlays", "board", "manager")
+SILICON = Tier(
+    "silicon",
+    ARM64,
+    SANITIZE,
+    (*BASIC, "overlay", "fpga", "uio_genirq", *SANITIZERS, "xilinx_dma"),
+    memory_mb=2048,  # from 768 MB on it stands for what is in the PL
+    slow=12,
+    changes=20,
+    append="mem=768M",
+    dtb="qemu-zynqmp",
+    machine="virtualization=on",  # for the platform firmware's model, at EL2
+    static="silicon",
+    cases=(*(f"vm/cases/test_{name}.py" for name in SILICON_CASES), "device"),
+)
+ENGINES = ("vm/cases/test_silicon.py", "vm/cases/test_generated.py", "device")
 TIERS = {
     tier.name: tier
     for tier in (
         Tier("stock", ARM64, (), BASIC, memory_mb=768, slow=6),
         Tier("custom", ARM64, CUSTOM, (*FULL, "kmemleak"), memory_mb=512, slow=6, changes=1000, append="kmemleak=on"),
         Tier("sanitize", ARM64, SANITIZE, (*FULL, *SANITIZERS), memory_mb=768, slow=12),
-        Tier(
-            "silicon",
-            ARM64,
-            SANITIZE,
-            (*BASIC, "overlay", "fpga", "uio_genirq", *SANITIZERS, "xilinx_dma"),
-            memory_mb=2048,  # from 768 MB on it stands for what is in the PL
-            slow=12,
-            changes=20,
-            append="mem=768M",
-            dtb="qemu-zynqmp",
-            machine="virtualization=on",  # for the platform firmware's model, at EL2
-            static="silicon",
-            cases=(*(f"vm/cases/test_{name}.py" for name in SILICON_CASES), "device"),
-        ),
+        SILICON,
+        replace(SILICON, name="silicon-6.12", driver=Source("trixie", "linux-source-6.12"), cases=ENGINES),
         Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, slow=6, remote=True),
         Tier("x86", AMD64, (), BASIC, memory_mb=768, slow=6, kvm=True),
     )
