@@ -69,6 +69,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--stream-queue", type=_mebibytes, metavar="MIB",
         help="frames that may wait for each subscriber over ZeroMQ, by the schemas' longest (default: 32)")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
+    parser.add_argument("--models", action="append", default=[], metavar="FILE",
+        help="with --sim: models of one's own, a .py file or module with a mapping MODELS")  # fmt: skip
     parser.add_argument("--sim-icap-rate", type=float, metavar="BYTES", help="with --sim: bytes per second of its ICAP")
     parser.add_argument("--sim-hold", type=int, metavar="FRAMES", help="with --sim: frames that a photograph stays")
     parser.add_argument("-v", "--verbose", action="store_true", help="log what goes on")
@@ -174,12 +176,18 @@ def _camera() -> Path:
     return Path(__file__).parents[1] / "data/camera"  # importlib.resources is 1.3 MiB
 
 
+def _absolute(source: str) -> str:
+    """The simulator is a process of its own, in a folder of its own; a module has no path."""
+    return str(Path(source).absolute()) if source.endswith(".py") else source
+
+
 def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], stack: ExitStack) -> Future[Root]:
     from concurrent.futures import ThreadPoolExecutor
 
     from cm.cli.simboard import simulated_board
 
     arguments = ["--images", str(args.images)] if args.images else []
+    arguments += [part for source in args.models for part in ("--models", _absolute(source))]
     arguments += ["--hold", str(args.sim_hold)] if args.sim_hold is not None else []
     arguments += ["--icap-rate", str(args.sim_icap_rate)] if args.sim_icap_rate is not None else []
     root = Path(args.root) if args.root else runtime / "board"

@@ -14,12 +14,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from cm.sim.errors import SimError
     from cm.sim.hardware.board import BoardSpec
+    from cm.sim.hardware.model import Model
     from cm.sim.process.child import Board
     from cm.sim.process.control import Control
 
-__all__ = ["Board", "BoardSpec", "Control", "SimError"]
+__all__ = ["Board", "BoardSpec", "Control", "Model", "SimError"]
 
-_HOMES = {"Board": "process.child", "BoardSpec": "hardware.board", "Control": "process.control", "SimError": "errors"}
+_HOMES = {
+    "Board": "process.child",
+    "BoardSpec": "hardware.board",
+    "Control": "process.control",
+    "Model": "hardware.model",
+    "SimError": "errors",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -91,7 +91,7 @@ class Buffered(Node):
     import_op = p.DMA_IOC_IMPORT
 
     def alloc(self, length: int) -> tuple[int, np.ndarray]:
-        reply, fds = self.call(self.alloc_op, p.BUFFER_ALLOC.pack(p.BUFFER_ALLOC.size, 0, length, 0, -1, 0, 0))
+        reply, fds = self.call(self.alloc_op, p.BUFFER_ALLOC.pack(p.BUFFER_ALLOC.size, 0, length, 0, -1, 0, 0, 0))
         fields = p.BUFFER_ALLOC.unpack(reply)
         memory = np.frombuffer(mmap.mmap(fds[0], fields[2]), np.uint8)
         os.close(fds[0])

@@ -240,7 +240,7 @@ def test_a_channel_is_open_once_and_free_again_after_close(board):
 
 def test_a_buffer_is_whole_pages_and_cannot_shrink(board):
     with Dma(board.root, "dev/cm_dma/camera") as channel:
-        alloc = p.BUFFER_ALLOC.pack(p.BUFFER_ALLOC.size, 0, 5000, 0, -1, 0, 0)
+        alloc = p.BUFFER_ALLOC.pack(p.BUFFER_ALLOC.size, 0, 5000, 0, -1, 0, 0, 0)
         reply, fds = channel.call(p.DMA_IOC_ALLOC, alloc)
         assert p.BUFFER_ALLOC.unpack(reply)[2] == os.fstat(fds[0]).st_size == 8192
         with pytest.raises(PermissionError):

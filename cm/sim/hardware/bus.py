@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from cm.schema.model import Access, Decoupler
 from cm.sim.errors import NodeError
@@ -20,8 +20,12 @@ _WIDTHS = (8, 16, 32, 64)
 class Bus:
     """Reads and writes as the processor makes them."""
 
-    def __init__(self, fabric: Fabric, faults: Faults) -> None:
+    def __init__(
+        self, fabric: Fabric, faults: Faults, written: Callable[[Window, int, int], None] = lambda *_: None
+    ) -> None:
+        """`written` is told of each write: window, offset, bytes."""
         self._fabric = fabric
+        self._written = written
         self._faults = faults
         self._show = Show(fabric)
         self._decouplers = [
@@ -50,6 +54,7 @@ class Bus:
             self._write_piece(window, at, part, bits)
         for decoupler in self._decouplers:
             decoupler.update(window)
+        self._written(window, offset, length)
 
     def read_block(self, window: Window, offset: int, length: int) -> bytes:
         """The bytes that accesses of 32 bits, one after the other, return."""

@@ -55,9 +55,10 @@ class Cell:
 class Area:
     """A memory at its place in a window: `end` is the offset behind its last byte."""
 
-    __slots__ = ("access", "end", "offset", "region")
+    __slots__ = ("access", "end", "memory", "offset", "region")
 
     def __init__(self, offset: int, memory: Memory, region: Region | None) -> None:
+        self.memory = memory
         self.offset, self.end = offset, offset + memory.size
         self.access, self.region = memory.access, region
 

@@ -12,6 +12,7 @@ from cm.sim.hardware.cells import Region
 from cm.sim.hardware.dma import Bytes
 from cm.sim.hardware.fabric import Fabric
 from cm.sim.hardware.models import Models, default
+from cm.sim.hardware.running import RunningModels
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,8 +26,15 @@ _log = logging.getLogger(__name__)
 class Datapath:
     """A region as data sees it: its module's model, garbage without one, or nothing at all."""
 
-    def __init__(self, fabric: Fabric, models: Models, region: str | None, shape: tuple[int, ...] | None) -> None:
-        self._fabric, self._models = fabric, models
+    def __init__(
+        self,
+        fabric: Fabric,
+        models: Models,
+        running: RunningModels,
+        region: str | None,
+        shape: tuple[int, ...] | None,
+    ) -> None:
+        self._fabric, self._models, self._running = fabric, models, running
         self._name = region if region in fabric.regions else None
         self._failed: ModuleSpec | None = None  # said once
         self._region: Region | None = fabric.regions.get(region) if region else None
@@ -63,16 +71,35 @@ class Datapath:
         whole = self._width and len(data) % self._width == 0
         return data.reshape(-1, self._width) if whole else data.reshape(1, -1)
 
-    def process(self, frame: Bytes) -> Bytes:
-        """The bytes that leave the region when a frame, (height, width), enters it."""
+    def fills(self, stream: str) -> bool:
+        """Whether the region's model sends on a stream by itself."""
+        return self._running.fills(self._name, stream)
+
+    def consume(self, frame: Bytes, stream: str) -> None:
+        """A frame enters the region on a stream that nothing leaves by: for models with a state."""
+        if self._running.of(self._name) is not None:
+            self.process(frame, stream)
+
+    def _by_state(self, frame: Bytes, stream: str) -> Bytes | None:
+        model = self._running.of(self._name)
+        if model is None:  # it failed
+            return self._fabric.noise(frame.size)
+        left = self._running.guarded(model, model.frame, stream, frame)
+        return None if left is None else np.ascontiguousarray(left).reshape(-1).view(np.uint8)
+
+    def process(self, frame: Bytes, stream: str) -> Bytes | None:
+        """The bytes that leave the region when a frame, (height, width), enters it on a stream; None: none do."""
         if self._region is None:
             return frame.reshape(-1)
         if not self._region.running or self._region.module is None:
             return self._fabric.noise(frame.size)
         frame = frame.view()
         frame.flags.writeable = False
+        model = self._models.get(self._region.module.model)
+        if isinstance(model, type):
+            return self._by_state(frame, stream)
         try:
-            result = self._models.get(self._region.module.model)(frame, self._fabric.registers(self._name))
+            result = model(frame, self._fabric.registers(self._name))
             return np.ascontiguousarray(result).reshape(-1).view(np.uint8)
         except Exception:  # noqa: BLE001 - a user's model must not end the board
             if self._failed is not self._region.module:

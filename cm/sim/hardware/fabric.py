@@ -35,6 +35,7 @@ class Fabric:
         self.lines = Lines(spec)
         self.changed: Callable[[], None] = lambda: None  # called when data may flow that did not
         self.answering: Callable[[Region], None] = lambda _: None  # called when a region answers, or does not any more
+        self.loaded: Callable[[Region], None] = lambda _: None  # called when another module runs, or none any more
         self._by_name: dict[str, list[Cell]] = {}
         self._seed = seed
         self._noise_at = 0
@@ -69,10 +70,15 @@ class Fabric:
             self._views[region] = self._view(region)
         return self._views[region]
 
+    def cells(self, region: str) -> Mapping[str, Cell]:
+        """The registers themselves that a model in `region` sees, by name."""
+        return self._view(region)._cells
+
     def start_load(self, region: Region) -> None:
         """The first frame of a bitstream reaches the region: what ran there is gone."""
         region.loading = True
         region.module = None
+        self.loaded(region)
         self.answering(region)
         self.changed()
 
@@ -84,6 +90,7 @@ class Fabric:
         if module is not None:
             self._reset_areas(region)
         self._reset_cells(region)
+        self.loaded(region)
         self.answering(region)
         self.changed()
 
@@ -93,6 +100,7 @@ class Fabric:
         for region in self.regions.values():
             region.module, region.loading = None, False
             region.decoupled = self.lines.cuts(region.spec.decoupler)
+            self.loaded(region)
             self.answering(region)
         for window in self.windows:
             window.clear()

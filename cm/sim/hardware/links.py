@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import time
+from collections import deque
 from typing import TYPE_CHECKING
 
 from cm.loop import Loop, Timer
@@ -21,6 +22,9 @@ else:
     from cm.sim.lazy_numpy import np
 
 
+_WAITING = 16  # packets that a model may have sent and that nobody has taken
+
+
 class Link:
     """The end of one or two channels; `kick` moves what can be moved."""
 
@@ -29,6 +33,19 @@ class Link:
         self._soon = False
         self._timer: Timer | None = None
         self._due = 0.0
+        self._sent: deque[tuple[str, Bytes]] = deque()  # by a model, by itself
+
+    def offer(self, name: str, data: Bytes) -> bool:
+        """Let a packet leave on a channel when it has room; False where it is lost."""
+        if len(self._sent) >= _WAITING:
+            return False
+        self._sent.append((name, data.copy()))
+        self.kick()
+        return True
+
+    def _send(self, sink: Channel) -> None:
+        while self._sent and sink.queue and self._path.flows:
+            self._deliver(sink, self._sent.popleft()[1])
 
     def kick(self) -> None:
         """Something changed: look again before the next wait."""
@@ -142,7 +159,9 @@ class LoopLink(Link):
         source, sink = self._source, self._sink
         if self._plain and self._fast.lend():
             return
-        if not source.queue or not sink.queue or not self._path.flows:
+        self._send(sink)
+        fills = self._path.fills(sink.spec.name)  # then what comes in need not leave
+        if not source.queue or not (sink.queue or fills) or not self._path.flows:
             return
         if self._hangs(source) or self._hangs(sink):
             return
@@ -152,7 +171,9 @@ class LoopLink(Link):
         if self._faults.take("dma_error", source.spec.name):
             source.complete(0, -errno.EIO)
         else:
-            self._deliver(sink, self._path.process(self._path.frame(self._taken(transfer.data()))))
+            result = self._path.process(self._path.frame(self._taken(transfer.data())), source.spec.name)
+            if result is not None and sink.queue:
+                self._deliver(sink, result)
             source.complete(transfer.period)
         super().kick()
 
@@ -174,6 +195,8 @@ class SinkLink(Link):
         if transfer.cyclic and not self._pace(source.spec.rate):
             return
         failed = self._faults.take("dma_error", source.spec.name)
+        if not failed:
+            self._path.consume(self._path.frame(transfer.data()), source.spec.name)
         source.complete(0 if failed else transfer.period, -errno.EIO if failed else 0)
         self.kick()
 
@@ -214,14 +237,19 @@ class CameraLink(Link):
         self.kick()
 
     def _move(self) -> None:
+        self._send(self._sink)
         if not self._sink.queue or not self._path.flows or self._credit == 0 or self._hangs(self._sink):
+            return
+        if self._path.fills(self._sink.spec.name):
             return
         if not self._pace(self._rate):
             return
         if self._credit is not None:
             self._credit -= 1
         picture = self._reel.take(self._shape(), self._path.register("focus", 1), self._path.register("zoom", 1))
-        self._deliver(self._sink, self._path.process(picture))
+        result = self._path.process(picture, self._sink.spec.name)
+        if result is not None:
+            self._deliver(self._sink, result)
         self.kick()
 
     def _shape(self) -> tuple[int, int]:

@@ -23,6 +23,8 @@ from cm.sim.hardware.fabric import Fabric
 from cm.sim.hardware.interrupts import InterruptWiring, Line
 from cm.sim.hardware.links import CameraLink, Link, LoopLink, SinkLink
 from cm.sim.hardware.models import Models
+from cm.sim.hardware.running import RunningModels
+from cm.sim.transport.buffers import DmaMemory
 
 
 class Accesses(Protocol):
@@ -91,6 +93,7 @@ class LogicParts:
     hold: int
     rate: float | None
     seed: int
+    memory: DmaMemory
 
 
 MakeLogic = Callable[[LogicParts], Logic]
@@ -101,8 +104,9 @@ class SoftwareLogic:
 
     def __init__(self, parts: LogicParts) -> None:
         self._parts = parts
-        self.bus = Bus(parts.fabric, parts.faults)
         self.interrupts = InterruptWiring(parts.fabric, parts.faults)
+        self._running = RunningModels(parts.loop, parts.fabric, parts.models, self.interrupts, parts.memory)
+        self.bus = Bus(parts.fabric, parts.faults, self._running.written)
 
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
         """A camera, a loop through a region, or an end that consumes, by what the channel says."""
@@ -118,6 +122,7 @@ class SoftwareLogic:
             else:
                 links |= self._loop_link(channels, name, spec.partner)
             channel.kick = links[name].kick
+        self._running.links = links
         return links
 
     def configure(self, words: memoryview) -> memoryview:
@@ -139,7 +144,7 @@ class SoftwareLogic:
         return self._parts.loop, self._parts.faults, self.interrupts
 
     def _path(self, channel: Channel) -> Datapath:
-        return Datapath(self._parts.fabric, self._parts.models, channel.spec.region, channel.spec.shape)
+        return Datapath(self._parts.fabric, self._parts.models, self._running, channel.spec.region, channel.spec.shape)
 
     def _camera(self, channel: Channel) -> CameraLink:
         reel = PhotoReel(self._parts.photos, self._parts.hold)

@@ -3,22 +3,26 @@
 
 A model is a function ``model(frame, registers) -> result``: `frame` is a read-only (height, width)
 array of bytes, `registers` maps the names of the module's registers to their present values, and
-`result` is an array whose bytes leave the region. It must not keep `frame`.
+`result` is an array whose bytes leave the region. It must not keep `frame`. One with a state is a class,
+`cm.sim.Model` (`cm.sim.hardware.model`).
 """
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.util
 import logging
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, TypeAlias
 
+from cm.schema.model import Config
 from cm.sim.errors import SimError
+from cm.sim.hardware.model import Model as StatefulModel
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,6 +34,7 @@ else:
 Frame: TypeAlias = "NDArray[np.uint8]"
 Registers = Mapping[str, int]
 Model = Callable[[Frame, Registers], Frame]
+AnyModel = Model | type[StatefulModel]
 
 ENTRY_POINTS = "cm.sim.models"
 _log = logging.getLogger(__name__)
@@ -101,10 +106,10 @@ class Colorise:
 class Models:
     """Models by name; an unknown name passes data as it is."""
 
-    def __init__(self, models: Mapping[str, Model] | None = None) -> None:
-        self._standard: dict[str, Model] = dict(models or {})
-        self._added: dict[str, Model] = {}
-        self._offered: dict[str, Model] | None = {}  # by installed packages; None: not looked for yet
+    def __init__(self, models: Mapping[str, AnyModel] | None = None) -> None:
+        self._standard: dict[str, AnyModel] = dict(models or {})
+        self._added: dict[str, AnyModel] = {}
+        self._offered: dict[str, AnyModel] | None = {}  # by installed packages; None: not looked for yet
 
     @classmethod
     def standard(cls) -> Models:
@@ -114,13 +119,24 @@ class Models:
     def __iter__(self) -> Iterator[str]:
         return iter(self._all)
 
-    def get(self, name: str) -> Model:
+    def get(self, name: str) -> AnyModel:
         """The model of that name, or `default`."""
         return self._all.get(name, default)
 
-    def add(self, name: str, model: Model) -> None:
+    def add(self, name: str, model: AnyModel) -> None:
         """Add or replace one."""
         self._added[name] = model
+
+    def check(self, configs: Iterable[Config]) -> None:
+        """Raise SimError for a module whose `model` nobody has."""
+        for config in configs:
+            for module in config.modules.values():
+                if module.model is not None and module.model not in self._all:
+                    close = difflib.get_close_matches(module.model, self._all, 1)
+                    raise SimError(
+                        f"module {module.name} of {config.name}: no model is called {module.model!r}"
+                        f"{f', did you mean {close[0]!r}?' if close else ''}; there are {', '.join(sorted(self._all))}"
+                    )
 
     def load(self, source: str) -> None:
         """Add those of a Python file or importable module: what its mapping ``MODELS`` holds.
@@ -138,16 +154,16 @@ class Models:
         self._offered = None
 
     @property
-    def _all(self) -> Mapping[str, Model]:
+    def _all(self) -> Mapping[str, AnyModel]:
         if self._offered is None:
             self._offered = _offered()
         return {**self._standard, **self._offered, **self._added}
 
 
-def _offered() -> dict[str, Model]:
+def _offered() -> dict[str, AnyModel]:
     from importlib.metadata import entry_points
 
-    found: dict[str, Model] = {}
+    found: dict[str, AnyModel] = {}
     for point in entry_points(group=ENTRY_POINTS):
         try:
             found[point.name] = point.load()

@@ -71,8 +71,8 @@ class Machine:
         self.server = Server(loop)
         self.faults = Faults()
         self.fabric = Fabric(spec, options.seed)
-        self.logic = make(self._parts())
         self.memory = DmaMemory(options.memory, options.coherent)
+        self.logic = make(self._parts())
         self.engine = self._engine()
         self.manager = FpgaManager(root, self.engine, self.faults, options.pcap_rate)
         self.overlays = Overlays(root, self.manager, self.faults)
@@ -184,7 +184,15 @@ class Machine:
     def _parts(self) -> LogicParts:
         options = self.options
         return LogicParts(
-            self.loop, self.fabric, self.faults, self.models, options.photos, options.hold, options.rate, options.seed
+            self.loop,
+            self.fabric,
+            self.faults,
+            self.models,
+            options.photos,
+            options.hold,
+            options.rate,
+            options.seed,
+            self.memory,
         )
 
     def _icap_node(self) -> IcapNode:

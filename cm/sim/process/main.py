@@ -40,6 +40,7 @@ def run(args: argparse.Namespace) -> int:
     parent = Parent() if args.linger is not None else None
     try:
         configs, models = _configs(args.config), _models(args.models)
+        models.check(configs)
         spec, options = BoardSpec.from_configs(configs), _options(args)
         if args.static_identity is not None:
             spec = spec.with_static(args.static_identity)

@@ -89,7 +89,7 @@ def seeds() -> list[bytes]:
     ]
     dma = [
         _message(p.DMA_IOC_INFO, bytes([p.DMA_INFO.size]) + bytes(p.DMA_INFO.size - 1)),
-        _message(p.DMA_IOC_ALLOC, _sized(p.BUFFER_ALLOC, 0, 4096, 0, -1, 0, 0)),
+        _message(p.DMA_IOC_ALLOC, _sized(p.BUFFER_ALLOC, 0, 4096, 0, -1, 0, 0, 0)),
         _message(p.DMA_IOC_IMPORT, _sized(p.BUFFER_IMPORT, 0, -1, 0, 0)),
         _message(p.DMA_IOC_SUBMIT, _sized(p.DMA_SUBMIT, 0, 1, 0, 0, 4096, 0, 7)),
         _message(p.DMA_IOC_SUBMIT_VIDEO, _sized(p.DMA_SUBMIT_VIDEO, 0, 1, 4, 0, 64, 64, 8)),
@@ -98,7 +98,7 @@ def seeds() -> list[bytes]:
     ]
     icap = [
         _message(p.ICAP_IOC_INFO, bytes([p.ICAP_INFO.size]) + bytes(p.ICAP_INFO.size - 1)),
-        _message(p.ICAP_IOC_ALLOC, _sized(p.BUFFER_ALLOC, 0, 4096, 0, -1, 0, 0)),
+        _message(p.ICAP_IOC_ALLOC, _sized(p.BUFFER_ALLOC, 0, 4096, 0, -1, 0, 0, 0)),
         _message(p.ICAP_IOC_LOAD, _sized(p.ICAP_LOAD, p.LOAD_FULL, 1, 0, 0, 256, 3)),
         _message(p.ICAP_IOC_STATUS, bytes([p.ICAP_STATUS.size]) + bytes(p.ICAP_STATUS.size - 1)),
     ]
