@@ -35,6 +35,12 @@ class Busy(CmError):
     code = "busy"
 
 
+class Forbidden(CmError, PermissionError):
+    """Whoever asks has no right to it; the sentence says who that is and what it takes."""
+
+    code = "forbidden"
+
+
 class Timeout(CmError, TimeoutError):
     """A wait ended without what was waited for."""
 

@@ -26,6 +26,17 @@ def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags:
     _push(socket, frames[-1], flags)
 
 
+def receive_from(socket: zmq.Socket[bytes], flags: int = 0) -> tuple[str, list[bytes | memoryview]]:
+    """As `receive`, and the user id that authentication gave the connection; empty where it gave none."""
+    first = socket.recv(flags, False)
+    frames: list[bytes | memoryview] = [first.bytes if len(first) <= _SMALL else first.buffer]
+    try:
+        user = str(first.get("User-Id"))
+    except zmq.ZMQError:
+        user = ""
+    return user, frames + receive(socket, flags) if first.more else frames
+
+
 def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryview]:
     """As `recv_multipart`, but large frames are views of ZeroMQ's own memory. Raises zmq.Again."""
     pull = socket.recv

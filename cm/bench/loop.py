@@ -66,7 +66,7 @@ def looped_over_tcp(bench: Run, size: int) -> Iterator[Batch]:
     """The same for a client elsewhere: frames to the manager and back over ZeroMQ and TCP, as copies."""
     with ExitStack() as stack:
         address = f"tcp://127.0.0.1:{free_ports(3)}"
-        stack.enter_context(_serving(bench, size, "--listen", address))
+        stack.enter_context(_serving(bench, size, "--listen", address, "--insecure"))
         board = stack.enter_context(Board(address, timeout=PATIENCE))
         settle(board)
         reader = stack.enter_context(board.stream("from_pl", timeout=PATIENCE))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from cm.cli.keys import read_key_file, write_key_file
 from cm.errors import InvalidRequest
+from cm.rights.keys import FOLDER, authorized
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -16,8 +17,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "keygen",
         help="make keys for connections over TCP",
         description="Make CURVE keys. The folder holds server.key for 'cm serve --keys', and for each client a "
-        "NAME.key to take along and, in clients/, the NAME.pub by which the server knows it.",
+        "NAME.key to take along and, in authorized_keys.d/, the NAME.pub by which the server knows it and what it "
+        "may do. A manager notices keys that come and go by itself.",
     )
+    parser.add_argument(
+        "--role",
+        default="provision",
+        help="of the clients: observe, operate, provision (default), admin, or one of yours",
+    )
+    parser.add_argument("--expires", metavar="DAY", default="", help="last day of the clients' keys, as 2030-12-31")
     parser.add_argument("folder", metavar="DIR", type=Path)
     parser.add_argument("client", metavar="CLIENT", nargs="*", default=[], help="names of clients to make keys for")
     parser.set_defaults(run=run)
@@ -27,9 +35,11 @@ def run(args: argparse.Namespace) -> int:
     """Write key files; the exit status."""
     import zmq
 
+    authorized("", {"public": "0" * 40, "role": args.role, "expires": args.expires})  # refuses what is no day
+
     if not zmq.has("curve"):
         raise InvalidRequest("this ZeroMQ library was built without CURVE; keys cannot be made")
-    (args.folder / "clients").mkdir(mode=0o700, parents=True, exist_ok=True)
+    (args.folder / FOLDER).mkdir(mode=0o700, parents=True, exist_ok=True)
     server = args.folder / "server.key"
     if not server.exists():
         public, secret = zmq.curve_keypair()
@@ -41,6 +51,9 @@ def run(args: argparse.Namespace) -> int:
         path = args.folder / f"{name}.key"
         keys = {"server-public": server_public, "public": public, "secret": secret}
         write_key_file(path, keys, f"client {name}: for cm.connect(keys=...)")
-        write_key_file(args.folder / "clients" / f"{name}.pub", {"public": public}, f"client {name}")
+        said = {"public": public, "role": args.role.encode()}
+        if args.expires:
+            said["expires"] = args.expires.encode()
+        write_key_file(args.folder / FOLDER / f"{name}.pub", said, f"client {name}")
         print(f"{path}: for the client; cm.connect('tcp://...', keys='{path.name}')")
     return 0

@@ -4,16 +4,26 @@
 from __future__ import annotations
 
 import os
+import stat
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.errors import InvalidRequest
+from cm.errors import CmError, InvalidRequest
+from cm.rights.keys import FOLDER, authorized, pairs_of
 
 if TYPE_CHECKING:
     from cm.daemon.endpoints import Security
+    from cm.rights.model import AuthorizedKey
 
 
-def write_key_file(path: Path, keys: dict[str, bytes], comment: str) -> None:
+class ReadableKey(CmError, PermissionError):
+    """A secret key that others than its owner may read."""
+
+    code = "readable_key"
+
+
+def write_key_file(path: Path, keys: Mapping[str, bytes], comment: str) -> None:
     """Write a new file that only its owner can read. Raises InvalidRequest if it exists."""
     try:
         fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
@@ -26,20 +36,51 @@ def write_key_file(path: Path, keys: dict[str, bytes], comment: str) -> None:
 
 def read_key_file(path: Path) -> dict[str, bytes]:
     """The keys in a file by name."""
-    lines = path.read_text(encoding="ascii").splitlines()
-    pairs = (line.partition(":") for line in lines if line and not line.startswith("#"))
-    return {name.strip(): value.strip().encode() for name, _, value in pairs}
+    return {name: value.encode() for name, value in pairs_of(path.read_text(encoding="ascii")).items()}
 
 
 def load_server_keys(path: Path) -> Security:
-    """A server's keys, and the public keys of the clients it lets in (``*.pub`` in ``clients/`` beside the file)."""
+    """A server's keys. Raises InvalidRequest for another file, ReadableKey for one that others may read."""
     from cm.daemon.endpoints import Security
 
     keys = read_key_file(path)
     if not {"public", "secret"} <= keys.keys() or "server-public" in keys:
-        raise InvalidRequest(f"{path} is no server key file; 'cm keygen server' makes one")
-    clients = sorted((path.parent / "clients").glob("*.pub"))
-    allowed = frozenset(read_key_file(c)["public"] for c in clients)
-    if not allowed:
-        raise InvalidRequest(f"{path.parent / 'clients'} holds no client's .pub file, so nobody could connect")
-    return Security(keys["public"], keys["secret"], allowed)
+        raise InvalidRequest(f"{path} is no server key file; 'cm keygen' makes one")
+    status = path.stat()
+    if stat.S_IMODE(status.st_mode) & 0o077:
+        raise ReadableKey(
+            f"{path} can be read or written by others (mode {stat.S_IMODE(status.st_mode):04o}), who could pose as "
+            f"this board: chmod 600 {path}, and make new keys if somebody may have read it"
+        )
+    return Security(keys["public"], keys["secret"])
+
+
+Keys = tuple["AuthorizedKey", ...]
+
+
+def authorized_keys(server: Path, folder: Path | None) -> tuple[Keys, tuple[str, ...]]:
+    """The clients that may connect, and a sentence for each file that was left out.
+
+    Keys lie in ``authorized_keys.d/`` beside the server's, or in `folder`; where there are none, also in ``clients/``
+    beside it, as older versions of `cm keygen` wrote them.
+    """
+    place = folder or server.parent / FOLDER
+    found: dict[str, AuthorizedKey] = {}
+    left_out = []
+    for file in _files(place, server.parent / "clients"):
+        try:
+            key = authorized(file.stem, pairs_of(file.read_text(encoding="ascii")))
+        except (InvalidRequest, OSError, UnicodeDecodeError) as error:
+            left_out.append(f"{file}: this key is left out: {error}")
+            continue
+        first = found.setdefault(key.public, key)
+        if first is not key and first.name != key.name:
+            left_out.append(f"{file}: this key is left out: it is that of {first.name} already")
+    if not found:
+        left_out.append(f"{place} holds no client's key, so that nobody can connect over TCP: 'cm keygen' makes one")
+    return tuple(found.values()), tuple(left_out)
+
+
+def _files(*folders: Path) -> Iterator[Path]:
+    for folder in folders:
+        yield from sorted(path for path in folder.glob("*.pub") if not path.name.startswith("."))

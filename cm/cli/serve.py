@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.serve_options import (
+    access_of,
     configs_of,
     default_runtime_dir,
     default_state_dir,
+    group_of,
     limits_of,
     read_again,
     secure_as,
@@ -149,6 +151,9 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         logging.getLogger("cm").error("left out: %s", sentence)
     root = Root.of(args.root) if board is None else board.result()
     listen, keys, insecure = secure_as(args, settings)
+    access, notes = access_of(settings, keys)
+    for sentence in notes:
+        logging.getLogger("cm").warning("%s", sentence)
     example = args.sim and not args.config
     said = settings or Defaults()
     queue = args.stream_queue if args.stream_queue is not None else int(said.streams.queue_mib * (1 << 20))
@@ -160,6 +165,8 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         configs=configs,
         listen=tuple(listen),
         security=security_of(listen, keys, insecure),
+        access=access,
+        group=group_of(settings),
         name=args.name or said.name,
         metrics=args.metrics or said.metrics,
         load=args.load or said.load or ("camera" if example else ""),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import grp
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,11 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 from cm.errors import CmError, InvalidRequest
 from cm.settings.model import FILE as SETTINGS_FILE
+from cm.settings.model import Settings as Defaults
+from cm.wire.topics import split_tcp
 
 if TYPE_CHECKING:
     from cm.daemon.endpoints import Security
     from cm.daemon.host.reload import Reloaded
     from cm.daemon.limits import Limits
+    from cm.rights.model import Access
     from cm.schema.model import Config
     from cm.settings import Settings
 
@@ -98,13 +102,38 @@ def security_of(listen: Sequence[str], keys: Path | None, insecure: bool) -> Sec
 
         return load_server_keys(keys)
     for address in listen:
-        host = address.removeprefix("tcp://").rpartition(":")[0] or address
-        if not insecure and host not in _LOCAL:
+        host, _ = split_tcp(address)
+        if not insecure:
+            who = "every user of this machine" if host in _LOCAL else "anybody who reaches it"
             raise InsecureListen(
-                f"{address}: anybody who reaches it could change the hardware; "
+                f"{address}: {who} could change the hardware; "
                 "make keys ('cm keygen') and give --keys, or say --insecure"
             )
     return None
+
+
+def access_of(settings: Settings | None, keys: Path | None) -> tuple[Access, tuple[str, ...]]:
+    """Who may do what, and a sentence for each key that was left out."""
+    from cm.cli.keys import authorized_keys
+    from cm.rights.model import Access
+
+    said = (settings or Defaults()).access
+    known, left_out = authorized_keys(keys, said.keys) if keys else ((), ())
+    policy = Access(said.group, said.local, said.insecure, said.users, said.groups, said.guests, said.roles, known)
+    roles = {role for key in known for role in key.roles} - policy.names
+    notes = tuple(f"no role {role!r}, which a key names: it gives no right" for role in sorted(roles))
+    return policy, (*left_out, *notes)
+
+
+def group_of(settings: Settings | None) -> int | None:
+    """The group of the runtime folder. Raises InvalidRequest for one that this system does not have."""
+    name = (settings or Defaults()).access.group
+    if not name:
+        return None
+    try:
+        return int(name) if name.isdecimal() else grp.getgrnam(name).gr_gid
+    except KeyError:
+        raise InvalidRequest(f"access.group: this system has no group {name!r}") from None
 
 
 def default_state_dir(runtime: Path, sim: bool) -> Path:
@@ -141,8 +170,9 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
     settings = settings_of(args)
     configs, left_out = configs_of(paths, settings)
     listen, keys, insecure = secure_as(args, settings)
-    security = security_of(listen, keys, insecure)
-    return Reloaded(configs, security, (*left_out, *_needs_restart(began, settings)), not left_out)
+    security_of(listen, keys, insecure)
+    access, notes = access_of(settings, keys)
+    return Reloaded(configs, access, (*notes, *left_out, *_needs_restart(began, settings)), not left_out)
 
 
 def secure_as(args: argparse.Namespace, settings: Settings | None) -> tuple[Sequence[str], Path | None, bool]:
@@ -154,7 +184,11 @@ def secure_as(args: argparse.Namespace, settings: Settings | None) -> tuple[Sequ
 def _needs_restart(began: Settings | None, now: Settings | None) -> tuple[str, ...]:
     if began is None or now is None:
         return ()
-    names = [name for name in began.__slots__ if name != "configs" and getattr(began, name) != getattr(now, name)]
+    names = [
+        name
+        for name in began.__slots__
+        if name not in ("configs", "access") and getattr(began, name) != getattr(now, name)
+    ]
     return tuple(f"settings: {name} has changed; it counts after a restart" for name in names)
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from cm.errors import Busy, CmError, InvalidRequest, NotFound, Timeout
+from cm.errors import Busy, CmError, Forbidden, InvalidRequest, NotFound, Timeout
 from cm.messages.status import ErrorInfo
 
 
@@ -25,6 +25,10 @@ class RequestInvalid(RequestFailed, InvalidRequest):
 
 class RequestBusy(RequestFailed, Busy):
     """It is in use; try again later."""
+
+
+class RequestForbidden(RequestFailed, Forbidden):
+    """We have no right to it."""
 
 
 class RequestTimeout(RequestFailed, Timeout):
@@ -70,6 +74,7 @@ class TransferFailed(CmError):
 _KINDS: dict[str, type[RequestFailed]] = {
     **dict.fromkeys(("busy", "region_busy", "held_by", "stream_stopped", "no_slots"), RequestBusy),
     **dict.fromkeys(("invalid_request", "access", "out_of_range", "schema", "unsupported"), RequestInvalid),
+    "forbidden": RequestForbidden,
     **dict.fromkeys(("timeout", "step_timeout"), RequestTimeout),
     **dict.fromkeys(
         (

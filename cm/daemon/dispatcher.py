@@ -22,9 +22,11 @@ from cm.manager.manager import Manager
 from cm.messages import requests as rq
 from cm.messages.requests import Request
 from cm.messages.status import ErrorInfo, Reply
+from cm.rights.model import Role
 from cm.schema.model import Memory
 from cm.wire.decode import Frame, decode_request, split_text
 from cm.wire.encode import encode_reply
+from cm.wire.envelope import split_envelope
 from cm.wire.topics import READ_REG
 
 _PUBLISHED = b""  # the sender of all that is published to the manager; a connection's name is never empty
@@ -37,6 +39,7 @@ _WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
 class _Waiting:
     request: rq.Request
     respond: Respond
+    connection: str  # who asked, as `cm.rights` knows it
 
 
 class _Sender:
@@ -74,15 +77,15 @@ class Order:
         found = self._senders.get(sender) if self._senders else None
         return found is not None and bool(found.queue)
 
-    def take(self, sender: bytes, request: rq.Request, respond: Respond) -> None:
+    def take(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
         """Do what a request asks, now or in its turn."""
         state = self._senders.get(sender)
         if state is None or isinstance(request, _LOOKS) or not (state.queue or self._is_blocked(state, request)):
-            self._do(sender, request, respond)
+            self._do(sender, request, respond, connection)
         elif len(state.queue) >= _MOST:
             respond(refusal(Busy(f"{_MOST} requests wait for the end of a change; ask again after it")))
         else:
-            state.queue.append(_Waiting(request, respond))
+            state.queue.append(_Waiting(request, respond, connection))
 
     def _is_blocked(self, state: _Sender, request: rq.Request) -> bool:
         if isinstance(request, (rq.ChangeMode, rq.Provision)):
@@ -118,12 +121,12 @@ class Order:
         except CmError:  # one of another mode, or nothing is loaded: its handler says so
             return None
 
-    def _do(self, sender: bytes, request: rq.Request, respond: Respond) -> None:
+    def _do(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
         if isinstance(request, rq.Provision):
             respond = self._counted(sender, "stores", respond)
         elif self._writes_memory(request):
             respond = self._counted(sender, "writes", respond)
-        self._handlers.handle(request, respond, partial(self._began, sender))
+        self._handlers.handle(connection, request, respond, partial(self._began, sender))
 
     def _counted(self, sender: bytes, kind: str, respond: Respond) -> Respond:
         """Something that is under way until it is answered."""
@@ -154,7 +157,7 @@ class Order:
             return
         while state.queue and not self._is_blocked(state, state.queue[0].request):
             waiting = state.queue.popleft()
-            self._do(sender, waiting.request, waiting.respond)
+            self._do(sender, waiting.request, waiting.respond, waiting.connection)
         if state.idle:
             self._senders.pop(sender, None)
 
@@ -175,6 +178,7 @@ class Dispatcher:
     ) -> None:
         self._loop = loop
         self._sockets = sockets
+        self._gate = handlers.gate
         self._order = Order(handlers, manager)
         self._read_cache = read_cache
         self._publisher = publisher
@@ -185,15 +189,17 @@ class Dispatcher:
 
     def on_request(self) -> None:
         """A message on the ROUTER: answer it, now or when its work has ended."""
-        envelope, message = split_envelope(multipart.receive(self._sockets.req))
         self.taken += 1
+        connection, frames = multipart.receive_from(self._sockets.req)
+        envelope, message = split_envelope(frames)
         sender, again = bytes(envelope[0]), len(message) == 2 and message[0] == READ_REG
+        again = again and self._gate.everywhere(connection) >= Role.OBSERVE  # nothing keeps it from what others read
         if again and not self._order.waits(sender) and self._read_again(envelope, message[1]):
             return
         if len(message) == 1:
             message = split_text(message)
         topic = bytes(message[0]) if message else b""
-        self._dispatch(sender, message, partial(self._reply, envelope, topic))
+        self._dispatch(sender, connection, message, partial(self._reply, envelope, topic))
         if topic == READ_REG:
             self._read_cache.learn(message)
 
@@ -218,31 +224,18 @@ class Dispatcher:
     def on_message(self) -> None:
         """A message on the SUB: the same requests without a reply; what is wrong with them shows in the status."""
         self.taken += 1
-        self._dispatch(_PUBLISHED, multipart.receive(self._sockets.sub), self._fire_and_forget)
+        connection, frames = multipart.receive_from(self._sockets.sub)
+        self._dispatch(_PUBLISHED, connection, frames, self._fire_and_forget)
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:
             self.refused[reply.error.code] += 1
             self._note_error(reply.error)
 
-    def _dispatch(self, sender: bytes, frames: Sequence[bytes | memoryview], respond: Respond) -> None:
+    def _dispatch(self, sender: bytes, connection: str, frames: Sequence[Frame], respond: Respond) -> None:
         try:
             request: Request = decode_request(frames)
         except InvalidRequest as error:
             respond(refusal(error))
             return
-        self._order.take(sender, request, respond)
-
-
-def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
-    """What a ROUTER received → return path, message.
-
-    A REQ socket puts an empty frame between them; a DEALER may, with frames of its own before it, or
-    may send the message straight away.
-    """
-    if len(frames) > 1 and not frames[1]:  # most do
-        return frames[:2], frames[2:]
-    if len(frames) < 2 or bytes(frames[1][:3]) == b"cm_" or b"" not in frames[1:]:
-        return frames[:1], frames[1:]
-    cut = frames.index(b"", 1) + 1
-    return frames[:cut], frames[cut:]
+        self._order.take(sender, request, respond, connection)

@@ -13,10 +13,12 @@ from pathlib import Path
 import zmq
 
 from cm.daemon.connections import REQUESTS, TOPICS, listening
+from cm.daemon.folders import open_inside, own_folder, share
 from cm.daemon.limits import Limits
 from cm.device.base import AnyRoot
 from cm.device.paths import Root
 from cm.errors import Busy, InvalidRequest
+from cm.rights.principal import CURVE, IPC, TCP
 from cm.wire.plane_packets import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
 
@@ -36,9 +38,10 @@ class AlreadyServed(Busy):
 class FolderLock:
     """An flock on the runtime folder: it ends with the process, however that dies."""
 
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir(mode=0o750, parents=True, exist_ok=True)
-        self._fd = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
+    def __init__(self, folder: Path, group: int | None = None) -> None:
+        """Make the folder, for ourselves and a group. Raises UnsafeFolder for one that is not ours."""
+        own_folder(folder, group)
+        self._fd = open_inside(folder, "lock", os.O_RDWR | os.O_CREAT)
         try:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -85,8 +88,8 @@ class BoardLock:
 class Locks:
     """Both, held until `release`. Raises AlreadyServed."""
 
-    def __init__(self, folder: Path, root: AnyRoot) -> None:
-        self._folder = FolderLock(folder)
+    def __init__(self, folder: Path, root: AnyRoot, group: int | None = None) -> None:
+        self._folder = FolderLock(folder, group)
         try:
             self._board = BoardLock(root)
         except BaseException:
@@ -114,23 +117,31 @@ def _holder(fd: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Security:
-    """CURVE keys of the server, and of the clients that it lets in (Z85, 40 characters)."""
+    """CURVE keys of the server (Z85, 40 characters)."""
 
     public_key: bytes
     secret_key: bytes
-    clients: frozenset[bytes]
 
 
 _DEFAULTS = Limits()
 
 
 class Sockets:
-    """XPUB, SUB and ROUTER, bound. `waiting`: messages that may wait for each slow subscriber."""
+    """XPUB, SUB and ROUTER, bound. `waiting`: messages that may wait for each slow subscriber.
+
+    `group`: whose members may connect in the runtime folder; None: that of this process.
+    """
 
     def __init__(
-        self, context: zmq.Context[zmq.Socket[bytes]], runtime_dir: Path, waiting: int, limits: Limits = _DEFAULTS
+        self,
+        context: zmq.Context[zmq.Socket[bytes]],
+        runtime_dir: Path,
+        waiting: int,
+        limits: Limits = _DEFAULTS,
+        group: int | None = None,
     ) -> None:
         self._folder = runtime_dir
+        self._group = group
         self.ipc = ipc_endpoints(runtime_dir)
         self.pub = context.socket(zmq.XPUB)
         self.sub = context.socket(zmq.SUB)
@@ -144,6 +155,7 @@ class Sockets:
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IPV6, 1)
             socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
+            socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # where nobody answers who may enter, nobody may
             socket.setsockopt(zmq.MAXMSGSIZE, limits.message_bytes)
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE)
         for socket in (self.sub, self.req):
@@ -158,13 +170,15 @@ class Sockets:
     def bind_ipc(self) -> None:
         """Bind in the runtime folder; sockets left by a killed manager are replaced (the folder is locked)."""
         for socket, address in zip(self.all, (self.ipc.pub, self.ipc.sub, self.ipc.req), strict=True):
-            Path(address.removeprefix("ipc://")).unlink(missing_ok=True)
+            path = Path(address.removeprefix("ipc://"))
+            path.unlink(missing_ok=True)
+            socket.setsockopt_string(zmq.ZAP_DOMAIN, IPC)
             _bind(socket, address)
+            share(path, self._group)
 
     def bind_tcp(self, address: str, security: Security | None) -> Endpoints:
         """Bind three ports in a row, from any that are free for port 0; returns where. Raises InvalidRequest."""
-        if security is not None:
-            self._secure(security)
+        self._secure(security)
         host, port = split_tcp(address)
         self.tcp.append(self._bind_all(tcp_endpoints(address)) if port else self._bind_any(host))
         return self.tcp[-1]
@@ -192,12 +206,14 @@ class Sockets:
             return wanted
         raise InvalidRequest(f"cannot listen on tcp://{host}:0: no three ports in a row are free")
 
-    def _secure(self, security: Security) -> None:
+    def _secure(self, security: Security | None) -> None:
+        """For what is bound from now on."""
         for socket in self.all:
-            socket.setsockopt_string(zmq.ZAP_DOMAIN, "cm")
-            socket.curve_server = True
-            socket.curve_publickey = security.public_key
-            socket.curve_secretkey = security.secret_key
+            socket.setsockopt_string(zmq.ZAP_DOMAIN, TCP if security is None else CURVE)
+            if security is not None:
+                socket.curve_server = True
+                socket.curve_publickey = security.public_key
+                socket.curve_secretkey = security.secret_key
 
     def announce(self, metrics: str = "") -> None:
         """Write where this manager listens, for clients and people."""

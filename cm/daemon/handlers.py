@@ -17,7 +17,9 @@ from cm.daemon.lease_watch import LeaseWatch
 from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import MemoryTransfers
 from cm.daemon.replies import Respond, refusal
+from cm.daemon.sessions import Sessions
 from cm.daemon.streams.registry import Streams
+from cm.errors import CmError
 from cm.manager.access.leases import check_scope_names_something
 from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import Change
@@ -26,6 +28,7 @@ from cm.manager.planning.goals import hint
 from cm.manager.reporting.descriptions import config_list
 from cm.messages import requests as rq
 from cm.messages.status import ChangeInfo, Reply, Status
+from cm.rights.gate import Gate
 from cm.schema.model import Config
 
 _T = TypeVar("_T")
@@ -50,6 +53,7 @@ class Services:
     board: BoardWatch
     status: Callable[[], Status]
     complete: Callable[[Config], Config]  # adds what only the board knows
+    sessions: Sessions
     aside: Executor  # for what reads or writes files, so that the loop goes on
 
 
@@ -75,11 +79,21 @@ class Handlers:
             **DataHandlers(services.manager, services.streams, services.memories, services.board).table,
         }
 
-    def handle(self, request: rq.Request, respond: Respond, began: Began = _nobody_waits) -> None:
-        """Do what a request asks; whatever goes wrong becomes an error reply.
+    @property
+    def gate(self) -> Gate:
+        """Who may do what."""
+        return self._s.sessions.gate
+
+    def handle(self, connection: str, request: rq.Request, respond: Respond, began: Began = _nobody_waits) -> None:
+        """Do what a request over a connection asks; whatever goes wrong becomes an error reply.
 
         A change that this asks for is given to `began`; what that returns is called when the change has ended.
         """
+        try:
+            request = self._s.sessions.gate.admit(connection, request, self._s.sessions.scene)
+        except CmError as error:
+            respond(refusal(error))
+            return
         handler = self.table[type(request)]
         if isinstance(request, (rq.ChangeMode, rq.Provision)):
             self._guarded(partial(handler, request, respond, began), respond)

@@ -13,6 +13,7 @@ from cm.daemon.limits import Limits
 from cm.daemon.queue_limit import BYTES
 from cm.device import Root
 from cm.manager.manager import Settings
+from cm.rights.model import Access
 from cm.schema.model import Config
 
 
@@ -26,6 +27,8 @@ class Options:
     configs: Mapping[str, Config]
     listen: tuple[str, ...] = ()
     security: Security | None = None
+    access: Access = Access()  # noqa: RUF009 (frozen)
+    group: int | None = None  # of the runtime folder and its sockets; None: that of this process
     load: str = ""
     metrics: str = ""  # where to serve them: PORT on this machine, or HOST:PORT
     name: str = ""  # of the board, for people and to tell several apart; empty: that of its host

@@ -14,7 +14,6 @@ import zmq
 
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.connections import Connections
-from cm.daemon.curve import CurveAuthenticator
 from cm.daemon.dispatcher import Dispatcher
 from cm.daemon.endpoints import Locks, Sockets
 from cm.daemon.handlers import Handlers, Services
@@ -33,6 +32,7 @@ from cm.daemon.publisher import Publisher
 from cm.daemon.queue_limit import mark
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.sensor_watch import SensorWatch
+from cm.daemon.sessions import Sessions
 from cm.daemon.streams.acceptor import Acceptor
 from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
@@ -41,8 +41,11 @@ from cm.manager.manager import Environment, Manager
 from cm.manager.state.journal import Journal
 from cm.messages.requests import ChangeMode
 from cm.messages.status import ErrorInfo, RegValues, Status
+from cm.rights.gate import Gate
+from cm.rights.users import system_users
 from cm.schema.model import Config
 from cm.wire import topics
+from cm.zap import Authenticator
 
 _LOG = logging.getLogger("cm")
 _TICK = 1.0  # seconds between two looks at streams, records and a lost board
@@ -53,7 +56,7 @@ class Server:
 
     def __init__(self, options: Options) -> None:
         self._options = options
-        self._locks = Locks(options.runtime_dir, options.root)
+        self._locks = Locks(options.runtime_dir, options.root, options.group)
         self._loop = Loop()
         self._connections = Connections(options.limits)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -63,12 +66,16 @@ class Server:
         self._aside = ThreadPoolExecutor(1, "cm-files")
         configs = self._configs()
         waiting = mark(configs.values(), options.queue_bytes)
-        self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits)
+        self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
+        gate = Gate(options.access, system_users())
+        self._authenticator = Authenticator(self._context, gate.enter)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time)
         self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)
-        self._acceptor = Acceptor(self._loop, options.runtime_dir, self._streams.open_local, *self._streams.memories)
         self._manager = Manager(configs, self._environment(), leases)
+        self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
+        local = self._streams.open_local, *self._streams.memories, self._sessions.check_open, options.group
+        self._acceptor = Acceptor(self._loop, options.runtime_dir, *local)
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
@@ -79,7 +86,6 @@ class Server:
         self._metrics = Metrics(self._services(), self._dispatcher)
         self._sensors = SensorWatch(options.root, self._publisher.measured)
         self._statuses: deque[Status] = deque()
-        self._authenticator: CurveAuthenticator | None = None
         self._service = ServiceManager()
         self._reloader = self._make_reloader()
         self._last_logged = ""
@@ -96,10 +102,9 @@ class Server:
 
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
-        stored, complete = self._provisioner.configs, self._with_channels
-        surroundings = Surroundings(
-            self._manager, self._service, self._aside, loop.call_threadsafe, stored, complete, o.reload
-        )
+        stored, complete, renew = self._provisioner.configs, self._with_channels, self._sessions.renew
+        aside = self._aside, loop.call_threadsafe
+        surroundings = Surroundings(self._manager, renew, self._service, *aside, stored, complete, o.reload)
         return Reloader(surroundings, o.configs)
 
     def _with_channels(self, config: Config) -> Config:
@@ -120,6 +125,7 @@ class Server:
             leases=self._leases,
             memories=self._memories,
             board=self._board,
+            sessions=self._sessions,
             status=lambda: self._publisher.complete(self._status()),
             complete=self._with_channels,
             aside=self._aside,
@@ -151,15 +157,11 @@ class Server:
         self._loop.call_threadsafe(self._reloader.begin)
 
     def _bind(self) -> None:
+        self._loop.add_socket(self._authenticator.socket, self._authenticator.answer)
         self._sockets.bind_ipc()
         self._acceptor.open()
-        security = self._options.security
-        if security is not None:
-            self._authenticator = CurveAuthenticator(self._context, security.clients)
-            self._loop.add_socket(self._authenticator.socket, self._authenticator.answer)
-            self._reloader.authenticator = self._authenticator
         for address in self._options.listen:
-            bound = self._sockets.bind_tcp(address, security)
+            bound = self._sockets.bind_tcp(address, self._options.security)
             _LOG.info("listening on %s, %s, %s", bound.pub, bound.sub, bound.req)
         self._metrics.open(self._options.metrics)
         self._sensors.start()
@@ -182,11 +184,9 @@ class Server:
         users = (self._acceptor.close, self._streams.end, self._memories.close, self._interrupts.close)
         watches = (self._metrics.close, self._sensors.close, self._leases.close, self._aside.shutdown)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
-        for end in (self._manager.stop, *users, *watches, *board):
+        last = (self._authenticator.close, self._context.term)
+        for end in (self._manager.stop, *users, *watches, *board, *last):
             end()
-        if self._authenticator is not None:
-            self._authenticator.close()
-        self._context.term()
         self._loop.close()
         self._locks.release()
 
@@ -240,6 +240,7 @@ class Server:
         self._manager.flush()
         self._streams.refresh()
         self._reloader.continue_waiting()
+        self._sessions.look()
         self._board.look()
         self._connections.tell()
         if self._streams.any_open:

@@ -15,6 +15,7 @@ from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
+from cm.settings.access import access, unknown_roles
 from cm.settings.model import (
     FILE,
     DmaSettings,
@@ -78,6 +79,8 @@ def _settings(values: Mapping[str, Any]) -> Settings:
 
 
 def _value(name: str, value: Any) -> Any:
+    if name == "access":
+        return access(value)
     if name in _GROUPS:
         return _GROUPS[name](**{key: Path(part) if key in _PATHS else part for key, part in value.items()})
     if name in _PATHS:
@@ -110,9 +113,11 @@ class _Reading:
         self._root = structure.fit(tree, self._report_at)
         for path, code, message, hint in structure.values(self._root):
             self._report_at(locate(self._root, path), path, code, message, hint)
+        found: dict[str, Any] = plain(self._root)
+        for path, message, hint in () if self._problems else unknown_roles(found.get("access", {})):
+            self._report_at(locate(self._root, path), path, "unknown_role", message, hint)
         if self._problems:
             raise SettingsError(sorted(self._problems, key=lambda problem: (problem.line, problem.column)))
-        found: dict[str, Any] = plain(self._root)
         return found
 
     def _report_mark(self, mark: Mark, code: str, message: str, hint: str) -> None:

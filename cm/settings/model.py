@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
+
+from cm.rights.model import Grant
 
 FILE = Path("/etc/cm/cm.yaml")
 SEARCH_PATH = ("/etc/cm/configs", "/lib/firmware/cm/*")
@@ -43,6 +47,28 @@ class PolicySettings:
     older: str = "allow"
 
 
+def _nobody() -> Mapping[str, tuple[str, ...]]:
+    return MappingProxyType({})
+
+
+def _no_roles() -> Mapping[str, Grant]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class AccessSettings:
+    """Who may do what (`cm.rights.model.Access`); `keys` is the folder of authorized keys."""
+
+    group: str = ""
+    local: tuple[str, ...] = ("provision",)
+    insecure: tuple[str, ...] = ("provision",)
+    users: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
+    guests: Mapping[str, tuple[str, ...]] = field(default_factory=_nobody)
+    roles: Mapping[str, Grant] = field(default_factory=_no_roles)
+    keys: Path | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class LimitSettings:
     """What one client (`…_each`), and all together, may take of the manager; see docs/limits.md."""
@@ -78,3 +104,4 @@ class Settings:
     imports: ImportSettings = ImportSettings()
     policy: PolicySettings = PolicySettings()
     limits: LimitSettings = LimitSettings()
+    access: AccessSettings = AccessSettings()

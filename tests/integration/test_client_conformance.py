@@ -53,7 +53,7 @@ PICTURE = (np.arange(480 * 640) % 251).astype(np.uint8).reshape(480, 640)
 @pytest.fixture(scope="module")
 def both() -> Iterator[tuple[Manager, SimBoard]]:
     """A manager that listens on ipc and tcp."""
-    with served(arguments=("--listen", "tcp://127.0.0.1:0")) as served_:
+    with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as served_:
         yield served_
 
 
@@ -512,7 +512,7 @@ def test_after_its_end_a_board_says_so_whatever_is_asked(reach: tuple[str, dict[
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 @pytest.mark.parametrize("way", ["ipc", "tcp"])
 def test_who_waits_hears_at_once_of_a_manager_that_dies(kind: str, way: str) -> None:
-    with served(arguments=("--listen", "tcp://127.0.0.1:0")) as (manager, _), ExitStack() as clients:
+    with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _), ExitStack() as clients:
         board = clients.enter_context(connected(kind, timeout=20, **reached(manager, way)))
         board.load("camera", "default")
         asked: list[BaseException] = []

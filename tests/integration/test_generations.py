@@ -19,7 +19,7 @@ from cm.messages.status import RegValues
 
 @pytest.fixture(scope="module")
 def listening() -> Iterator[Manager]:
-    with served(arguments=("--listen", "tcp://127.0.0.1:0")) as (manager, _):
+    with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _):
         yield manager
 
 

@@ -36,7 +36,18 @@ def listening(env: dict[str, str] | None = None, more: Sequence[str] = ()) -> It
     """A manager that listens on TCP as well, and where."""
     with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
         state, listen = str(folder / "state"), "tcp://127.0.0.1:0"
-        arguments = ("--config", str(CAMERA), "--root", str(sim.root), "--state-dir", state, "--listen", listen, *more)
+        arguments = (
+            "--config",
+            str(CAMERA),
+            "--root",
+            str(sim.root),
+            "--state-dir",
+            state,
+            "--listen",
+            listen,
+            "--insecure",
+            *more,
+        )
         manager = Manager(folder / "run", *arguments, env=env)
         manager.start()
         try:

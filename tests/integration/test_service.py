@@ -156,6 +156,6 @@ def test_a_reload_lets_new_keys_in(service: Service) -> None:
     assert not service.answers("second", timeout=1)
     service.reload()
     assert service.answers("second", timeout=20)
-    (service.keys / "clients/first.pub").unlink()
+    (service.keys / "authorized_keys.d/first.pub").unlink()
     service.reload()
     assert not service.answers("first", timeout=1)

@@ -6,15 +6,17 @@ from __future__ import annotations
 import json
 import os
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import zmq
 
-from cm.daemon.curve import CurveAuthenticator
+from cm import multipart
 from cm.daemon.endpoints import ENDPOINTS_FILE, AlreadyServed, BoardLock, FolderLock, Security, Sockets
 from cm.errors import InvalidRequest
+from cm.zap import Authenticator
 
 WAIT = 20_000  # ms
 
@@ -30,6 +32,24 @@ def sockets(context: zmq.Context[zmq.Socket[bytes]], tmp_path: Path) -> Iterator
     made = Sockets(context, tmp_path, waiting=7)
     yield made
     made.close()
+
+
+@pytest.fixture
+def everybody(context: zmq.Context[zmq.Socket[bytes]]) -> Iterator[None]:
+    """Somebody answers that everybody may enter."""
+    guard, stop = Authenticator(context, lambda *_: "anybody"), threading.Event()
+
+    def answer() -> None:
+        while not stop.is_set():
+            if guard.socket.poll(20):
+                guard.answer()
+        guard.close()
+
+    thread = threading.Thread(target=answer)
+    thread.start()
+    yield
+    stop.set()
+    thread.join()
 
 
 def port(address: str) -> int:
@@ -80,6 +100,7 @@ def test_publishing_keeps_so_many_messages_and_tells_of_a_full_queue(sockets: So
     assert [s.getsockopt(zmq.LINGER) for s in sockets.all] == [0, 0, 0]
 
 
+@pytest.mark.usefixtures("everybody")
 def test_a_subscriber_that_comes_again_is_told_of_again(sockets: Sockets, context) -> None:
     sockets.bind_ipc()
     with context.socket(zmq.SUB) as one, context.socket(zmq.SUB) as two:
@@ -90,6 +111,7 @@ def test_a_subscriber_that_comes_again_is_told_of_again(sockets: Sockets, contex
             assert sockets.pub.recv() == b"\x01cm_status"
 
 
+@pytest.mark.usefixtures("everybody")
 def test_only_topics_of_ours_are_taken_from_publishers(sockets: Sockets, context) -> None:
     sockets.bind_ipc()
     with context.socket(zmq.PUB) as client:
@@ -124,41 +146,48 @@ def test_a_root_without_sysfs_is_locked_itself(tmp_path: Path) -> None:
     lock.release()
 
 
-# ---- keys ------------------------------------------------------------------------------
+# ---- who is let in ---------------------------------------------------------------------
 
 
-def ask(context: zmq.Context[zmq.Socket[bytes]], guard: CurveAuthenticator, *frames: bytes) -> list[bytes]:
+def ask(context: zmq.Context[zmq.Socket[bytes]], guard: Authenticator, *frames: bytes) -> list[bytes]:
     """What ZeroMQ is answered about a connection."""
     with context.socket(zmq.REQ) as asking:
         asking.linger = 0
         asking.connect("inproc://zeromq.zap.01")
-        asking.send_multipart([b"1.0", b"17", b"cm", b"127.0.0.1", b"", *frames])
+        asking.send_multipart([b"1.0", b"17", *frames])
         assert guard.socket.poll(WAIT)
         guard.answer()
         assert asking.poll(WAIT)
         return asking.recv_multipart()
 
 
-def test_known_keys_are_let_in_and_no_others(context) -> None:
+def test_zeromq_is_told_who_may_enter_and_under_which_id(context) -> None:
     known, other = zmq.curve_keypair()[0], zmq.curve_keypair()[0]
-    guard = CurveAuthenticator(context, {known})
     raw = {key: zmq.utils.z85.decode(key) for key in (known, other)}
-    assert ask(context, guard, b"CURVE", raw[known]) == [b"1.0", b"17", b"200", b"OK", b"client", b""]
-    refused = [b"1.0", b"17", b"400", b"this key is not known here", b"", b""]
-    assert ask(context, guard, b"CURVE", raw[other]) == refused
-    assert ask(context, guard, b"NULL") == refused
-    assert ask(context, guard, b"PLAIN", raw[known]) == refused
-    guard.let_in({other})
-    assert ask(context, guard, b"CURVE", raw[other])[2] == b"200"
-    assert ask(context, guard, b"CURVE", raw[known])[2] == b"400"
+    asked = []
+
+    def admit(*introduction: str) -> str | None:
+        asked.append(introduction)
+        return "me" if introduction[3] == known.decode() else None
+
+    guard = Authenticator(context, admit)
+    at = (b"curve", b"127.0.0.1", b"")
+    assert ask(context, guard, *at, b"CURVE", raw[known]) == [b"1.0", b"17", b"200", b"OK", b"me", b""]
+    refused = [b"1.0", b"17", b"400", b"not known here", b"", b""]
+    assert ask(context, guard, *at, b"CURVE", raw[other]) == refused
+    assert ask(context, guard, *at, b"CURVE", b"short") == refused
+    assert ask(context, guard, b"ipc", b"localhost:1:2:3", b"", b"NULL") == refused
+    assert ask(context, guard, b"ipc") == refused
+    assert asked[0] == ("curve", "127.0.0.1", "CURVE", known.decode())
+    assert asked[-1] == ("ipc", "localhost:1:2:3", "NULL", "")
     guard.answer()  # nothing is asked: nothing happens
     guard.close()
 
 
-def test_a_client_with_a_known_key_gets_through_over_tcp(sockets: Sockets, context) -> None:
+def test_who_is_let_in_over_tcp_stands_beside_what_it_sends(sockets: Sockets, context) -> None:
     (public, secret), (mine, my_secret) = zmq.curve_keypair(), zmq.curve_keypair()
-    guard = CurveAuthenticator(context, {mine})
-    bound = sockets.bind_tcp("tcp://127.0.0.1:0", Security(public, secret, frozenset({mine})))
+    guard = Authenticator(context, lambda *introduction: f"somebody with {introduction[3]}")
+    bound = sockets.bind_tcp("tcp://127.0.0.1:0", Security(public, secret))
     with context.socket(zmq.DEALER) as client:
         client.linger = 0
         client.curve_serverkey, client.curve_publickey, client.curve_secretkey = public, mine, my_secret
@@ -167,5 +196,6 @@ def test_a_client_with_a_known_key_gets_through_over_tcp(sockets: Sockets, conte
         assert guard.socket.poll(WAIT)
         guard.answer()
         assert sockets.req.poll(WAIT)
-        assert sockets.req.recv_multipart()[1:] == [b"hello"]
+        user, frames = multipart.receive_from(sockets.req)
+        assert (user, frames[1:]) == (f"somebody with {mine.decode()}", [b"hello"])
     guard.close()

@@ -8,11 +8,10 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
-from cm.daemon.curve import CurveAuthenticator
-from cm.daemon.endpoints import Security
 from cm.daemon.host.systemd import ServiceManager
 from cm.errors import CmError
 from cm.manager.manager import Manager
+from cm.rights.model import Access
 from cm.schema.model import Config
 
 _LOG = logging.getLogger("cm")
@@ -20,10 +19,10 @@ _LOG = logging.getLogger("cm")
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """What was read: configurations by name, keys (None: none), and what needs a restart to take effect."""
+    """What was read: configurations by name, who may do what, and what needs a restart to take effect."""
 
     configs: Mapping[str, Config]
-    security: Security | None = None
+    access: Access
     notes: tuple[str, ...] = ()
     whole: bool = True  # whether every schema on the search path was good
 
@@ -33,6 +32,7 @@ class Surroundings:
     """What a reloader works with. `read` runs aside; None: there is nothing to read again."""
 
     manager: Manager
+    renew: Callable[[Access], None]
     service: ServiceManager
     aside: Executor
     in_loop: Callable[[Callable[[], None]], None]
@@ -51,7 +51,6 @@ class Reloader:
     def __init__(self, surroundings: Surroundings, configs: Mapping[str, Config]) -> None:
         """`configs`: those of the start; ones that a later reading lacks are forgotten."""
         self._s = surroundings
-        self.authenticator: CurveAuthenticator | None = None
         self._waiting: dict[str, Config | None] = {}  # None: to be forgotten
         self._ours = frozenset(configs)
 
@@ -71,8 +70,7 @@ class Reloader:
         self._s.in_loop(lambda: self._apply(found, stored))
 
     def _apply(self, found: Reloaded, stored: Mapping[str, Config]) -> None:
-        if self.authenticator is not None and found.security is not None:
-            self.authenticator.let_in(found.security.clients)
+        self._s.renew(found.access)
         # One that is damaged has no name, so that nothing that was known is taken for removed meanwhile.
         gone = self._ours - found.configs.keys() - stored.keys() if found.whole else frozenset()
         # Configurations that clients provisioned stand over those of the search path, as at the start.

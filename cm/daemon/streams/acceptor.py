@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from cm.daemon.folders import share
 from cm.daemon.loop import Loop
 from cm.daemon.streams.allocations import Allocations
 from cm.daemon.streams.echo import Echoes
@@ -30,12 +31,17 @@ class Acceptor:
         enter: Callable[[socket.socket, Open], None],
         echoes: Echoes,
         allocations: Allocations,
+        check: Callable[[socket.socket, Open], None],
+        group: int | None = None,
     ) -> None:
+        """`check` raises Forbidden for what a connection has no right to; `group` may connect beside ourselves."""
         self._loop = loop
         self._path = folder.absolute() / packets.SOCKET
         self._enter = enter
         self._echoes = echoes
         self._allocations = allocations
+        self._check = check
+        self._group = group
         self._waiting: dict[int, socket.socket] = {}
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 
@@ -43,6 +49,7 @@ class Acceptor:
         """Bind and listen; what a killed manager left is replaced (the folder is locked)."""
         self._path.unlink(missing_ok=True)
         self._listener.bind(str(self._path))
+        share(self._path, self._group)
         self._listener.listen(_BACKLOG)
         self._loop.add(self._listener.fileno(), self._accept)
 
@@ -75,6 +82,7 @@ class Acceptor:
                 connection.send(encode_refused("device_error", str(error)))
 
     def _admit(self, connection: socket.socket, wanted: Open) -> None:
+        self._check(connection, wanted)
         if wanted.echo:
             self._echoes.open(os.dup(connection.fileno()), wanted)
         elif wanted.allocate:

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Folders that must be ours: nobody else may have put in them what we open, or put a link in their place."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from cm.errors import CmError
+
+FOLDER_MODE, SOCKET_MODE = 0o750, 0o660
+
+
+class UnsafeFolder(CmError, PermissionError):
+    """A folder that somebody else could have prepared."""
+
+    code = "unsafe_folder"
+
+
+def own_folder(folder: Path, group: int | None = None, mode: int = FOLDER_MODE) -> None:
+    """Make a folder where there is none; with a group, give it that. Raises UnsafeFolder if it is another's.
+
+    Ours is one that belongs to this user (or, which nobody can better, to root), is no link, and that no others may
+    write to. A link further up is followed only where all above it is safe too: /var/run is one on most systems.
+    """
+    folder.mkdir(mode=mode, parents=True, exist_ok=True)
+    fd = _opened(folder)
+    try:
+        status = os.fstat(fd)
+        if status.st_uid not in (os.geteuid(), 0):
+            raise UnsafeFolder(f"{folder} belongs to user {status.st_uid}, not to this one ({os.geteuid()})")
+        if status.st_mode & stat.S_IWOTH:
+            raise UnsafeFolder(f"{folder} can be written by everybody: chmod o-w {folder}, or choose another")
+        if group is not None and (status.st_gid != group or not status.st_mode & stat.S_IXGRP):
+            _give(fd, folder, group, stat.S_IMODE(status.st_mode) | 0o050)
+    finally:
+        os.close(fd)
+
+
+def _give(fd: int, folder: Path, group: int, mode: int) -> None:
+    try:
+        os.fchown(fd, -1, group)
+        os.fchmod(fd, mode)
+    except PermissionError:
+        raise UnsafeFolder(
+            f"{folder} cannot be given to group {group}: only root, and members of it, can do that"
+        ) from None
+
+
+def _opened(folder: Path) -> int:
+    flags = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
+    try:
+        return os.open(folder, flags)
+    except NotADirectoryError:
+        raise UnsafeFolder(f"{folder} is no folder, or a link to one: name the folder itself") from None
+
+
+def open_inside(folder: Path, name: str, flags: int, mode: int = 0o640) -> int:
+    """Open a file of a folder, following no link at its end. Raises UnsafeFolder for one, OSError."""
+    try:
+        fd = os.open(folder / name, flags | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+    except OSError as error:
+        if not (folder / name).is_symlink():
+            raise
+        raise UnsafeFolder(f"{folder / name} is a link; what it leads to is left alone") from error
+    if not stat.S_ISREG(os.fstat(fd).st_mode):
+        os.close(fd)
+        raise UnsafeFolder(f"{folder / name} is no file")
+    return fd
+
+
+def share(path: Path, group: int | None) -> None:
+    """A socket in a folder of ours: for this user and a group."""
+    if group is not None:
+        os.chown(path, -1, group, follow_symlinks=False)
+    path.chmod(SOCKET_MODE)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where everything that comes in is let through or stopped. One thread, that of the daemon's loop."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from cm.errors import Forbidden
+from cm.messages.requests import Request
+from cm.rights import policy
+from cm.rights.model import Access, Need, Rights, Role
+from cm.rights.needs import Scene, least, needs_of, resolved
+from cm.rights.policy import Users
+from cm.rights.principal import CURVE, NOBODY, Principal, from_id, introduced
+
+_KEPT = 4096  # connections whose rights are remembered
+
+
+@dataclass(frozen=True, slots=True)
+class _Known:
+    """Somebody, what it may do, and the highest role that nothing narrows."""
+
+    who: Principal
+    rights: Rights
+    everywhere: Role
+
+
+_UNKNOWN = _Known(NOBODY, policy.NOTHING, Role.NONE)
+
+
+class Gate:
+    """Knows who somebody is and what it may do; forgets all of that when the policy is renewed.
+
+    A `connection` is the id of its principal, as it stands beside each of its messages.
+    """
+
+    def __init__(self, access: Access, users: Users, now: Callable[[], float] = time.time) -> None:
+        self._access = access
+        self._users = users
+        self._now = now
+        self._known: dict[str, _Known] = {}
+        self._origins: dict[str, set[Principal]] | None = {}  # who came over TCP, by address
+        self._looked = now()
+
+    def renew(self, access: Access) -> Callable[[Principal], bool]:
+        """Another policy from now on; tells of anybody whether its rights are others than they were."""
+        before, self._access = self._access, access
+        self._known.clear()
+
+        def changed(who: Principal) -> bool:
+            old, new = (policy.rights_of(who, said, self._users) for said in (before, access))
+            return old != new
+
+        return changed
+
+    def expired(self) -> frozenset[str]:
+        """The keys that have expired since this was asked last."""
+        since, self._looked = self._looked, self._now()
+        ends = ((key.public, key.until) for key in self._access.keys)
+        return frozenset(public for public, until in ends if until is not None and since < until <= self._looked)
+
+    def from_address(self, address: str) -> Iterable[Principal]:
+        """All who may have come over TCP from an address: every key, once too many have."""
+        if self._origins is None:
+            return [introduced(CURVE, address, "CURVE", key.public) for key in self._access.keys]
+        return self._origins.get(address.removeprefix("::ffff:"), ())
+
+    def principal(self, connection: str) -> Principal:
+        """Who a connection belongs to."""
+        return self._look_up(connection).who
+
+    def rights(self, connection: str) -> Rights:
+        """What may be asked over a connection; nothing once its key has expired."""
+        return self._current(connection).rights
+
+    def everywhere(self, connection: str) -> Role:
+        """The highest role that a connection has for everything."""
+        return self._current(connection).everywhere
+
+    def enter(self, domain: str, address: str, mechanism: str, key: str) -> str | None:
+        """The id of a new connection; None for who may do nothing at all."""
+        who = introduced(domain, address, mechanism, key)
+        if self.rights(who.id).role == Role.NONE:
+            return None
+        if self._origins is not None and who.address:
+            self._origins.setdefault(who.address.removeprefix("::ffff:"), set()).add(who)
+            if sum(map(len, self._origins.values())) > _KEPT:
+                self._origins = None
+        return who.id
+
+    def _current(self, connection: str) -> _Known:
+        known = self._look_up(connection)
+        until = known.rights.until
+        return known if until is None or self._now() < until else _UNKNOWN
+
+    def _look_up(self, connection: str) -> _Known:
+        found = self._known.get(connection)
+        if found is None:
+            if len(self._known) >= _KEPT:
+                self._known.clear()
+            found = self._known[connection] = self._find_out(connection)
+        return found
+
+    def _find_out(self, connection: str) -> _Known:
+        who = policy.known_as(from_id(connection), self._access, self._users)
+        rights = policy.rights_of(who, self._access, self._users)
+        return _Known(who, rights, rights.everywhere)
+
+    def admit(self, connection: str, request: Request, scene: Callable[[], Scene]) -> Request:
+        """The request as it may be carried out. Raises Forbidden, and what the scene raises for what is not there."""
+        known, need = self._current(connection), least(request)
+        if known.everywhere >= need.role:
+            return request
+        if known.rights.role < need.role:
+            raise Forbidden(_sentence(self.principal(connection), need))
+        seen = scene()
+        request = resolved(request, seen)
+        self.check(connection, *needs_of(request, seen))
+        return request
+
+    def check(self, connection: str, *needs: Need) -> None:
+        """Raise Forbidden for what is not allowed."""
+        missing = policy.lacking(self.rights(connection), needs)
+        if missing is not None:
+            raise Forbidden(_sentence(self.principal(connection), missing))
+
+
+def _sentence(who: Principal, need: Need) -> str:
+    named = {"configuration": need.config, "region": need.region, "register": need.register, "data": need.data}
+    what = [f"{kind} {name!r}" for kind, name in named.items() if name not in (None, "*")]
+    on = f" on {', '.join(what)}" if what else ""
+    return f"{who} has no right to {need.topic or 'this'}{on}; it takes the role {need.role.name.lower()} there"

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Roles, what narrows them, and who has which: what an administrator says, as data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from fnmatch import fnmatchcase
+from types import MappingProxyType
+
+ALL = ("*",)
+
+
+class Role(IntEnum):
+    """Each may do what those before it may."""
+
+    NONE = 0
+    OBSERVE = 1  # look at all that the board holds and tells
+    OPERATE = 2  # change modes, registers, streams and memories; take leases
+    PROVISION = 3  # bring configurations, take back one's own, define memories
+    ADMIN = 4  # take away what is others': leases, configurations; speak for others
+
+
+def role_named(name: str) -> Role:
+    """A role by its name in settings and key files. Raises KeyError."""
+    return Role[name.upper()]
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """One thing that a request touches; None where it touches nothing of that kind, ``*`` where all."""
+
+    role: Role
+    topic: str
+    config: str | None = None
+    region: str | None = None
+    register: str | None = None  # or register.field
+    data: str | None = None  # a stream, or a memory
+
+
+@dataclass(frozen=True, slots=True)
+class Grant:
+    """A role for what matches all of these patterns (``*``, ``?``, ``[…]``)."""
+
+    role: Role
+    topics: tuple[str, ...] = ALL
+    configs: tuple[str, ...] = ALL
+    regions: tuple[str, ...] = ALL
+    registers: tuple[str, ...] = ALL
+    data: tuple[str, ...] = ALL
+
+    def allows(self, need: Need) -> bool:
+        """Whether this grant alone is enough."""
+        return (
+            self.role >= need.role
+            and _match(need.topic, self.topics)
+            and _match(need.config, self.configs)
+            and _match(need.region, self.regions)
+            and (_match(need.register, self.registers) or _match(_register_of(need.register), self.registers))
+            and _match(need.data, self.data)
+        )
+
+
+def _register_of(name: str | None) -> str | None:
+    return name.partition(".")[0] if name else name
+
+
+def _match(name: str | None, patterns: tuple[str, ...]) -> bool:
+    return name is None or patterns == ALL or any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+@dataclass(frozen=True, slots=True)
+class Rights:
+    """What somebody may do: whatever one of the grants allows. `until`: CLOCK_REALTIME seconds.
+
+    `under`: rights that must allow it too, of a bridge that speaks for somebody.
+    """
+
+    grants: tuple[Grant, ...] = ()
+    until: float | None = None
+    under: Rights | None = None
+
+    @property
+    def role(self) -> Role:
+        """The highest, however narrow."""
+        own = max((grant.role for grant in self.grants), default=Role.NONE)
+        return min(own, self.under.role) if self.under else own
+
+    @property
+    def everywhere(self) -> Role:
+        """The highest that nothing narrows."""
+        own = max((grant.role for grant in self.grants if grant == Grant(grant.role)), default=Role.NONE)
+        return min(own, self.under.everywhere) if self.under else own
+
+    def allow(self, need: Need) -> bool:
+        """Whether one thing may be done."""
+        return any(grant.allows(need) for grant in self.grants) and (self.under is None or self.under.allow(need))
+
+
+@dataclass(frozen=True, slots=True)
+class AuthorizedKey:
+    """A client's public key (Z85), and what its holder may do."""
+
+    public: str
+    name: str
+    roles: tuple[str, ...] = ("provision",)
+    until: float | None = None  # CLOCK_REALTIME seconds
+
+
+def _empty() -> Mapping[str, tuple[str, ...]]:
+    return MappingProxyType({})
+
+
+def _no_roles() -> Mapping[str, Grant]:
+    return MappingProxyType({})
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Who has which roles. `roles` are narrowed ones, with names of their own; lists of roles add up.
+
+    `group` owns the sockets of the runtime folder; `local` is for all who can connect to them and are not named;
+    the manager's own user and root are always admin. `insecure`: over TCP without keys. `guests`: those for whom a
+    bridge speaks, by name; ``*`` for all others.
+    """
+
+    group: str = ""
+    local: tuple[str, ...] = ("provision",)
+    insecure: tuple[str, ...] = ("provision",)
+    users: Mapping[str, tuple[str, ...]] = field(default_factory=_empty)
+    groups: Mapping[str, tuple[str, ...]] = field(default_factory=_empty)
+    guests: Mapping[str, tuple[str, ...]] = field(default_factory=_empty)
+    roles: Mapping[str, Grant] = field(default_factory=_no_roles)
+    keys: tuple[AuthorizedKey, ...] = ()
+
+    @property
+    def names(self) -> frozenset[str]:
+        """All roles that there are."""
+        return frozenset((*(role.name.lower() for role in Role if role), *self.roles))

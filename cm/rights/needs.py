@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What requests touch: from a request and what is loaded to needs. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from cm.messages import requests as rq
+from cm.rights.model import Need, Role
+from cm.schema.model import Config, ConfigType
+
+STATIC = "static"  # the part outside all regions
+_READ_CONFIG, _WRITE_CONFIG = "cm_read_config", "cm_write_config"
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What requests are understood by: the loaded configuration, its mode; `target`: where a change goes.
+
+    `target` raises what the manager would raise: UnknownMode and the like.
+    """
+
+    loaded: Config | None
+    mode: str | None
+    target: Callable[[rq.ChangeMode], tuple[Config, str]]
+
+
+def least(request: rq.Request) -> Need:
+    """The role that a request takes at least; for a kind that is not known here an admin's."""
+    kind = _KINDS.get(type(request))
+    return Need(kind.role, kind.topic) if kind else Need(Role.ADMIN, "")
+
+
+def needs_of(request: rq.Request, scene: Scene) -> Iterator[Need]:
+    """Everything that a request touches."""
+    kind, base = _KINDS.get(type(request)), least(request)
+    yield from kind.parts(base, request, scene) if kind and kind.parts else (base,)
+
+
+def resolved(request: rq.Request, scene: Scene) -> rq.Request:
+    """A change with configuration and mode by name, so that what is checked is what is done."""
+    if isinstance(request, rq.ChangeMode):
+        config, mode = scene.target(request)
+        return replace(request, config_name=config.name, mode=mode, name_or_mode="")
+    return request
+
+
+def _named_config(base: Need, request: rq.ReadConfig | rq.PlanChange, scene: Scene) -> Iterator[Need]:
+    yield replace(base, config=request.config_name or _loaded(scene))
+
+
+def _cancel(base: Need, _: rq.CancelChange, __: Scene) -> Iterator[Need]:
+    """The change that runs may be of any configuration."""
+    yield replace(base, config="*")
+
+
+def _change(base: Need, request: rq.ChangeMode, scene: Scene) -> Iterator[Need]:
+    """A mode touches the regions of its modules; another configuration, or a whole image, all there are."""
+    config, mode = scene.target(request)
+    loaded = scene.loaded
+    regions = {config.modules[name].region for name in config.modes[mode].modules}
+    if loaded is None or loaded.name != config.name or config.type is ConfigType.FULL or request.force:
+        regions |= {STATIC, *config.regions, *(loaded.regions if loaded else ())}
+    yield replace(base, config=config.name)
+    if loaded is not None and loaded.name != config.name:
+        yield replace(base, config=loaded.name)
+    for region in regions:
+        yield replace(base, config=config.name, region=region)
+
+
+def _provision(base: Need, _: rq.Provision, __: Scene) -> Iterator[Need]:
+    """Its name is known when its schema has been read: `provisioning` is asked then."""
+    yield base
+
+
+def opening(name: str, writes: bool, scene: Scene) -> Need:
+    """To open a stream where frames are not copied, or memory there."""
+    role, topic = (Role.OPERATE, "cm_write_data") if writes else (Role.OBSERVE, "cm_read_data")
+    return next(_data(Need(role, topic), rq.ReadData(name), scene))
+
+
+def provisioning(name: str) -> Need:
+    """To store a configuration, or to remove it."""
+    return Need(Role.PROVISION, _WRITE_CONFIG, name)
+
+
+def _registers(base: Need, request: rq.ReadReg | rq.WriteReg, scene: Scene) -> Iterator[Need]:
+    names = request.names if isinstance(request, rq.ReadReg) else [write.name for write in request.writes]
+    config = _loaded(scene)
+    if not names:
+        yield replace(base, config=config, region="*", register="*")
+    visible = scene.loaded.visible_registers(scene.mode) if scene.loaded else {}
+    for name in names:
+        register = visible.get(name.partition(".")[0])
+        region = register.region or STATIC if register else "*"  # of what is not there: whoever may touch all
+        yield replace(base, config=config, region=region, register=name)
+
+
+def _data(base: Need, request: Any, scene: Scene) -> Iterator[Need]:
+    name = request.name if isinstance(request, (rq.DescribeData, rq.DefineMemory)) else request.stream
+    yield replace(base, config=_loaded(scene), region=_region_of(name, scene), data=name or "*")
+
+
+def _region_of(name: str, scene: Scene) -> str:
+    """Of a stream or memory; all of them for what is not there, or was defined at run time."""
+    if scene.loaded is None:
+        return "*"
+    mode = scene.loaded.modes.get(scene.mode or "")
+    found = (mode.streams if mode else {}).get(name) or scene.loaded.streams.get(name)
+    other = scene.loaded.visible_memories(mode.name if mode else None).get(name)
+    if found is None and other is None:
+        return "*"
+    return (found.region if found else other.region if other else None) or STATIC
+
+
+def _take(base: Need, request: rq.TakeLease, scene: Scene) -> Iterator[Need]:
+    """Who keeps others off something must be allowed to touch it."""
+    kind, _, name = request.scope.partition(":")
+    if kind == "region":
+        yield replace(base, region=name)
+    elif kind == "registers":
+        yield from _registers(base, rq.ReadReg((name,)), scene)
+    elif kind == "memories":
+        yield replace(base, region=_region_of(name, scene), data=name)
+    else:
+        yield replace(base, config="*", region="*", register="*", data="*")
+
+
+def _loaded(scene: Scene) -> str | None:
+    return scene.loaded.name if scene.loaded else None
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    role: Role
+    topic: str
+    parts: Callable[[Need, Any, Scene], Iterator[Need]] | None = None
+
+
+_KINDS: dict[type, _Kind] = {
+    rq.ReadStatus: _Kind(Role.OBSERVE, "cm_status"),
+    rq.ReadConfig: _Kind(Role.OBSERVE, _READ_CONFIG, _named_config),
+    rq.ListConfigs: _Kind(Role.OBSERVE, _READ_CONFIG),
+    rq.PlanChange: _Kind(Role.OBSERVE, _READ_CONFIG, _named_config),
+    rq.ChangeMode: _Kind(Role.OPERATE, _WRITE_CONFIG, _change),
+    rq.CancelChange: _Kind(Role.OPERATE, _WRITE_CONFIG, _cancel),
+    rq.Provision: _Kind(Role.PROVISION, _WRITE_CONFIG, _provision),
+    rq.ReadReg: _Kind(Role.OBSERVE, "cm_read_reg", _registers),
+    rq.WriteReg: _Kind(Role.OPERATE, "cm_write_reg", _registers),
+    rq.DescribeData: _Kind(Role.OBSERVE, "cm_data_config", _data),
+    rq.ConfigureStream: _Kind(Role.OPERATE, "cm_data_config", _data),
+    rq.DefineMemory: _Kind(Role.PROVISION, "cm_data_config", _data),
+    rq.ReadData: _Kind(Role.OBSERVE, "cm_read_data", _data),
+    rq.WriteData: _Kind(Role.OPERATE, "cm_write_data", _data),
+    rq.ReadIrq: _Kind(Role.OBSERVE, "cm_irq"),
+    rq.TakeLease: _Kind(Role.OPERATE, "cm_lease", _take),
+    rq.RenewLease: _Kind(Role.OPERATE, "cm_lease"),
+    rq.ReleaseLease: _Kind(Role.OPERATE, "cm_lease"),
+}

@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What stands before a command: the way back, as ROUTER, REQ and DEALER sockets have it."""
+
+from __future__ import annotations
+
+from cm.wire.decode import Frame
+
+
+def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
+    """What a ROUTER received → return path, message.
+
+    A REQ socket puts an empty frame between them; a DEALER may, with frames of its own before it, or
+    may send the message straight away.
+    """
+    if len(frames) > 1 and not frames[1]:  # most do
+        return frames[:2], frames[2:]
+    if len(frames) < 2 or bytes(frames[1][:3]) == b"cm_" or b"" not in frames[1:]:
+        return frames[:1], frames[1:]
+    cut = frames.index(b"", 1) + 1
+    return frames[:cut], frames[cut:]
