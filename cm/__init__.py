@@ -13,24 +13,43 @@ from cm._version import __version__
 
 if TYPE_CHECKING:
     from cm import aio as aio
+    from cm import device as device
+    from cm import errors as errors
     from cm.client.board import Board as Board
     from cm.client.board import connect as connect
+    from cm.client.picture import Picture as Picture
     from cm.errors import CmError as CmError
 
-__all__ = ["Board", "CmError", "__version__", "aio", "connect"]
+__all__ = ["Board", "CmError", "Picture", "__version__", "aio", "connect", "device", "errors"]
+
+# name → the module that has it, or that it is
+_WHERE = {
+    "Board": "cm.client.board",
+    "CmError": "cm.errors",
+    "Picture": "cm.client.picture",
+    "aio": "cm.aio",
+    "connect": "cm.client.board",
+    "device": "cm.device",
+    "errors": "cm.errors",
+}
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("connect", "Board"):
-        from cm.client import board
+    where = _WHERE.get(name)
+    if where is None:
+        raise AttributeError(_missing(name))
+    from importlib import import_module
 
-        return getattr(board, name)
-    if name == "aio":
-        import importlib
+    module = import_module(where)
+    return module if where == f"cm.{name}" else getattr(module, name)
 
-        return importlib.import_module("cm.aio")
-    if name == "CmError":
-        from cm.errors import CmError
 
-        return CmError
-    raise AttributeError(f"module 'cm' has no attribute {name!r}")
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+def _missing(name: str) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(name, _WHERE, 1)
+    return f"module 'cm' has no attribute {name!r}" + (f"; did you mean {near[0]!r}?" if near else "")

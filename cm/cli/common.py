@@ -5,11 +5,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any, TextIO
+from typing import Any
 
 
 def completes(argument: argparse.Action, *words: str) -> None:
@@ -61,50 +59,3 @@ def print_table(rows: Iterable[Sequence[object]], headers: Sequence[str]) -> Non
 
 def _is_number(text: str) -> bool:
     return text.replace(".", "", 1).lstrip("-").isdigit()
-
-
-class Progress:
-    """A progress bar on stderr, drawn only where that is a terminal; a context manager.
-
-    with Progress("loading") as progress:
-        handle.wait(progress=progress.update)
-    """
-
-    def __init__(self, label: str, stream: TextIO | None = None) -> None:
-        self._label = label
-        self._stream = sys.stderr if stream is None else stream
-        self._visible = self._stream.isatty()
-        self._drawn = ""
-
-    def update(self, fraction: float, note: str = "") -> None:
-        """Show `fraction` (0 to 1; what lies outside is clipped) and a word about what goes on."""
-        if not self._visible:
-            return
-        import shutil  # half a MiB, needed only for a progress bar
-
-        line = bar(self._label, fraction, note, shutil.get_terminal_size().columns - 1)
-        if line != self._drawn:
-            self._stream.write("\r" + line.ljust(len(self._drawn)))
-            self._stream.flush()
-            self._drawn = line
-
-    def __enter__(self) -> Progress:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._drawn:  # leave the line clean for what comes next
-            self._stream.write("\r" + " " * len(self._drawn) + "\r")
-            self._stream.flush()
-
-
-def bar(label: str, fraction: float, note: str, columns: int) -> str:
-    """One line such as ``loading [#####     ]  50 % prr0``, at most `columns` wide."""
-    fraction = min(max(fraction, 0.0), 1.0)
-    tail = f" {round(100 * fraction):3d} %" + (f" {note}" if note else "")
-    width = min(40, columns - len(label) - len(tail) - 3)
-    if width < 5:
-        return (label + tail)[:columns]
-    done = round(width * fraction)
-    return f"{label} [{'#' * done}{' ' * (width - done)}]{tail}"

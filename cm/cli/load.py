@@ -7,7 +7,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from cm.cli.client import connected
-from cm.cli.common import Progress, add_connection_options, add_json_option, completes, print_json
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json
 
 if TYPE_CHECKING:
     from cm.client.board import Board
@@ -46,14 +46,7 @@ def go(board: Board, args: argparse.Namespace, config: str, mode: str) -> int:
         change = board.load_async(config, mode, queue=not args.no_queue, force=args.force)
         _tell(args, {"change": change.number, "done": False}, f"change {change.number} is under way")
         return 0
-    with Progress(f"{config}/{mode}" if config else mode) as progress:
-        seconds = board.load(
-            config,
-            mode,
-            progress=lambda p: progress.update(p.fraction, f"{p.step} {p.subject}"),
-            queue=not args.no_queue,
-            force=args.force,
-        )
+    seconds = board.load(config, mode, progress=True, queue=not args.no_queue, force=args.force)
     status = board.status
     told = {"config_name": status.config_name, "mode": status.mode, "seconds": seconds, "done": True}
     _tell(args, told, f"{status.config_name}/{status.mode} after {seconds * 1000:.1f} ms")

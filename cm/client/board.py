@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -31,12 +31,14 @@ from cm.client.interrupts import Interrupts
 from cm.client.lease import BoardLease
 from cm.client.link import Link, Subscription
 from cm.client.memories import Memories, Memory
+from cm.client.progress import OnProgress, Shown
 from cm.client.registers import Registers
 from cm.client.sockets import Sockets, closed
 from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream
 from cm.client.zmq_frames import Wanted
+from cm.messages import html
 from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Progress, Status, StreamStatus
+from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
@@ -161,7 +163,7 @@ class Board(Guarded):
         config: str = "",
         mode: str = "",
         *,
-        progress: Callable[[Progress], None] | None = None,
+        progress: OnProgress | bool | None = None,
         timeout: float | None = None,
         queue: bool = True,
         force: bool = False,
@@ -169,15 +171,17 @@ class Board(Guarded):
     ) -> float:
         """Go to a mode of a configuration and wait until the board is there; returns the seconds it took.
 
-        Raises RequestFailed (the board is then where the sentence says), ConnectionLost, NoAnswer.
+        `progress` is called with each step. Without it a notebook shows a bar; True draws one on a terminal too,
+        False none anywhere. Raises RequestFailed (the board is then where the sentence says), ConnectionLost, NoAnswer.
         """
         call = self._leases.carried(calls.load(config, mode, wait=True, queue=queue, force=force, lease=lease))
-        subscription = self.subscribe(*StatusEvents.topics) if progress else None
-        try:
-            return self.run(change.loading(call, timeout, subscription, progress))
-        finally:
-            if subscription is not None:
-                subscription.close()
+        with Shown(progress, config, mode) as shown:
+            subscription = self.subscribe(*StatusEvents.topics) if shown.tell else None
+            try:
+                return self.run(change.loading(call, timeout, subscription, shown.tell))
+            finally:
+                if subscription is not None:
+                    subscription.close()
 
     def load_async(
         self, config: str = "", mode: str = "", *, queue: bool = True, force: bool = False, lease: str = ""
@@ -353,6 +357,10 @@ class Board(Guarded):
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
         self.close()
+
+    def _repr_html_(self) -> str:
+        """For notebooks: where it is, and its status now."""
+        return html.paragraph(repr(self)) + ("" if self._sockets.closed else html.status(self.status))
 
     def __repr__(self) -> str:
         return f"<board at {self._place.endpoints.req}{', closed' if self._sockets.closed else ''}>"

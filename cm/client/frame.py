@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from cm.client.picture import has_rows, png
 from cm.errors import InvalidRequest
 from cm.messages.status import FrameInfo
 
@@ -43,6 +44,10 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
     def copy(self, order: Any = "C") -> npt.NDArray[Any]:
         """The content as a plain, writable array."""
         return np.array(self, order=order, copy=True, subok=False)
+
+    def _repr_png_(self) -> bytes | None:
+        """For notebooks: the picture, where it is one."""
+        return png(self.copy()) if has_rows(np.asarray(self)) else None
 
     def release(self) -> None:
         """Give the memory back before the last reference to the frame has gone; nothing where it is our own."""

@@ -205,6 +205,9 @@ class LocalFrame(Frame):
         self._check()
         return super().copy(order)
 
+    def _repr_png_(self) -> bytes | None:
+        return None if self.released else super()._repr_png_()
+
     def __getitem__(self, key: Any) -> Any:
         self._check()
         return super().__getitem__(key)

@@ -11,6 +11,7 @@ from cm.client.core.events import RegisterEvents
 from cm.client.core.generations import Written
 from cm.client.errors import RequestNotFound
 from cm.client.events import EventStream
+from cm.messages import html
 from cm.messages.status import RegisterInfo, RegValues
 
 if TYPE_CHECKING:
@@ -105,6 +106,10 @@ class Registers(MutableMapping[str, int]):
 
     def __repr__(self) -> str:
         return f"<registers of {self._board!r}>"
+
+    def _repr_html_(self) -> str:
+        """For notebooks: what the schema says of each, and what it holds now."""
+        return html.registers(self.info.values(), self.read())
 
     def _ipython_key_completions_(self) -> list[str]:
         return registers.names(self.info)

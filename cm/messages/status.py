@@ -141,6 +141,11 @@ class Status:
     generation: int = 0  # of the registers: grows with every write by a request, and with every change
     sensors: tuple[SensorStatus, ...] = ()  # of the board; within the last seconds
 
+    def _repr_html_(self) -> str:
+        from cm.messages import html  # for notebooks: nobody else needs it
+
+        return html.status(self)
+
 
 class RegValue(NamedTuple):
     """A register's value and those of its fields."""
@@ -270,6 +275,11 @@ class PlanInfo:
     bytes: int
     seconds: float
     clocks: tuple[ClockStatus, ...] = ()  # that would be set
+
+    def _repr_html_(self) -> str:
+        from cm.messages import html
+
+        return html.plan(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,10 +17,11 @@ import pytest
 import cm.cli.commands
 from cm._version import __version__
 from cm.cli.commands import COMMANDS, Command
-from cm.cli.common import Progress, add_connection_options, bar, print_json, print_table
+from cm.cli.common import add_connection_options, print_json, print_table
 from cm.cli.completion import SHELLS, script
 from cm.cli.main import main
 from cm.cli.parser import Parser
+from cm.client.progress import TextBar, bar
 from cm.errors import Busy
 
 CAMERA = Path(cm.cli.commands.__file__).parents[1] / "data" / "camera" / "camera.yaml"
@@ -292,7 +293,7 @@ class Terminal(io.StringIO):
 
 def test_progress_is_drawn_on_a_terminal_and_wiped() -> None:
     terminal = Terminal()
-    with Progress("loading", terminal) as progress:
+    with TextBar("loading", terminal) as progress:
         progress.update(0.5, "prr0")
     lines = terminal.getvalue().split("\r")
     assert lines[1].startswith("loading [####")
@@ -302,7 +303,7 @@ def test_progress_is_drawn_on_a_terminal_and_wiped() -> None:
 
 def test_progress_is_silent_where_nobody_watches() -> None:
     stream = io.StringIO()
-    with Progress("loading", stream) as progress:
+    with TextBar("loading", stream) as progress:
         progress.update(0.5)
     assert stream.getvalue() == ""
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import asyncio
 import os
 import weakref
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -35,10 +35,11 @@ from cm.client.core.leases import HeldLeases
 from cm.client.core.values import mode_name
 from cm.client.frame import Frame
 from cm.client.guard import Guarded
+from cm.client.progress import OnProgress, Shown
 from cm.client.sockets import Sockets, closed
 from cm.client.zmq_frames import Wanted
 from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Progress, Status, StreamStatus
+from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
 from cm.wire.plane_packets import Open
 
 _T = TypeVar("_T")
@@ -145,7 +146,7 @@ class Board(Guarded):
         config: str = "",
         mode: str = "",
         *,
-        progress: Callable[[Progress], None] | None = None,
+        progress: OnProgress | bool | None = None,
         timeout: float | None = None,
         queue: bool = True,
         force: bool = False,
@@ -153,15 +154,17 @@ class Board(Guarded):
     ) -> float:
         """Go to a mode of a configuration and wait until the board is there; returns the seconds it took.
 
-        Raises RequestFailed (the board is then where the sentence says), ConnectionLost, NoAnswer.
+        `progress` is called with each step. Without it a notebook shows a bar; True draws one on a terminal too,
+        False none anywhere. Raises RequestFailed (the board is then where the sentence says), ConnectionLost, NoAnswer.
         """
         call = self._leases.carried(calls.load(config, mode, wait=True, queue=queue, force=force, lease=lease))
-        subscription = self.subscribe(*StatusEvents.topics) if progress else None
-        try:
-            return await self.run(change.loading(call, timeout, subscription, progress))
-        finally:
-            if subscription is not None:
-                subscription.close()
+        with Shown(progress, config, mode) as shown:
+            subscription = self.subscribe(*StatusEvents.topics) if shown.tell else None
+            try:
+                return await self.run(change.loading(call, timeout, subscription, shown.tell))
+            finally:
+                if subscription is not None:
+                    subscription.close()
 
     async def load_async(
         self, config: str = "", mode: str = "", *, queue: bool = True, force: bool = False, lease: str = ""

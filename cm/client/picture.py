@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arrays as pictures: PNG files, written here so that looking at a frame needs no further package."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cm.errors import InvalidRequest
+
+Array = npt.NDArray[Any]
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_COLOUR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}  # channels → PNG's: grey, grey + alpha, RGB, RGBA (ISO/IEC 15948, 11.2.2)
+
+
+class Picture:
+    """An array that a notebook shows: (rows, columns), or with 1 to 4 channels behind.
+
+    uint8 is shown as it is, bool as black and white, complex numbers by their magnitude; all others from their
+    least value (black) to their greatest (white).
+    """
+
+    def __init__(self, array: npt.ArrayLike) -> None:
+        """Raises InvalidRequest for what has no rows and columns."""
+        self.array: Array = np.asarray(array)
+        if not has_rows(self.array):
+            raise InvalidRequest(
+                f"no picture: an array of {self.array.shape} has no rows and columns of 1 to 4 channels"
+            )
+
+    def _repr_png_(self) -> bytes:
+        return png(self.array)
+
+    def __repr__(self) -> str:
+        return f"<picture of {self.array.shape} {self.array.dtype}>"
+
+
+def has_rows(array: Array) -> bool:
+    """Whether an array can be a picture."""
+    return array.size > 0 and (array.ndim == 2 or (array.ndim == 3 and array.shape[2] in _COLOUR_TYPES))
+
+
+def png(array: Array) -> bytes:
+    """A PNG file of an array that `has_rows`, as `Picture` shows it."""
+    pixels = _bytes_of(array)
+    rows, columns = pixels.shape[:2]
+    head = struct.pack(">IIBBBBB", columns, rows, 8, _COLOUR_TYPES[pixels.shape[2]], 0, 0, 0)
+    lines = np.zeros((rows, 1 + columns * pixels.shape[2]), np.uint8)  # each begins with its filter: 0, none
+    lines[:, 1:] = pixels.reshape(rows, -1)
+    data = zlib.compress(lines.tobytes(), 6)
+    return b"".join((_SIGNATURE, _chunk(b"IHDR", head), _chunk(b"IDAT", data), _chunk(b"IEND", b"")))
+
+
+def _bytes_of(array: Array) -> npt.NDArray[np.uint8]:
+    """(rows, columns, channels) of uint8."""
+    pixels = array if array.ndim == 3 else array[:, :, np.newaxis]
+    if pixels.dtype == np.uint8:
+        return pixels
+    if pixels.dtype == np.bool_:
+        return pixels.astype(np.uint8) * np.uint8(255)
+    return _scaled(np.abs(pixels) if np.iscomplexobj(pixels) else pixels)
+
+
+def _scaled(pixels: Array) -> npt.NDArray[np.uint8]:
+    values = pixels.astype(np.float64)
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    if high == low:
+        return np.zeros(values.shape, np.uint8)
+    shares = (np.clip(np.nan_to_num(values, nan=low, posinf=high, neginf=low), low, high) - low) / (high - low)
+    return np.asarray(np.rint(shares * 255), np.uint8)
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))

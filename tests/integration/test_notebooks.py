@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The notebooks of the docs run from top to bottom against `cm serve --sim`, and show what they say."""
+
+from __future__ import annotations
+
+import base64
+import io
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+from manager_process import REPOSITORY, Manager, environment, short_folder
+from PIL import Image
+
+NOTEBOOKS = sorted((REPOSITORY / "docs/notebooks").glob("*.ipynb"))
+
+
+@contextmanager
+def serving() -> Iterator[Manager]:
+    """`cm serve --sim`, as the notebooks ask for it."""
+    with short_folder() as folder:
+        manager = Manager(folder / "run", "--sim")
+        manager.start()
+        try:
+            yield manager
+        finally:
+            manager.stop()
+
+
+@pytest.fixture(scope="module")
+def executed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Each notebook after it has run; an error in a cell is an error here."""
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    folder = tmp_path_factory.mktemp("notebooks")
+    done = {}
+    with serving() as manager, pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of jupyter's packages among themselves
+        patch.setenv("CM_RUNTIME_DIR", str(manager.runtime))
+        patch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
+        patch.setenv("IPYTHONDIR", str(folder))
+        patch.setenv("JUPYTER_RUNTIME_DIR", str(folder))
+        for path in NOTEBOOKS:
+            notebook = nbformat.read(path, as_version=4)
+            nbclient.NotebookClient(
+                notebook, timeout=120, startup_timeout=120, resources={"metadata": {"path": str(folder)}}
+            ).execute()
+            done[path.stem] = notebook
+    return done
+
+
+def outputs(notebook: Any, kind: str) -> list[str]:
+    """What its cells show as a MIME type."""
+    shown = [output.get("data", {}) for cell in notebook.cells for output in cell.get("outputs", ())]
+    return [data[kind] for data in shown if kind in data]
+
+
+def printed(notebook: Any) -> str:
+    return "".join(output.get("text", "") for cell in notebook.cells for output in cell.get("outputs", ()))
+
+
+def pictures(notebook: Any) -> list[Image.Image]:
+    return [Image.open(io.BytesIO(base64.b64decode(data))) for data in outputs(notebook, "image/png")]
+
+
+def test_there_are_three_of_them_without_outputs() -> None:
+    assert [path.stem for path in NOTEBOOKS] == ["first-look", "focus", "modes"]
+    for path in NOTEBOOKS:
+        text = path.read_text()
+        assert '"outputs": []' in text
+        assert text.count('"outputs"') == text.count('"outputs": []') == text.count('"execution_count": null')
+
+
+@pytest.mark.timeout(600)
+def test_the_first_look_shows_board_plan_registers_and_a_frame(executed: dict[str, Any]) -> None:
+    notebook = executed["first-look"]
+    shown = outputs(notebook, "text/html")
+    assert "camera/default" in shown[0]
+    assert any("load edge into prr0" in text for text in shown)
+    assert any("camera/edge_detection" in text and "<th" in text for text in shown)
+    assert any("1 slow" in text and "threshold" in text for text in shown)
+    assert "did you mean 'threshold'?" in printed(notebook)
+    assert [picture.size for picture in pictures(notebook)] == [(640, 480)]
+
+
+@pytest.mark.timeout(600)
+def test_the_camera_focuses(executed: dict[str, Any]) -> None:
+    assert printed(executed["focus"]).count("<- sharpest") == 1
+    assert [picture.size for picture in pictures(executed["focus"])] == [(1280, 480)]
+
+
+@pytest.mark.timeout(600)
+def test_modes_are_shown_side_by_side(executed: dict[str, Any]) -> None:
+    assert [(p.size, p.mode) for p in pictures(executed["modes"])] == [((1920, 480), "L"), ((640, 480), "RGB")]
+    assert "frame_done" in printed(executed["modes"])
+
+
+@pytest.mark.timeout(600)
+def test_a_load_draws_a_bar_that_goes(executed: dict[str, Any]) -> None:
+    """It is shown in place of itself: what is left of it at the end is nothing."""
+    assert not any("<progress" in text for notebook in executed.values() for text in outputs(notebook, "text/html"))
+    assert "" in outputs(executed["modes"], "text/html")
