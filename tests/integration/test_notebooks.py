@@ -37,6 +37,9 @@ def executed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     done = {}
     with serving() as manager, pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of jupyter's packages among themselves
+        import nbclient
+        import nbformat
+
         patch.setenv("CM_RUNTIME_DIR", str(manager.runtime))
         patch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
         patch.setenv("IPYTHONDIR", str(folder))
