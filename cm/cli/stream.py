@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from cm.cli.capture import add_arguments, run_capture
 from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
 from cm.errors import InvalidRequest
@@ -29,10 +30,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )  # fmt: skip
     _add_settings(settings)
     settings.set_defaults(run=run_set)
-    capture = actions.add_parser("capture", help="write frames to a .npy file, or to PNG files")
+    capture = actions.add_parser("capture", help="write frames to files, or to standard output")
     completes(capture.add_argument("stream", metavar="STREAM"), "<stream>")
-    capture.add_argument("file", metavar="FILE", type=Path, help="NAME.npy, or NAME.png (numbered if several)")
-    capture.add_argument("--count", type=int, default=1, metavar="N", help="so many frames")
+    add_arguments(capture)
     capture.set_defaults(run=run_capture)
     play = actions.add_parser("play", help="send the frames of a .npy file to the hardware")
     completes(play.add_argument("stream", metavar="STREAM"), "<stream>")
@@ -139,42 +139,6 @@ def _flow(stream: StreamStatus) -> tuple[str, ...]:
         f"{stream.rate:.1f}/s",
         f"{stream.latency_us:.0f} us",
     )
-
-
-def run_capture(args: argparse.Namespace) -> int:
-    """Write frames to files; the exit status."""
-    with connected(args) as board, board.stream(args.stream) as stream:
-        frames = [(frame.copy(), frame.sequence) for frame in islice(stream, args.count)]
-    arrays = [array for array, _ in frames]
-    if args.file.suffix == ".npy":
-        files = [args.file]
-        np.save(args.file, arrays[0] if args.count == 1 else np.stack(arrays))
-    elif args.file.suffix == ".png":
-        files = _numbered(args.file, args.count)
-        for path, array in zip(files, arrays, strict=True):
-            _write_png(path, array)
-    else:
-        raise InvalidRequest(f"{args.file}: frames are written as .npy or .png")
-    told = {"files": [str(f) for f in files], "sequences": [n for _, n in frames], "shape": arrays[0].shape}
-    if args.json:
-        print_json(told)
-    else:
-        print(f"{len(frames)} frames of {arrays[0].shape} {arrays[0].dtype} in {', '.join(map(str, files))}")
-    return 0
-
-
-def _numbered(path: Path, count: int) -> list[Path]:
-    if count == 1:
-        return [path]
-    return [path.with_name(f"{path.stem}-{i:04d}{path.suffix}") for i in range(count)]
-
-
-def _write_png(path: Path, array: np.ndarray) -> None:
-    try:
-        from PIL import Image
-    except ModuleNotFoundError:
-        raise InvalidRequest("PNG files need Pillow: pip install 'fpga-cm[demo]', or write a .npy file") from None
-    Image.fromarray(array).save(path)
 
 
 def run_play(args: argparse.Namespace) -> int:

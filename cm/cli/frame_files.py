@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames as they come → files that are whole after each of them, whatever ends the capture."""
+
+from __future__ import annotations
+
+import io
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, Protocol
+
+import numpy as np
+
+from cm.errors import CmError, InvalidRequest
+
+_HEADER = 128  # bytes of a .npy header with room for any number of frames: written anew with each
+FORMATS = ("npy", "png", "raw")
+
+
+class Incomplete(CmError):
+    """A frame could not be written; those before it are there."""
+
+    code = "io"
+
+
+class Sink(Protocol):
+    """Where frames go."""
+
+    files: list[str]
+
+    def add(self, frame: np.ndarray[Any, Any]) -> str:
+        """Write one; a remark for people, if there is one. Raises OSError; what was written before stays whole."""
+
+    def close(self) -> None:
+        """No more."""
+
+
+class NpyFiles:
+    """Frames along the first axis of a .npy file (`alone`: one frame, as it is); another shape begins another file."""
+
+    def __init__(self, path: Path, alone: bool) -> None:
+        self.files: list[str] = []
+        self._path, self._alone = path, alone
+        self._file: IO[bytes] | None = None
+        self._like: tuple[Any, ...] = ()
+        self._count = 0
+
+    def add(self, frame: np.ndarray[Any, Any]) -> str:
+        remark = ""
+        if self._file is not None and self._like != (frame.shape, frame.dtype):
+            remark = f"frames of {frame.shape} {frame.dtype} go on in another file"
+            self.close()
+        if self._file is None:
+            self._begin(frame)
+        self._append(frame)
+        return remark
+
+    def _begin(self, frame: np.ndarray[Any, Any]) -> None:
+        number = len(self.files) + 1
+        path = self._path if number == 1 else self._path.with_name(f"{self._path.stem}-{number}{self._path.suffix}")
+        self._file = path.open("wb", buffering=0)
+        self.files.append(str(path))
+        self._like, self._count = (frame.shape, frame.dtype), 0
+        self._tell()
+
+    def _append(self, frame: np.ndarray[Any, Any]) -> None:
+        assert self._file is not None
+        end = _HEADER + self._count * frame.nbytes
+        try:
+            _write(self._file.fileno(), frame, end)
+        except OSError:
+            self._file.truncate(end)
+            raise
+        self._count += 1
+        self._tell()
+
+    def _tell(self) -> None:
+        """Overwrites what is there: a full disk has room for it."""
+        assert self._file is not None
+        shape, dtype = self._like
+        text = f"{{'descr': {np.lib.format.dtype_to_descr(dtype)!r}, 'fortran_order': False, 'shape': "
+        text += f"{shape if self._alone else (self._count, *shape)!r}, }}"
+        body = text.ljust(_HEADER - 11).encode() + b"\n"
+        os.pwrite(self._file.fileno(), b"\x93NUMPY\x01\x00" + len(body).to_bytes(2, "little") + body, 0)
+
+    def close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+
+class PngFiles:
+    """A picture for each frame, numbered if there are several; what is no picture goes into a .npy file beside."""
+
+    def __init__(self, path: Path, alone: bool) -> None:
+        self.files: list[str] = []
+        self._path, self._alone = path, alone
+        self._number = 0
+
+    def add(self, frame: np.ndarray[Any, Any]) -> str:
+        path = self._path if self._alone else self._path.with_name(f"{self._path.stem}-{self._number:04d}.png")
+        self._number += 1
+        if not is_picture(frame):
+            return self._beside(path.with_suffix(".npy"), frame)
+        self._write(path, png(frame))
+        return ""
+
+    def _beside(self, path: Path, frame: np.ndarray[Any, Any]) -> str:
+        data = io.BytesIO()
+        np.save(data, frame)
+        self._write(path, data.getvalue())
+        why = "flat bytes, without a shape" if frame.ndim == 1 else f"of shape {frame.shape} {frame.dtype}"
+        return f"{path.name}: {why}, is no picture (cm stream set NAME --shape says what it is)"
+
+    def _write(self, path: Path, data: bytes) -> None:
+        try:
+            path.write_bytes(data)
+        except OSError:
+            with suppress(OSError):
+                path.unlink()
+            raise
+        self.files.append(str(path))
+
+    def close(self) -> None:
+        """Each file is closed already."""
+
+
+class Raw:
+    """The bytes of all frames, one after the other, in a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.files = [str(path)]
+        self._file = path.open("wb", buffering=0)
+        self._end = 0
+
+    def add(self, frame: np.ndarray[Any, Any]) -> str:
+        try:
+            _write(self._file.fileno(), frame, self._end)
+        except OSError:
+            self._file.truncate(self._end)
+            raise
+        self._end += frame.nbytes
+        return ""
+
+    def close(self) -> None:
+        self._file.close()
+
+
+class Output:
+    """Frames on a stream such as standard output: .npy or .png files one after the other, or bare bytes."""
+
+    def __init__(self, to: IO[bytes], form: str) -> None:
+        self.files = ["-"]
+        self._to, self._form = to, form
+
+    def add(self, frame: np.ndarray[Any, Any]) -> str:
+        if self._form == "raw":
+            self._to.write(frame.tobytes())
+        elif self._form == "npy":
+            data = io.BytesIO()
+            np.save(data, frame)
+            self._to.write(data.getvalue())
+        elif is_picture(frame):
+            self._to.write(png(frame))
+        else:
+            raise InvalidRequest(f"a frame of {frame.shape} {frame.dtype} is no picture: --format npy, or raw")
+        self._to.flush()
+        return ""
+
+    def close(self) -> None:
+        """It is not ours."""
+
+
+def sink(file: str, form: str, alone: bool, stdout: IO[bytes]) -> Sink:
+    """Where to write by a file's name. Raises InvalidRequest for a name that says no format."""
+    path = Path(file)
+    if file == "-":
+        return Output(stdout, form or "npy")
+    form = form or path.suffix.removeprefix(".")
+    if form == "npy":
+        return NpyFiles(path, alone)
+    if form == "png":
+        return PngFiles(path, alone)
+    if form == "raw":
+        return Raw(path)
+    raise InvalidRequest(f"{file}: frames are written as .npy, .png or .raw; --format says which")
+
+
+def is_picture(frame: np.ndarray[Any, Any]) -> bool:
+    """Grey, RGB or RGBA, with lines."""
+    pixels = frame.dtype in (np.uint8, np.uint16) and frame.ndim == 2
+    return pixels or (frame.dtype == np.uint8 and frame.ndim == 3 and frame.shape[2] in (3, 4))
+
+
+def png(frame: np.ndarray[Any, Any]) -> bytes:
+    """The file. Raises InvalidRequest where Pillow is missing."""
+    try:
+        from PIL import Image
+    except ModuleNotFoundError:
+        raise InvalidRequest("PNG files need Pillow: pip install 'fpga-cm[demo]', or write a .npy file") from None
+    data = io.BytesIO()
+    Image.fromarray(frame).save(data, "PNG")
+    return data.getvalue()
+
+
+def _write(fd: int, frame: np.ndarray[Any, Any], at: int) -> None:
+    view = np.ascontiguousarray(frame).data.cast("B")
+    while len(view):
+        done = os.pwrite(fd, view, at)
+        view, at = view[done:], at + done
