@@ -7,8 +7,8 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 LINT_STAMP := $(VENV)/.installed-lint
 BENCH_STAMP := $(VENV)/.installed-bench
-SOURCES := pyproject.toml setup.py release/backend.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h csrc/build_cffi.py csrc/cffi/* kmod/uapi/*.h)
-C_FILES := $(wildcard csrc/*.[ch] csrc/client/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h)
+SOURCES := pyproject.toml setup.py release/backend.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h csrc/build_cffi.py csrc/cffi/* kmod/uapi/*.h cm/rtl/engine/*.cpp cm/rtl/engine/*.h)
+C_FILES := $(wildcard csrc/*.[ch] csrc/client/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h cm/rtl/engine/*.cpp cm/rtl/engine/*.h)
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_ARGS ?=
 JOBS ?= 2
@@ -63,6 +63,7 @@ test-c: | check-system
 test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
 	$(call install,rtl)
 	$(PYTEST) tests/rtl $(PYTEST_ARGS)
+	$(PYTEST) tests/device --board=rtl $(PYTEST_ARGS)
 
 test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)" REQUIRED=$(REQUIRED)

@@ -25,6 +25,7 @@ from cm.cli.serve_options import (
     security_of,
     settings_of,
 )
+from cm.errors import InvalidRequest
 from cm.settings.model import FILE as SETTINGS_FILE
 from cm.settings.model import Settings as Defaults
 
@@ -48,7 +49,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--settings", type=Path, metavar="FILE", help=f"settings (default: {SETTINGS_FILE} where it is); flags override"
     )
-    parser.add_argument("--sim", action="store_true", help="on a simulated board (no hardware, no root)")
+    parser.add_argument("--sim", nargs="?", const="models", default="", choices=("models", "rtl"), metavar="KIND",
+        help="on a simulated board (no hardware, no root): models in software, or rtl, the design's HDL")  # fmt: skip
+    parser.add_argument("--build", type=Path, metavar="FILE",
+        help="with --sim=rtl: build schema of the design (default: the shipped camera)")  # fmt: skip
     parser.add_argument(
         "--config", type=Path, action="append", default=[], metavar="DIR", help="schema file, or a folder of them"
     )
@@ -91,6 +95,8 @@ def _mebibytes(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Serve; the exit status."""
+    if args.build and args.sim != "rtl":
+        raise InvalidRequest("--build says which design's RTL a simulated board runs: give --sim=rtl with it")
     settings = settings_of(args)
     _log_to(_level(args, settings))
     with ExitStack() as stack:
@@ -139,7 +145,7 @@ def _has_terminal() -> bool:
 
 def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitStack) -> Options:
     runtime = args.runtime_dir or (settings and settings.runtime_dir) or default_runtime_dir()
-    paths = args.config or ([_camera()] if args.sim else [])
+    paths = args.config or (_simulated_schemas(args, runtime) if args.sim else [])
     board = _simulated_root(args, runtime, paths, stack) if args.sim else None
     # While the simulator starts, in a process of its own, this one gets on with its imports.
     from cm.daemon.options import Options
@@ -154,13 +160,13 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     access, notes = access_of(settings, keys)
     for sentence in notes:
         logging.getLogger("cm").warning("%s", sentence)
-    example = args.sim and not args.config
+    example = args.sim and not args.config and not args.build
     said = settings or Defaults()
     queue = args.stream_queue if args.stream_queue is not None else int(said.streams.queue_mib * (1 << 20))
     prefetch = args.prefetch if args.prefetch is not None else said.dma.prefetch_mib
     return Options(
         runtime_dir=runtime,
-        state_dir=args.state_dir or said.state_dir or default_state_dir(runtime, args.sim),
+        state_dir=args.state_dir or said.state_dir or default_state_dir(runtime, bool(args.sim)),
         root=root,
         configs=configs,
         listen=tuple(listen),
@@ -179,8 +185,13 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     )
 
 
-def _camera() -> Path:
-    return Path(__file__).parents[1] / "data/camera"  # importlib.resources is 1.3 MiB
+def _simulated_schemas(args: argparse.Namespace, runtime: Path) -> list[Path]:
+    data = Path(__file__).parents[1] / "data"  # importlib.resources is 1.3 MiB
+    if args.build:
+        from cm.cli.simboard import schema_of_build
+
+        return [schema_of_build(args.build, runtime)]
+    return [data / ("examples/camera/config" if args.sim == "rtl" else "camera")]
 
 
 def _absolute(source: str) -> str:
@@ -197,6 +208,8 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
     arguments += [part for source in args.models for part in ("--models", _absolute(source))]
     arguments += ["--hold", str(args.sim_hold)] if args.sim_hold is not None else []
     arguments += ["--icap-rate", str(args.sim_icap_rate)] if args.sim_icap_rate is not None else []
+    arguments += ["--build", str(args.build.resolve())] if args.build else []
     root = Path(args.root) if args.root else runtime / "board"
     starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
-    return starter.submit(stack.enter_context, simulated_board(runtime, root, paths, arguments))
+    program = "cm.rtl" if args.sim == "rtl" else "cm.sim"
+    return starter.submit(stack.enter_context, simulated_board(runtime, root, paths, arguments, program))

@@ -15,15 +15,17 @@ _LINGER = "30"  # seconds that a board without a manager keeps its state
 
 
 @contextlib.contextmanager
-def simulated_board(runtime: Path, root: Path, configs: list[Path], arguments: list[str]) -> Iterator[Root]:
-    """A board under `root` while the context lasts.
+def simulated_board(
+    runtime: Path, root: Path, configs: list[Path], arguments: list[str], program: str = "cm.sim"
+) -> Iterator[Root]:
+    """A board under `root` while the context lasts; `program` is the module that serves it.
 
     A simulator whose manager was killed keeps its state for some seconds, as a board would; `Board`
     takes it over if it was started with the same arguments.
     """
     runtime.mkdir(mode=0o750, parents=True, exist_ok=True)
     _refuse_where_served(runtime)
-    with Board(configs, root=root, arguments=["--linger", _LINGER, *arguments]) as board:
+    with Board(configs, root=root, arguments=["--linger", _LINGER, *arguments], program=program) as board:
         yield Root.of(board.root)
 
 
@@ -41,3 +43,14 @@ def _refuse_where_served(runtime: Path) -> None:
         FolderLock(runtime).release()  # raises, with who it is
     except OSError:
         return  # nobody ever served there, or what is wrong is told by the daemon
+
+
+def schema_of_build(build: Path, runtime: Path) -> Path:
+    """The runtime schema of a build schema, written where the simulated board's manager finds it again."""
+    from cm.rtl.design import runtime_schema
+
+    name, text = runtime_schema(build)
+    path = runtime / "schemas" / f"{name}.yaml"
+    path.parent.mkdir(mode=0o750, parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The board that the device suite runs on: ``--board=sim|vm|hw``, names from ``--board-file``.
+"""The board that the device suite runs on: ``--board=sim|rtl|vm|hw``, names from ``--board-file``.
 
-``sim`` starts the user-space simulator. ``vm`` and ``hw`` use the devices of this machine; what the
-suite cannot find out by itself stands in a JSON file with the fields of `suite_board.Board`.
+``sim`` starts the user-space simulator, ``rtl`` the same with the design of tests/rtl/loop behind its nodes.
+``vm`` and ``hw`` use the devices of this machine; what the suite cannot find out by itself stands in a JSON
+file with the fields of `suite_board.Board`.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ import cm.device as device
 from cm.bitstream import to_dma_words
 
 SCHEMA = Path(__file__).parents[2] / "cm/data/camera/camera.yaml"
+LOOP = Path(__file__).parents[1] / "rtl/loop/build.yaml"
 FIRMWARE = "lib/firmware/cm/camera"
 # Slow enough that a load of some 280 KB (28 ms) can be met while it runs.
 SIM_ARGUMENTS = ("--icap-rate", "10000000")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--board", choices=("sim", "vm", "hw"), default="sim", help="where the device suite runs")
+    parser.addoption("--board", choices=("sim", "rtl", "vm", "hw"), default="sim", help="where the device suite runs")
     parser.addoption("--board-file", type=Path, help="JSON with the fields of tests/device/suite_board.py")
 
 
@@ -49,6 +51,36 @@ def _simulated() -> Iterator[Board]:
         )
 
 
+def _rtl() -> Iterator[Board]:
+    from cm.sim import Board as Simulator
+
+    with (
+        Simulator(program="cm.rtl", arguments=["--build", str(LOOP), "--icap-rate", "10000000"]) as simulator,
+        device.Uio.open(0x4000_0000, simulator.root) as control,
+        device.Uio.open(0x4001_0000, simulator.root) as left,
+    ):
+        board = Board(
+            root=str(simulator.root),
+            to_pl="to_left",
+            from_pl="from_left",
+            uio=left.info.node,
+            scratch=0x10,
+            memory=(0x800, 0x800),
+            irq=control.info.node,
+            acknowledge=(0x008, 1),
+            icap="cm_icap0",
+            bitstream=str(simulator.root / "lib/firmware/cm/loop/plain.bin"),
+            overlay=str(simulator.root / "lib/firmware/cm/loop/loop_static.dtbo"),
+            close_waits=False,
+            raise_interrupt=lambda: left.write(0x14, 1),
+        )
+        control.write(0x00C, 1)  # IRQ_ENABLE
+        control.write(0x100, 1)  # what is loaded while it is connected spoils what is connected to it
+        _load(board)
+        control.write(0x100, 0)
+        yield board
+
+
 def _of_this_machine(path: Path | None) -> Board:
     """Return the board of the file; channels that it does not name are the first of each direction."""
     given = json.loads(path.read_text()) if path else {}
@@ -69,7 +101,10 @@ def _of_this_machine(path: Path | None) -> Board:
 def board(request: pytest.FixtureRequest) -> Iterator[Board]:
     """The board, with a circuit loaded that loops ``to_pl`` to ``from_pl``."""
     # The default is for runs whose command line does not name this folder: pytest reads it too late then.
-    if request.config.getoption("--board", "sim") == "sim":
+    kind = request.config.getoption("--board", "sim")
+    if kind == "rtl":
+        yield from _rtl()
+    elif kind == "sim":
         for simulated in _simulated():
             _load(simulated)
             yield simulated

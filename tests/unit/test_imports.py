@@ -56,6 +56,7 @@ MAY = {
     "sim": BASE | {"child", "fdt", "loop", "native", "schema", "bitstream", "hwh"},
     "importers": BASE | {"fdt", "native", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim"},
+    "rtl": BASE | {"build", "loop", "schema", "sim"},
 }
 
 
@@ -68,7 +69,7 @@ LIBRARIES = {
     "google": {"wire"},
     "jinja2": {"build"},
     "lz4": {"client", "daemon"},
-    "numpy": {"bench", "bitstream", "build", "cli", "client", "daemon", "demo", "device", "native", "sim"},
+    "numpy": {"bench", "bitstream", "build", "cli", "client", "daemon", "demo", "device", "native", "rtl", "sim"},
     "pyslang": {"build"},
     "scipy": {"build"},
     "systemrdl": {"build"},

@@ -15,7 +15,6 @@ from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.hardware.configuration_memory import ConfigMemory
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.logic import Logic
 from cm.sim.hardware.packets import ConfigPort, PortError
 from cm.sim.transport import protocol
 
@@ -25,6 +24,7 @@ if TYPE_CHECKING:
 
 
 Bytes: TypeAlias = "NDArray[np.uint8]"
+Through = Callable[[memoryview, bool], memoryview]  # words on their way, and whether the port shows an error
 _STEP = 0.001  # seconds of simulated time between two looks at the port
 
 
@@ -43,16 +43,8 @@ class Engine:
     """One load at a time, in steps of simulated time; other nodes are served between them."""
 
     def __init__(
-        self,
-        loop: Loop,
-        logic: Logic,
-        fabric: Fabric,
-        memory: ConfigMemory,
-        faults: Faults,
-        device: Device,
-        rate: float,
+        self, loop: Loop, fabric: Fabric, memory: ConfigMemory, faults: Faults, device: Device, rate: float
     ) -> None:
-        self._logic = logic
         self._loop, self._fabric, self._memory, self._faults = loop, fabric, memory, faults
         self._port = ConfigPort(device)
         self.rate = rate
@@ -75,18 +67,19 @@ class Engine:
         full: bool = False,
         rate: float | None = None,
         asked_ns: int | None = None,
+        through: Through | None = None,
     ) -> None:
         """Load `data`, words as in memory (little-endian bus); `finished` is called at the end (EBUSY).
 
         `data` is read as it goes. `asked_ns` is when the request was there (now): what we do before the first
-        word is our own affair, a DMA engine begins at once.
+        word is our own affair, a DMA engine begins at once. `through`: what the words pass before they arrive.
         """
         if self._run is not None:
             raise NodeError(errno.EBUSY, "a load is running")
         self.state, self.errors, self.done, self.total = protocol.STATE_LOADING, 0, 0, len(data)
         self._port.reset()
         started_ns = asked_ns or time.monotonic_ns()
-        self._run = _Run(data, started_ns, finished, full, self.rate if rate is None else rate)
+        self._run = _Run(data, started_ns, finished, full, self.rate if rate is None else rate, through)
         self._loop.call_soon(self._step)
 
     def _step(self) -> None:
@@ -108,7 +101,10 @@ class Engine:
         """Work on the words that are due before the next look: a port does that while the clock ticks."""
         target = run.bytes_at(time.monotonic() + _STEP)
         if target > run.fed:
-            writes = self._port.feed(run.data[run.fed : target])
+            words = run.data[run.fed : target]
+            if run.through is not None:
+                words = run.through(words, bool(self._port.errors))
+            writes = self._port.feed(words)
             run.fed = target
             self._memory.apply(writes, run.full)
 
@@ -148,7 +144,8 @@ class Engine:
         self.state = protocol.STATE_ERROR if status else protocol.STATE_IDLE
         if run.full and status == 0:
             self._fabric.reset()
-        self._logic.settled(errors if status else 0)
+        if run.through is not None:
+            run.through(run.data[:0], bool(errors))
         self._memory.settle(status == 0, run.data)
         run.finished(LoadResult(self.done, run.started_ns, time.monotonic_ns(), status, errors))
 
@@ -157,8 +154,10 @@ class _Run:
     """One load: its bytes, and when they are due at the port."""
 
     def __init__(
-        self, data: Bytes, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float
-    ) -> None:
+        self, data: Bytes, started_ns: int, finished: Callable[[LoadResult], None], full: bool, rate: float,
+        through: Through | None,
+    ) -> None:  # fmt: skip
+        self.through = through
         self.data = memoryview(data)  # type: ignore[arg-type]  # of numpy before 2
         self.fed = 0  # bytes worked on
         self.finished = finished

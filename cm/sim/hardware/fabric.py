@@ -36,6 +36,7 @@ class Fabric:
         self.changed: Callable[[], None] = lambda: None  # called when data may flow that did not
         self.answering: Callable[[Region], None] = lambda _: None  # called when a region answers, or does not any more
         self.loaded: Callable[[Region], None] = lambda _: None  # called when another module runs, or none any more
+        self.resetting: Callable[[], None] = lambda: None  # called when all is about to be as after power-up
         self._by_name: dict[str, list[Cell]] = {}
         self._seed = seed
         self._noise_at = 0
@@ -96,6 +97,7 @@ class Fabric:
 
     def reset(self) -> None:
         """As after power-up or a full image: no modules, decoupled by GPIO lines at most, registers at reset."""
+        self.resetting()
         self._views.clear()
         for region in self.regions.values():
             region.module, region.loading = None, False

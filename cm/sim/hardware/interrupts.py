@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from cm.schema.model import Interrupt
 from cm.sim.faults import Faults
@@ -26,12 +28,16 @@ class Line:
         self.count = 0
         self._masked = True
         self._pending = False
-        self._levels: list[tuple[Cell, int]] = []
+        self._levels: list[Callable[[], bool]] = []
         self._listeners: list[Events] = []
 
-    def add_level(self, cell: Cell, bit: int) -> None:
-        """A status bit that holds the line up until it is cleared."""
-        self._levels.append((cell, bit))
+    def add_level(self, stands: Callable[[], bool]) -> None:
+        """What holds the line up as long as it says so."""
+        self._levels.append(stands)
+
+    def follow(self, stands: Callable[[], bool]) -> None:
+        """Nothing but this holds the line up."""
+        self._levels = [stands]
 
     def listen(self, events: Events) -> None:
         """An open file that gets the counts."""
@@ -59,7 +65,7 @@ class Line:
         if self._masked:
             return
         pending, self._pending = self._pending, False
-        if pending or any(cell.value >> bit & 1 for cell, bit in self._levels):
+        if pending or any(stands() for stands in self._levels):
             self.fire()
 
 
@@ -124,7 +130,7 @@ class InterruptWiring:
         if interrupt.status and status is None:
             status = next((c for r in self._fabric.regions if (c := self._fabric.cell(interrupt.status, r))), None)
         if status is not None and interrupt.bit is not None and interrupt.acknowledge:
-            line.add_level(status, interrupt.bit)
+            line.add_level(partial(_bit_stands, status, interrupt.bit))
         owner = status.region.name if status is not None and status.region else self._owner(index)
         self._wiring[name] = _Wired(line, status, interrupt.bit, owner)
 
@@ -143,3 +149,7 @@ class InterruptWiring:
             elif interrupt.base_address is None or (window.spec.address <= interrupt.base_address < window.spec.end):
                 return index
         return None
+
+
+def _bit_stands(status: Cell, bit: int) -> bool:
+    return bool(status.value >> bit & 1)

@@ -68,11 +68,8 @@ class Logic(Protocol):
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
         """What lies at the stream side of each channel; called once."""
 
-    def configure(self, words: memoryview) -> memoryview:
-        """The words that reach the configuration logic when these are given to the port."""
-
-    def settled(self, errors: int) -> None:
-        """A load has ended; `errors` as the port shows them, 0 for none."""
+    def configure(self, words: memoryview, failed: bool) -> memoryview:
+        """The words that reach the configuration logic when these are given to ICAP, which shows an error or none."""
 
     def state(self) -> dict[str, object]:
         """What there is to tell besides what every board tells."""
@@ -125,12 +122,9 @@ class SoftwareLogic:
         self._running.links = links
         return links
 
-    def configure(self, words: memoryview) -> memoryview:
+    def configure(self, words: memoryview, failed: bool) -> memoryview:  # noqa: ARG002 - nothing here shows it
         """The same: there is nothing in between."""
         return words
-
-    def settled(self, errors: int) -> None:
-        """Nothing here shows it."""
 
     def state(self) -> dict[str, object]:
         """Nothing more."""

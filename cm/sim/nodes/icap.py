@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from cm.sim.errors import NodeError
-from cm.sim.hardware.configuration_port import Engine, LoadResult
+from cm.sim.hardware.configuration_port import Engine, LoadResult, Through
 from cm.sim.transport import protocol
 from cm.sim.transport.buffers import Buffer, Buffers, DmaMemory, fit
 from cm.sim.transport.events import Events
@@ -22,8 +22,8 @@ _FLAGS = protocol.LOAD_FULL | protocol.LOAD_ENCRYPTED
 class IcapNode:
     """``/dev/cm_icap0``; any number of files may be open."""
 
-    def __init__(self, engine: Engine, memory: DmaMemory, idcode: int, clock_hz: int) -> None:
-        self.engine, self._memory = engine, memory
+    def __init__(self, engine: Engine, through: Through, memory: DmaMemory, idcode: int, clock_hz: int) -> None:
+        self.engine, self.through, self._memory = engine, through, memory
         self.idcode, self.clock_hz = idcode, clock_hz
         self.sessions: set[IcapSession] = set()
         self.syncs = Syncs()
@@ -89,7 +89,10 @@ class IcapSession:
             raise NodeError(errno.EOPNOTSUPP, "the simulated device has no key")
         data = buffer.bytes[offset : offset + length]
         full = bool(flags & protocol.LOAD_FULL)
-        self._node.engine.start(data, lambda result: self._finished(buffer, cookie, result), full, asked_ns=asked_ns)
+        node = self._node
+        node.engine.start(
+            data, lambda result: self._finished(buffer, cookie, result), full, asked_ns=asked_ns, through=node.through
+        )
         buffer.inflight += 1
         return payload
 

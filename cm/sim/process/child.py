@@ -28,7 +28,8 @@ class Board:
 
     `configs` are schema files or folders of them. Without `root` a folder in memory is made, and
     removed at the end whatever happened to the process. If this process dies, the board ends by
-    itself when no client has used it for five seconds.
+    itself when no client has used it for five seconds. `program` is the module that is run: what lies
+    behind the nodes may be another's (`cm.rtl`).
     """
 
     def __init__(
@@ -37,10 +38,12 @@ class Board:
         root: Path | str | None = None,
         arguments: Iterable[str] = (),
         timeout: float = 60.0,
+        program: str = "cm.sim",
     ) -> None:
         self._configs = [str(path) for path in configs]
         self._arguments = list(arguments)
         self._timeout = timeout
+        self._program = program
         self._own_root = root is None
         self.root = fresh_folder(PREFIX) if root is None else Path(root)
         self.control = Control(self.root)
@@ -132,7 +135,7 @@ class Board:
 
     def _spawn(self) -> Handle:
         process = subprocess.Popen(
-            child.command("cm.sim", *self._command),
+            child.command(self._program, *self._command),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             env=child.environment(),

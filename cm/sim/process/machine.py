@@ -179,7 +179,7 @@ class Machine:
         rate = self.options.icap_rate
         if rate is None:
             rate = 4.0 * ICAP_CLOCK[self.spec.device.family.label]
-        return Engine(self.loop, self.logic, self.fabric, self._config, self.faults, self.spec.device, rate)
+        return Engine(self.loop, self.fabric, self._config, self.faults, self.spec.device, rate)
 
     def _parts(self) -> LogicParts:
         options = self.options
@@ -197,7 +197,8 @@ class Machine:
 
     def _icap_node(self) -> IcapNode:
         device = self.spec.device
-        return IcapNode(self.engine, self.memory, device.idcode, ICAP_CLOCK[device.family.label])
+        clock = ICAP_CLOCK[device.family.label]
+        return IcapNode(self.engine, self.logic.configure, self.memory, device.idcode, clock)
 
 
 def _with_engines(spec: BoardSpec, options: Options) -> dict[str, ChannelSpec]:

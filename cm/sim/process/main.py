@@ -11,7 +11,8 @@ import os
 import signal
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from cm.errors import CmError
@@ -20,6 +21,7 @@ from cm.schema.model import Config
 from cm.sim.errors import SimError
 from cm.sim.hardware.board import BoardSpec
 from cm.sim.hardware.camera import load_photos
+from cm.sim.hardware.logic import MakeLogic, SoftwareLogic
 from cm.sim.hardware.models import Models
 from cm.sim.process.arguments import add_arguments
 from cm.sim.process.machine import Machine, Options
@@ -35,8 +37,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run(parser.parse_args(argv))
 
 
-def run(args: argparse.Namespace) -> int:
-    """Serve until a signal or the linger time ends it."""
+def run(args: argparse.Namespace, make: MakeLogic = SoftwareLogic) -> int:
+    """Serve until a signal or the linger time ends it; `make`: what lies behind the nodes."""
     parent = Parent() if args.linger is not None else None
     try:
         configs, models = _configs(args.config), _models(args.models)
@@ -49,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"cm sim: {error}", file=sys.stderr)
         return 1
     try:
-        _serve(args, root, spec, models, options, parent)
+        _serve(args, partial(Machine, root=root, spec=spec, models=models, options=options, make=make), parent)
     except (CmError, OSError) as error:
         print(f"cm sim: {error}", file=sys.stderr)
         return 1
@@ -58,20 +60,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _serve(
-    args: argparse.Namespace, root: Root, spec: BoardSpec, models: Models, options: Options, parent: Parent | None
-) -> None:
+def _serve(args: argparse.Namespace, made: Callable[[Loop], Machine], parent: Parent | None) -> None:
     loop = Loop()
     with contextlib.ExitStack() as stack:
         stack.callback(loop.close)
         stack.enter_context(_Signals(loop))
-        machine = Machine(loop, root, spec, models, options)
+        machine = made(loop)
         stack.callback(machine.close)
         machine.serve()
         if parent is not None:
             machine.parent = parent
             Linger(loop, lambda: machine.server.connections, parent, args.linger).check()
-        _say_ready(args.ready_fd, root)
+        _say_ready(args.ready_fd, machine.root)
         loop.run()
 
 

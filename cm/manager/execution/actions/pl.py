@@ -18,6 +18,8 @@ from cm.manager.state import steps as s
 from cm.manager.state.table import BoardState, OverlayState, RegionEvent, RegionPhase, all_lost, loading_overlay
 from cm.schema.model import Access, LoaderKind, Register
 
+IDENTITY_READS = 1000  # a read takes longer than a clock of the region: more than any reset lasts
+
 
 def job_of(run: StepContext, step: s.Load | s.LoadStatic) -> Job:
     """What a loader is given for a step."""
@@ -117,17 +119,24 @@ def check_static(run: StepContext, step: s.CheckStatic) -> None:
 
 
 def check_identity(run: StepContext, step: s.CheckIdentity) -> None:
-    """The region's identity register has to read what the schema says of the module."""
+    """The region's identity register has to read what the schema says of the module.
+
+    A region that was connected this moment is still in reset for some of its clock's cycles, and reads as 0.
+    """
     identity = step.region.identity
     if identity is None or step.module.identity is None:
         return
-    value = run.tools.registers.read_address(identity.base_address + identity.offset, identity.width)
-    if value != step.module.identity:
-        run.region_event(step.region.name, RegionEvent.LOSE)  # it is coupled, but to what?
-        raise IdentityMismatch(
-            f"region {step.region.name} answers {value:#x} at its identity register; "
-            f"module {step.module.name} is {step.module.identity:#x}"
-        )
+    for _ in range(IDENTITY_READS):
+        value = run.tools.registers.read_address(identity.base_address + identity.offset, identity.width)
+        if value == step.module.identity:
+            return
+        if value:
+            break
+    run.region_event(step.region.name, RegionEvent.LOSE)  # it is coupled, but to what?
+    raise IdentityMismatch(
+        f"region {step.region.name} answers {value:#x} at its identity register; "
+        f"module {step.module.name} is {step.module.identity:#x}"
+    )
 
 
 def validate(run: StepContext, _: s.Validate) -> None:

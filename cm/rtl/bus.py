@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Register accesses as transactions on the design's AXI4-Lite buses."""
+
+from __future__ import annotations
+
+import errno
+
+from cm.rtl.board import SLOT, RunningDesign
+from cm.rtl.errors import RtlError
+from cm.rtl.messages import Op
+from cm.sim.errors import NodeError
+from cm.sim.faults import Faults
+from cm.sim.hardware.cells import Window
+from cm.sim.hardware.fabric import Fabric
+from cm.sim.transport.protocol import BLOCK_MAX
+
+_WHY = {
+    errno.EFAULT: "no slave has that address (DECERR)",
+    errno.EIO: "the slave refuses it (SLVERR), as a region does that is cut off",
+    errno.ETIMEDOUT: "nothing answers: on a board the processor would stand still",
+}
+
+
+class RtlBus:
+    """Reads and writes as the processor makes them: words of 32 bits, narrower writes by byte strobes."""
+
+    def __init__(self, running: RunningDesign, fabric: Fabric, faults: Faults) -> None:
+        self._running, self._fabric, self._faults = running, fabric, faults
+        for window in fabric.windows:
+            window.mirror.ask(0, window.spec.size, True)  # every read is one
+
+    def read(self, window: Window, offset: int, width: int) -> int:
+        """The value of `width` bits at an offset; 64 bits are two accesses. `NodeError`: as the bus answers."""
+        _check(window, offset, width // 8, (8, 16, 32, 64), width)
+        at, length = offset & ~3, 8 if width == 64 else 4
+        value = int.from_bytes(self._read(window, at, length), "little")
+        return value >> 8 * (offset - at) & ((1 << width) - 1)
+
+    def write(self, window: Window, offset: int, width: int, value: int) -> None:
+        """Write `width` bits at an offset; 64 bits are two accesses."""
+        _check(window, offset, width // 8, (8, 16, 32, 64), width)
+        if self._stuck(window, offset):
+            return
+        at, length = offset & ~3, 8 if width == 64 else 4
+        shift = offset - at
+        strobes = 0xF if width >= 32 else ((1 << width // 8) - 1) << shift
+        self._write(window, at, (value << 8 * shift).to_bytes(length, "little"), strobes)
+
+    def read_block(self, window: Window, offset: int, length: int) -> bytes:
+        """The bytes that accesses of 32 bits, one after the other, return."""
+        _check_block(window, offset, length)
+        return self._read(window, offset, length)
+
+    def write_block(self, window: Window, offset: int, data: bytes) -> None:
+        """Accesses of 32 bits, one after the other."""
+        _check_block(window, offset, len(data))
+        self._write(window, offset, data, 0xF)
+
+    def _read(self, window: Window, offset: int, length: int) -> bytes:
+        self._access(Op.READ, window, offset, length, 0)
+        return self._running.process.arena[:length]
+
+    def _write(self, window: Window, offset: int, data: bytes, strobes: int) -> None:
+        assert len(data) <= SLOT
+        self._running.process.arena[: len(data)] = data
+        self._access(Op.WRITE, window, offset, len(data), strobes)
+        self._note_decoupling(window, offset, data)
+
+    def _access(self, op: Op, window: Window, offset: int, length: int, strobes: int) -> None:
+        try:
+            answer = self._running.ask(op, window.spec.address + offset, length // 4, 0, strobes)
+        except RtlError as error:
+            raise NodeError(errno.EIO, str(error)) from None
+        if answer.a:
+            raise NodeError(int(answer.a), _WHY.get(int(answer.a), answer.text))
+
+    def _stuck(self, window: Window, offset: int) -> bool:
+        cell = window.cell_at(offset)
+        return cell is not None and self._faults.take("register_stuck", cell.register.name) is not None
+
+    def _note_decoupling(self, window: Window, offset: int, data: bytes) -> None:
+        """What the board's state tells of regions that are cut off."""
+        for region in self._fabric.regions.values():
+            decoupler = region.spec.decoupler
+            if decoupler is None or not decoupler.size:
+                continue
+            at = decoupler.base_address + decoupler.offset - window.spec.address - offset
+            if 0 <= at <= len(data) - 4:
+                bit = int.from_bytes(data[at : at + 4], "little") >> decoupler.bit & 1
+                region.decoupled = bool(bit) == decoupler.active_high
+
+
+def _check(window: Window, offset: int, length: int, widths: tuple[int, ...], width: int) -> None:
+    if width not in widths:
+        raise NodeError(errno.EINVAL, f"width {width} is none of {', '.join(map(str, widths))}")
+    if offset % length or offset + length > window.spec.size:
+        raise NodeError(errno.EINVAL, f"offset {offset:#x} is misaligned or outside the window")
+
+
+def _check_block(window: Window, offset: int, length: int) -> None:
+    if not 0 < length <= BLOCK_MAX or offset % 4 or length % 4 or offset + length > window.spec.size:
+        raise NodeError(errno.EINVAL, f"{length} bytes at {offset:#x} are misaligned or outside the window")

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""HDL to shared libraries with the table of engine/model.h, and the engine itself."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.rtl.cache import cache_folder, digest, made
+from cm.rtl.errors import RtlError
+from cm.rtl.tools import Tools
+
+ENGINE = Path(__file__).parent / "engine"
+_FLAGS = ("-std=c++17", "-O1", "-fPIC", "-fvisibility=hidden", "-pthread", "-DVL_USER_FINISH", "-DVL_USER_STOP",
+          "-DVL_USER_FATAL", "-DVL_TIME_CONTEXT")  # fmt: skip
+_VERILATOR = ("--cc", "-O3", "--x-assign", "unique", "--x-initial", "unique", "--timescale", "1ns/1ps",
+              "--prefix", "Vmodel", "-Wno-fatal", "-Wno-lint", "-Wno-style")  # fmt: skip
+_PIN = re.compile(r"VL_(INOUT|IN|OUT)(8|16|64|W)?\(&(\w+),(\d+),(\d+)(?:,\d+)?\);")
+_DIRECTION = {"IN": "CM_IN", "OUT": "CM_OUT", "INOUT": "CM_INOUT"}
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """What becomes one library: a top module, its files, and text that is none."""
+
+    name: str  # for messages
+    top: str
+    sources: tuple[Path, ...]
+    includes: tuple[Path, ...] = ()
+    defines: tuple[str, ...] = ()
+    coverage: bool = False
+
+
+def compile_units(tools: Tools, units: Iterable[Unit], traces: bool = False, jobs: int = 2) -> list[Path]:
+    """The library of each, compiled or from the cache; RtlError with what Verilator says of the HDL."""
+    if traces and not tools.traces:
+        raise RtlError("traces need zlib's header: apt-get install zlib1g-dev")
+    runtime = _runtime(tools, traces)
+    with ThreadPoolExecutor(jobs) as pool:
+        return list(pool.map(lambda unit: _library(tools, unit, runtime, traces), units))
+
+
+def compile_engine(tools: Tools) -> Path:
+    """The program that runs the libraries."""
+    files = sorted(ENGINE.glob("*.cpp"))
+    key = digest([tools.identity, *_texts([*files, *ENGINE.glob("*.h")])])
+
+    def make(target: Path, _: Path) -> None:
+        _run([tools.compiler, "-std=c++17", "-O2", "-o", str(target), *map(str, files), "-ldl"], "the engine")
+
+    return made(cache_folder(), f"engine-{key}", make)
+
+
+def _runtime(tools: Tools, traces: bool) -> Path:
+    """Verilator's own sources as one object: they are most of what there is to compile."""
+    names = [
+        "verilated.cpp",
+        "verilated_threads.cpp",
+        "verilated_dpi.cpp",
+        *(["verilated_fst_c.cpp"] if traces else []),
+    ]
+    found = [tools.include / name for name in names if (tools.include / name).exists()]
+    newer = tools.include / "verilated_random.cpp"  # of Verilator 5.024 and later
+    found += [newer] if newer.exists() else []
+    key = digest([tools.identity, str(tools.include), *_FLAGS, str(traces)])
+
+    def make(target: Path, scratch: Path) -> None:
+        objects = []
+        for source in found:
+            objects.append(scratch / f"{source.stem}.o")
+            command = [tools.compiler, "-c", *_FLAGS, *_macros(traces), *_include(tools)]
+            _run([*command, "-o", str(objects[-1]), str(source)], source.name)
+        _run(["ld", "-r", "-o", str(target), *map(str, objects)], "Verilator's runtime")
+
+    return made(cache_folder(), f"runtime-{key}.o", make)
+
+
+def _library(tools: Tools, unit: Unit, runtime: Path, traces: bool) -> Path:
+    inputs = [*unit.sources, *(file for folder in unit.includes for file in sorted(folder.glob("*.*h")))]
+    shim = (ENGINE / "shim.cpp.in").read_text(encoding="utf-8")
+    header = (ENGINE / "model.h").read_text(encoding="utf-8")
+    described = [tools.identity, unit.top, str(traces), str(unit.coverage), *unit.defines, *_VERILATOR, *_FLAGS]
+    key = digest([*described, shim, header, *_texts(inputs)])
+
+    def make(target: Path, scratch: Path) -> None:
+        _verilate(tools, unit, scratch / "model", traces)
+        _link(tools, unit, scratch, runtime, target, traces)
+
+    return made(cache_folder(), f"{unit.top}-{key}.so", make)
+
+
+def _verilate(tools: Tools, unit: Unit, folder: Path, traces: bool) -> None:
+    command = [tools.verilator, *_VERILATOR, "--top-module", unit.top, "--Mdir", str(folder)]
+    command += ["--trace-fst"] if traces else []
+    command += ["--coverage-line", "--coverage-toggle"] if unit.coverage else []
+    command += [f"-I{path}" for path in unit.includes] + [f"-D{define}" for define in unit.defines]
+    _run([*command, *map(str, unit.sources)], unit.name)
+
+
+def _link(tools: Tools, unit: Unit, scratch: Path, runtime: Path, target: Path, traces: bool) -> None:
+    """One compilation of everything that Verilator wrote, for the optimiser and for speed."""
+    folder = scratch / "model"
+    pins = list(_pins((folder / "Vmodel.h").read_text(encoding="utf-8")))
+    if not pins:
+        raise RtlError(f"{unit.name}: {unit.top} has no ports")
+    parts = sorted(path for path in folder.glob("*.cpp"))
+    shim = (ENGINE / "shim.cpp.in").read_text(encoding="utf-8")
+    shim = shim.replace("@PINS@", "\n".join(f'\t{{"{name}", {bits}, {way}}},' for name, _, bits, way in pins))
+    cases = (f"\tcase {index}: return &top.{member};" for index, (_, member, _, _) in enumerate(pins))
+    shim = shim.replace("@WHERE@", "\n".join(cases))
+    whole = scratch / "whole.cpp"
+    whole.write_text("".join(f'#include "{path}"\n' for path in parts) + shim, encoding="utf-8")
+    command = [tools.compiler, *_FLAGS, *_macros(traces), *_include(tools), f"-I{folder}", f"-I{ENGINE}"]
+    command += ["-shared", "-fno-gnu-unique", "-Wl,-Bsymbolic", "-o", str(target), str(whole), str(runtime)]
+    _run([*command, *(["-lz"] if traces else [])], unit.name)
+
+
+def _pins(header: str) -> Iterator[tuple[str, str, int, str]]:
+    """Name in the HDL, member of the class, bits and direction of each port."""
+    for way, _, member, high, low in _PIN.findall(header):
+        yield member.removeprefix("__SYM__"), member, int(high) - int(low) + 1, _DIRECTION[way]
+
+
+def _macros(traces: bool) -> list[str]:
+    return [f"-DVM_TRACE={int(traces)}", f"-DVM_TRACE_FST={int(traces)}", "-DVM_TRACE_VCD=0", "-DVM_COVERAGE=0"]
+
+
+def _include(tools: Tools) -> list[str]:
+    return [f"-I{tools.include}", f"-I{tools.include / 'vltstd'}"]
+
+
+def _texts(files: Iterable[Path]) -> list[bytes]:
+    try:
+        return [file.read_bytes() for file in files]
+    except OSError as error:
+        raise RtlError(f"{error.filename}: {error.strerror}") from None
+
+
+def _run(command: list[str], what: str) -> None:
+    done = subprocess.run(
+        command, capture_output=True, text=True, errors="replace", check=False, stdin=subprocess.DEVNULL
+    )
+    if done.returncode:
+        said = [line for line in (done.stderr + done.stdout).splitlines() if "rror" in line] or [done.stderr[-2000:]]
+        raise RtlError(f"{what} does not compile:\n  " + "\n  ".join(said[:20]))

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A build schema as something to simulate: units to compile, and the wiring round them.
+
+The static part is the one that `cm build` generates, but for its regions: their pins are ports of the simulated
+part, so that the modules, libraries of their own, can come and go.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cm.build.generate.inputs import RTL, module_files
+from cm.build.generate.netlist import Netlist, Signal
+from cm.build.generate.outputs import identified, render_all
+from cm.build.generate.static_part.module import static_part
+from cm.build.generate.tree import load_design
+from cm.build.hdl.model import PortDirection
+from cm.build.plan.system import Implementation, RegionPlan, StreamBus, System, used_clocks
+from cm.build.render import Renderer
+from cm.build.runtime.answers import Answers
+from cm.rtl.compile import Unit
+from cm.rtl.errors import RtlError
+from cm.schema.model import Direction
+
+EVENT_BYTES = 32  # of the pin that shows marks in traces
+_HDL = Path(__file__).parent / "hdl"
+_IN, _OUT = PortDirection.IN, PortDirection.OUT
+
+
+@dataclass(frozen=True, slots=True)
+class StreamEnd:
+    """A stream of the static part. `sends`: into the logic. `channel`: its DMA engine's; None: a pin of the device."""
+
+    name: str
+    region: str
+    sends: bool
+    clock: str
+    channel: str | None
+
+    @property
+    def prefix(self) -> str:
+        """Of its ports."""
+        return f"axis_{self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A signal of a region that leaves the device: port of the static part, and what the module calls it."""
+
+    port: str
+    region: str
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class RtlDesign:
+    """What runs: `modules` by region and name; `schema` is the generated runtime schema's text."""
+
+    system: System
+    static: Unit
+    modules: Mapping[tuple[str, str], Unit]
+    streams: tuple[StreamEnd, ...]
+    outputs: tuple[Output, ...]
+    schema: str
+
+    @property
+    def regions(self) -> tuple[str, ...]:
+        """Their names, in the order of their numbers."""
+        return tuple(region.name for region in self.system.regions)
+
+    @property
+    def clocks(self) -> tuple[str, ...]:
+        """Clocks of the static part, in the order of their numbers."""
+        return tuple(used_clocks(self.system))
+
+
+def load_rtl_design(schema: Path, folder: Path) -> RtlDesign:
+    """The design of a build schema; generated files are written below `folder`.
+
+    `SchemaError`, `BuildError` or the HDL half's errors where the tree cannot be made, `RtlError` where it cannot
+    be simulated.
+    """
+    system = identified(load_design(schema).system)
+    files = render_all(system, folder, Answers())
+    for name, text in files.items():
+        _write(folder / name, text)
+    static = simulated_static(system)
+    renderer = Renderer(system.project.folder, folder, f"Generated from {system.project.source.name} for simulation.")
+    _write(folder / "hdl/cm_static_sim.v", renderer.render("module.v.j2", {"net": static}))
+    return RtlDesign(
+        system,
+        Unit("the static part", static.name, (folder / "hdl/cm_static_sim.v", *_library(), *sorted(_HDL.glob("*.v")))),
+        {(one.region.name, one.module.name): _unit(one, folder) for one in system.implementations},
+        tuple(_streams(system)),
+        tuple(_outputs(static, system)),
+        files[f"config/{system.project.name}.yaml"],
+    )
+
+
+def runtime_schema(schema: Path) -> tuple[str, str]:
+    """Name and text of the runtime schema that `cm build` makes of a build schema."""
+    system = load_design(schema).system
+    files = render_all(system, schema.parent / "build", Answers())
+    return system.project.name, files[f"config/{system.project.name}.yaml"]
+
+
+def simulated_static(system: System) -> Netlist:
+    """``cm_static`` with the pins of its regions as ports called ``<region>_<pin>``."""
+    net = static_part(system)
+    regions = {region.module: region for region in system.regions}
+    for instance in [one for one in net.instances if one.module in regions]:
+        net.instances.remove(instance)
+        directions = _directions(regions[instance.module])
+        for pin, wire in instance.connections.items():
+            direction, width = directions[pin]
+            if direction is PortDirection.INOUT or wire is None:
+                continue  # goes to a pin of the device, which nothing here stands for
+            net.wires[:] = [other for other in net.wires if other.name != wire]
+            net.ports.append(Signal(wire, width, _IN if direction is _OUT else _OUT))
+    net.unused.append(net.port("cm_event", _IN, 8 * EVENT_BYTES))
+    return net
+
+
+def wiring(design: RtlDesign, static: Path, seed: int) -> str:
+    """The lines that the engine reads: see `Engine::wire`."""
+    return "\n".join(_wiring(design, static, seed)) + "\n"
+
+
+def _wiring(design: RtlDesign, static: Path, seed: int) -> Iterator[str]:
+    system, clocks = design.system, list(design.clocks)
+    yield f"static {seed} {static}"
+    for name in clocks:
+        yield f"clock {name} {round(1e12 / system.project.clocks[name].rate)}"
+    for domain in system.domains:
+        windows = " ".join(f"{window.base} {window.end}" for window in domain.windows)
+        yield f"bus s_axi_{domain.clock} {clocks.index(domain.clock)} {windows}"
+    for stream in design.streams:
+        kind = "source" if stream.sends else "sink" if stream.channel else "drain"
+        yield f"{kind} {stream.prefix} {clocks.index(stream.clock)}"
+    if system.icap:
+        yield f"port axis_icap {clocks.index(system.icap.clock)} 1"
+    for output in design.outputs:
+        yield f"output {output.port}"
+    for region in system.regions:
+        pins = " ".join(f"{pin} {clocks.index(name)}" for pin, name in _clock_pins(region))
+        yield f"region {region.name} {region.name}_ {pins}"
+
+
+def _clock_pins(region: RegionPlan) -> Iterator[tuple[str, str]]:
+    for pin, name in region.clocks.items():
+        if name == "external":
+            raise RtlError(f"region {region.name}: its clock {pin} comes from outside, which nothing here drives")
+        yield pin, name or region.spec.clock
+
+
+def _directions(region: RegionPlan) -> dict[str, tuple[PortDirection, int]]:
+    found = {port.name: (port.direction, port.width) for port in region.boundary.ports}
+    return found | {"cm_identity": (_OUT, 32)}
+
+
+def _streams(system: System) -> Iterator[StreamEnd]:
+    """Those of DMA engines and sources from outside first: they have numbers; `drain` has none."""
+    ends = [_stream(region, bus) for region in system.regions for bus in region.streams]
+    yield from (end for end in ends if end.sends or end.channel)
+    yield from (end for end in ends if not (end.sends or end.channel))
+
+
+def _stream(region: RegionPlan, bus: StreamBus) -> StreamEnd:
+    sends = bus.interface.mode.value == "slave"
+    clock = bus.dma.clock if bus.dma else region.spec.clock
+    channel = bus.spec.stream or bus.name if bus.dma else None
+    if bus.dma and (bus.dma.direction is Direction.MM2S) != sends:
+        raise RtlError(f"{region.name}.{bus.interface.name}: its DMA engine goes the other way")
+    return StreamEnd(bus.name, region.name, sends, clock, channel)
+
+
+def _outputs(static: Netlist, system: System) -> Iterator[Output]:
+    ports = {port.name for port in static.ports if port.direction is _OUT}
+    for region in system.regions:
+        for port in region.external:
+            name = f"ext_{region.name}_{port.name}"
+            if port.direction is _OUT and port.width <= 64 and name in ports:
+                yield Output(name, region.name, port.name)
+
+
+def _library() -> list[Path]:
+    return sorted(RTL.glob("*.v"))
+
+
+def _unit(one: Implementation, folder: Path) -> Unit:
+    """A module in its wrapper; where vendor IP is used, `sim_sources` stand for it."""
+    module = one.module
+    if (module.ip or module.tcl) and not module.sim_sources:
+        raise RtlError(f"module {module.name} is made of vendor IP: give sim_sources: with HDL that does the same")
+    if module.sim_sources:
+        module = replace(module, sources=module.sim_sources, libraries={})
+    files = module_files(replace(one, module=module), folder)
+    if files["vhdl"] or module.libraries:
+        raise RtlError(f"module {module.name} is VHDL: Verilator reads Verilog and SystemVerilog")
+    sources = tuple(dict.fromkeys([*files["verilog"], *files["systemverilog"]]))
+    return Unit(f"module {one.name}", one.region.module, sources, tuple(files["include_dirs"]), tuple(files["defines"]))
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")

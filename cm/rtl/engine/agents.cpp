@@ -1,0 +1,214 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "agents.h"
+
+LiteMaster::LiteMaster(const Instance &part, const std::string &prefix)
+    : awaddr(part.need(prefix + "_awaddr")), awprot(part.need(prefix + "_awprot")),
+      awvalid(part.need(prefix + "_awvalid")), awready(part.need(prefix + "_awready")),
+      wdata(part.need(prefix + "_wdata")), wstrb(part.need(prefix + "_wstrb")),
+      wvalid(part.need(prefix + "_wvalid")), wready(part.need(prefix + "_wready")),
+      bresp(part.need(prefix + "_bresp")), bvalid(part.need(prefix + "_bvalid")),
+      bready(part.need(prefix + "_bready")), araddr(part.need(prefix + "_araddr")),
+      arprot(part.need(prefix + "_arprot")), arvalid(part.need(prefix + "_arvalid")),
+      arready(part.need(prefix + "_arready")), rdata(part.need(prefix + "_rdata")),
+      rresp(part.need(prefix + "_rresp")), rvalid(part.need(prefix + "_rvalid")),
+      rready(part.need(prefix + "_rready"))
+{
+	reset();
+}
+
+void LiteMaster::reset()
+{
+	for (const Pin *pin : { &awvalid, &wvalid, &bready, &arvalid, &rready })
+		pin->set(0);
+	reading = writing = false;
+}
+
+void LiteMaster::read(uint32_t address)
+{
+	araddr.set(address);
+	arprot.set(0);
+	arvalid.set(1);
+	reading = true;
+}
+
+void LiteMaster::write(uint32_t address, uint32_t value, uint32_t strobes)
+{
+	awaddr.set(address);
+	awprot.set(0);
+	awvalid.set(1);
+	wdata.set(value);
+	wstrb.set(strobes);
+	wvalid.set(1);
+	writing = true;
+}
+
+void LiteMaster::sample()
+{
+	aw = awvalid.get() && awready.get();
+	w = wvalid.get() && wready.get();
+	b = bready.get() && bvalid.get();
+	ar = arvalid.get() && arready.get();
+	r = rready.get() && rvalid.get();
+	if (b)
+		resp = bresp.get();
+	if (r) {
+		resp = rresp.get();
+		data = rdata.get();
+	}
+}
+
+void LiteMaster::edge()
+{
+	if (aw)
+		awvalid.set(0);
+	if (w)
+		wvalid.set(0);
+	if (ar) {
+		arvalid.set(0);
+		rready.set(1);
+	}
+	if (r) {
+		rready.set(0);
+		reading = false;
+	}
+	if (b) {
+		bready.set(0);
+		writing = false;
+	} else if (writing && !awvalid.get() && !wvalid.get()) {
+		bready.set(1);
+	}
+}
+
+Source::Source(const Instance &part, const std::string &prefix)
+    : tdata(part.need(prefix + "_tdata")), tkeep(part.find(prefix + "_tkeep")),
+      tlast(part.find(prefix + "_tlast")), tvalid(part.need(prefix + "_tvalid")),
+      tready(part.find(prefix + "_tready")), width((tdata.bits + 7) / 8)
+{
+	tvalid.set(0);
+}
+
+void Source::send(const uint8_t *bytes, uint64_t length)
+{
+	next = bytes;
+	left = length;
+	offer();
+}
+
+void Source::cancel()
+{
+	left = 0;
+	offered = finished = false;
+	tvalid.set(0);
+}
+
+bool Source::done()
+{
+	bool was = finished;
+	finished = false;
+	return was;
+}
+
+void Source::offer()
+{
+	uint32_t length = left < width ? uint32_t(left) : width;
+	memset(tdata.at, 0, pin_bytes(tdata.bits));
+	memcpy(tdata.at, next, length);
+	if (tdata.bits % 8) { // the bits that the pin has
+		uint8_t &top = tdata.at[width - 1];
+		top &= uint8_t((1u << tdata.bits % 8) - 1);
+	}
+	next += length;
+	left -= length;
+	tkeep.set(length >= 64 ? ~0ull : (1ull << length) - 1);
+	tlast.set(left == 0);
+	tvalid.set(1);
+	offered = true;
+}
+
+void Source::edge()
+{
+	if (!offered || !taken)
+		return;
+	beats++;
+	if (left) {
+		offer();
+		return;
+	}
+	tvalid.set(0);
+	offered = false;
+	finished = true;
+}
+
+Sink::Sink(const Instance &part, const std::string &prefix)
+    : tdata(part.need(prefix + "_tdata")), tkeep(part.find(prefix + "_tkeep")),
+      tlast(part.find(prefix + "_tlast")), tvalid(part.need(prefix + "_tvalid")),
+      tready(part.find(prefix + "_tready")), width((tdata.bits + 7) / 8)
+{
+	tready.set(0);
+}
+
+void Sink::always_ready()
+{
+	drops = true;
+	tready.set(1);
+}
+
+void Sink::receive(uint8_t *into, uint64_t bytes)
+{
+	to = into;
+	capacity = bytes;
+	stored = 0;
+	room = true;
+	over = finished = false;
+	tready.set(1);
+}
+
+void Sink::cancel()
+{
+	room = finished = false;
+	tready.set(0);
+}
+
+bool Sink::done(uint64_t &length, bool &overflow)
+{
+	if (!finished)
+		return false;
+	finished = false;
+	length = stored;
+	overflow = over;
+	return true;
+}
+
+void Sink::sample()
+{
+	taken = tvalid.get() && (room || drops);
+	beats += taken;
+	if (taken && room)
+		store();
+}
+
+// Bytes that TKEEP marks; where a packet is longer than its room, the rest of it is lost (PG021: DMAIntErr).
+void Sink::store()
+{
+	uint64_t keep = tkeep ? tkeep.get() : ~0ull;
+	for (uint32_t byte = 0; byte < width; byte++) {
+		if (byte < 64 && !(keep >> byte & 1))
+			continue;
+		if (stored == capacity)
+			over = true;
+		else
+			to[stored++] = tdata.at[byte];
+	}
+	// a stream without TLAST is cut where the room is full, as the engine's length register does
+	bool last = tlast ? tlast.get() : stored == capacity;
+	if (last) {
+		room = false;
+		finished = true;
+	}
+}
+
+void Sink::edge()
+{
+	if (!drops)
+		tready.set(room);
+}

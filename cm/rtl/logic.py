@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The design behind the nodes of a simulated board: `cm.sim.hardware.logic.Logic` by its RTL."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cm.rtl.board import RunningDesign
+from cm.rtl.bus import RtlBus
+from cm.rtl.design import RtlDesign, StreamEnd
+from cm.rtl.errors import RtlError
+from cm.rtl.messages import Op
+from cm.rtl.process import EngineProcess
+from cm.rtl.streams import Intake, IntakeLink, OpticalPath, OutletLink, RtlCameraLink
+from cm.schema.model import Direction
+from cm.sim.errors import SimError
+from cm.sim.hardware.camera import PhotoReel
+from cm.sim.hardware.dma import Channel
+from cm.sim.hardware.interrupts import InterruptWiring
+from cm.sim.hardware.links import Link
+from cm.sim.hardware.logic import LogicParts
+from cm.sim.hardware.models import Models
+from cm.sim.hardware.running import RunningModels
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from cm.sim.lazy_numpy import np
+
+_NO_MODELS = Models()
+
+
+class RtlInterrupts(InterruptWiring):
+    """The lines of the schema at the design's one interrupt, whose status is in its control registers."""
+
+    def __init__(self, parts: LogicParts) -> None:
+        super().__init__(parts.fabric, parts.faults)
+        self._level = False
+        self._wired = list(dict.fromkeys(wired.line for wired in self._wiring.values()))
+        for line in self._wired:
+            line.follow(lambda: self._level)
+
+    def level(self, level: bool) -> None:
+        """The design raises or drops it."""
+        self._level = level
+        for line in self._wired if level else ():
+            line.fire()
+
+    def fire(self, name: str) -> bool:  # noqa: ARG002 - nothing but the design raises it
+        """False: there is no way to its inputs from outside."""
+        return False
+
+    def of_packets(self, channel: str, region: str | None) -> list[str]:  # noqa: ARG002 - the modules do that
+        """None: what comes with a packet comes from the module."""
+        return []
+
+
+class RtlLogic:
+    """Bus, streams, interrupts and configuration port of a design that runs."""
+
+    def __init__(
+        self, parts: LogicParts, design: RtlDesign, process: EngineProcess, modules: Mapping[tuple[str, str], Path]
+    ) -> None:
+        self._parts, self._design, self._process = parts, design, process
+        missing = parts.fabric.regions.keys() - set(design.regions)
+        if missing:
+            raise SimError(f"the design has no region {', '.join(sorted(missing))}; it has {', '.join(design.regions)}")
+        self._running = RunningDesign(parts, design, process, modules)
+        self.bus = RtlBus(self._running, parts.fabric, parts.faults)
+        self.interrupts = RtlInterrupts(parts)
+        self._running.on_interrupt = self.interrupts.level
+        self._models = RunningModels(parts.loop, parts.fabric, _NO_MODELS, self.interrupts, parts.memory)
+        parts.loop.add(process.fileno(), self._hear)
+
+    def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
+        """Each channel at the stream that `cm build` gave its DMA engine."""
+        streams = {end.channel: number for number, end in enumerate(self._design.streams) if end.channel}
+        links: dict[str, Link] = {}
+        for name, channel in channels.items():
+            if name not in streams:
+                raise SimError(f"the design has no stream {name}; it has {', '.join(sorted(streams)) or 'none'}")
+            links[name] = self._link(channel, streams[name])
+            channel.kick = links[name].kick
+        return links
+
+    def configure(self, words: memoryview, failed: bool) -> memoryview:
+        """Through the design's configuration port, a word a clock; `words` as they are where it has none."""
+        arena, count = self._process.arena, len(words) // 4
+        target = np.frombuffer(arena, np.uint8, 4 * count)
+        np.copyto(target, np.frombuffer(words, np.uint8))
+        try:
+            answer = self._running.ask(Op.CONFIGURE, 0, 0, count, int(failed))
+        except RtlError:
+            return words[:0]
+        if self._design.system.icap is None:
+            return words
+        return memoryview(bytes(arena[: 4 * min(count, int(answer.b))]))
+
+    def state(self) -> dict[str, object]:
+        """The engine's clocks, and modules that have ended themselves."""
+        try:
+            text = self._running.ask(Op.STATE).text
+        except RtlError as error:
+            text = str(error)
+        return {"rtl": text, "stopped": dict(self._running.stopped)}
+
+    def close(self) -> None:
+        """End the engine."""
+        self._parts.loop.remove(self._process.fileno())
+        self._process.close()
+
+    def _hear(self) -> None:
+        self._running.hear()
+        if self._process.ended:
+            self._parts.loop.remove(self._process.fileno())
+
+    def _link(self, channel: Channel, stream: int) -> Link:
+        parts, spec = self._parts, channel.spec
+        path = OpticalPath(parts.fabric, _NO_MODELS, self._models, spec.region, spec.shape)
+        path.running = self._running
+        common = (parts.loop, parts.faults, self.interrupts, path)
+        if spec.direction is Direction.MM2S:
+            return OutletLink(*common, self._running, stream, channel)
+        intake = Intake(self._running, stream, channel, parts.faults)
+        sensor = next((number for number, end in enumerate(self._design.streams) if _is_sensor(end, spec.region)), None)
+        if sensor is None:
+            return IntakeLink(*common, intake, channel)
+        rate = spec.rate if parts.rate is None else parts.rate
+        reel = PhotoReel(parts.photos, parts.hold)
+        return RtlCameraLink(*common, channel, reel, rate, intake, self._running, sensor)
+
+
+def _is_sensor(end: StreamEnd, region: str | None) -> bool:
+    return end.sends and end.channel is None and end.region == region

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The engine as a child process: requests that wait for their answer, and events that come in between."""
+
+from __future__ import annotations
+
+import contextlib
+import mmap
+import os
+import select
+import signal
+import socket
+import subprocess
+from collections import deque
+from pathlib import Path
+from typing import NoReturn
+
+from cm.rtl.errors import RtlError
+from cm.rtl.messages import ANSWER, ARENA_BYTES, TEXT, Message, Op
+
+PATIENCE = 60.0  # seconds for an answer: an access that the logic never answers is given up long before
+
+
+class EngineProcess:
+    """A running engine; its memory is `arena`.
+
+    RtlError where it ends: everything that is asked of it afterwards fails the same way.
+    """
+
+    def __init__(self, program: Path, wiring: Path) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        memory = os.memfd_create("cm-rtl-arena", os.MFD_CLOEXEC)
+        os.ftruncate(memory, ARENA_BYTES)
+        self.arena = mmap.mmap(memory, ARENA_BYTES)
+        self.events: deque[Message] = deque()
+        self._socket = ours
+        self._next = 1
+        self._ended = ""
+        ours.setblocking(False)
+        with theirs:
+            self._process = _start(program, wiring, theirs.fileno(), memory)
+        os.close(memory)
+        self._await(0)  # it says when it is ready
+
+    @property
+    def pid(self) -> int:
+        """Of the process."""
+        return self._process.pid
+
+    @property
+    def ended(self) -> str:
+        """Why it is no more; empty while it runs."""
+        return self._ended
+
+    def fileno(self) -> int:
+        """Readable when an event is there."""
+        return self._socket.fileno()
+
+    def ask(self, op: Op, a: int = 0, b: int = 0, c: int = 0, d: int = 0, text: str = "") -> Message:
+        """A request and its answer, whose `a` is an errno or 0."""
+        if self._ended:
+            raise RtlError(self._ended)
+        number = self._next
+        self._next = self._next % 0xFFFF_FFFF + 1
+        try:
+            self._socket.send(Message(op, number, a, b, c, d, text).pack())
+        except OSError as error:
+            self._end(str(error))
+        return self._await(number)
+
+    def take(self) -> list[Message]:
+        """The events that are there."""
+        with contextlib.suppress(RtlError, BlockingIOError):
+            while True:
+                self.events.append(self._receive())
+        found = list(self.events)
+        self.events.clear()
+        return found
+
+    def close(self) -> None:
+        """End it."""
+        self._process.kill()
+        self._process.wait()
+        self._socket.close()
+        with contextlib.suppress(BufferError):  # somebody still looks at it
+            self.arena.close()
+
+    def _await(self, number: int) -> Message:
+        while True:
+            if not select.select([self._socket], [], [], PATIENCE)[0]:
+                self._end(f"the engine did not answer for {PATIENCE:g} s")
+            message = self._receive()
+            if message.op & ANSWER and message.id == number:
+                return message
+            self.events.append(message)
+
+    def _receive(self) -> Message:
+        try:
+            data = self._socket.recv(TEXT + 64)
+        except BlockingIOError:
+            raise
+        except OSError as error:
+            self._end(str(error))
+        if not data:
+            self._end("the engine ended")
+        return Message.unpack(data)
+
+    def _end(self, why: str) -> NoReturn:
+        self._process.kill()
+        status = self._process.wait()
+        if status < 0 and status != -signal.SIGKILL:
+            why += f" by {signal.Signals(-status).name}"
+        self._ended = f"the logic does not run any more: {why}"
+        raise RtlError(self._ended)
+
+
+def _start(program: Path, wiring: Path, theirs: int, memory: int) -> subprocess.Popen[bytes]:
+    """The engine with its end of the socket and the memory; what it prints goes to our standard error."""
+    command = [str(program), str(wiring), str(theirs), str(memory)]
+    try:
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=2, pass_fds=(theirs, memory))
+    except OSError as error:
+        raise RtlError(f"{program} does not start: {error}") from None

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""DMA channels at the design's streams: packets into the logic and out of it, and a camera at its pins."""
+
+from __future__ import annotations
+
+import errno
+from typing import TYPE_CHECKING
+
+from cm.loop import Loop
+from cm.rtl.board import SLOT, RunningDesign
+from cm.rtl.errors import RtlError
+from cm.rtl.messages import Op
+from cm.sim.faults import Faults
+from cm.sim.hardware.camera import MAX_ZOOM, PhotoReel
+from cm.sim.hardware.datapath import Datapath
+from cm.sim.hardware.dma import Bytes, Channel, Transfer
+from cm.sim.hardware.interrupts import InterruptWiring
+from cm.sim.hardware.links import CameraLink, Link
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from cm.sim.lazy_numpy import np
+
+MAX_PACKET = SLOT
+
+
+class OpticalPath(Datapath):
+    """What the camera obeys: the signals to its lens, as the design drives them. Nothing else passes here."""
+
+    running: RunningDesign
+
+    @property
+    def flows(self) -> bool:
+        """The logic itself says what it takes."""
+        return True
+
+    def register(self, name: str, default: int) -> int:
+        """The signal of that name, or the one that ends like it (``lens_focus``), where the region drives it."""
+        value = self.running.output(self._name, name)
+        return default if not value or value > MAX_ZOOM else value
+
+
+class End:
+    """A stream of the design in the arena: at most one packet is under way."""
+
+    def __init__(self, running: RunningDesign, stream: int) -> None:
+        self._running, self._stream = running, stream
+        self._offset = (1 + stream) * SLOT
+        self.busy = False
+
+    def send(self, data: Bytes) -> bool:
+        """Begin to send a packet; False where the logic is gone."""
+        length = len(data)
+        target = np.frombuffer(self._running.process.arena, np.uint8, length, self._offset)
+        np.copyto(target, data)
+        self.busy = self._ask(Op.SEND, length)
+        return self.busy
+
+    def receive(self, room: int) -> bool:
+        """Have room for a packet; False where the logic is gone."""
+        self.busy = self._ask(Op.RECEIVE, room)
+        return self.busy
+
+    def cancel(self) -> None:
+        """Whatever is under way ends here."""
+        self.busy = False
+        self._ask(Op.CANCEL, 0)
+
+    def data(self, length: int) -> Bytes:
+        """What was received, until the next packet."""
+        return np.frombuffer(self._running.process.arena, np.uint8, length, self._offset)
+
+    def _ask(self, op: Op, length: int) -> bool:
+        try:
+            return self._running.ask(op, self._stream, self._offset, length).a == 0
+        except RtlError:
+            return False
+
+
+class Intake:
+    """Stream to memory: fills the transfer at the head of the queue with the next packet."""
+
+    def __init__(self, running: RunningDesign, stream: int, channel: Channel, faults: Faults) -> None:
+        self._end, self._channel, self._faults = End(running, stream), channel, faults
+        self._into: Transfer | None = None
+        running.on_received[stream] = self._received
+
+    def move(self) -> None:
+        """Give the logic room if there is some; take it back if it was taken from us."""
+        queue = self._channel.queue
+        if self._into is not None and (not queue or queue[0] is not self._into):
+            self._end.cancel()
+            self._into = None
+        if queue and self._into is None and self._end.receive(min(queue[0].period, MAX_PACKET)):
+            self._into = queue[0]
+
+    def _received(self, length: int, overflow: bool) -> None:
+        channel, into = self._channel, self._into
+        self._into, self._end.busy = None, False
+        if into is None or not channel.queue or channel.queue[0] is not into:
+            return
+        if self._faults.take("dma_error", channel.spec.name):
+            channel.complete(0, -errno.EIO)
+        else:
+            short = self._faults.take("short_packet", channel.spec.name)
+            data = self._end.data(length if short is None else min(length, short.value))
+            channel.complete(into.store(data), -errno.EIO if overflow else 0)
+        channel.kick()
+
+
+class IntakeLink(Link):
+    """A stream that comes out of the logic by itself."""
+
+    def __init__(
+        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, intake: Intake, channel: Channel
+    ) -> None:
+        super().__init__(loop, faults, interrupts, path)
+        self._intake, self._channel = intake, channel
+
+    def _move(self) -> None:
+        if not self._hangs(self._channel):
+            self._intake.move()
+
+
+class OutletLink(Link):
+    """Memory to stream: one packet for each transfer, or each period of a cyclic one."""
+
+    def __init__(
+        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, running: RunningDesign,
+        stream: int, channel: Channel,
+    ) -> None:  # fmt: skip
+        super().__init__(loop, faults, interrupts, path)
+        self._end, self._channel = End(running, stream), channel
+        self._sending: Transfer | None = None
+        running.on_sent[stream] = self._left
+
+    def _move(self) -> None:
+        channel, queue = self._channel, self._channel.queue
+        if self._sending is not None and (not queue or queue[0] is not self._sending):
+            self._end.cancel()
+            self._sending = None
+        if not queue or self._sending is not None or self._hangs(channel):
+            return
+        if queue[0].cyclic and not self._pace(channel.spec.rate):
+            return
+        if self._faults.take("dma_error", channel.spec.name):
+            channel.complete(0, -errno.EIO)
+            self.kick()
+        elif self._end.send(queue[0].data()):
+            self._sending = queue[0]
+
+    def _left(self) -> None:
+        channel, sent = self._channel, self._sending
+        self._sending, self._end.busy = None, False
+        if sent is not None and channel.queue and channel.queue[0] is sent:
+            channel.complete(sent.period)
+        self.kick()
+
+
+class RtlCameraLink(CameraLink):
+    """A sensor at the pins of the device, and the region's stream to memory behind it.
+
+    A picture begins when there is a buffer for a frame; what the logic makes of it comes when it comes.
+    """
+
+    def __init__(
+        self, loop: Loop, faults: Faults, interrupts: InterruptWiring, path: Datapath, sink: Channel, reel: PhotoReel,
+        rate: float, intake: Intake, running: RunningDesign, stream: int,
+    ) -> None:  # fmt: skip
+        super().__init__(loop, faults, interrupts, path, sink, reel, rate)
+        self._intake, self._sensor = intake, End(running, stream)
+        running.on_sent[stream] = self._exposed
+
+    def _move(self) -> None:
+        if self._hangs(self._sink):
+            return
+        self._intake.move()
+        if not self._sink.queue or self._credit == 0 or self._sensor.busy or not self._pace(self._rate):
+            return
+        if self._credit is not None:
+            self._credit -= 1
+        picture = self._reel.take(self._shape(), self._path.register("focus", 1), self._path.register("zoom", 1))
+        self._sensor.send(picture.reshape(-1))
+
+    def _exposed(self) -> None:
+        self._sensor.busy = False
+        self.kick()

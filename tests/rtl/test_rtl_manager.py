@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`cm serve --sim=rtl`: a board that runs the shipped camera's Verilog, against the same models in software."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import HERE, needs
+
+import cm
+
+sys.path.append(str(HERE.parent))
+from manager_process import Manager, environment
+
+from cm.sim.hardware.camera import frame, shipped_photos
+from cm.sim.hardware.models import Colorise, default, edge
+
+pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
+PHOTO = next(iter(shipped_photos().values()))
+FOCUS = 3
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
+    runtime = tmp_path_factory.mktemp("run")
+    manager = Manager(runtime, "--sim=rtl", "--sim-hold", "0").start()
+    try:
+        with cm.connect(str(runtime)) as connected:
+            connected.load("camera")
+            yield connected
+    finally:
+        manager.stop()
+
+
+@pytest.mark.parametrize(
+    ("mode", "register", "model"),
+    [("default", None, default), ("edge_detection", ("threshold", 40), edge), ("colorise", ("palette", 2), Colorise())],
+)
+def test_every_mode_gives_the_pixels_of_the_software_model(
+    board: cm.Board, mode: str, register: tuple[str, int] | None, model: object
+) -> None:
+    board.set_mode(mode)
+    values = dict([register] if register else [])
+    board.registers.write({"focus": FOCUS, **values})
+    seen = frame(PHOTO, (480, 640), FOCUS, 1)
+    expected = model(seen, values)  # type: ignore[operator]
+    with board.stream("camera") as stream:
+        pictures = [np.array(stream.read()) for _ in range(6)]
+    assert any(np.array_equal(picture, expected) for picture in pictures), "the lens follows within a few frames"
+    assert np.array_equal(pictures[-1], expected)
+
+
+def test_the_interrupt_of_a_frame_is_the_modules_own(board: cm.Board) -> None:
+    board.set_mode("default")
+    line = board.interrupts["frame_done"]
+    before = line.count
+    with board.stream("camera") as stream:
+        for _ in range(3):
+            stream.read()
+        while line.count == before:
+            line.wait(30.0)
+
+
+def test_without_a_compiler_the_software_models_serve_and_the_log_says_so(tmp_path: Path) -> None:
+    manager = Manager(tmp_path, "--sim=rtl", env={**environment(), "CM_VERILATOR": "/nowhere/verilator"}).start()
+    try:
+        with cm.connect(str(tmp_path)) as board:
+            board.load("camera")
+            with board.stream("camera") as stream:
+                assert stream.read().shape == (480, 640)
+    finally:
+        manager.stop()
+    assert b"models in software" in manager.log

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A region is asked who it is once it is connected: it may still be in reset, when it reads as 0."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cm.manager.errors import IdentityMismatch
+from cm.manager.execution.actions.pl import IDENTITY_READS, check_identity
+from cm.manager.state.table import RegionEvent
+
+EXPECTED = 0x5D27_8DE1
+
+
+def asked(*answers: int) -> tuple[Any, Any, list[object]]:
+    """A context whose register gives these answers and then the last one for ever; a step; what was told."""
+    left, told = list(answers), []
+    registers = SimpleNamespace(read_address=lambda address, width: left.pop(0) if len(left) > 1 else left[0])
+    run = SimpleNamespace(
+        tools=SimpleNamespace(registers=registers), region_event=lambda name, event: told.append((name, event))
+    )
+    identity = SimpleNamespace(base_address=0x4000_0000, offset=0x10C, width=32)
+    step = SimpleNamespace(
+        region=SimpleNamespace(name="prr0", identity=identity), module=SimpleNamespace(name="edge", identity=EXPECTED)
+    )
+    return run, step, told
+
+
+@pytest.mark.parametrize("resets", [0, 1, 40, IDENTITY_READS - 1])
+def test_a_region_that_leaves_its_reset_late_is_waited_for(resets: int) -> None:
+    run, step, told = asked(*[0] * resets, EXPECTED)
+    check_identity(run, step)
+    assert told == []
+
+
+def test_another_module_is_told_at_once() -> None:
+    run, step, told = asked(0, 0x77, EXPECTED)
+    with pytest.raises(IdentityMismatch, match="0x77"):
+        check_identity(run, step)
+    assert told == [("prr0", RegionEvent.LOSE)]
+
+
+def test_one_that_stays_silent_is_given_up() -> None:
+    run, step, _ = asked(0)
+    with pytest.raises(IdentityMismatch, match="answers 0x0"):
+        check_identity(run, step)
