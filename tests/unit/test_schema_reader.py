@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -188,3 +189,15 @@ def test_a_large_and_good_file_loads_in_bounded_time() -> None:
     config = cm.schema.loads(f"config:\n  name: c\n  mmio: {mmio}\n  modes: {modes}")
     assert len(config.visible_registers("m1")) == 4001
     assert time.process_time() - start < 20  # 1.5 s measured
+
+
+def test_a_file_that_is_not_utf_8_is_refused_at_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "latin.yaml"
+    path.write_bytes(b"config:\n  name: c\n  doc: caf\xe9\n")
+    (problem,) = cm.schema.check(path)
+    assert (problem.code, problem.line, problem.message) == ("yaml_syntax", 3, "not UTF-8 text")
+
+
+def test_half_a_surrogate_pair_is_called_what_it_is() -> None:
+    with pytest.raises(SchemaError, match="a character that is not Unicode text"):
+        cm.schema.loads("config:\n  name: \ud800")
