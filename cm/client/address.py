@@ -8,6 +8,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from cm.client.errors import NotAdmitted
 from cm.errors import InvalidRequest, NotFound
 from cm.wire.topics import Endpoints, ipc_endpoints, tcp_endpoints
 
@@ -36,10 +37,25 @@ def default_runtime_dir() -> Path:
             "a configuration manager runs on a Linux board, not here: say which one, "
             "connect('tcp://kria.local'), or --connect tcp://kria.local"
         )
-    if (SYSTEM_DIR / "req").exists() or os.geteuid() == 0:
+    if os.geteuid() == 0 or _serves(SYSTEM_DIR):
         return SYSTEM_DIR
+    own = _users_dir()
+    if _serves(SYSTEM_DIR) is None and not _serves(own):  # one that is not for us: told as that
+        return SYSTEM_DIR
+    return own
+
+
+def _users_dir() -> Path:
     user = os.environ.get("XDG_RUNTIME_DIR")
     return Path(user) / "cm" if user else Path(f"/tmp/cm-{os.getuid()}")
+
+
+def _serves(folder: Path) -> bool | None:
+    """Whether a manager's sockets lie in a folder; None where that is not for us to see."""
+    try:
+        return (folder / "req").exists()
+    except PermissionError:
+        return None
 
 
 def resolve(endpoint: str | None, runtime_dir: str | os.PathLike[str] | None) -> Endpoints:
@@ -53,9 +69,29 @@ def resolve(endpoint: str | None, runtime_dir: str | os.PathLike[str] | None) ->
     if endpoint is not None and endpoint.startswith("tcp://"):
         return tcp_endpoints(endpoint)
     folder = Path(endpoint.removeprefix("ipc://") if endpoint else runtime_dir or default_runtime_dir())
-    if not (folder / "req").exists():
+    serves = _serves(folder)
+    if serves is False:
         raise NotFound(f"no configuration manager serves {folder}: start one ('cm serve'), or name its --runtime-dir")
+    if serves is None or not os.access(folder / "req", os.W_OK):
+        raise NotAdmitted(_not_for_us(folder))
+    if not endpoint and not runtime_dir and folder == _users_dir() and folder.stat().st_uid not in (0, os.geteuid()):
+        raise NotAdmitted(f"{folder} belongs to another user: its manager is not ours")
     return ipc_endpoints(folder)
+
+
+def _not_for_us(folder: Path) -> str:
+    """Who may use the sockets of a folder, and how to become one of them."""
+    try:
+        group = folder.stat().st_gid
+        import grp  # not on every system that clients run on
+
+        name = grp.getgrgid(group).gr_name
+    except (OSError, KeyError, ImportError):
+        name = "its group"
+    return (
+        f"this user may not use the sockets in {folder}: they are for members of {name} "
+        f"(sudo usermod -aG {name} $USER, then log in again)"
+    )
 
 
 def load_keys(path: str | os.PathLike[str]) -> Keys:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from cm.client.errors import ConnectionLost, LateRelease, request_error
+from cm.client.errors import ConnectionLost, LateRelease, NotAdmitted, request_error
 from cm.client.mapping import LocalFrame, SlotMappings, lend
 from cm.errors import NotFound
 from cm.messages.status import ErrorInfo
@@ -221,6 +221,8 @@ def _connect(sock: socket.socket, folder: Path) -> None:
             sock.connect(f"/proc/self/fd/{place}/{packets.SOCKET}")
         finally:
             os.close(place)
+    except PermissionError as error:
+        raise NotAdmitted(f"this user may not use the data socket in {folder}") from error
     except (FileNotFoundError, ConnectionRefusedError) as error:
         raise NotFound(f"no configuration manager serves the data socket in {folder}") from error
 

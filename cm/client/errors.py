@@ -35,6 +35,10 @@ class RequestTimeout(RequestFailed, Timeout):
     """The manager waited in vain."""
 
 
+class NotAdmitted(Forbidden):
+    """The manager, or the system, does not let us connect."""
+
+
 class NoAnswer(Timeout):
     """The manager does not answer."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from typing import Any, TypeVar
 
 import zmq
@@ -18,6 +19,7 @@ from cm.client.core.requests import Requests, result
 from cm.client.sockets import Socket, Sockets, closed
 
 _T = TypeVar("_T")
+_NOBLOCK = int(zmq.NOBLOCK)
 _POLLIN = int(zmq.POLLIN)  # an operation on pyzmq's enums costs as much as a system call
 
 
@@ -58,21 +60,25 @@ class Link:
         self._requests = Requests(sockets.endpoints.req)
         self._lock = threading.Lock()
         self._socket: Socket
-        self._socket, self._monitor = sockets.requests()
+        self._open()
+
+    def _open(self) -> None:
+        self._socket, self._monitor, self._handshake = self._sockets.requests()
         self._sources: list[tuple[Any, int]] = [(self._socket, _POLLIN), (self._monitor, _POLLIN)]
 
     def ask(self, call: Call[_T], timeout: float | None, beside: AskBeside | None = None) -> _T:
         """Make a request and wait for its reply; meanwhile what comes `beside` is taken.
 
-        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away,
-        BoardClosed, and what the manager refused with.
+        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away, NotAdmitted
+        if it does not let us in, BoardClosed, and what the manager refused with.
         """
         with self._lock:
             if self._socket.closed:
                 raise closed(self._requests.address)
             number, frames = self._requests.begin(call)
-            self._drain_monitor()
-            multipart.send(self._socket, frames)
+            self._look()
+            self._handshake.lost = False  # that was before
+            self._send(frames)
             reply = self._wait(number, timeout, beside)
         return result(call, reply)
 
@@ -115,14 +121,30 @@ class Link:
                 if frames[0] == number:  # others answer requests that timed out
                     return [*map(bytes, frames[2:4]), *frames[4:]]  # payloads stay where libzmq put them
             elif self._monitor in ready:
-                self._drain_monitor()
-                raise self._requests.lost()
+                self._look()
+                if self._handshake.lost:
+                    raise self._requests.lost()
             elif not ready and deadline.left == 0:
                 raise self._requests.no_answer(timeout)
 
-    def _drain_monitor(self) -> None:
+    def _send(self, frames: Sequence[Any]) -> None:
+        """A socket that was not let in has nowhere to send to, and would wait for ever."""
+        try:
+            multipart.send(self._socket, frames, _NOBLOCK)
+        except zmq.Again:
+            self._look()
+            multipart.send(self._socket, frames)
+
+    def _look(self) -> None:
+        """Take what the monitor tells. Raises NotAdmitted; the next request tries anew."""
         while zmq_poll(self._sources[1:], 0):
-            recv_monitor_message(self._monitor)
+            told = recv_monitor_message(self._monitor)
+            self._handshake.take(int(told["event"]), int(told["value"]))
+        refused = self._handshake.refused
+        if refused is not None:
+            self.close()
+            self._open()
+            raise refused
 
     def close(self) -> None:
         """Disconnect; twice is fine."""

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 import zmq
 
 from cm.client.address import Keys
+from cm.client.core.handshake import EVENTS, Handshake
 from cm.client.errors import BoardClosed
 from cm.wire.topics import Endpoints
 
@@ -48,15 +49,18 @@ class Sockets:
         return bool(self._context.closed)
 
     def requests(self) -> Any:
-        """A DEALER for requests, and its monitor, which tells of a manager that went away. Raises BoardClosed."""
+        """A DEALER for requests, its monitor, and what follows that: a manager that went away, or lets us not in.
+
+        Raises BoardClosed.
+        """
         socket = self._new(zmq.DEALER)
         # A lost peer must be heard of at once on ipc, and within seconds over a dead network.
         socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
         socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
-        monitor = socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        monitor = socket.get_monitor_socket(EVENTS)
         self._open.add(monitor)
         socket.connect(self.endpoints.req)
-        return socket, monitor
+        return socket, monitor, Handshake(self.endpoints.req, self._keys is not None)
 
     def subscriber(self, topics: tuple[bytes, ...], depth: int = 0) -> Any:
         """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number). Raises BoardClosed."""

@@ -109,3 +109,19 @@ def test_one_user_needs_no_setting_at_all(tmp_path: Path) -> None:
                 assert board.registers["focus"] == 3
         finally:
             manager.stop()
+
+
+@needs_root
+def test_who_is_not_of_the_group_is_told_so_at_once() -> None:
+    with shared("") as manager:
+        told = outcome(manager, MALLORY, "board.status", groups=())["connect"]
+    assert told.startswith("NotAdmitted: forbidden: this user may not use the sockets in ")
+    assert f"members of {GROUP}" in told or "members of its group" in told
+
+
+@needs_root
+def test_who_is_of_the_group_but_has_no_role_is_told_so_at_once() -> None:
+    with shared("  local: []\n") as manager:
+        told = outcome(manager, MALLORY, "board.status")["connect"]
+    assert told.startswith("NotAdmitted: forbidden: the manager at ipc://")
+    assert "gives this user no role" in told

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from typing import Any, TypeVar
 
 import zmq.asyncio
@@ -13,6 +14,7 @@ from zmq.utils.monitor import parse_monitor_message
 
 from cm.client.core.calls import Call
 from cm.client.core.effects import Ask, AskBeside, Flow, Pause, Receive, seconds
+from cm.client.core.handshake import Handshake
 from cm.client.core.requests import Requests, result
 from cm.client.sockets import Sockets, closed
 
@@ -57,6 +59,7 @@ class Link:
         self._pending: dict[bytes, asyncio.Future[list[bytes]]] = {}
         self._socket: zmq.asyncio.Socket | None = None
         self._monitor: zmq.asyncio.Socket | None = None
+        self._handshake: Handshake | None = None
         self._tasks: tuple[asyncio.Task[None], ...] = ()
 
     def open(self) -> None:
@@ -64,7 +67,7 @@ class Link:
         if self._sockets.closed:
             raise closed(self._requests.address)
         if self._socket is None:
-            self._socket, self._monitor = self._sockets.requests()
+            self._socket, self._monitor, self._handshake = self._sockets.requests()
             self._tasks = (asyncio.create_task(self._read()), asyncio.create_task(self._look()))
 
     async def _read(self) -> None:
@@ -76,12 +79,26 @@ class Link:
                 waiting.set_result(frames[2:])
 
     async def _look(self) -> None:
-        """A manager that goes away is told to all who wait."""
+        """A manager that goes away, or does not let us in, is told to all who wait."""
         assert self._monitor is not None
-        while True:
+        assert self._handshake is not None
+        handshake = self._handshake
+        while handshake.refused is None:
             event = parse_monitor_message(await self._monitor.recv_multipart())
-            if event["event"] == zmq.EVENT_DISCONNECTED:
+            handshake.take(int(event["event"]), int(event["value"]))
+            if handshake.lost:
+                handshake.lost = False
                 self._fail(self._requests.lost)
+        refused = handshake.refused
+        self._fail(lambda: refused)
+        self._tasks[0].cancel()
+        self._hang_up()  # the next request tries anew
+        self._socket, self._tasks = None, ()
+
+    def _hang_up(self) -> None:
+        if self._socket is not None and not self._socket.closed:
+            self._socket.disable_monitor()
+            self._sockets.end(self._monitor, self._socket)
 
     def _fail(self, problem: Callable[[], Exception]) -> None:
         pending, self._pending = self._pending, {}
@@ -92,21 +109,23 @@ class Link:
     async def ask(self, call: Call[_T], timeout: float | None) -> _T:
         """Make a request and wait for its reply.
 
-        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away,
-        BoardClosed, and what the manager refused with.
+        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away, NotAdmitted
+        if it does not let us in, BoardClosed, and what the manager refused with.
         """
         self.open()
         assert self._socket is not None
         number, frames = self._requests.begin(call)
         waiting: asyncio.Future[list[bytes]] = asyncio.get_running_loop().create_future()
         self._pending[number] = waiting
+        sending = asyncio.ensure_future(self._socket.send_multipart(frames))  # has no end where we are not let in
+        sending.add_done_callback(partial(_hand_on, waiting))
         try:
-            await self._socket.send_multipart(frames)
             reply = await asyncio.wait_for(waiting, timeout)
         except asyncio.TimeoutError:
             raise self._requests.no_answer(timeout) from None
         finally:
             self._pending.pop(number, None)
+            sending.cancel()
         return result(call, reply)
 
     async def run(self, flow: Flow[_T]) -> _T:
@@ -151,9 +170,14 @@ class Link:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
         self._fail(lambda: closed(self._requests.address))
-        if self._socket is not None and not self._socket.closed:
-            self._socket.disable_monitor()
-            self._sockets.end(self._monitor, self._socket)
+        self._hang_up()
+
+
+def _hand_on(waiting: asyncio.Future[Any], sending: asyncio.Future[Any]) -> None:
+    """What goes wrong when it is sent, to who waits for the reply."""
+    problem = None if sending.cancelled() else sending.exception()
+    if problem is not None and not waiting.done():
+        waiting.set_exception(problem)
 
 
 async def _tell(effect: AskBeside) -> None:

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a socket's monitor tells, understood: a manager that went away, or one that does not let us in. No sockets."""
+
+from __future__ import annotations
+
+import zmq
+
+from cm.client.errors import NotAdmitted
+
+EVENTS = (
+    zmq.EVENT_DISCONNECTED
+    | zmq.EVENT_HANDSHAKE_SUCCEEDED
+    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+)
+_ATTEMPTS = 3  # handshakes that fail without a reason, until it is no accident
+
+
+class Handshake:
+    """Follows the events of one socket. `keys`: whether we have some."""
+
+    def __init__(self, address: str, keys: bool) -> None:
+        self._address = address
+        self._keys = keys
+        self._failures = 0
+        self.refused: NotAdmitted | None = None  # once it is known; the socket does not connect any more
+        self.lost = False  # whether a connection that was there has ended, since this was set to False
+
+    def take(self, event: int, value: int) -> None:
+        """An event and its value."""
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            self._failures = 0
+        elif event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
+            self.refused = NotAdmitted(self._unknown())
+        elif event == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL:
+            if value == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
+                self.refused = NotAdmitted(self._mismatch())
+        elif event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL:
+            self._failures += 1
+            if self._keys and self._failures >= _ATTEMPTS:
+                self.refused = NotAdmitted(
+                    f"the manager at {self._address} ends every handshake: it has another key than the key file's "
+                    "'server-public', or takes no more connections"
+                )
+        elif not self._failures:
+            self.lost = True
+
+    def _unknown(self) -> str:
+        if self._keys:
+            return (
+                f"the manager at {self._address} does not know this key, or it has expired or has no role: its "
+                "administrator puts NAME.pub into authorized_keys.d"
+            )
+        return (
+            f"the manager at {self._address} gives this user no role: its administrator does, under 'access' in cm.yaml"
+        )
+
+    def _mismatch(self) -> str:
+        if self._keys:
+            return f"the manager at {self._address} has no keys (--insecure): connect without keys"
+        return f"the manager at {self._address} wants keys: connect(keys=…), --keys FILE, as 'cm keygen' made them"

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys over TCP: who is let in, as what, and until when; by the blocking and the asyncio client."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import time
+from collections.abc import Iterator
+from datetime import datetime, timedelta, timezone
+from pathlib import Path
+
+import pytest
+import zmq
+from manager_process import CAMERA, Manager, short_folder, until
+
+import cm
+import cm.aio
+from cm.cli.keys import write_key_file
+from cm.cli.main import main
+from cm.errors import CmError, Forbidden
+from cm.sim import Board as SimBoard
+
+
+class Guarded:
+    """A manager with keys, as a service without a service manager."""
+
+    def __init__(self, folder: Path, board: Path) -> None:
+        self.folder, self.keys = folder, folder / "keys"
+        self.key("owner", "provision")
+        settings = folder / "cm.yaml"
+        settings.write_text(
+            f"listen: ['tcp://127.0.0.1:0']\nkeys: {self.keys}/server.key\nstate_dir: {folder}/state\nlog: warning\n"
+            "access: {roles: {tuner: {role: operate, registers: [focus]}}}\n"
+        )
+        arguments = ("--settings", str(settings), "--config", str(CAMERA), "--root", str(board))
+        self.manager = Manager(folder / "run", *arguments, service=True).start()
+        with self.manager.connected() as board_:
+            board_.load("camera", "default")
+
+    def key(self, name: str, role: str, *more: str) -> Path:
+        assert main(["keygen", str(self.keys), name, "--role", role, *more]) == 0
+        return self.keys / f"{name}.key"
+
+    def reload(self) -> None:
+        assert self.manager.process is not None
+        os.kill(self.manager.process.pid, signal.SIGHUP)
+
+    @property
+    def address(self) -> str:
+        endpoints = json.loads((self.manager.runtime / "endpoints.json").read_text("ascii"))
+        return str(endpoints["tcp"][0]["pub"])
+
+    def connect(self, name: str) -> cm.Board:
+        return cm.connect(self.address, keys=self.keys / f"{name}.key", timeout=20)
+
+    def lets_in(self, name: str) -> bool:
+        try:
+            with self.connect(name) as board:
+                return bool(board.configs)
+        except Forbidden:
+            return False
+
+
+@pytest.fixture(scope="module")
+def guarded() -> Iterator[Guarded]:
+    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
+        made = Guarded(folder, sim.root)
+        yield made
+        made.manager.stop()
+
+
+def problem(guarded: Guarded, keys: Path | None) -> str:
+    """Of who connects with a key file, by both clients."""
+    with pytest.raises(Forbidden) as caught, cm.connect(guarded.address, keys=keys, timeout=30) as board:
+        board.configs  # noqa: B018
+    assert caught.value.code == "forbidden"
+
+    async def twin() -> str:
+        with pytest.raises(Forbidden) as caught:
+            async with cm.aio.connect(guarded.address, keys=keys, timeout=30) as board:
+                await board.configs()
+        return str(caught.value)
+
+    assert asyncio.run(twin()) == str(caught.value)
+    return str(caught.value)
+
+
+def test_a_key_that_is_not_known_is_told_so_and_not_left_waiting(guarded: Guarded) -> None:
+    stranger = guarded.key("stranger", "admin")
+    (guarded.keys / "authorized_keys.d/stranger.pub").unlink()
+    assert "does not know this key" in problem(guarded, stranger)
+
+
+def test_who_comes_without_a_key_is_told_that_it_takes_one(guarded: Guarded) -> None:
+    assert "wants keys" in problem(guarded, None)
+
+
+def test_a_key_for_another_board_is_told_so(guarded: Guarded, tmp_path: Path) -> None:
+    public, secret = zmq.curve_keypair()
+    other = tmp_path / "other.key"
+    write_key_file(other, {"server-public": zmq.curve_keypair()[0], "public": public, "secret": secret}, "client")
+    assert "another key than" in problem(guarded, other)
+
+
+def test_an_observer_looks_and_changes_nothing(guarded: Guarded) -> None:
+    guarded.key("eyes", "observe")
+    guarded.reload()
+    until(lambda: guarded.lets_in("eyes"))
+    with guarded.connect("eyes") as board:
+        assert board.status.mode == "default"
+        focus = board.registers["focus"]
+        with pytest.raises(Forbidden, match=r"key eyes has no right to cm_write_reg.*role operate"):
+            board.registers["focus"] = focus + 1
+        with pytest.raises(Forbidden, match="role operate"):
+            board.mode = "edge_detection"
+        with pytest.raises(Forbidden, match="role operate"), board.lease("board"):
+            pass
+        assert board.registers["focus"] == focus
+        assert board.status.mode == "default"
+
+
+def test_a_narrow_role_reaches_its_registers_and_no_others(guarded: Guarded) -> None:
+    guarded.key("tuner", "observe,tuner")
+    guarded.reload()
+    until(lambda: guarded.lets_in("tuner"))
+    with guarded.connect("tuner") as board:
+        board.registers["focus"] = 3
+        assert board.registers["focus"] == 3
+        with pytest.raises(Forbidden, match="register 'zoom'"):
+            board.registers["zoom"] = 2
+        with pytest.raises(Forbidden, match="register 'zoom'"):
+            board.registers.write({"focus": 1, "zoom": 2})
+        assert board.registers["focus"] == 3  # all or nothing
+
+
+def test_a_key_that_is_taken_away_ends_its_sessions_while_others_go_on(guarded: Guarded) -> None:
+    guarded.key("leaver", "provision")
+    guarded.reload()
+    until(lambda: guarded.lets_in("leaver"))
+    with guarded.connect("leaver") as leaver, guarded.connect("owner") as owner:
+        assert leaver.status.mode == owner.status.mode
+        (guarded.keys / "authorized_keys.d/leaver.pub").unlink()
+        guarded.reload()
+        until(lambda: _refused(leaver))
+        until(lambda: not _refused(owner))
+    assert not guarded.lets_in("leaver")
+
+
+def _refused(board: cm.Board) -> bool:
+    try:
+        return not board.configs
+    except Forbidden:
+        return True
+    except CmError:
+        return False
+
+
+def test_a_key_ends_at_its_time_with_its_sessions(guarded: Guarded) -> None:
+    guarded.key("guest", "observe")
+    guarded.reload()
+    until(lambda: guarded.lets_in("guest"))
+    with guarded.connect("guest") as board:
+        assert board.configs
+        end = datetime.now(timezone.utc) + timedelta(seconds=2)
+        with (guarded.keys / "authorized_keys.d/guest.pub").open("a") as file:
+            file.write(f"expires: {end.isoformat()}\n")
+        guarded.reload()
+        until(lambda: _refused(board), timeout=60)
+        assert time.time() >= end.timestamp()
+    assert not guarded.lets_in("guest")
