@@ -32,6 +32,7 @@ def by_hand(address: str) -> None:
         assert dir(board.registers)
         assert board.interrupts.names
         assert "only its own machine has" in error_of(lambda: board.writer("to_pl"))
+        assert "only its own machine has" in error_of(lambda: board.allocate(4))
     assert "connect('tcp://kria.local')" in error_of(cm.connect)
     assert "on Linux only" in error_of(lambda: import_module("cm.device"))
 

@@ -16,7 +16,6 @@ import zmq
 
 from cm.client import place
 from cm.client.address import Keys
-from cm.client.allocation import DeviceArray, allocated
 from cm.client.change import ChangeHandle
 from cm.client.core import calls, change, leases
 from cm.client.core.calls import Call
@@ -42,6 +41,7 @@ from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Status, StreamSt
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
+    from cm.client.allocation import DeviceArray
     from cm.client.writer import Writer
 
 _T = TypeVar("_T")
@@ -308,6 +308,8 @@ class Board(Guarded):
         """
         self._check_open()
         folder = self._place.data_folder("memory for the PL")
+        from cm.client.allocation import allocated  # here: other systems than Linux have no such sockets
+
         return allocated(folder, shape, dtype, seconds(timeout, self.timeout))
 
     def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:

@@ -42,7 +42,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("system", ["win32", "darwin"])
 def test_a_laptop_drives_a_board_over_tcp(system: str, installed: Path, tmp_path: Path) -> None:
-    with served(arguments=("--listen", "tcp://127.0.0.1:0")) as (manager, _):
+    with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _):
         address = json.loads((manager.runtime / "endpoints.json").read_text())["tcp"][0]["pub"]
         script, client = (REPOSITORY / "tests" / name for name in ("laptop.py", "laptop_client.py"))
         done = subprocess.run(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -216,3 +217,23 @@ def test_the_manager_imports_where_no_shim_was_compiled() -> None:
     )
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 30
+
+
+_ON_A_LAPTOP = (
+    "import cm.aio, cm.client.aio.board, cm.client.board, cm.cli.status, cm.cli.reg, cm.cli.stream, cm.cli.mem\n"
+)
+
+
+@pytest.mark.parametrize("system", ["win32", "darwin"])
+def test_the_clients_import_where_only_linux_things_are_missing(system: str, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(_ON_A_LAPTOP)
+    laptop = PACKAGE.parent / "tests/laptop.py"
+    done = subprocess.run(
+        [sys.executable, laptop, system, script],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(PACKAGE.parent)},
+    )
+    assert done.returncode == 0, done.stderr

@@ -9,7 +9,7 @@ import weakref
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,6 @@ from cm.client.aio.memories import Memories, Memory
 from cm.client.aio.registers import Registers
 from cm.client.aio.stream import AsyncLocalStream, AsyncRemoteStream, Stream
 from cm.client.aio.writer import AsyncWriter
-from cm.client.allocation import DeviceArray, allocated
 from cm.client.core import calls, change, leases
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Flow, Limit, seconds
@@ -41,6 +40,9 @@ from cm.client.zmq_frames import Wanted
 from cm.messages.requests import ConfigureStream, DefineMemory
 from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
 from cm.wire.plane_packets import Open
+
+if TYPE_CHECKING:
+    from cm.client.allocation import DeviceArray
 
 _T = TypeVar("_T")
 
@@ -278,6 +280,8 @@ class Board(Guarded):
         """
         self._check_open()
         folder, limit = self._place.data_folder("memory for the PL"), seconds(timeout, self.timeout)
+        from cm.client.allocation import allocated  # here: other systems than Linux have no such sockets
+
         return await asyncio.get_running_loop().run_in_executor(None, allocated, folder, shape, dtype, limit)
 
     async def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
