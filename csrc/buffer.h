@@ -13,7 +13,7 @@
 
 /**
  * struct cm_buffer - a buffer of one device
- * @fd: owned by whoever holds the structure, closed by cm_buffer_close()
+ * @fd: owned by the holder of the structure, closed by cm_buffer_close()
  * @handle: valid on the device it came from only
  * @coherent: CPU access needs no cm_buffer_sync()
  * @length: bytes

@@ -6,7 +6,7 @@
 #define CM_SHIM_EXCHANGE_H
 
 /*
- * Exchange what stands at two paths of one file system: whoever looks sees both before or both after.
+ * Exchange what stands at two paths of one file system: a reader sees both before or both after.
  * ENOENT where one is missing, EINVAL where the file system cannot.
  */
 int cm_exchange(const char *one, const char *other);

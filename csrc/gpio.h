@@ -4,7 +4,7 @@
  *
  * A chip is /dev/gpiochipN.  A line is asked for as it is: neither its direction nor
  * its value changes before cm_gpio_line_drive().  It is held until it is closed, and
- * nobody else gets it meanwhile.
+ * no other process gets it meanwhile.
  *
  * Errors, threads and simulated nodes: see node.h.
  */

@@ -46,7 +46,7 @@ enum cm_node_fd {
  * May block as long as the driver's open() takes.  The caller owns the node
  * and closes it.
  *
- * Errors: those of open(); ENODEV if nobody serves the simulated node, ENXIO if
+ * Errors: those of open(); ENODEV if the simulated node is not served, ENXIO if
  * @path is neither a character device nor a socket, EPROTO if what serves it
  * does not keep to cm_node.h.
  */

@@ -22,7 +22,7 @@ int cm_path_reopen(int path_fd, int flags);
  *
  * Works through /proc/self/fd, because sun_path holds 107 bytes only and a
  * root may be longer.  With @timeout_ms no call on it waits longer, 0: for ever.
- * ENODEV where the socket lies there but nobody listens, ETIMEDOUT where nobody
+ * ENODEV where the socket is there but has no listener, ETIMEDOUT if nothing
  * takes the connection.
  */
 int cm_path_connect(int path_fd, int timeout_ms);

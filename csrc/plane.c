@@ -241,7 +241,7 @@ static int add_slot(struct cm_plane *plane, struct stream *stream, int fd, uint3
 	return (int)number;
 }
 
-/* One that is about to end is there for nobody any more. */
+/* A stream that is about to end takes no more clients. */
 static struct stream *find_live(struct cm_plane *plane, int id)
 {
 	struct stream *stream = stream_find(plane, id);

@@ -126,7 +126,7 @@ int cm_plane_drop(struct cm_plane *plane, int client);
  * @dropped: frames × readers that did not get them
  * @errors: transfers that failed
  * @bytes: of the frames
- * @late: slots given back by who did not hold them
+ * @late: slots given back by a client that did not hold them
  * @held: slots that clients hold now
  * @queued: slots that the hardware has now
  * @idle: times that the hardware had no slot left after a frame

@@ -77,7 +77,7 @@ struct generation {
 };
 
 struct generations {
-	pthread_mutex_t lock; /* its own: who writes a register does not wait for a device */
+	pthread_mutex_t lock; /* its own: a write to a register does not wait for a device */
 	uint64_t latest;
 	uint64_t count; /* entries ever made */
 	struct generation recent[GENERATIONS_KEPT];

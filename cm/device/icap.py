@@ -73,7 +73,7 @@ class IcapStatus:
 
     @property
     def loading(self) -> bool:
-        """Whether a load runs, whoever began it."""
+        """Whether a load runs, also one that another process began."""
         return self.state is IcapState.LOADING
 
 

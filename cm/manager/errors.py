@@ -73,7 +73,7 @@ class ChangeBusy(Busy):
 
 
 class HeldBy(Busy):
-    """Somebody else holds a lease on it."""
+    """Another client holds a lease on it."""
 
     code = "held_by"
 
@@ -155,7 +155,7 @@ class WrongStatic(CmError):
 
 
 class StaticUnknown(CmError):
-    """Nobody knows which static part the device holds, so no partial bitstream may be loaded."""
+    """It is not known which static part the device holds, so no partial bitstream may be loaded."""
 
     code = "static_unknown"
 

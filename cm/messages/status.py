@@ -142,7 +142,7 @@ class Status:
     sensors: tuple[SensorStatus, ...] = ()  # of the board; within the last seconds
 
     def _repr_html_(self) -> str:
-        from cm.messages import html  # for notebooks: nobody else needs it
+        from cm.messages import html  # only notebooks need it
 
         return html.status(self)
 

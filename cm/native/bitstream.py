@@ -35,7 +35,7 @@ _BATCH = 512
 
 @cache
 def event_dtype() -> np.dtype[np.void]:
-    """A row of events; numpy is imported by who looks at some, as not everybody does who knows bitstreams."""
+    """A row of events; numpy is imported by those that look at the events, as not all users of bitstreams do."""
     import numpy as np
 
     fields = [("word", "=u8"), *((name, "=u4") for name in ("kind", "reg", "value", "count", "extra", "frames"))]

@@ -5,7 +5,7 @@
     config = cm.schema.load("camera.yaml")   # cm.schema.model.Config, frozen
 
 `cm.schema.model` is the data alone and imports neither YAML nor the JSON Schema; the functions
-here are imported when they are first used, so that who needs only the model does not pay for them.
+here are imported when they are first used, so that code that needs only the model does not pay for them.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def decode_request(frames: Sequence[Frame]) -> rq.Request:
 
 @lru_cache(_KEPT)
 def _decode_again(topic: bytes, message: bytes) -> rq.Request:
-    """Who asks for a register or the status asks again, in the same bytes; requests are frozen."""
+    """A client that asks for a register or the status asks again, in the same bytes; requests are frozen."""
     return _decode(topic, message, ())
 
 

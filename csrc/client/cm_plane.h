@@ -67,7 +67,7 @@ struct cm_reader *cm_reader_open(const char *runtime_dir, const char *stream, un
 
 /**
  * cm_reader_open_leased() - the same with a lease of one's own
- * @lease: its id, where somebody holds the stream's region and the stream has
+ * @lease: its id, where a client holds the stream's region and the stream has
  *         backpressure, so that its readers can hold the hardware up; or NULL
  */
 struct cm_reader *cm_reader_open_leased(const char *runtime_dir, const char *stream,
@@ -125,7 +125,7 @@ struct cm_slot {
 /**
  * cm_writer_open() - connect to a stream towards the hardware
  * @depth: slots that shall be the writer's own, or 0 for the usual number
- * @lease: id of one's own, where somebody holds the stream's region; or NULL
+ * @lease: id of one's own, where a client holds the stream's region; or NULL
  *
  * Returns at once: a stream that is refused is told by cm_writer_slot().
  * Errors: those of socket() and connect(), ENAMETOOLONG, EINVAL.

@@ -27,7 +27,7 @@
 
 #define MEMFD "/memfd:cm-sim-noncoherent"
 #define MAGIC UINT64_C(0x434D53594E430001)
-#define LOST 0xC5 /* what the processor's view holds when nobody has it */
+#define LOST 0xC5 /* what the processor's view holds outside begin and end */
 
 /* cm/sim/transport/syncs.py */
 struct counters {

@@ -245,7 +245,7 @@ static void run_with(struct place *place, void (*meanwhile)(struct place *))
 	CHECK(place->frames > 0);
 }
 
-/* When all have gone, nobody holds anything, and frames go on. */
+/* When all clients have gone, no slot is held, and frames go on. */
 static void nothing_is_held(struct place *place)
 {
 	struct cm_plane_stats stats = { .held = 1 };

@@ -32,7 +32,7 @@ struct axidma_channel {
  * struct axidma_file - one open file
  * @lock: protects @regions and each channel's @video
  * @regions: struct axidma_region: memory by user address
- * @signal: to be sent at the end of transfers nobody waits for, or 0
+ * @signal: to be sent at the end of transfers without a waiter, or 0
  * @count: channels
  * @channels: channels
  */

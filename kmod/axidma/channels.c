@@ -91,7 +91,7 @@ static int add_list(struct axidma_file *file)
  * Those that the module parameter names; without it those that a device tree
  * describes; without that all of cm_dma.
  *
- * Return: 0, -EBUSY where somebody has one, -ENODEV where there is none.
+ * Return: 0, -EBUSY if one is in use, -ENODEV where there is none.
  */
 int axidma_channels_claim(struct axidma_file *file)
 {

@@ -16,8 +16,8 @@ module_param(timeout_ms, uint, 0644);
 MODULE_PARM_DESC(timeout_ms, "longest wait for a transfer in milliseconds");
 
 /**
- * struct axidma_waiter - who wants to know of a transfer's end
- * @ref: one of the transfer, one of who waits
+ * struct axidma_waiter - what waits for a transfer's end
+ * @ref: one of the transfer, one of the waiting process
  * @over: completed at the end
  * @status: 0 or a negative errno
  * @owner: process that gets the signal, or NULL
@@ -126,7 +126,7 @@ static int submit(struct axidma_file *file, struct axidma_channel *channel, unsi
 	return ret;
 }
 
-/* a transfer that nobody waits for any more is ended */
+/* end a transfer that has no waiter any more */
 static int wait_over(struct axidma_channel *channel, struct axidma_waiter *waiter)
 {
 	long left = wait_for_completion_killable_timeout(&waiter->over,

@@ -236,7 +236,7 @@ long axidma_stop(struct axidma_file *file, void __user *arg)
 	channel = axidma_channel_find(file, args.id, 0);
 	if (!channel)
 		return -ENODEV;
-	/* not the frames of somebody who starts anew at this moment */
+	/* not the frames of a client that starts anew at this moment */
 	mutex_lock(&file->lock);
 	axidma_video_end(channel);
 	ret = cm_channel_cancel(channel->channel);

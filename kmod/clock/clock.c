@@ -44,7 +44,7 @@ static ssize_t rate_show(struct device *dev, struct device_attribute *attribute,
 	return sysfs_emit(to, "%lu\n", clk_get_rate(to_clock(dev)->clk));
 }
 
-/* the clock takes the nearest rate that it can have, and says so to who reads */
+/* the clock takes the nearest rate that it can have, and tells it when it is read */
 static ssize_t rate_store(struct device *dev, struct device_attribute *attribute, const char *from,
 			  size_t count)
 {
@@ -139,7 +139,7 @@ static void clock_remove(void *data)
 {
 	struct cm_clock *clock = data;
 
-	/* whoever is in a file is waited for */
+	/* waits until no process is in one of the files */
 	device_del(&clock->dev);
 	switch_clock(clock, false);
 	put_device(&clock->dev);

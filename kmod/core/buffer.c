@@ -58,7 +58,7 @@ static int buffer_fill(struct cm_buffer *buffer)
 					    DMA_BIDIRECTIONAL, GFP_KERNEL | __GFP_NOWARN);
 	if (!buffer->cpu)
 		return -ENOMEM;
-	/* never one, but DMA_API_DEBUG counts this as a mapping that nobody checked */
+	/* never one, but DMA_API_DEBUG counts this as a mapping that was not checked */
 	if (dma_mapping_error(buffer->dev, buffer->dma))
 		return -ENOMEM;
 	/* the zeroes must not come out of the cache on top of received data */
@@ -270,7 +270,7 @@ EXPORT_SYMBOL_CM(cm_buffer_coherent);
  * @offset: first byte
  * @length: bytes
  *
- * Who reads it next sees to the cache, over this part alone, and only the first
+ * The next reader sees to the cache, over this part alone, and only the first
  * of several readers.
  */
 void cm_buffer_written(struct cm_buffer *buffer, u64 offset, u64 length)

@@ -211,7 +211,7 @@ EXPORT_SYMBOL_CM(cm_channel_put);
  * cm_channel_claim() - have a channel to oneself
  * @channel: channel
  *
- * Return: 0, -EBUSY where somebody has it, -ENODEV where the device is gone.
+ * Return: 0, -EBUSY if it is in use, -ENODEV where the device is gone.
  */
 int cm_channel_claim(struct cm_channel *channel)
 {

@@ -75,7 +75,7 @@ void cm_engine_put(struct cm_engine *engine);
 int cm_traits_read(struct cm_traits *traits, struct dma_chan *chan, u32 direction);
 void cm_traits_release(struct cm_traits *traits);
 
-/* whether the engine has stopped with an error, which its driver tells nobody */
+/* whether the engine has stopped with an error, which its driver does not report */
 static inline bool cm_traits_failed(const struct cm_traits *traits)
 {
 	return traits->registers && readl(traits->registers + CM_DMASR) & traits->errors;

@@ -194,7 +194,7 @@ static void fail(struct cm_channel *channel)
 }
 
 /**
- * cm_channel_look() - look for an error that nobody tells
+ * cm_channel_look() - look for an error that is not reported
  * @channel: channel
  * @delay: after this many jiffies; not later than asked for before
  */

@@ -13,7 +13,7 @@ static int look_only(struct fpga_bridge *bridge)
 }
 
 /*
- * Whoever has a bridge holds a mutex, which is for one call and not for a load
+ * The holder of a bridge holds a mutex, which is for one call and not for a load
  * that ends in another context, or for the time that the port is there.
  */
 static int with_bridges(struct cm_icap *icap, int (*call)(struct fpga_bridge *bridge))

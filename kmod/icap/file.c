@@ -83,7 +83,7 @@ static int cm_icap_release(struct inode *inode, struct file *file)
 	return 0;
 }
 
-/* who waits is woken by the port, and finds this file's end or not */
+/* a waiting process is woken by the port, and finds the end of its file's load or not */
 static void file_done(void *context, const struct cm_icap_completion *completion)
 {
 	struct cm_icap_file *self = context;

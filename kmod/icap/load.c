@@ -281,7 +281,7 @@ int cm_icap_start(struct cm_icap *icap, const struct cm_icap_request *request)
 	arm(icap, request);
 	ret = send(icap);
 	if (ret) {
-		/* what was sent of it is ended, and told to nobody */
+		/* what was sent of it is ended, and not reported */
 		cancel_delayed_work_sync(&icap->work);
 		cm_channel_cancel(icap->channel);
 		cancel_delayed_work_sync(&icap->work);

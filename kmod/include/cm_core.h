@@ -224,14 +224,14 @@ struct cm_channel_stats {
  *          claim and the device's end
  * @traits: how the engine behaves
  * @siblings: in the engine's list
- * @claimed: somebody has the channel
+ * @claimed: the channel is in use
  * @active_lock: protects the members below
  * @active: requests under way, in order
  * @in_engine: transfers that the engine has
  * @stopping: nothing is given to the engine any more
  * @over: a frame that has ended, while the engine is being stopped
  * @settle: stops the engine, and tells the end of @over
- * @watch: looks for an error that nobody tells
+ * @watch: looks for an error that is not reported
  * @stats: counters
  * @waiting: for the holder's use; woken when the device goes away
  */

@@ -109,7 +109,7 @@ struct plsim_desc {
  * @next_frame: source: when it is due, in ns
  * @faults: injected
  * @frames: source: frames made
- * @lost: source: frames nobody had room for
+ * @lost: source: frames without room
  * @bytes: bytes moved
  * @crc32: of the data of the last transfer (sink, ICAP)
  * @port: ICAP: the port

@@ -59,7 +59,7 @@ static bool frame_due(struct plsim_chan *chan)
 		chan->next_frame = now;
 	if (now < chan->next_frame)
 		return false;
-	/* a camera does not wait: what nobody took is gone */
+	/* a camera does not wait: what was not taken is gone */
 	missed = div64_u64(now - chan->next_frame, interval);
 	chan->frames += missed;
 	chan->lost += missed;

@@ -82,7 +82,7 @@ static int plsim_uio_irqcontrol(struct uio_info *info, s32 on)
 	return 0;
 }
 
-/* the pages stay for as long as somebody has them mapped */
+/* the pages stay for as long as they are mapped */
 #if CM_UIO_MMAP_PREPARE
 static int plsim_uio_mmap(struct uio_info *info, struct vm_area_desc *desc)
 {

@@ -113,7 +113,7 @@ static int load_soon(int port, uint32_t handle, size_t length, uint64_t cookie)
 	return -1;
 }
 
-/* what nobody reads is kept, and at most so much of it */
+/* unread completions are kept, up to a limit */
 static void test_unread(int port, uint32_t handle, size_t length)
 {
 	struct cm_icap_completion completion;

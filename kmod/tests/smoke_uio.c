@@ -246,7 +246,7 @@ int main(int argc, char **argv)
 	find();
 	fd = open_uio(O_NONBLOCK);
 	CHECK(fd >= 0);
-	/* as whoever had it before may have left it: masked, and one came meanwhile */
+	/* as the previous user may have left it: masked, and one came meanwhile */
 	CHECK(set_mask(fd, 1) == 0);
 	take(fd);
 	CHECK(set_mask(fd, 1) == 0);

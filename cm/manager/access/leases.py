@@ -2,7 +2,7 @@
 """Leases: a client holds the board, a configuration, a region or a register, alone or with others.
 
 A lease ends when it is given back, when its time is over, or when its holder's process dies (told by
-whoever watches processes). Scopes overlap where one contains the other.
+the part that watches processes). Scopes overlap where one contains the other.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str
 
 
 def check_scope_names_something(scope: str, configs: Iterable[Config], memories: Iterable[str]) -> None:
-    """Raise NotFound where no served configuration has what a scope names: its holder would keep nobody off.
+    """Raise NotFound where no served configuration has what a scope names: such a lease would keep no client off.
 
     `memories`: those that were defined at run time.
     """

@@ -157,7 +157,7 @@ class RegisterService:
     def take_flags(self, name: str, clear: int) -> int:
         """Read a status register and acknowledge those interrupts of `clear` (bits) that stand; what was read.
 
-        Leases keep clients off what others set. A flag is the hardware's, and the daemon's to clear whoever holds
+        Leases keep clients off what others set. A flag is the hardware's: the daemon clears it while a client holds
         the register; nor is it a value to be published or recorded. But what a change has taken away is not
         touched, and a region that is not ready would not answer. Raises RegionBusy, UnknownRegister,
         NothingLoaded, DeviceError.

@@ -77,7 +77,7 @@ class Change:
 class Worker:
     """The queue of changes and its thread.
 
-    A defect of one change, or of whoever is told of its end, must not be suffered from by those that come after.
+    A defect in one change, or in what is called at its end, must not harm the changes after it.
     """
 
     def __init__(self, tools: Tools, leases: Leases, prefetches: bool) -> None:

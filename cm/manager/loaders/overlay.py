@@ -40,7 +40,7 @@ class OverlayLoader:
         yield lambda on_bytes: self._load(overlays, name, firmware, job, on_bytes)
 
     def _load(self, overlays: OverlayFolder, name: str, firmware: str, job: Job, on_bytes: OnBytes) -> None:
-        """The kernel reads our copy itself: should somebody have written there, that may be what it loaded."""
+        """The kernel reads our copy itself: if another process has written to it, that may be what was loaded."""
         overlays.apply(name, job.overlay)
         self._files.check_firmware(firmware, job.image)
         on_bytes(job.image.length)

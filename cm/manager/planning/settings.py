@@ -120,7 +120,7 @@ def place_of(register: Register) -> Place:
 
 
 def clock_steps(goal: Goal, state: BoardState, devices: Devices) -> tuple[SetClock, ...]:
-    """The clocks that do not run as the goal wants them, or of which nobody knows.
+    """The clocks that do not run as the goal wants them, or whose rate is not known.
 
     Raises ClockRate where a clock cannot come near enough to its rate, DeviceNotFound where there is none of
     that name beside others.

@@ -43,7 +43,7 @@ class PortStatus(Protocol):
 
     @property
     def loading(self) -> bool:
-        """Whether a load runs, whoever began it."""
+        """Whether a load runs, also one that another process began."""
 
     @property
     def bytes_done(self) -> int:

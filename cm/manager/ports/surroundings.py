@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is around the manager: the streams, time, and who is told."""
+"""What is around the manager: the streams, time, and an observer."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class TimeSource(Protocol):
 
 
 class Observer(Protocol):
-    """Who is told; called from any thread, must not block."""
+    """It is told of what changes; called from any thread, must not block."""
 
     def status_changed(self) -> None:
         """The status differs from before."""

@@ -105,7 +105,7 @@ def _overlays(state: BoardState, pending: Pending | None, devices: Devices, note
 
 
 def _clocks(state: BoardState, devices: Devices, notes: list[str]) -> BoardState:
-    """Clocks that somebody else has set since, or that a change was setting: nothing is known of them."""
+    """Clocks that were set from elsewhere since, or that a change was setting: nothing is known of them."""
     kept = {}
     for name, rate in state.clocks.items():
         if rate == 0 and not devices.clocks().names():
@@ -142,7 +142,7 @@ def _overlay_names(config: Config) -> Iterator[str]:
 
 
 def _port(state: BoardState, configs: Mapping[str, Config], devices: Devices, notes: list[str]) -> BoardState:
-    """An fpga_manager in an error says that its last load went wrong, whoever asked for it."""
+    """An fpga_manager in an error says that its last load went wrong, also one that we did not ask for."""
     by_kernel = (LoaderKind.FPGA_MANAGER, LoaderKind.OVERLAY)
     static = configs.get(state.static_config or "")
     if static is not None and static.loader in by_kernel and (said := _error_of(devices, None)):

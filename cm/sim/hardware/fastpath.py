@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two channels that only pass data on, lent to a thread in C (``csrc/sim_fifo.h``) and taken back.
 
-While they are lent, nobody here knows what is queued: whoever is about to look at the channels, or to
+While they are lent, this process does not know what is queued: code that is about to look at the channels, or to
 change what happens to their data, takes them back first.
 """
 

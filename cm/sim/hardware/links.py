@@ -22,7 +22,7 @@ else:
     from cm.sim.lazy_numpy import np
 
 
-_WAITING = 16  # packets that a model may have sent and that nobody has taken
+_WAITING = 16  # packets that a model may have sent and that have not been taken
 
 
 class Link:

@@ -128,7 +128,7 @@ class Models:
         self._added[name] = model
 
     def check(self, configs: Iterable[Config]) -> None:
-        """Raise SimError for a module whose `model` nobody has."""
+        """Raise SimError for a module whose `model` is not there."""
         for config in configs:
             for module in config.modules.values():
                 if module.model is not None and module.model not in self._all:

@@ -18,7 +18,7 @@ from cm.sim.transport.session import Answer
 
 
 class GpioChipNode:
-    """``/dev/gpiochipN``; a line that is held is nobody else's, and keeps its value when it is given back."""
+    """``/dev/gpiochipN``; a line is held by one client at a time, and keeps its value when it is released."""
 
     def __init__(self, chip: Chip, fabric: Fabric, faults: Faults, server: Server) -> None:
         self.chip, self.fabric, self.faults, self.server = chip, fabric, faults, server

@@ -2,7 +2,7 @@
 """What the board measures of itself, in sysfs as the kernel's drivers have it; the values stay as they are.
 
 An XADC (drivers/iio/adc/xilinx-xadc-core.c, 12 bits) or an AMS (xilinx-ams.c) by the device's family, and a power
-monitor of the board (drivers/hwmon/ina2xx.c). They are plain files: who wants other values writes them.
+monitor of the board (drivers/hwmon/ina2xx.c). They are plain files: write to them for other values.
 """
 
 from __future__ import annotations

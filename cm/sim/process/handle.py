@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process of a simulator as who uses it holds it: a child, or one that was taken over."""
+"""A handle to the process of a simulator: a child, or one that was taken over."""
 
 from __future__ import annotations
 

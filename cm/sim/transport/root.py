@@ -34,7 +34,7 @@ def default_parent() -> Path:
 
 
 def fresh_folder(prefix: str) -> Path:
-    """As tempfile.mkdtemp() in memory. That module is 1 MiB with what it imports, and who asks needs no more of it."""
+    """As tempfile.mkdtemp() in memory. That module is 1 MiB with what it imports, and no more of it is needed here."""
     folder = default_parent() / f"{prefix}{os.getpid()}-{os.urandom(8).hex()}"
     folder.mkdir(mode=0o700)
     return folder

@@ -44,7 +44,7 @@ class Server:
         self.loop.add(listener.fileno(), lambda: self._accept(listener), listener=True)
 
     def connect(self, node: Node) -> socket.socket:
-        """The client's end of a connection to `node` that nobody has to ask for; the caller's to hand over."""
+        """The client's end of a new connection to `node`, which the caller owns and hands over."""
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         ours.setblocking(False)
         self._connections.add(NodeConnection(self, ours, node))

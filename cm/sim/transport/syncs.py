@@ -52,7 +52,7 @@ class Syncs:
         self.early += counters.holders > 0
 
     def forget(self, counters: Counters) -> None:
-        """A buffer is given back: only who holds it yet can be counted further."""
+        """A buffer is given back: from here on only those that still hold it are counted."""
         if counters.holders <= 0:
             self._live.remove(counters)
             self._before = _sum(self._before, counters.counts())

@@ -187,7 +187,7 @@ def _names_before(run: StepContext, register: Register) -> set[str]:
 
 
 def _remember(run: StepContext, register: Register) -> None:
-    """What a register of the static part or of a region that stays held, where nobody wrote it yet."""
+    """What a register of the static part or of a region that stays held, if it has not been written yet."""
     if register.region in run.plan.regions or run.plan.full or not _keeps_its_value(register):
         return
     same = run.board.config == run.plan.goal.config.name
