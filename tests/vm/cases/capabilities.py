@@ -29,6 +29,8 @@ LOOK: dict[str, Callable[[], bool]] = {
     "plsim": lambda: _module("cm_plsim"),
     "uio": lambda: Path("/sys/class/uio").exists(),
     "overlay": lambda: _module("cm_overlay") and Path("/proc/device-tree/__symbols__").exists(),
+    "board_overlay": lambda: Path("/sys/kernel/config/device-tree/overlays/static").exists(),
+    "zynq": lambda: Path("/sys/bus/platform/drivers/zynq_fpga_manager").exists(),
     "fpga": lambda: Path("/sys/class/fpga_manager").exists(),
     "uio_genirq": lambda: _module("uio_pdrv_genirq"),
     "kunit": lambda: _module("kunit"),

@@ -46,6 +46,7 @@ def nothing() -> Iterator[None]:
 def _take_away() -> None:
     if LOOK["overlay"]():
         remove_overlays()
+    if "static" in device.Overlays("/").list():
         device.Overlays("/").remove("static")
     else:
         LIVE.write_text("0")
@@ -59,7 +60,7 @@ def _regions_bound() -> bool:
 
 
 def _bring_back() -> None:
-    if LOOK["overlay"]():
+    if not LIVE.exists():
         device.Overlays("/").apply("static", overlay(os.environ.get("CM_VM_STATIC", "static")))
         until(_regions_bound)
     else:

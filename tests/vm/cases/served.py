@@ -54,7 +54,7 @@ def driver(device_name: str) -> str | None:
 def system(folder: Path) -> Path:
     """The schema for this board: without overlays where the kernel has no interface for them."""
     text = SYSTEM.read_text()
-    if not OVERLAYS.exists():
+    if not (OVERLAYS / "static").exists():
         text = "".join(line for line in text.splitlines(keepends=True) if "overlays:" not in line)
     target = folder / SYSTEM.name
     target.write_text(text)

@@ -169,7 +169,7 @@ def test_a_module_in_use_cannot_be_unloaded(board: cm.Board) -> None:
     board.read("camera", timeout=PATIENCE)
 
 
-@pytest.mark.needs("overlay")
+@pytest.mark.needs("overlay", "board_overlay")
 def test_overlays_of_a_mode_are_in_the_live_tree_and_their_drivers_bound(board: cm.Board) -> None:
     camera = Path("/proc/device-tree/pl-bus/fpga-region-0/camera@58002000")
     leds = Path("/proc/device-tree/pl-bus/leds@58004000")

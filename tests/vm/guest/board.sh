@@ -26,9 +26,14 @@ overlay() { # name file
 	mkdir "$overlays/$1" && cat "$2" >"$overlays/$1/dtbo" && [ "$(cat "$overlays/$1/status")" = applied ]
 }
 
-# a kernel with overlays gets the board from its device tree, another one from configfs
+# a kernel with overlays gets the board from its device tree, another one from configfs, and so a board whose tree is
+# that of a chip
 board_up() {
-	if modprobe cm_overlay 2>/dev/null && [ -e /proc/device-tree/__symbols__ ]; then
+	if [ "${CM_VM_STATIC:-}" = configfs ]; then
+		modprobe uio_pdrv_genirq of_id=fpga-cm,uio
+		modprobe -a cm_overlay cm_dma cm_icap cm_plsim cm_clock cm_axi_model "$CM_VM_DRIVER" xilinx-pr-decoupler
+		board_configfs
+	elif modprobe cm_overlay 2>/dev/null && [ -e /proc/device-tree/__symbols__ ]; then
 		modprobe uio_pdrv_genirq of_id=fpga-cm,uio
 		modprobe -a cm_dma cm_icap cm_plsim cm_clock
 		# the kernel's own driver of the engines, and what stands behind it

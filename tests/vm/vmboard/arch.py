@@ -17,10 +17,12 @@ class Arch:
     machine: str  # as uname -m says
     qemu: str
     image: str  # the kernel's make target
+    python: str = "3.11"  # of the release that its packages are of
+    suite: str = ""  # that release, where it is not the host's
 
 
 ARM64 = Arch("arm64", "arm64", "aarch64-linux-gnu", "aarch64", "qemu-system-aarch64", "Image")
-ARMHF = Arch("armhf", "arm", "arm-linux-gnueabihf", "armv7l", "qemu-system-arm", "zImage")
+ARMHF = Arch("armhf", "arm", "arm-linux-gnueabihf", "armv7l", "qemu-system-arm", "zImage", "3.13", "trixie")
 AMD64 = Arch("amd64", "x86_64", "x86_64-linux-gnu", "x86_64", "qemu-system-x86_64", "bzImage")
 
 

@@ -39,7 +39,7 @@ def image(cache: Cache, kernel: Kernel, driver: models.Source | None = None) -> 
         shutil.copytree(made_designs, root / "designs", ignore=shutil.ignore_patterns(".*", "*.dtso"))
         _copy_modules(root, kernel, modules)
         filesystem = ["-t", "ext4", "-O", "^has_journal", "-L", "cm-payload"]
-        run(["mke2fs", "-q", *filesystem, "-d", root, place / "payload.ext4", "96M"])
+        run(["mke2fs", "-q", *filesystem, "-d", root, place / "payload.ext4", "128M"])
         shutil.rmtree(root)
 
     return cache.entry(f"payload-{kernel.release}", inputs, build) / "payload.ext4"

@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from .arch import AMD64, Arch
+from . import zynq
+from .arch import AMD64, ARMHF, Arch
 
 BUDGET_S = 200.0  # for all tests of a board, times its slowness
 
@@ -25,6 +26,7 @@ class Machine:
     payload: Path
     memory_mb: int
     machine: str = ""  # more properties of QEMU's machine
+    emulator: tuple[str, ...] = ()  # QEMU's command line, where it is not the machine's own
     initrd: Path | None = None  # None: the kernel has its disk drivers built in
     dtb: Path | None = None  # None: the tree QEMU makes
     kvm: bool = False
@@ -118,11 +120,15 @@ def run(machine: Machine, place: Path, watch: Callable[[str], None]) -> Finished
             status = _follow(process, output, started + BUDGET_S * machine.slow, watch)
         finally:
             process.kill()
+    if machine.arch == ARMHF:
+        zynq.collect(place, results)
     return Finished(status, time.monotonic() - started, console, output, results)
 
 
 def logged(machine: Machine, place: Path) -> list[str]:
     """The whole command line, consoles going to files in a folder."""
+    if machine.arch == ARMHF:
+        return zynq.command(machine, place)
     ports = _ports(machine, place / "console.log", place / "output.log", place / "results.tar")
     return [*command(machine), *ports]
 

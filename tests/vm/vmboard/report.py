@@ -46,7 +46,7 @@ REPORTS = re.compile(
 EXPECTED = re.compile(
     r"loading out-of-tree module taints kernel|module verification failed"
     r"|OF: overlay: WARNING: memory leak will occur if overlay removed, property: /__symbols__/"
-    r"|OF: overlay: WARNING: memory leak will occur if overlay removed, property: /[a-z-]+-full/firmware-name"
+    r"|OF: overlay: WARNING: memory leak will occur if overlay removed, property: /[a-z-]+-full/(firmware-name|partial-fpga-config)"
 )
 
 

@@ -6,12 +6,11 @@ Nothing of the foreign architecture is run while it is made; what maintainer scr
 
 from __future__ import annotations
 
-import compileall
 import shutil
 import sys
 from pathlib import Path
 
-from .arch import Arch
+from .arch import Arch, host
 from .cache import Cache
 from .packages import Apt, unpack
 from .shell import require, run
@@ -43,7 +42,7 @@ DROP = (
     "usr/share/perl5",
     "usr/lib/python3/dist-packages/numpy/f2py",
 )
-SIZE = "640M"
+SIZE = "1G"  # a power of two: an SD card of another size is none to QEMU
 LAYOUT = "2"
 ETC = {
     "passwd": "root:x:0:0:root:/root:/bin/sh\nnobody:x:65534:65534:nobody:/:/bin/false\n",
@@ -65,18 +64,22 @@ def image(cache: Cache, arch: Arch) -> Path:
 
 def headers(cache: Cache, arch: Arch) -> Path:
     """The folder to compile Python extensions against: usr/include/python3.x of that architecture."""
-    build = lambda out: unpack(Apt(cache.root, arch).download(["libpython3.11-dev"], out / "debs"), out / "root")  # noqa: E731
+
+    def build(out: Path) -> None:
+        debs = Apt(cache.root, arch, arch.suite).download([f"libpython{arch.python}-dev"], out / "debs")
+        unpack(debs, out / "root")
+
     return cache.entry(f"python-headers-{arch.debian}", [LAYOUT, arch.debian], build) / "root/usr/include"
 
 
 def _build(cache: Cache, arch: Arch, place: Path) -> None:
     root = place / "root"
-    unpack(Apt(cache.root, arch).closure(PACKAGES, place / "debs"), root)
+    unpack(Apt(cache.root, arch, arch.suite).closure(PACKAGES, place / "debs"), root)
     (place / "packages.txt").write_text("".join(f"{deb.name}\n" for deb in sorted((place / "debs").glob("*.deb"))))
     _configure(root, arch)
     for name in DROP:
         shutil.rmtree(root / name, ignore_errors=True)
-    _compile(root)
+    compile_python(cache, arch, root, f"usr/lib/python{arch.python}", "usr/lib/python3/dist-packages")
     run(["mke2fs", "-q", "-t", "ext4", "-O", "^has_journal", "-L", "cm-root", "-d", root, place / "root.ext4", SIZE])
     shutil.rmtree(root)
     shutil.rmtree(place / "debs")
@@ -99,9 +102,27 @@ def _configure(root: Path, arch: Arch) -> None:
     shutil.copy2(INIT, root / "usr/sbin/cm-init")
 
 
-def _compile(root: Path) -> None:
-    """Byte code spares an emulated processor most of a start; it fits only the same Python."""
-    if sys.version_info[:2] != (3, 11):
-        return
-    for folder in ("usr/lib/python3.11", "usr/lib/python3/dist-packages"):
-        compileall.compile_dir(root / folder, quiet=2, workers=2, stripdir=str(root), prependdir="/")
+def compile_python(cache: Cache, arch: Arch, root: Path, *folders: str, place: str = "/") -> None:
+    """Byte code spares an emulated processor most of a start; it is that of the board's own Python.
+
+    `folders` lie below `root`, which is `place` on the board.
+    """
+    if arch.python == ".".join(map(str, sys.version_info[:2])):
+        interpreter = [sys.executable]
+    else:
+        interpreter = _python(cache, arch)
+    options = ["-q", "-q", "-s", root, "-p", place]
+    run([*interpreter, "-m", "compileall", *options, *(root / folder for folder in folders)])
+
+
+def _python(cache: Cache, arch: Arch) -> list[str | Path]:
+    """The release's Python for this machine, through its own C library."""
+
+    def fetch(out: Path) -> None:
+        unpack(Apt(cache.root, host(), arch.suite).closure(["python3-minimal", "python3"], out / "debs"), out / "root")
+        shutil.rmtree(out / "debs")
+
+    tree = cache.entry(f"python-host-{arch.suite}", [arch.suite, arch.python], fetch) / "root"
+    libraries = tree / "usr/lib" / host().gnu
+    loader = next(libraries.glob("ld-linux*.so.*"))
+    return [loader, "--library-path", libraries, tree / f"usr/bin/python{arch.python}"]

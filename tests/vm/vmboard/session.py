@@ -8,9 +8,11 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import initrd, kvm, payload, qemu, remote, report, rootfs, software
+from . import initrd, kvm, payload, qemu, remote, report, rootfs, software, zynq
+from .arch import ARMHF
 from .cache import Cache
 from .errors import EXIT_MISSING, MissingError, VmError
+from .kernel import Kernel
 from .progress import say, step
 from .shell import require
 from .tiers import TIERS, Tier
@@ -37,6 +39,8 @@ def _out_of_reach(cache: Cache, tier: Tier) -> str:
     try:
         if tier.driver:
             tier.driver.driver(cache)
+        if tier.arch == ARMHF:
+            zynq.emulator(cache)
     except VmError as error:
         return str(error).splitlines()[0]
     return ""
@@ -52,7 +56,9 @@ def machine(
     cache: Cache, tier: Tier, arguments: tuple[str, ...] = (), forwards: dict[int, int] | None = None
 ) -> qemu.Machine:
     """Build what a board needs, and describe it."""
-    require(tier.arch.qemu, "depmod", "mke2fs", "protoc")  # what is missing is told before anything is fetched
+    require(
+        *([] if tier.arch == ARMHF else [tier.arch.qemu]), "depmod", "mke2fs", "protoc"
+    )  # what is missing is told before anything is fetched
     kernel = tier.kernel(cache)
     accelerated = tier.kvm and kvm.works(cache, kernel)
     slow = 1 if accelerated else tier.slow
@@ -60,21 +66,29 @@ def machine(
         say(f"{tier.name}: no working /dev/kvm here, the board is emulated")
     own = (f"cm.tier={tier.name}", f"cm.expects={','.join(tier.expects)}", f"cm.slow={slow}")
     own += (f"cm.static={tier.static}", f"cm.cases={'+'.join(tier.cases)}")
+    own += (f"cm.designs={tier.designs}",)
     own += (f"cm.driver=xilinx_dma{'_other' if tier.driver else ''}",)
     return qemu.Machine(
         arch=tier.arch,
         image=kernel.image,
         root=rootfs.image(cache, tier.arch),
+        emulator=tuple(zynq.emulator(cache)) if tier.arch == ARMHF else (),
         payload=payload.image(cache, kernel, tier.driver),
         memory_mb=tier.memory_mb,
         machine=tier.machine,
         initrd=None if tier.fragments else initrd.image(cache, kernel),
-        dtb=software.overlays(cache) / f"{tier.dtb}.dtb" if tier.fragments else None,
+        dtb=_tree(cache, tier, kernel),
         kvm=accelerated,
         slow=slow,
         arguments=(*tier.append.split(), *own, *arguments),
         forwards=forwards or {},
     )
+
+
+def _tree(cache: Cache, tier: Tier, kernel: Kernel) -> Path | None:
+    if tier.arch == ARMHF:
+        return zynq.tree(cache, kernel)
+    return software.overlays(cache) / f"{tier.dtb}.dtb" if tier.fragments else None
 
 
 def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) -> int:

@@ -3,17 +3,15 @@
 
 from __future__ import annotations
 
-import compileall
 import importlib.util
 import io
 import os
 import shutil
-import sys
 from contextlib import redirect_stdout
 from pathlib import Path
 
 from . import rootfs
-from .arch import Arch, cross_prefix
+from .arch import ARMHF, Arch, cross_prefix
 from .cache import Cache, source_files
 from .kernel import Kernel
 from .shell import require, run
@@ -35,8 +33,7 @@ def _build_package(cache: Cache, arch: Arch, place: Path) -> None:
         shutil.copy2(path, target)
     _compile_extension(cache, arch, place / "cm/native/_cm.abi3.so")
     _compile_messages(place)
-    if sys.version_info[:2] == (3, 11):
-        compileall.compile_dir(place, quiet=2, stripdir=str(place), prependdir="/opt/cm/python")
+    rootfs.compile_python(cache, arch, place, "cm", place="/opt/cm/python")
 
 
 def _compile_extension(cache: Cache, arch: Arch, target: Path) -> None:
@@ -57,7 +54,8 @@ def _compile_extension(cache: Cache, arch: Arch, target: Path) -> None:
     includes = [f"-I{folder}" for folder in [*folders[:1], *folders[3:], REPOSITORY / "kmod/uapi"]]
     # Debian's pyconfig.h includes <triplet/python3.x/pyconfig.h>, which lies below usr/include
     includes += [f"-idirafter{include.parent}"]
-    options = ["-shared", "-fPIC", "-std=gnu11", "-O2", "-D_GNU_SOURCE", "-DPy_LIMITED_API=0x03060000", "-pthread"]
+    options = ["-D_TIME_BITS=64", "-D_FILE_OFFSET_BITS=64"] if arch == ARMHF else []
+    options += ["-shared", "-fPIC", "-std=gnu11", "-O2", "-D_GNU_SOURCE", "-DPy_LIMITED_API=0x03060000", "-pthread"]
     run([compiler, *options, *includes, generated, *sources, "-o", target])
     generated.unlink()
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from . import kernel
-from .arch import AMD64, ARM64, Arch
+from .arch import AMD64, ARM64, ARMHF, Arch
 from .cache import Cache
 from .silicon import Source
 
@@ -32,6 +32,7 @@ class Tier:
     dtb: str = "qemu-virt"  # tree, where the kernel is our own
     machine: str = ""  # more properties of QEMU's machine
     static: str = "static"  # overlay of the board's own engines, where the kernel takes overlays
+    designs: str = "camera-kv260"  # of designs.py, that its memory map has room for
     driver: Source | None = None  # of the engines, of another kernel
     cases: tuple[str, ...] = ("vm/cases", "device")  # what is run there, below tests/
 
@@ -63,6 +64,19 @@ SILICON = Tier(
     cases=(*(f"vm/cases/test_{name}.py" for name in SILICON_CASES), "device"),
 )
 ENGINES = ("vm/cases/test_silicon.py", "vm/cases/test_generated.py", "device")
+ZYNQ = Tier(
+    "zynq",
+    ARMHF,
+    (*CUSTOM, "zynq.config"),
+    (*BASIC, "overlay", "fpga", "uio_genirq", "xilinx_dma", "zynq"),
+    memory_mb=1280,  # what is behind M_AXI_GP0, from 1 GB on, is in the PL
+    slow=12,
+    changes=20,
+    append="mem=512M",
+    static="configfs",
+    designs="camera-pynq-z2",
+    cases=(*(f"vm/cases/test_{name}.py" for name in ("zynq", "generated", "manager")), "device"),
+)
 TIERS = {
     tier.name: tier
     for tier in (
@@ -71,6 +85,7 @@ TIERS = {
         Tier("sanitize", ARM64, SANITIZE, (*FULL, *SANITIZERS), memory_mb=768, slow=12),
         SILICON,
         replace(SILICON, name="silicon-6.12", driver=Source("trixie", "linux-source-6.12"), cases=ENGINES),
+        ZYNQ,
         Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, slow=6, remote=True),
         Tier("x86", AMD64, (), BASIC, memory_mb=768, slow=6, kvm=True),
     )
