@@ -45,8 +45,8 @@ REPORTS = re.compile(
 # the bitstream of a region that the board's own tree has.
 EXPECTED = re.compile(
     r"loading out-of-tree module taints kernel|module verification failed"
-    r"|OF: overlay: WARNING: memory leak will occur if overlay removed, property: /__symbols__/"
-    r"|OF: overlay: WARNING: memory leak will occur if overlay removed, property: /[a-z-]+-full/(firmware-name|partial-fpga-config)"
+    r"|OF: overlay: WARNING: memory leak will occur if overlay removed, property: "
+    r"(/__symbols__/|/[a-z-]+-full/(firmware-name|partial-fpga-config)$)"
 )
 
 
