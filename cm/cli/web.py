@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm web``: a page to look at a board through."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import signal
+import ssl
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cm.cli.common import add_connection_options
+from cm.errors import InvalidRequest
+
+if TYPE_CHECKING:
+    from cm.web.server import Options
+
+PORT = 8470
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "web",
+        help="serve a page to look at a board through",
+        description="Serves a page with the board's streams, modes, registers, interrupts and errors, and prints its "
+        "address. Whoever has that address may look; with --control, change modes and registers too. It asks the "
+        "manager as any client does, with this user's rights, or those of --keys.",
+    )
+    add_connection_options(parser)
+    parser.add_argument(
+        "--listen", default="", metavar="HOST[:PORT]", help=f"where (default: 127.0.0.1:{PORT}; port 0: a free one)"
+    )
+    parser.add_argument("--control", action="store_true", help="let the page change modes and write registers")
+    parser.add_argument("--token-file", type=Path, metavar="FILE", help="the token of its address (default: a new one)")
+    parser.add_argument("--name", action="append", default=[], help="a name by which browsers reach this machine")
+    parser.add_argument("--tls", nargs=2, type=Path, metavar=("CERT", "KEY"), help="serve over TLS: PEM files")
+    parser.add_argument("--insecure", action="store_true", help="allow other machines without TLS")
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until interrupted; the exit status."""
+    with suppress(asyncio.CancelledError):
+        asyncio.run(_serve(_options(args)))
+    return 0
+
+
+async def _serve(options: Options) -> None:
+    from cm.web.server import PageServer
+
+    task = asyncio.current_task()
+    assert task is not None
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    await PageServer(options).serve(lambda address: print(f"cm web: {address}", file=sys.stderr, flush=True))
+
+
+def _options(args: argparse.Namespace) -> Options:
+    import cm.client.aio as aio
+
+    try:
+        from cm.web.gate import Gate, is_loopback
+        from cm.web.server import Options
+    except ModuleNotFoundError as error:
+        if error.name != "aiohttp":
+            raise
+        raise InvalidRequest("cm web needs aiohttp and Pillow: pip install 'fpga-cm[web]'") from None
+    host, port = _address(args.listen)
+    tls = _tls(*args.tls) if args.tls else None
+    if tls is None and not args.insecure and not is_loopback(host):
+        raise InvalidRequest(
+            f"{host}: the token and all that is seen would cross the network as plain text; "
+            "give --tls CERT KEY, or say --insecure"
+        )
+    gate = Gate.of(_token(args.token_file), [*args.name, host])
+    return Options(
+        lambda: aio.connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys),
+        gate, host, port, args.control, tls,
+    )  # fmt: skip
+
+
+def _address(text: str) -> tuple[str, int]:
+    """Raises InvalidRequest."""
+    host, port = text, ""
+    if text.isdecimal():
+        host, port = "", text
+    elif ":" in text and not text.endswith("]"):
+        host, _, port = text.rpartition(":")
+    if port and not (port.isascii() and port.isdecimal() and int(port) <= 65535):
+        raise InvalidRequest(f"--listen {text}: HOST, HOST:PORT or PORT is wanted, such as 127.0.0.1:{PORT}")
+    return host.strip("[]") or "127.0.0.1", int(port) if port else PORT
+
+
+def _token(path: Path | None) -> str:
+    if path is None:
+        return ""
+    try:
+        token = path.read_text(encoding="ascii").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidRequest(f"--token-file {path}: {error}") from error
+    if not token:
+        raise InvalidRequest(f"--token-file {path}: it is empty")
+    return token
+
+
+def _tls(certificate: Path, key: Path) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    try:
+        context.load_cert_chain(certificate, key)
+    except (OSError, ssl.SSLError) as error:
+        raise InvalidRequest(f"--tls {certificate} {key}: {error}") from error
+    return context

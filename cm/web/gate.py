@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may talk to the page's server: by the token, and by where the browser says that it is.
+
+A page elsewhere that a browser has open can make it connect here, from the user's own machine, and a name that such a
+page controls can be made to lead here (DNS rebinding). Neither knows the token. Beyond that the Host has to be an
+address or a name of this machine, and the Origin of a WebSocket the page's own.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import os
+import secrets
+from collections.abc import Collection
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from cm.errors import InvalidRequest
+
+_SHORTEST = 16  # characters of a token
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """What a request has to have. `names`: those by which this machine is reached, beside its addresses."""
+
+    token: str
+    names: frozenset[str]
+
+    @classmethod
+    def of(cls, token: str, names: Collection[str]) -> Gate:
+        """With a fresh token if there is none, and this machine's name. Raises InvalidRequest for one that is short."""
+        if token and len(token) < _SHORTEST:
+            raise InvalidRequest(f"the token has {len(token)} characters; it must not be guessed: {_SHORTEST} at least")
+        known = {"localhost", os.uname().nodename, *names}
+        return cls(token or secrets.token_urlsafe(24), frozenset(name.lower() for name in known))
+
+    def knows(self, token: object) -> bool:
+        """Whether that is the token."""
+        return isinstance(token, str) and hmac.compare_digest(token.encode(), self.token.encode())
+
+    def refuses_host(self, host: str) -> str:
+        """Why a request with this Host is refused; empty if it is not."""
+        name = _hostname(host)
+        if name is None:
+            return "the request has no Host, or one that is no address"
+        if name in self.names or _is_address(name):
+            return ""
+        return f"this machine is not known as {name!r}; if it is, say: cm web --name {name}"
+
+    def refuses_origin(self, origin: str | None, host: str) -> str:
+        """Why a page of this origin may not connect; empty if it may. Programs that are no browser send none."""
+        if origin is None or urlsplit(origin).netloc.lower() == host.lower():
+            return ""
+        return f"a page of {origin!r} may not connect here"
+
+
+def _hostname(host: str) -> str | None:
+    try:
+        parts = urlsplit(f"//{host}")
+        _ = parts.port
+    except ValueError:
+        return None
+    same = parts.netloc == host and not parts.username
+    return parts.hostname.lower().rstrip(".") if parts.hostname and same else None
+
+
+def _is_address(name: str) -> bool:
+    """An address leads where it says: nobody can make it lead elsewhere, as a name."""
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
+
+
+def is_loopback(host: str) -> bool:
+    """Whether what listens there is reached from this machine only."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

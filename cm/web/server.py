@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page's server: its files, and a WebSocket for each page."""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from aiohttp import web
+
+from cm.errors import InvalidRequest
+from cm.web.commands import Commands
+from cm.web.gate import Gate, is_loopback
+from cm.web.hub import Connect, Hub
+from cm.web.session import Session
+from cm.web.watching import Watching
+
+STATIC = Path(__file__).with_name("static")
+_PAGES = 32  # at once
+_MESSAGE = 1 << 16  # bytes of what a page sends
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "Cache-Control": "no-cache",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Where and how to serve."""
+
+    connect: Connect
+    gate: Gate
+    host: str = "127.0.0.1"
+    port: int = 8080
+    control: bool = False
+    tls: ssl.SSLContext | None = None
+
+
+class PageServer:
+    """Serves until it is cancelled."""
+
+    def __init__(self, options: Options) -> None:
+        self._options = options
+        self._hub = Hub(options.connect, options.control)
+        self._watching = Watching(self._hub)
+        self._commands = Commands(self._hub, options.control)
+        self._open: set[web.WebSocketResponse] = set()
+
+    async def serve(self, on_ready: Callable[[str], None]) -> None:
+        """`on_ready` is given the page's address, with the token. Raises InvalidRequest."""
+        runner = web.AppRunner(self._application(), access_log=None, shutdown_timeout=1.0)
+        await runner.setup()
+        try:
+            await self._listen(runner)
+            host, port = runner.addresses[0][:2]
+            scheme = "https" if self._options.tls else "http"
+            where = f"[{host}]" if ":" in host else host
+            on_ready(f"{scheme}://{where}:{port}/#token={self._options.gate.token}")
+            await asyncio.Event().wait()
+        finally:
+            await runner.cleanup()
+
+    async def _listen(self, runner: web.AppRunner) -> None:
+        o = self._options
+        try:
+            await web.TCPSite(runner, o.host, o.port, ssl_context=o.tls).start()
+        except OSError as error:
+            raise InvalidRequest(f"cannot listen on {o.host}:{o.port}: {error.strerror or error}") from error
+
+    def _application(self) -> web.Application:
+        app = web.Application(middlewares=[self._guard], client_max_size=_MESSAGE)
+        app.router.add_get("/ws", self._socket)
+        app.router.add_get("/{file:[a-z.]*}", self._file)
+        app.cleanup_ctx.append(self._follow)
+        app.on_shutdown.append(self._hang_up)
+        return app
+
+    async def _follow(self, _: web.Application) -> AsyncIterator[None]:
+        task = asyncio.create_task(self._hub.run())
+        yield
+        await self._watching.close()
+        task.cancel()
+        with suppress(asyncio.CancelledError):
+            await task
+
+    async def _hang_up(self, _: web.Application) -> None:
+        for socket in tuple(self._open):
+            await socket.close(code=1001, message=b"the server ends")
+
+    @web.middleware
+    async def _guard(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+        refused = self._options.gate.refuses_host(request.headers.get("Host", ""))
+        if refused:
+            return web.Response(status=421, text=f"{refused}\n", headers=_HEADERS)
+        try:
+            response = await handler(request)
+        except web.HTTPException as error:
+            return web.Response(status=error.status, text=f"{error.reason}\n", headers=_HEADERS)
+        if not response.prepared:
+            response.headers.update(_HEADERS)
+        return response
+
+    async def _file(self, request: web.Request) -> web.StreamResponse:
+        path = STATIC / (request.match_info["file"] or "index.html")
+        if path.suffix not in _TYPES or not path.is_file():
+            raise web.HTTPNotFound
+        return web.Response(body=path.read_bytes(), content_type=_TYPES[path.suffix], charset="utf-8")
+
+    async def _socket(self, request: web.Request) -> web.StreamResponse:
+        refused = self._options.gate.refuses_origin(request.headers.get("Origin"), request.headers.get("Host", ""))
+        if refused:
+            return web.Response(status=403, text=f"{refused}\n")
+        if len(self._open) >= _PAGES:
+            return web.Response(status=503, text=f"{_PAGES} pages are open already\n")
+        socket = web.WebSocketResponse(heartbeat=20.0, max_msg_size=_MESSAGE, compress=False)
+        await socket.prepare(request)
+        self._open.add(socket)
+        try:
+            near = request.remote is not None and is_loopback(request.remote)
+            await Session(socket, self._hub, self._watching, self._commands).serve(self._options.gate, near)
+        finally:
+            self._open.discard(socket)
+        return socket

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One page: what it asks for, and what it is told. What it does not take in time is told in its newest form only."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from cm.errors import CmError
+from cm.web.commands import Commands
+from cm.web.gate import Gate
+from cm.web.hub import Hub
+from cm.web.watching import Watching
+
+_PAUSE = 0.02  # seconds between two messages: what comes together is told together
+_HELLO = 10.0  # seconds in which a page has to say who it is
+_UNDER_WAY = 2  # pictures of a stream that a page has not drawn yet
+_ASKED = 8  # requests of a page that may be under way
+DENIED = 4401  # close code: the token is wrong
+
+
+class Session:
+    """A page's WebSocket."""
+
+    def __init__(self, socket: web.WebSocketResponse, hub: Hub, watching: Watching, commands: Commands) -> None:
+        self._socket = socket
+        self._hub, self._watching, self._commands = hub, watching, commands
+        self._kind = "small"
+        self._changed: dict[str, None] = {}  # topics, in order
+        self._wake = asyncio.Event()
+        self._replies: deque[str] = deque()
+        self._sent: dict[str, int] = {}  # by stream: number of the last picture
+        self._waiting: dict[str, int] = {}  # by stream: pictures that were sent and not drawn yet
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def serve(self, gate: Gate, near: bool) -> None:
+        """Until the page goes. `near`: it is on this machine."""
+        self._kind = "raw" if near else "small"
+        if not await self._known(gate):
+            await self._socket.close(code=DENIED, message=b"the token is wrong")
+            return
+        self._hub.topics.listen(self._tell)
+        for topic in self._hub.topics.names():
+            self._tell(topic)
+        self._reply({"history": self._hub.history.plain()})
+        teller = asyncio.create_task(self._tell_on())
+        try:
+            async for message in self._socket:
+                if message.type is WSMsgType.TEXT:
+                    self._take(json.loads(message.data))
+        except (ValueError, TypeError, AttributeError, KeyError):
+            await self._socket.close(code=1003, message=b"that is no message of the page's")
+        finally:
+            self._hub.topics.ignore(self._tell)
+            for stream in tuple(self._sent):
+                self._watching.leave(self, stream)
+            for task in (teller, *self._tasks):
+                task.cancel()
+            await asyncio.gather(teller, *self._tasks, return_exceptions=True)
+
+    async def _known(self, gate: Gate) -> bool:
+        try:
+            message = await self._socket.receive(timeout=_HELLO)
+            return message.type is WSMsgType.TEXT and gate.knows(json.loads(message.data).get("token"))
+        except (ValueError, AttributeError, asyncio.TimeoutError):
+            return False
+
+    # ---- from the page ------------------------------------------------------------------------
+
+    def _take(self, message: Any) -> None:
+        if not isinstance(message, dict):
+            raise TypeError(f"{message!r} is no message")
+        if "drawn" in message:
+            stream = str(message["drawn"])
+            self._waiting[stream] = max(0, self._waiting.get(stream, 0) - 1)
+            self._wake.set()
+        elif "watch" in message:
+            self._watch({str(stream) for stream in message["watch"]})
+        elif "do" in message:
+            self._do(message)
+
+    def _watch(self, wanted: set[str]) -> None:
+        known = {s.name for s in self._hub.status.streams} if self._hub.status else set()
+        for stream in self._sent.keys() - wanted:
+            self._watching.leave(self, stream)
+            self._sent.pop(stream)
+            self._waiting.pop(stream, None)
+        for stream in (wanted & known) - self._sent.keys():
+            self._sent[stream] = 0
+            self._watching.watch(self, stream, self._kind, lambda _: self._wake.set())
+
+    def _do(self, message: Mapping[str, Any]) -> None:
+        number, what, words = int(message["id"]), str(message["do"]), dict(message.get("with") or {})
+        if len(self._tasks) >= _ASKED:
+            self._reply({"reply": number, "error": {"code": "busy", "message": "too much is under way already"}})
+            return
+        task = asyncio.create_task(self._answer(number, what, words))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _answer(self, number: int, what: str, words: Mapping[str, Any]) -> None:
+        try:
+            self._reply({"reply": number, "result": await self._commands.do(what, words)})
+        except (CmError, OSError, TypeError) as error:
+            code = error.code if isinstance(error, CmError) else "invalid_request"
+            self._reply({"reply": number, "error": {"code": code, "message": str(error)}})
+
+    # ---- to the page --------------------------------------------------------------------------
+
+    def _tell(self, topic: str) -> None:
+        self._changed[topic] = None
+        self._wake.set()
+
+    def _reply(self, message: Mapping[str, Any]) -> None:
+        self._replies.append(json.dumps(message))
+        self._wake.set()
+
+    async def _tell_on(self) -> None:
+        try:
+            while True:
+                await self._wake.wait()
+                self._wake.clear()
+                changed, self._changed = self._changed, {}
+                if changed:
+                    await self._socket.send_str(self._hub.topics.message(changed))
+                while self._replies:
+                    await self._socket.send_str(self._replies.popleft())
+                for stream in tuple(self._sent):
+                    await self._send_picture(stream)
+                await asyncio.sleep(_PAUSE)
+        except ConnectionError:  # the page has gone, which ends the other side of this as well
+            return
+
+    async def _send_picture(self, stream: str) -> None:
+        if self._waiting.get(stream, 0) >= _UNDER_WAY:
+            return
+        newest = self._watching.newest(stream, self._kind, self._sent.get(stream, 0))
+        if newest is not None and stream in self._sent:
+            self._sent[stream] = newest[0]
+            self._waiting[stream] = self._waiting.get(stream, 0) + 1
+            await self._socket.send_bytes(newest[1])

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: Apache-2.0
+// The page: what the server tells goes to the panels that show it.
+
+import { byId, text } from "./dom.js";
+import { Link } from "./link.js";
+import { Streams } from "./streams.js";
+import { Device } from "./device.js";
+import { Changes } from "./changes.js";
+import { Registers } from "./registers.js";
+import { Beside } from "./beside.js";
+import { Charts } from "./charts.js";
+import { theme } from "./theme.js";
+
+const state = { link: { up: false, control: false }, server: "connecting" };
+const failed = (error) => banner(`${error.code ? `${error.code}: ` : ""}${error.message}`);
+
+const link = new Link({
+  topics(message) {
+    Object.assign(state, message);
+    for (const topic of Object.keys(message)) handlers[topic]?.(message[topic]);
+    if ("link" in message || "status" in message) head();
+  },
+  picture: (header, payload) => streams.picture(header, payload),
+  state(name) {
+    state.server = name;
+    head();
+  },
+  denied() {
+    state.server = "denied";
+    head();
+    byId("ask").showModal();
+  },
+});
+
+const control = () => state.link.control && state.link.up && state.server === "up";
+const ask = (what, words) => link.ask(what, words).then((value) => (banner(""), value));
+const streams = new Streams(byId("streams"), link);
+const device = new Device({ ask, failed, control });
+const changes = new Changes({ ask, failed, control });
+const registers = new Registers(byId("registers"), { ask, failed, control });
+const beside = new Beside();
+const charts = new Charts(byId("charts"));
+
+const handlers = {
+  link() {
+    device.show(state);
+    registers.show(state);
+    changes.show(state);
+  },
+  status() {
+    streams.show(state);
+    device.show(state);
+    changes.show(state);
+    beside.leases(state.status);
+  },
+  watched: () => streams.show(state),
+  config() {
+    device.show(state);
+    registers.show(state);
+  },
+  configs: () => device.show(state),
+  registers: () => registers.show(state),
+  interrupts: () => beside.interrupts(state.interrupts),
+  errors: () => beside.errors(state.errors),
+  changes: () => changes.show(state),
+  history: (points) => charts.begin(points),
+  point: (point) => charts.add(point),
+};
+
+const STATES = { idle: "idle", partial: "reconfiguring", full: "reconfiguring", error: "error" };
+
+function head() {
+  const { status, link: manager, server } = state;
+  const up = server === "up" && manager.up;
+  document.body.dataset.link = up ? "up" : server === "up" ? "manager" : server;
+  text(byId("link"), up ? "connected" : server === "up" ? "no manager" : server === "denied" ? "no token" : "connecting …");
+  byId("link").title = up ? "" : manager.problem || "";
+  text(byId("rights"), state.link.control ? "" : "read-only");
+  if (server === "down") banner("The page's server is not there. What you see is as it was; it is tried again.", "link");
+  else if (server === "up" && !manager.up) banner(`No manager: ${manager.problem}. It is tried again.`, "link");
+  else if (byId("banner").dataset.of === "link") banner("");
+  if (!status) return;
+  text(byId("board"), status.board || "fpga-cm");
+  document.title = `${status.board}: ${status.mode || "nothing loaded"}`;
+  text(byId("about"), `fpga-cm ${status.version} · since ${new Date(status.started_ns / 1e6).toLocaleString()}`);
+  text(byId("loaded"), status.config_name ? `${status.config_name} / ${status.mode || "—"}` : "nothing loaded");
+  const pill = byId("state");
+  text(pill, STATES[status.pr_mode] ?? status.pr_mode);
+  pill.dataset.state = status.pr_mode;
+}
+
+function banner(sentence, of = "") {
+  const node = byId("banner");
+  node.hidden = !sentence;
+  node.dataset.of = of;
+  text(node, sentence);
+}
+
+byId("refresh").addEventListener("click", () => ask("read").catch(failed));
+byId("ask").addEventListener("close", () => byId("token").value && link.use(byId("token").value.trim()));
+theme(byId("theme"), () => charts.draw());
+link.open();

@@ -1,0 +1,186 @@
+// SPDX-License-Identifier: Apache-2.0
+// The device as a picture, with what is loaded where, and the modes that it can be in.
+
+import { byId, bytes, duration, empty, h, keyed, s, set, text } from "./dom.js";
+
+const [WIDTH, LEFT, BUS, TOP] = [660, 152, 118, 34];
+const [TALL, GAP] = [76, 14];
+
+export class Device {
+  constructor({ ask, failed, control }) {
+    Object.assign(this, { ask, failed, control });
+    this.picture = s("svg", { class: "device", role: "img", "aria-label": "The device" });
+    this.caption = h("p", { class: "muted small" });
+    byId("device").append(this.picture, this.caption);
+    this.processor = s("g", { class: "processor" });
+    this.logic = s("rect", { class: "logic" });
+    this.logicName = s("text", { class: "place", x: LEFT + BUS + 14, y: TOP - 12, text: "programmable logic" });
+    this.streams = s("g");
+    this.regions = s("g");
+    this.chip = s("rect", { class: "chip", x: 1, y: 1, rx: 12, width: WIDTH - 2 });
+    this.box = s("rect", { class: "block", x: 14, y: TOP, rx: 6, width: LEFT - 14 });
+    this.heat = s("text", { class: "heat", x: 28, y: TOP + 36 });
+    this.rails = s("g");
+    this.processor.append(this.box, s("text", { class: "place", x: 14, y: TOP - 12, text: "processor" }), this.heat, this.rails);
+    this.picture.append(
+      s("defs", {}, s("pattern", { id: "hatch", width: 8, height: 8, patternUnits: "userSpaceOnUse" },
+        s("path", { d: "M0 8L8 0M-2 2L2 -2M6 10L10 6", class: "hatch" }))),
+      this.chip, this.processor, this.logic, this.logicName, this.regions, this.streams,
+    );
+    this.plans = new Map();
+  }
+
+  show(state) {
+    const { status, config, configs } = state;
+    if (!status) return;
+    const lines = Math.max(status.regions.length, Math.ceil(status.streams.length / 2), 1);
+    const tall = lines * (TALL + GAP) - GAP + 28;
+    set(this.picture, "viewBox", `0 0 ${WIDTH} ${TOP + tall + 16}`);
+    set(this.chip, "y", 1);
+    set(this.chip, "height", TOP + tall + 14);
+    set(this.box, "height", tall);
+    for (const [name, value] of Object.entries({ x: LEFT + BUS, y: TOP, rx: 6, width: WIDTH - LEFT - BUS - 14, height: tall })) {
+      set(this.logic, name, value);
+    }
+    const heat = status.sensors.find((sensor) => sensor.quantity === "temperature");
+    text(this.heat, heat ? `${heat.value.toFixed(1)} °C` : "");
+    this.showRegions(status, tall);
+    this.showStreams(status.streams, tall);
+    set(this.picture, "aria-label", describe(status));
+    const clocks = status.clocks.map((clock) => `${clock.name} ${(clock.rate || clock.wanted) / 1e6} MHz`);
+    const overlays = config?.modes.find((mode) => mode.name === status.mode)?.overlays ?? [];
+    this.showRails(status.sensors.filter((sensor) => sensor.quantity !== "temperature"), tall);
+    text(this.caption, [...overlays.map((name) => `overlay ${name}`), ...clocks].join(" · "));
+    this.showModes(status, config, configs ?? {});
+  }
+
+  showRails(sensors, tall) {
+    const shown = sensors.slice(0, Math.floor((tall - 60) / 19)).map((sensor, index) => ({ ...sensor, y: TOP + 62 + 19 * index }));
+    keyed(this.rails, shown, (sensor) => `${sensor.device} ${sensor.name}`, (sensor) => {
+      const parts = { name: s("text", { class: "name", x: 28, text: sensor.name }),
+        value: s("text", { class: "rail", x: LEFT - 10, "text-anchor": "end" }) };
+      return { node: s("g", {}, parts.name, parts.value), parts };
+    }, ({ parts }, sensor) => {
+      set(parts.name, "y", sensor.y);
+      set(parts.value, "y", sensor.y);
+      text(parts.value, `${sensor.value.toFixed(2)} ${UNITS[sensor.quantity] ?? ""}`);
+    });
+  }
+
+  showRegions(status, tall) {
+    const x = LEFT + BUS + 14;
+    const width = WIDTH - x - 28;
+    const each = status.regions.length ? Math.min(TALL, (tall - 28 + GAP) / status.regions.length - GAP) : TALL;
+    keyed(this.regions, status.regions.map((region, index) => ({ ...region, y: TOP + 14 + index * (each + GAP) })),
+      (region) => region.name, (region) => {
+        const parts = {
+          box: s("rect", { rx: 6, x, width }), cut: s("rect", { class: "cut", rx: 6, x, width, fill: "url(#hatch)" }),
+          bar: s("rect", { class: "bar", x, height: 4, rx: 2 }),
+          name: s("text", { class: "name", x: x + 14, text: region.name }), module: s("text", { class: "module", x: x + 14 }),
+          state: s("text", { class: "state", x: x + width - 14, "text-anchor": "end" }),
+        };
+        return { node: s("g", {}, ...Object.values(parts)), parts };
+      }, ({ node, parts }, region) => {
+        node.setAttribute("class", `region ${region.state}`);
+        node.dataset.region = region.name;
+        for (const part of [parts.box, parts.cut]) { set(part, "y", region.y); set(part, "height", each); }
+        const progress = status.progress;
+        const loads = progress?.step === "load" && progress.subject === region.name && progress.bytes_total;
+        set(parts.bar, "y", region.y + each - 4);
+        set(parts.bar, "width", loads ? (width * progress.bytes_done) / progress.bytes_total : 0);
+        set(parts.name, "y", region.y + 22);
+        set(parts.module, "y", region.y + 50);
+        set(parts.state, "y", region.y + 22);
+        text(parts.module, region.module ?? "—");
+        text(parts.state, region.state);
+      });
+  }
+
+  showStreams(streams, tall) {
+    const step = tall / (streams.length + 1);
+    keyed(this.streams, streams.map((stream, index) => ({ ...stream, y: TOP + step * (index + 1) })),
+      (stream) => stream.name, (stream) => {
+        const [from, to] = stream.direction === "s2mm" ? [LEFT + BUS - 4, LEFT + 6] : [LEFT + 4, LEFT + BUS - 6];
+        const tip = from < to ? -7 : 7;
+        const line = s("path", { class: "wire" });
+        const label = s("text", { class: "name", x: LEFT + BUS / 2, "text-anchor": "middle", text: stream.name });
+        return { node: s("g", {}, line, label), line, label, from, to, tip };
+      }, (row, stream) => {
+        const { y } = stream;
+        row.node.setAttribute("class", `stream ${stream.open ? "open" : "closed"}`);
+        set(row.line, "d", `M${row.from} ${y}H${row.to}m${row.tip} -5l${-row.tip} 5l${row.tip} 5`);
+        set(row.label, "y", y - 7);
+      });
+  }
+
+  // ---- modes --------------------------------------------------------------------------
+
+  showModes(status, config, configs) {
+    const groups = Object.entries(configs);
+    keyed(byId("modes"), groups, ([name]) => name, ([name]) => {
+      const list = h("ul", { class: "modes" });
+      const title = h("h3");
+      return { node: h("div", { class: "config", "data-config": name }, title, list), title, list };
+    }, (row, [name, { type, modes }]) => {
+      text(row.title, `${name} · ${type}`);
+      row.title.hidden = groups.length < 2;
+      keyed(row.list, modes, (mode) => mode.name, (mode) => this.makeMode(name, mode), (item, mode) => {
+        this.updateMode(item, status, name, mode);
+      });
+    });
+    empty(byId("modes"), !groups.length, "No configuration is known.");
+    if (!config && status.config_name) text(byId("modes"), "");
+  }
+
+  makeMode(config, mode) {
+    const go = h("button", { type: "button", class: "go", onclick: () => this.go(config, mode.name) });
+    const plan = h("div", { class: "plan" });
+    const details = h("details", { ontoggle: () => details.open && this.plan(config, mode.name, plan) },
+      h("summary", { text: "plan" }), plan);
+    const modules = h("span", { class: "chips" }, ...mode.modules.map((name) => h("span", { class: "chip", text: name })));
+    const node = h("li", { "data-mode": mode.name }, h("div", { class: "row" }, go, modules, details), plan);
+    plan.hidden = true;
+    details.addEventListener("toggle", () => (plan.hidden = !details.open));
+    return { node, go, details, plan };
+  }
+
+  updateMode({ node, go, details, plan }, status, config, mode) {
+    const here = status.config_name === config && status.mode === mode.name;
+    const target = status.progress?.target_config === config && status.progress?.target_mode === mode.name;
+    node.dataset.here = here;
+    node.dataset.target = target;
+    text(go, mode.name);
+    set(go, "aria-current", here ? "true" : null);
+    go.disabled = !this.control() || status.fpga_busy || here;
+    go.title = here ? "loaded" : go.disabled ? "" : `Change to ${config}/${mode.name}`;
+    const stamp = `${status.config_name}/${status.mode}/${status.last_change}`;
+    if (details.open && !status.fpga_busy && plan.dataset.stamp !== stamp) {
+      plan.dataset.stamp = stamp;
+      this.plan(config, mode.name, plan);
+    }
+  }
+
+  go(config, mode) {
+    this.ask("mode", { config, mode }).catch(this.failed);
+  }
+
+  async plan(config, mode, node) {
+    try {
+      const plan = await this.ask("plan", { config, mode });
+      const steps = plan.steps.map((step) => h("li", {}, h("span", { text: step.text }),
+        h("span", { class: "muted", text: step.seconds ? duration(step.seconds) : "" })));
+      node.replaceChildren(h("ol", {}, ...steps),
+        h("p", { class: "muted", text: `${bytes(plan.bytes)} to load, ${duration(plan.seconds)} expected` }));
+    } catch (error) {
+      node.replaceChildren(h("p", { class: "note", text: error.message }));
+    }
+  }
+}
+
+const UNITS = { voltage: "V", current: "A", power: "W" };
+
+function describe(status) {
+  const regions = status.regions.map((region) => `region ${region.name} holds ${region.module ?? "nothing known"}, ${region.state}`);
+  const streams = status.streams.map((stream) => `stream ${stream.name} ${stream.open ? "runs" : "does not run"}`);
+  return `The device: ${[...regions, ...streams].join("; ")}`;
+}

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page of `cm web` in a real browser: each of its states, changes by mouse and keyboard, and no leak.
+
+Every state leaves a picture in $CM_WEB_SHOTS (default: build/web), for people to look at.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from manager_process import REPOSITORY, Manager, served, until
+from PIL import Image
+from web_leaks import changed, held
+from web_support import WebServer, change, chromium, page_of, watch, web_server
+
+from cm.sim import Board as SimBoard
+
+SHOTS = Path(os.environ.get("CM_WEB_SHOTS") or REPOSITORY / "build" / "web")
+SLOW = "60000"  # bytes per second: a load takes seconds, and longer than the manager waits for it
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def camera() -> Iterator[tuple[Manager, SimBoard]]:
+    with served() as both:
+        yield both
+
+
+@pytest.fixture(scope="module")
+def server(camera: tuple[Manager, SimBoard]) -> Iterator[WebServer]:
+    with web_server(camera[0].runtime, "--control") as started:
+        yield started
+
+
+@pytest.fixture
+def page(camera: tuple[Manager, SimBoard], server: WebServer, browser: Any) -> Iterator[Any]:
+    """The page, of a board in the camera example's default mode."""
+    with camera[0].connected() as board:
+        board.load("camera", "default", force=True)
+    with page_of(browser, server, color_scheme="dark") as opened:
+        opened.wait_for_selector("li[data-mode=default][data-here=true]")
+        yield opened
+
+
+def shoot(page: Any, name: str) -> Image.Image:
+    """A picture of a state; one of nothing is none."""
+    SHOTS.mkdir(parents=True, exist_ok=True)
+    page.wait_for_timeout(150)  # what fades has faded
+    data = page.screenshot(path=SHOTS / f"{name}.png", full_page=True)
+    picture = Image.open(io.BytesIO(data)).convert("RGB")
+    assert len(picture.getcolors(1 << 24)) > 50
+    return picture
+
+
+def pixels(page: Any, stream: str) -> np.ndarray[Any, Any]:
+    """What a stream's canvas shows, as RGB."""
+    url = page.evaluate(f"document.querySelector('article[data-stream={stream}] canvas').toDataURL()")
+    with Image.open(io.BytesIO(base64.b64decode(url.partition(",")[2]))) as image:
+        return np.asarray(image.convert("RGB"))
+
+
+def seen(page: Any, expression: str) -> None:
+    """Wait until something is so in the page, whose policy forbids playwright's own way of waiting for it."""
+    until(lambda: page.evaluate(expression), 60)
+
+
+# ---- states -----------------------------------------------------------------------------------
+
+
+def test_the_board_and_its_frames_are_shown(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    watch(page)
+    with camera[0].connected() as board:
+        assert page.text_content("#board") == board.status.board
+        with board.stream("camera", timeout=60) as stream:
+            frame = stream.read().copy()
+    shown = pixels(page, "camera")
+    assert shown.shape == (480, 640, 3)
+    assert np.array_equal(shown[..., 0], shown[..., 1])
+    assert abs(int(shown[..., 0].mean()) - int(frame.mean())) < 60  # the camera goes on to other photographs
+    assert page.text_content("g[data-region=prr0] .module") == "default"
+    assert "40.7 °C" in page.text_content("#device")
+    until(lambda: "this page" in page.text_content("article[data-stream=camera] .flow"))
+    seen(page, "document.querySelectorAll('.chart').length >= 5")
+    shoot(page, "dark")
+
+
+def test_it_fits_a_telephone(server: WebServer, browser: Any, page: Any) -> None:
+    with page_of(browser, server, width=390, height=844, color_scheme="light") as small:
+        watch(small)
+        assert small.evaluate("document.documentElement.scrollWidth") <= 390
+        shoot(small, "telephone")
+
+
+def test_the_theme_is_the_systems_until_one_is_chosen(page: Any) -> None:
+    background = "getComputedStyle(document.body.parentNode).backgroundColor"
+    dark = page.evaluate(background)
+    page.click("#theme")
+    assert page.evaluate(background) != dark
+    shoot(page, "light")
+    page.reload()
+    page.wait_for_selector("body[data-link=up]")
+    assert page.evaluate(background) != dark
+
+
+def test_without_its_token_it_asks_for_it(server: WebServer, browser: Any) -> None:
+    with page_of(browser, server, url=server.origin) as page:
+        page.wait_for_selector("dialog[open]")
+        assert page.text_content("#streams") == ""
+        shoot(page, "token")
+        page.fill("#token", server.token)
+        page.keyboard.press("Enter")
+        page.wait_for_selector("body[data-link=up]")
+        assert server.token not in page.url
+
+
+def test_a_page_that_may_look_offers_nothing_else(camera: tuple[Manager, SimBoard], browser: Any, page: Any) -> None:
+    with web_server(camera[0].runtime) as looking, page_of(browser, looking) as other:
+        other.wait_for_selector(".register")
+        assert other.text_content("#rights") == "read-only"
+        enabled = "[...document.querySelectorAll('.go, .register input, .register select, .register button')]"
+        assert other.evaluate(f"{enabled}.length") > 8
+        assert other.evaluate(f"{enabled}.every((node) => node.disabled)")
+        shoot(other, "read-only")
+
+
+def test_a_change_is_shown_step_by_step_and_a_region_that_it_left_cut_off(browser: Any) -> None:
+    with (
+        served(board=["--icap-rate", SLOW]) as (manager, _),
+        web_server(manager.runtime, "--control") as server,
+        page_of(browser, server) as page,
+    ):
+        assert page.text_content("#loaded") == "nothing loaded"
+        shoot(page, "nothing-loaded")
+        page.click("li[data-mode=edge_detection] .go")
+        page.wait_for_selector("g[data-region=prr0].loading")
+        seen(page, "document.querySelector('#progress progress').value > 0.1")
+        assert "load prr0" in page.text_content("#progress")
+        shoot(page, "changing")
+        page.click("#progress button")
+        page.wait_for_selector("#progress", state="hidden")
+        page.wait_for_selector("#changes [data-state=failed]")
+        page.wait_for_selector("g[data-region=prr0].failed")  # there was no mode to go back to
+        assert "step_timeout" in page.text_content("#banner")
+        assert page.get_attribute("#state", "data-state") == "error"
+        shoot(page, "cut-off")
+
+
+def test_a_change_that_fails_says_why_and_stays_in_the_list(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    camera[1].control.inject("icap_crc", count=1)
+    page.click("li[data-mode=colorise] .go")
+    page.wait_for_selector("#changes [data-state=failed] .note")
+    page.wait_for_selector("#banner:not([hidden])")
+    page.wait_for_selector("#errors li")
+    page.wait_for_selector("li[data-mode=default][data-here=true]")  # it went back
+    shoot(page, "failed")
+
+
+def test_a_manager_that_goes_is_told_and_found_again(browser: Any) -> None:
+    with served() as (manager, _), web_server(manager.runtime, "--control") as server, page_of(browser, server) as page:
+        page.wait_for_selector(".go:not(:disabled)")
+        manager.kill()
+        page.wait_for_selector("body[data-link=manager]")
+        assert "No manager" in page.text_content("#banner")
+        assert page.is_disabled("li[data-mode=default] .go")
+        shoot(page, "no-manager")
+        manager.start()
+        page.wait_for_selector("body[data-link=up]")
+        page.wait_for_selector("#banner", state="hidden")
+
+
+def test_a_signal_is_drawn_as_one(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    with camera[0].connected() as board:
+        board.load("camera", "loopback")
+        for name in ("to_pl", "from_pl"):
+            board.configure_stream(name, shape=(153600,), dtype="int16", force=True)
+        wave = (20_000 * np.sin(np.linspace(0, 40, 153600))).astype(np.int16)
+        page.click("article[data-stream=from_pl] button")
+
+        def drawn() -> bool:
+            board.write("to_pl", wave)
+            return page.get_attribute("article[data-stream=from_pl]", "data-live") == "true"
+
+        until(drawn, 60)
+        assert "-2.000e+4 … 2.000e+4" in page.text_content("article[data-stream=from_pl] .readout")
+        assert pixels(page, "from_pl").shape == (320, 1024, 3)
+        shoot(page, "signal")
+
+
+# ---- changes ------------------------------------------------------------------------------------
+
+
+def test_a_click_changes_the_mode_and_the_frames_with_it(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    watch(page)
+    change(page, "colorise")
+    page.wait_for_selector("article[data-stream=camera][data-mode=colorise]")
+    shown = pixels(page, "camera")
+    assert not np.array_equal(shown[..., 0], shown[..., 2])
+    assert page.text_content("g[data-region=prr0] .module") == "colorise"
+    page.wait_for_selector("[data-register=palette]")
+    assert page.query_selector("[data-register=threshold]") is None
+    with camera[0].connected() as board:
+        assert board.mode == "colorise"
+    page.click("#changes li:first-child summary")
+    assert "load prr0" in page.text_content("#changes li:first-child .legend")
+    page.click("li[data-mode=edge_detection] summary")
+    page.wait_for_selector("li[data-mode=edge_detection] .plan li")
+    shoot(page, "colorise")
+
+
+def test_all_of_it_works_by_keyboard(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    page.focus("li[data-mode=edge_detection] .go")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("li[data-mode=edge_detection][data-here=true]")
+    page.wait_for_selector("[data-register=threshold]")
+    page.get_by_role("slider", name="focus").focus()
+    for _ in range(4):
+        page.keyboard.press("ArrowRight")
+    with camera[0].connected() as board:
+        until(lambda: board.registers["focus"] == 5)
+    page.get_by_role("combobox", name="led.blink").select_option(label="fast")
+    with camera[0].connected() as board:
+        until(lambda: board.registers["led.blink"] == 2)
+        board.registers["zoom"] = 3  # by somebody else
+    seen(page, "document.querySelector('[data-register=zoom] input').value === '3'")
+    nameless = """[...document.querySelectorAll('button, input, select, canvas, [role=img]')].filter((node) =>
+        !node.disabled && !(node.getAttribute('aria-label') || node.textContent.trim() || node.labels?.length))"""
+    assert page.evaluate(f"{nameless}.map((node) => node.outerHTML)") == []
+
+
+def test_interrupts_count_as_they_come(page: Any) -> None:
+    watch(page)
+    count = "Number(document.querySelector('[data-interrupt=frame_done] .value').textContent)"
+    before = page.evaluate(count)
+    seen(page, f"{count} > {before} + 5")
+
+
+def test_a_hundred_changes_leave_nothing_behind(page: Any, server: WebServer) -> None:
+    watch(page)
+    changed(page, 30)  # until the lists are as long as they get
+    before = held(page, server)
+    changed(page, 99)
+    after = held(page, server)
+    print(before, after)
+    assert after.nodes <= before.nodes * 1.1
+    assert after.listeners <= before.listeners * 1.1
+    assert after.heap <= before.heap * 1.25
+    assert after.descriptors <= before.descriptors + 3
+    assert after.resident <= before.resident + (8 << 10)

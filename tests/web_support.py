@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm web`` as a process, and the browser that looks at it: Debian's chromium, driven by playwright."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from manager_process import environment
+
+from cm import child
+
+WAIT = 60_000  # milliseconds, as playwright has them: a guard against hanging
+SWITCHES = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
+
+
+class WebServer:
+    """A `cm web` process."""
+
+    def __init__(self, runtime: Path, *arguments: str) -> None:
+        command = child.command("cm.cli.main", "web", "--runtime-dir", str(runtime), "--listen", "0", *arguments)
+        self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=environment(), cwd="/")
+        assert self.process.stderr is not None
+        ready, _, _ = select.select([self.process.stderr], [], [], 60)
+        line = self.process.stderr.readline().decode() if ready else ""
+        assert line.startswith("cm web: http://"), f"the server did not start: {line}"
+        self.url = line.removeprefix("cm web: ").strip()
+        self.origin, _, self.token = self.url.partition("/#token=")
+        self.host = urlsplit(self.origin).netloc
+
+    def stop(self) -> tuple[int, str]:
+        """Its exit status and what it said on stderr."""
+        self.process.send_signal(signal.SIGTERM)
+        _, said = self.process.communicate(timeout=60)
+        return self.process.returncode, said.decode()
+
+    def resident(self) -> int:
+        """KiB of memory."""
+        text = Path(f"/proc/{self.process.pid}/status").read_text(encoding="ascii")
+        return int(text.partition("VmRSS:")[2].split()[0])
+
+    def descriptors(self) -> int:
+        return len(list(Path(f"/proc/{self.process.pid}/fd").iterdir()))
+
+
+@contextlib.contextmanager
+def web_server(runtime: Path, *arguments: str) -> Iterator[WebServer]:
+    server = WebServer(runtime, *arguments)
+    try:
+        yield server
+    finally:
+        status, said = server.stop()
+    assert (status, said) == (0, "")
+
+
+@contextlib.contextmanager
+def chromium() -> Iterator[Any]:
+    """A browser; skips where there is none."""
+    api = pytest.importorskip("playwright.sync_api", reason="needs playwright, of the extra [test]")
+    program = shutil.which("chromium") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("needs chromium: apt install chromium")
+    with api.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program, args=SWITCHES)
+        yield browser
+        browser.close()
+
+
+@contextlib.contextmanager
+def page_of(
+    browser: Any, server: WebServer, url: str = "", width: int = 1680, height: int = 1050, **options: Any
+) -> Iterator[Any]:
+    """A page of its own, connected unless another `url` is given; what it logs as an error fails the test."""
+    context = browser.new_context(viewport={"width": width, "height": height}, locale="en-GB", **options)
+    context.set_default_timeout(WAIT)
+    page = context.new_page()
+    errors: list[str] = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
+    page.goto(url or server.url)
+    if not url:
+        page.wait_for_selector("body[data-link=up]")
+    yield page
+    context.close()
+    assert [error for error in errors if "WebSocket" not in error] == []
+
+
+def watch(page: Any, stream: str = "camera") -> None:
+    """Look at a stream, and wait for its frames."""
+    card = f"article[data-stream={stream}]"
+    if page.get_attribute(card, "data-watched") != "true":
+        page.click(f"{card} button")
+    page.wait_for_selector(f"{card}[data-live=true]")
+
+
+def change(page: Any, mode: str) -> None:
+    """Change the mode by a click, and wait until the board is there."""
+    page.click(f"li[data-mode={mode}] .go")
+    page.wait_for_selector(f"li[data-mode={mode}][data-here=true]")
+    page.wait_for_selector("#state[data-state=idle]")
