@@ -22,7 +22,7 @@ SEED ?= 1
 MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo device-suite test test-c test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup web-picture demo device-suite test test-c test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -79,7 +79,10 @@ endif
 vm: $(STAMP) ## a shell on that board, with a manager running and its ports forwarded
 	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)"
 
-soak: $(STAMP) ## ten thousand changes of mode, and a minute of killed readers
+web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromium
+	$(BIN)/python docs/web_picture.py
+
+soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, and a minute of killed readers
 	$(PYTEST) tests/soak --changes=10000 --stress=60 $(PYTEST_ARGS)
 
 fuzz: $(STAMP) ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…)
