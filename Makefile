@@ -22,7 +22,7 @@ SEED ?= 1
 MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help setup web-picture demo device-suite test test-c test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup docs web-picture demo device-suite test test-c test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -111,6 +111,9 @@ lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and
 		$(BIN)/mypy --config-file release/laptops.ini --platform $$system --cache-dir .mypy_cache/$$system || exit 1; done
 	$(BIN)/clang-format --style=file:csrc/.clang-format --dry-run -Werror $(C_FILES)
 	$(BIN)/reuse lint --quiet || { $(BIN)/reuse lint; exit 1; }
+
+docs: $(STAMP) ## the pages that are made: the Python reference, the maps, the tables of keys and errors
+	@for script in reference maps schema_tables reconfiguration_tables; do $(BIN)/python docs/$$script.py || exit 1; done
 
 format: $(LINT_STAMP) ## format Python and C
 	$(BIN)/ruff format .
