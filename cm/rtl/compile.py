@@ -15,7 +15,7 @@ from cm.rtl.errors import RtlError
 from cm.rtl.tools import Tools
 
 ENGINE = Path(__file__).parent / "engine"
-_FLAGS = ("-std=c++17", "-O1", "-fPIC", "-fvisibility=hidden", "-pthread", "-DVL_USER_FINISH", "-DVL_USER_STOP",
+_FLAGS = ("-std=c++17", "-O3", "-fPIC", "-fvisibility=hidden", "-pthread", "-DVL_USER_FINISH", "-DVL_USER_STOP",
           "-DVL_USER_FATAL", "-DVL_TIME_CONTEXT")  # fmt: skip
 _VERILATOR = ("--cc", "-O3", "--x-assign", "unique", "--x-initial", "unique", "--timescale", "1ns/1ps",
               "--prefix", "Vmodel", "-Wno-fatal", "-Wno-lint", "-Wno-style")  # fmt: skip
@@ -50,7 +50,7 @@ def compile_engine(tools: Tools) -> Path:
     key = digest([tools.identity, *_texts([*files, *ENGINE.glob("*.h")])])
 
     def make(target: Path, _: Path) -> None:
-        _run([tools.compiler, "-std=c++17", "-O2", "-o", str(target), *map(str, files), "-ldl"], "the engine")
+        _run([tools.compiler, "-std=c++17", "-O3", "-o", str(target), *map(str, files), "-ldl"], "the engine")
 
     return made(cache_folder(), f"engine-{key}", make)
 

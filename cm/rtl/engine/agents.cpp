@@ -44,11 +44,13 @@ void LiteMaster::write(uint32_t address, uint32_t value, uint32_t strobes)
 
 void LiteMaster::sample()
 {
-	aw = awvalid.get() && awready.get();
-	w = wvalid.get() && wready.get();
-	b = bready.get() && bvalid.get();
-	ar = arvalid.get() && arready.get();
-	r = rready.get() && rvalid.get();
+	if (!busy())
+		return;
+	aw = awvalid.high() && awready.high();
+	w = wvalid.high() && wready.high();
+	b = bready.high() && bvalid.high();
+	ar = arvalid.high() && arready.high();
+	r = rready.high() && rvalid.high();
 	if (b)
 		resp = bresp.get();
 	if (r) {
@@ -59,6 +61,8 @@ void LiteMaster::sample()
 
 void LiteMaster::edge()
 {
+	if (!busy())
+		return;
 	if (aw)
 		awvalid.set(0);
 	if (w)
@@ -74,7 +78,7 @@ void LiteMaster::edge()
 	if (b) {
 		bready.set(0);
 		writing = false;
-	} else if (writing && !awvalid.get() && !wvalid.get()) {
+	} else if (writing && !awvalid.high() && !wvalid.high()) {
 		bready.set(1);
 	}
 }
@@ -181,7 +185,7 @@ bool Sink::done(uint64_t &length, bool &overflow)
 
 void Sink::sample()
 {
-	taken = tvalid.get() && (room || drops);
+	taken = tvalid.high() && (room || drops);
 	beats += taken;
 	if (taken && room)
 		store();
@@ -200,7 +204,7 @@ void Sink::store()
 			to[stored++] = tdata.at[byte];
 	}
 	// a stream without TLAST is cut where the room is full, as the engine's length register does
-	bool last = tlast ? tlast.get() : stored == capacity;
+	bool last = tlast ? tlast.high() : stored == capacity;
 	if (last) {
 		room = false;
 		finished = true;

@@ -66,7 +66,7 @@ class Source
 
 	void sample()
 	{
-		taken = offered && (!tready || tready.get());
+		taken = offered && (!tready || tready.high());
 	}
 	void edge();
 	uint64_t beats = 0; // that have moved

@@ -9,6 +9,7 @@
 #include <cerrno>
 #include <cinttypes>
 #include <csignal>
+#include <ctime>
 #include <cstdio>
 #include <cstdlib>
 #include <fstream>
@@ -349,10 +350,18 @@ int Engine::configure(const cm_message &message, uint64_t &came_out)
 	return stuck ? ETIMEDOUT : 0;
 }
 
+static uint64_t cpu_ns()
+{
+	timespec now;
+	clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &now);
+	return uint64_t(now.tv_sec) * 1000000000 + uint64_t(now.tv_nsec);
+}
+
 std::string Engine::state() const
 {
 	std::ostringstream text;
-	text << "{\"picoseconds\": " << fabric->picoseconds() << ", \"cycles\": {";
+	text << "{\"picoseconds\": " << fabric->picoseconds() << ", \"cpu_ns\": " << cpu_ns()
+	     << ", \"cycles\": {";
 	for (uint32_t index = 0; index < fabric->clock_count(); index++) {
 		const Clock &clock = fabric->clock(index);
 		text << (index ? ", " : "") << "\"" << clock.name << "\": " << clock.cycles;

@@ -34,6 +34,11 @@ struct Pin {
 	{
 		return at != nullptr;
 	}
+	// Of a pin of one bit; false where there is none.
+	bool high() const
+	{
+		return at && *at;
+	}
 	uint64_t get() const
 	{
 		uint64_t value = 0;
