@@ -21,6 +21,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--images", type=Path, metavar="DIR", help="PNG or JPEG files instead of the shipped ones")
     parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write to")
     parser.add_argument("--keep-frames", action="store_true", help="also write the raw frames (frames.npz)")
+    parser.add_argument("--rtl", action="store_true", help="on the modules' Verilog instead of models in software")
     parser.set_defaults(run=run)
 
 
@@ -33,6 +34,6 @@ def run(args: argparse.Namespace) -> int:
     from cm.demo.runner import run_demo
 
     started = time.monotonic()
-    sheet = run_demo(args.images, args.out, args.keep_frames)
+    sheet = run_demo(args.images, args.out, args.keep_frames, "rtl" if args.rtl else "models")
     print(f"wrote     {sheet} after {time.monotonic() - started:.1f} s")
     return 0

@@ -51,6 +51,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("--sim", nargs="?", const="models", default="", choices=("models", "rtl"), metavar="KIND",
         help="on a simulated board (no hardware, no root): models in software, or rtl, the design's HDL")  # fmt: skip
+    parser.add_argument("--sim-traces", action="store_true",
+        help="with --sim=rtl: compiled so that 'cm sim trace' can write what its signals do (slower)")  # fmt: skip
     parser.add_argument("--build", type=Path, metavar="FILE",
         help="with --sim=rtl: build schema of the design (default: the shipped camera)")  # fmt: skip
     parser.add_argument(
@@ -95,8 +97,8 @@ def _mebibytes(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Serve; the exit status."""
-    if args.build and args.sim != "rtl":
-        raise InvalidRequest("--build says which design's RTL a simulated board runs: give --sim=rtl with it")
+    if (args.build or args.sim_traces) and args.sim != "rtl":
+        raise InvalidRequest("--build and --sim-traces are about a design's RTL: give --sim=rtl with them")
     settings = settings_of(args)
     _log_to(_level(args, settings))
     with ExitStack() as stack:
@@ -209,6 +211,7 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
     arguments += ["--hold", str(args.sim_hold)] if args.sim_hold is not None else []
     arguments += ["--icap-rate", str(args.sim_icap_rate)] if args.sim_icap_rate is not None else []
     arguments += ["--build", str(args.build.resolve())] if args.build else []
+    arguments += ["--traces"] if args.sim_traces else []
     root = Path(args.root) if args.root else runtime / "board"
     starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
     program = "cm.rtl" if args.sim == "rtl" else "cm.sim"

@@ -72,6 +72,10 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     step = actions.add_parser("step", help="let a held camera give frames")
     completes(step.add_argument("channel"), "<channel>")
     step.add_argument("frames", nargs="?", type=int, default=1)
+    trace = actions.add_parser("trace", help="write what the signals of the RTL do (FST)")
+    trace.add_argument("what", choices=("start", "stop"))
+    trace.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="where the files go")
+    actions.add_parser("mark", help="show a text in the trace").add_argument("text")
     actions.add_parser("state", help="print what the board holds, as JSON")
     for parser in actions.choices.values():
         parser.add_argument("--root", type=Path, default=argparse.SUPPRESS, help="folder that the simulator serves")
@@ -101,7 +105,19 @@ def _carry_out(control: Control, args: argparse.Namespace) -> None:
         control.interrupt(args.name)
     elif args.action == "step":
         control.step(args.channel, args.frames)
+    elif args.action == "trace":
+        _trace(control, args)
+    elif args.action == "mark":
+        control.mark(args.text)
     elif args.action == "state":
         print(json.dumps(control.state(), indent=2))
     else:
         getattr(control, args.action)(args.channel)
+
+
+def _trace(control: Control, args: argparse.Namespace) -> None:
+    if args.what == "start" and args.folder is None:
+        args.refuse("trace start DIR: the folder that the files go to")
+    if args.what == "start":
+        args.folder.mkdir(parents=True, exist_ok=True)
+    control.trace(args.folder if args.what == "start" else None)

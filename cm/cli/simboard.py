@@ -11,6 +11,7 @@ from pathlib import Path
 from cm.device import Root
 from cm.sim.process.child import Board
 
+_START_TIMEOUT = 300.0  # seconds: the first time, a design's HDL is compiled
 _LINGER = "30"  # seconds that a board without a manager keeps its state
 
 
@@ -25,7 +26,9 @@ def simulated_board(
     """
     runtime.mkdir(mode=0o750, parents=True, exist_ok=True)
     _refuse_where_served(runtime)
-    with Board(configs, root=root, arguments=["--linger", _LINGER, *arguments], program=program) as board:
+    with Board(
+        configs, root=root, arguments=["--linger", _LINGER, *arguments], program=program, timeout=_START_TIMEOUT
+    ) as board:
         yield Root.of(board.root)
 
 

@@ -18,7 +18,7 @@ from cm import child
 from cm.errors import CmError, Timeout
 
 _HOLD = 10  # frames for which the camera looks at one photograph
-_START_TIMEOUT = 30.0
+_START_TIMEOUT = 120.0  # the first time, its HDL is compiled
 _STOP_TIMEOUT = 15.0
 # What `cm build generate` makes of the example beside it.
 _SCHEMA = Path(__file__).parents[1] / "data" / "examples" / "camera" / "config" / "camera.yaml"
@@ -32,14 +32,17 @@ class DemoFailed(CmError):
     code = "demo_failed"
 
 
-def run_demo(images: Path | None, out: Path, keep_frames: bool = False) -> Path:
-    """Run all of it; returns the path of the contact sheet. Raises DemoFailed."""
+def run_demo(images: Path | None, out: Path, keep_frames: bool = False, kind: str = "models") -> Path:
+    """Run all of it; returns the path of the contact sheet. Raises DemoFailed.
+
+    `kind`: what lies behind the simulated board's nodes, as `cm serve --sim` has it.
+    """
     from cm.demo.sheet import contact_sheet
 
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="cm-demo-") as folder, _Signals():
         runtime, frames = Path(folder, "run"), Path(folder, FRAMES)
-        with _manager(runtime, images):
+        with _manager(runtime, images, kind):
             _application(runtime, frames)
         rows = _rows(frames)
         contact_sheet(rows, out / SHEET)
@@ -63,9 +66,9 @@ def _interrupt(*_: object) -> None:
 
 
 @contextlib.contextmanager
-def _manager(runtime: Path, images: Path | None) -> Iterator[None]:
+def _manager(runtime: Path, images: Path | None, kind: str) -> Iterator[None]:
     """A manager with its board, in a process group of its own: Ctrl-C reaches it through us, in order."""
-    command = child.command("cm.cli.main", "serve", "--sim", "--runtime-dir", str(runtime))
+    command = child.command("cm.cli.main", "serve", f"--sim={kind}", "--runtime-dir", str(runtime))
     command += ["--config", str(_SCHEMA), "--load", "camera"]
     command += ["--sim-hold", str(_HOLD), *(["--images", str(images)] if images else [])]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, env=child.environment(), start_new_session=True)

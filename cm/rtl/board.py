@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -33,6 +34,7 @@ class RunningDesign:
         self.on_sent: dict[int, Callable[[], None]] = {}
         self.on_received: dict[int, Callable[[int, bool], None]] = {}
         self.on_interrupt: Callable[[bool], None] = lambda _: None
+        self.traced = False
         self.stopped: dict[str, str] = {}  # regions whose module ended itself, and why
         parts.fabric.answering = self.follow
         parts.fabric.resetting = self.reset
@@ -67,6 +69,12 @@ class RunningDesign:
             elif message.op == Op.STOPPED:
                 self._stop(self.design.regions[message.a], message.text)
 
+    def mark(self, text: str) -> None:
+        """Show a text in the trace, if one is written."""
+        if self.traced:
+            with contextlib.suppress(RtlError):
+                self.ask(Op.MARK, text=text)
+
     def follow(self, region: Region) -> None:
         """Something about a region has changed: noise while it is written, its module's library behind that."""
         wanted: object = "loading" if region.loading else region.module
@@ -76,6 +84,7 @@ class RunningDesign:
         self._applied[region.name] = wanted
         self.stopped.pop(region.name, None)
         self._seed += 1
+        self.mark(f"{region.name}: {region.module.name if region.module else wanted or 'empty'}")
         library = self._library(region)
         if wanted == "loading":
             self._do(Op.UNDEFINE, number)

@@ -88,6 +88,7 @@ class RtlBus:
             if 0 <= at <= len(data) - 4:
                 bit = int.from_bytes(data[at : at + 4], "little") >> decoupler.bit & 1
                 region.decoupled = bool(bit) == decoupler.active_high
+                self._running.mark(f"{region.name}: {'cut off' if region.decoupled else 'connected'}")
 
 
 def _check(window: Window, offset: int, length: int, widths: tuple[int, ...], width: int) -> None:

@@ -15,7 +15,7 @@ from cm.rtl.errors import RtlError
 from cm.rtl.tools import Tools
 
 ENGINE = Path(__file__).parent / "engine"
-_FLAGS = ("-std=c++17", "-O3", "-fPIC", "-fvisibility=hidden", "-pthread", "-DVL_USER_FINISH", "-DVL_USER_STOP",
+_FLAGS = ("-std=c++17", "-fPIC", "-fvisibility=hidden", "-pthread", "-DVL_USER_FINISH", "-DVL_USER_STOP",
           "-DVL_USER_FATAL", "-DVL_TIME_CONTEXT")  # fmt: skip
 _VERILATOR = ("--cc", "-O3", "--x-assign", "unique", "--x-initial", "unique", "--timescale", "1ns/1ps",
               "--prefix", "Vmodel", "-Wno-fatal", "-Wno-lint", "-Wno-style")  # fmt: skip
@@ -72,7 +72,7 @@ def _runtime(tools: Tools, traces: bool) -> Path:
         objects = []
         for source in found:
             objects.append(scratch / f"{source.stem}.o")
-            command = [tools.compiler, "-c", *_FLAGS, *_macros(traces), *_include(tools)]
+            command = [tools.compiler, "-c", "-O1", *_FLAGS, *_macros(traces), *_include(tools)]
             _run([*command, "-o", str(objects[-1]), str(source)], source.name)
         _run(["ld", "-r", "-o", str(target), *map(str, objects)], "Verilator's runtime")
 
@@ -114,7 +114,8 @@ def _link(tools: Tools, unit: Unit, scratch: Path, runtime: Path, target: Path, 
     shim = shim.replace("@WHERE@", "\n".join(cases))
     whole = scratch / "whole.cpp"
     whole.write_text("".join(f'#include "{path}"\n' for path in parts) + shim, encoding="utf-8")
-    command = [tools.compiler, *_FLAGS, *_macros(traces), *_include(tools), f"-I{folder}", f"-I{ENGINE}"]
+    speed = "-O1" if traces else "-O3"  # what is traced is slow anyhow, and is compiled to be looked at
+    command = [tools.compiler, speed, *_FLAGS, *_macros(traces), *_include(tools), f"-I{folder}", f"-I{ENGINE}"]
     command += ["-shared", "-fno-gnu-unique", "-Wl,-Bsymbolic", "-o", str(target), str(whole), str(runtime)]
     _run([*command, *(["-lz"] if traces else [])], unit.name)
 

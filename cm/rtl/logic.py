@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +16,7 @@ from cm.rtl.messages import Op
 from cm.rtl.process import EngineProcess
 from cm.rtl.streams import Intake, IntakeLink, OpticalPath, OutletLink, RtlCameraLink
 from cm.schema.model import Direction
-from cm.sim.errors import SimError
+from cm.sim.errors import NodeError, SimError
 from cm.sim.hardware.camera import PhotoReel
 from cm.sim.hardware.dma import Channel
 from cm.sim.hardware.interrupts import InterruptWiring
@@ -97,6 +98,20 @@ class RtlLogic:
         if self._design.system.icap is None:
             return words
         return memoryview(bytes(arena[: 4 * min(count, int(answer.b))]))
+
+    def trace(self, folder: str) -> None:
+        """FST files: one of the static part, one of each module as often as it is loaded."""
+        try:
+            answer = self._running.ask(Op.TRACE, text=folder)
+        except RtlError as error:
+            raise NodeError(errno.EIO, str(error)) from None
+        if answer.a:
+            raise NodeError(errno.EOPNOTSUPP, answer.text)
+        self._running.traced = bool(folder)
+
+    def mark(self, text: str) -> None:
+        """As the text of the static part's signal ``cm_event``."""
+        self._running.mark(text)
 
     def state(self) -> dict[str, object]:
         """The engine's clocks, and modules that have ended themselves."""

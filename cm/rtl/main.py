@@ -48,6 +48,15 @@ def run(args: argparse.Namespace) -> int:
         return run_board(args, start)
 
 
+def prepare(build: Path, traces: bool = False) -> None:
+    """Compile what a design needs, so that a board that runs it starts at once. Raises as `load_rtl_design`."""
+    tools = find_tools()
+    with tempfile.TemporaryDirectory(prefix="cm-rtl-") as folder:
+        design = load_rtl_design(build, Path(folder))
+        compile_units(tools, [design.static, *design.modules.values()], traces)
+    compile_engine(tools)
+
+
 def example_build() -> Path:
     """The build schema of the camera that comes with the package."""
     return Path(__file__).parents[1] / "data/examples/camera/build.yaml"

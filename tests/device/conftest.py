@@ -52,8 +52,10 @@ def _simulated() -> Iterator[Board]:
 
 
 def _rtl() -> Iterator[Board]:
+    from cm.rtl.main import prepare
     from cm.sim import Board as Simulator
 
+    prepare(LOOP)
     with (
         Simulator(program="cm.rtl", arguments=["--build", str(LOOP), "--icap-rate", "10000000"]) as simulator,
         device.Uio.open(0x4000_0000, simulator.root) as control,

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import errno
 import select
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from conftest import HERE, needs
 
 from cm import device
 from cm.bitstream import to_dma_words
+from cm.rtl.main import prepare
 from cm.sim import Board
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
@@ -64,6 +66,7 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def board() -> Iterator[Board]:
+    prepare(LOOP)
     with Board(program="cm.rtl", arguments=["--build", str(LOOP), "--icap-rate", "0"]) as running:
         yield running
 
@@ -222,3 +225,41 @@ def test_an_error_in_the_hdl_is_told_with_its_line(tmp_path: Path) -> None:
     broken = [type(unit)(unit.name, unit.top, (unit.sources[0], *unit.sources[1:-1], source))]
     with pytest.raises(RtlError, match=f"loop.v:{number + 1}:"):
         compile_units(find_tools(), broken)
+
+
+@needs("fst2vcd")
+def test_a_trace_shows_the_signals_and_what_the_board_did_to_them(tmp_path: Path) -> None:
+    prepare(LOOP, traces=True)
+    with Board(program="cm.rtl", arguments=["--build", str(LOOP), "--icap-rate", "0", "--traces"]) as board:
+        rig = Rig(board)
+        board.control.trace(tmp_path)
+        board.control.mark("before the change")
+        rig.change(0, "inverse")
+        data = packet(64)
+        assert np.array_equal(round_trip(rig, "left", data), 255 - data)
+        board.control.trace(None)
+        rig.close()
+    vcd = {path.name: value_changes(path) for path in tmp_path.iterdir()}
+    assert vcd.keys() == {"static.fst", "left.fst"}
+    marks = [bytes.fromhex(f"{value:064x}").rstrip(b"\0").decode() for value in vcd["static.fst"]["cm_event"]]
+    assert [mark for mark in marks if mark] == [
+        "before the change", "left: cut off", "left: loading", "left: inverse", "left: connected",
+    ]  # fmt: skip
+    sent = [value for value in vcd["left.fst"]["m_axis_tdata"] if value]
+    assert int.from_bytes((255 - data[:4]).tobytes(), "little") in sent
+
+
+def value_changes(path: Path) -> dict[str, list[int]]:
+    """The values of each signal of the top in their order, by GTKWave's own reader of the format."""
+    text = subprocess.run(["fst2vcd", path], check=True, capture_output=True, text=True).stdout
+    names: dict[str, str] = {}
+    found: dict[str, list[int]] = {}
+    for line in text.splitlines():
+        parts = line.split()
+        if parts[:1] == ["$var"]:
+            found.setdefault(names.setdefault(parts[3], parts[4]), [])
+        elif line[:1] == "b":
+            found[names[parts[1]]].append(int(parts[0][1:].replace("x", "0"), 2))
+        elif line[:1] in ("0", "1") and line[1:] in names:
+            found[names[line[1:]]].append(int(line[0]))
+    return found

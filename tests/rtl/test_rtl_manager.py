@@ -16,6 +16,7 @@ import cm
 sys.path.append(str(HERE.parent))
 from manager_process import Manager, environment
 
+from cm.rtl.main import example_build, prepare
 from cm.sim.hardware.camera import frame, shipped_photos
 from cm.sim.hardware.models import Colorise, default, edge
 
@@ -26,6 +27,7 @@ FOCUS = 3
 
 @pytest.fixture(scope="module")
 def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
+    prepare(example_build())  # a manager that waits for a compiler looks as if it hung
     runtime = tmp_path_factory.mktemp("run")
     manager = Manager(runtime, "--sim=rtl", "--sim-hold", "0").start()
     try:

@@ -9,9 +9,9 @@
 #include <cerrno>
 #include <cinttypes>
 #include <csignal>
-#include <ctime>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 #include <fstream>
 #include <poll.h>
 #include <sstream>

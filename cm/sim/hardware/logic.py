@@ -7,12 +7,14 @@ fabric say what is loaded where: `Fabric.answering` is called when that changes.
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from cm.loop import Loop
 from cm.schema.model import Direction
+from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
 from cm.sim.hardware.bus import Bus
 from cm.sim.hardware.camera import Photo, PhotoReel
@@ -71,6 +73,12 @@ class Logic(Protocol):
     def configure(self, words: memoryview, failed: bool) -> memoryview:
         """The words that reach the configuration logic when these are given to ICAP, which shows an error or none."""
 
+    def trace(self, folder: str) -> None:
+        """Write what happens to files there, or to none any more if it is empty. `NodeError` where that cannot be."""
+
+    def mark(self, text: str) -> None:
+        """Show a text in the trace that is written, if one is."""
+
     def state(self) -> dict[str, object]:
         """What there is to tell besides what every board tells."""
 
@@ -125,6 +133,13 @@ class SoftwareLogic:
     def configure(self, words: memoryview, failed: bool) -> memoryview:  # noqa: ARG002 - nothing here shows it
         """The same: there is nothing in between."""
         return words
+
+    def trace(self, folder: str) -> None:  # noqa: ARG002 - none
+        """Models have no signals."""
+        raise NodeError(errno.EOPNOTSUPP, "models in software have no signals to trace")
+
+    def mark(self, text: str) -> None:
+        """Nothing shows it."""
 
     def state(self) -> dict[str, object]:
         """Nothing more."""

@@ -12,7 +12,7 @@ from cm.sim.errors import NodeError
 from cm.sim.faults import KINDS, Faults
 from cm.sim.hardware.fabric import Fabric
 from cm.sim.hardware.links import CameraLink, Link
-from cm.sim.hardware.logic import Interrupts
+from cm.sim.hardware.logic import Interrupts, Logic
 from cm.sim.nodes.attributes import AttributeNode
 from cm.sim.transport.protocol import CONTROL_PATH
 from cm.sim.transport.root import Root
@@ -31,6 +31,7 @@ class Owner(Protocol):
 class Controlled(Protocol):
     """What of the board takes orders."""
 
+    logic: Logic
     fabric: Fabric
     faults: Faults
     links: dict[str, Link]
@@ -64,6 +65,8 @@ class ControlNode:
             "resume": self._resume,
             "reset": self._reset,
             "adopt": self._adopt,
+            "trace": self._trace,
+            "mark": self._mark,
         }
 
     def serve(self, server: Server, root: Root) -> None:
@@ -106,6 +109,12 @@ class ControlNode:
     def _reset(self, order: Order) -> None:  # noqa: ARG002 - an order like the others
         self._machine.fabric.reset()
         self._machine.kick()
+
+    def _trace(self, order: Order) -> None:
+        self._machine.logic.trace(str(order.get("folder") or ""))
+
+    def _mark(self, order: Order) -> None:
+        self._machine.logic.mark(str(order["text"]))
 
     def _adopt(self, order: Order) -> None:
         if self._machine.parent is None:

@@ -56,6 +56,18 @@ class Control:
         """Empty all regions and reset all registers, as power-up does."""
         self._order("reset")
 
+    def trace(self, folder: Path | str | None) -> None:
+        """Have the signals of the RTL written to files in a folder; None ends that.
+
+        Raises:
+            SimError: the logic has no signals, or was compiled without traces (``python -m cm.rtl --traces``).
+        """
+        self._order("trace", folder=str(Path(folder).absolute()) if folder else "")
+
+    def mark(self, text: str) -> None:
+        """Show a text (at most 32 letters) in the trace from now on."""
+        self._order("mark", text=text)
+
     def adopt(self) -> None:
         """Make this process the owner of a simulator whose owner has died.
 
