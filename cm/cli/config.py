@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm config versions|rollback``: earlier versions of configurations that archives brought."""
+"""``cm config versions|rollback|remove``: earlier versions of configurations, and the end of those that were sent."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from cm.cli.common import add_json_option, print_json
+from cm.cli.client import connected
+from cm.cli.common import add_connection_options, add_json_option, completes, print_json
 from cm.cli.import_ import FIRMWARE
 from cm.importers import back, versions
 
@@ -15,9 +16,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser(
         "config",
-        help="list and roll back versions of imported configurations",
-        description="Earlier versions of configurations that `cm import archive` put in place. A manager that runs "
-        "takes what is in force at its next start, or with SIGHUP (systemctl reload cm).",
+        help="list and roll back versions of imported configurations, remove sent ones",
+        description="Earlier versions of configurations that `cm import archive` put in place; a manager that runs "
+        "takes what is in force at its next start, or with SIGHUP (systemctl reload cm). `remove` is for what "
+        "`cm configs --send` brought to a manager.",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("versions", help="list the earlier versions, youngest first")
@@ -28,6 +30,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         action.add_argument("--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"below this folder ({FIRMWARE})")
         add_json_option(action)
         action.set_defaults(run=run)
+    remove = actions.add_parser("remove", help="remove a configuration that a client sent")
+    completes(remove.add_argument("config", metavar="CONFIG"), "<config>")
+    add_connection_options(remove)
+    remove.set_defaults(run=run_remove)
 
 
 def run_versions(args: argparse.Namespace) -> int:
@@ -38,6 +44,13 @@ def run_versions(args: argparse.Namespace) -> int:
         return 0
     for version in found:
         print(f"{version.number:>4}  {version.folder}")
+    return 0
+
+
+def run_remove(args: argparse.Namespace) -> int:
+    """Remove; the exit status."""
+    with connected(args) as board:
+        board.remove_config(args.config)
     return 0
 
 

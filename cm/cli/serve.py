@@ -150,6 +150,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     paths = args.config or (_simulated_schemas(args, runtime) if args.sim else [])
     board = _simulated_root(args, runtime, paths, stack) if args.sim else None
     # While the simulator starts, in a process of its own, this one gets on with its imports.
+    from cm.daemon.host.sent import Quota
     from cm.daemon.options import Options
     from cm.device import Root
     from cm.manager.manager import Settings as ManagerSettings
@@ -182,6 +183,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         queue_bytes=queue,
         firmware_dir=said.firmware_dir,
         limits=limits_of(said),
+        quota=Quota(said.limits.provisioned_each_mib << 20, said.limits.provisioned_mib << 20),
         unsigned=said.policy.signatures != "require",
         reload=partial(read_again, args, paths, settings),
     )

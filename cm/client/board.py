@@ -37,7 +37,7 @@ from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream
 from cm.client.zmq_frames import Wanted
 from cm.messages import html
 from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
+from cm.messages.status import ConfigEntry, ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
@@ -153,6 +153,14 @@ class Board(Guarded):
     def configs(self) -> tuple[str, ...]:
         """Names of the configurations that can be loaded."""
         return self.ask(calls.config_names())
+
+    def config_entries(self) -> tuple[ConfigEntry, ...]:
+        """All configurations, with their modes, and who sent those that the administrator did not bring."""
+        return self.ask(calls.config_entries())
+
+    def remove_config(self, name: str, lease: str = "") -> None:
+        """Remove a configuration that a client sent, and its files; one's own, or with the role admin anybody's."""
+        self.ask(calls.remove_config(name, lease), timeout=max(self.timeout, 60.0))
 
     def config(self, name: str = "") -> ConfigInfo:
         """A configuration's modes, registers, streams and interrupts; the loaded one's if no name is given."""

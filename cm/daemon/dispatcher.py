@@ -32,6 +32,7 @@ from cm.wire.topics import READ_REG
 _PUBLISHED = b""  # the sender of all that is published to the manager; a connection's name is never empty
 _MOST = 256  # requests of one sender that wait
 _LOOKS = (rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.CancelChange)  # never wait
+_STORES = (rq.Provision, rq.RemoveConfig)
 _WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
 
 
@@ -88,7 +89,7 @@ class Order:
             state.queue.append(_Waiting(request, respond, connection))
 
     def _is_blocked(self, state: _Sender, request: rq.Request) -> bool:
-        if isinstance(request, (rq.ChangeMode, rq.Provision)):
+        if isinstance(request, (rq.ChangeMode, *_STORES)):
             return bool(state.stores or state.writes)
         if state.writes and (isinstance(request, rq.WriteReg) or self._writes_memory(request)):
             return True
@@ -122,7 +123,7 @@ class Order:
             return None
 
     def _do(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
-        if isinstance(request, rq.Provision):
+        if isinstance(request, _STORES):
             respond = self._counted(sender, "stores", respond)
         elif self._writes_memory(request):
             respond = self._counted(sender, "writes", respond)

@@ -10,6 +10,7 @@ from functools import partial
 from typing import NoReturn, TypeVar
 
 from cm.daemon.board_watch import BoardWatch
+from cm.daemon.config_handlers import SentConfigs
 from cm.daemon.data_handlers import DataHandlers
 from cm.daemon.host.provision import Provisioner
 from cm.daemon.interrupts import InterruptWatch
@@ -25,7 +26,6 @@ from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.manager.planning.goals import hint
-from cm.manager.reporting.descriptions import config_list
 from cm.messages import requests as rq
 from cm.messages.status import ChangeInfo, Reply, Status
 from cm.rights.gate import Gate
@@ -62,6 +62,7 @@ class Handlers:
 
     def __init__(self, services: Services) -> None:
         self._s = services
+        self._sent = SentConfigs(services.manager, services.provisioner, services.sessions)
         self.table: dict[type, Callable[..., None]] = {
             rq.ReadStatus: self._read_status,
             rq.ReadConfig: self._read_config,
@@ -70,6 +71,7 @@ class Handlers:
             rq.ChangeMode: self._change_mode,
             rq.CancelChange: self._cancel_change,
             rq.Provision: self._provision,
+            rq.RemoveConfig: self._remove_config,
             rq.ReadReg: self._read_reg,
             rq.WriteReg: self._write_reg,
             rq.ReadIrq: self._read_irq,
@@ -95,8 +97,10 @@ class Handlers:
             respond(refusal(error))
             return
         handler = self.table[type(request)]
-        if isinstance(request, (rq.ChangeMode, rq.Provision)):
+        if isinstance(request, rq.ChangeMode):
             self._guarded(partial(handler, request, respond, began), respond)
+        elif isinstance(request, (rq.Provision, rq.RemoveConfig)):
+            self._guarded(partial(handler, request, respond, began, connection), respond)
         else:
             self._guarded(partial(handler, request, respond), respond)
 
@@ -134,7 +138,7 @@ class Handlers:
         respond(Reply(self._s.memories.described(info)))
 
     def _list_configs(self, _: rq.ListConfigs, respond: Respond) -> None:
-        respond(Reply(config_list(self._s.manager.configs)))
+        respond(Reply(self._sent.listed()))
 
     def _plan_change(self, request: rq.PlanChange, respond: Respond) -> None:
         change = rq.ChangeMode(request.config_name, request.mode)
@@ -158,10 +162,10 @@ class Handlers:
         self._s.manager.cancel()
         respond(Reply(self._s.status()))
 
-    def _provision(self, request: rq.Provision, respond: Respond, began: Began) -> None:
+    def _provision(self, request: rq.Provision, respond: Respond, began: Began, connection: str) -> None:
         self._s.manager.leases.check(("config",), request.lease)
-        allowed = self._s.manager.check_replaceable
-        store = partial(self._s.provisioner.store, request.schema, request.files, allowed)
+        whose = self._sent.allowed(connection), self._sent.sender(connection)
+        store = partial(self._s.provisioner.store, request.schema, request.files, *whose)
         self._aside(store, lambda config: self._provisioned(request, config, respond, began), respond)
 
     def _provisioned(self, request: rq.Provision, config: Config, respond: Respond, began: Began) -> None:
@@ -170,6 +174,16 @@ class Handlers:
             respond(Reply(self._s.manager.describe(config.name, {})))
         else:
             self._change_mode(replace(request.change, config_name=config.name), respond, began)
+
+    def _remove_config(self, request: rq.RemoveConfig, respond: Respond, _: Began, connection: str) -> None:
+        self._s.manager.leases.check(("config",), request.lease)
+        self._sent.check_removable(request.config_name)
+        remove = partial(self._s.provisioner.remove, request.config_name, self._sent.sender(connection))
+        self._aside(remove, lambda _: self._removed(request.config_name, respond), respond)
+
+    def _removed(self, name: str, respond: Respond) -> None:
+        self._s.manager.forget_config(name)
+        respond(Reply(self._sent.listed()))
 
     # ---- registers ------------------------------------------------------------------------
 

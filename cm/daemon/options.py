@@ -9,6 +9,7 @@ from pathlib import Path
 
 from cm.daemon.endpoints import Security
 from cm.daemon.host.reload import Reloaded
+from cm.daemon.host.sent import Quota
 from cm.daemon.limits import Limits
 from cm.daemon.queue_limit import BYTES
 from cm.device import Root
@@ -34,6 +35,7 @@ class Options:
     name: str = ""  # of the board, for people and to tell several apart; empty: that of its host
     queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
     firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
+    quota: Quota = Quota()  # noqa: RUF009 (frozen)
     unsigned: bool = True  # whether clients may provision configurations, which nobody can have signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
     settings: Settings = Settings()  # noqa: RUF009 (frozen)

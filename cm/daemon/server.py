@@ -16,6 +16,7 @@ from cm.daemon.board_watch import BoardWatch
 from cm.daemon.connections import Connections
 from cm.daemon.dispatcher import Dispatcher
 from cm.daemon.endpoints import Locks, Sockets
+from cm.daemon.folders import own_folder
 from cm.daemon.handlers import Handlers, Services
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles, Footprints
@@ -61,7 +62,8 @@ class Server:
         self._connections = Connections(options.limits)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
-        self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned)
+        own_folder(options.state_dir)
+        self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, options.quota)
         self._journal = Journal(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         configs = self._configs()
@@ -92,7 +94,7 @@ class Server:
 
     def _configs(self) -> dict[str, Config]:
         self._provisioner.recover()
-        named = {**self._options.configs, **self._provisioner.configs()}
+        named = self._provisioner.standing(self._options.configs)
         return {name: self._with_channels(config) for name, config in named.items()}
 
     def _environment(self) -> Environment:
@@ -102,9 +104,9 @@ class Server:
 
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
-        stored, complete, renew = self._provisioner.configs, self._with_channels, self._sessions.renew
+        standing, complete, renew = self._provisioner.standing, self._with_channels, self._sessions.renew
         aside = self._aside, loop.call_threadsafe
-        surroundings = Surroundings(self._manager, renew, self._service, *aside, stored, complete, o.reload)
+        surroundings = Surroundings(self._manager, renew, self._service, *aside, standing, complete, o.reload)
         return Reloader(surroundings, o.configs)
 
     def _with_channels(self, config: Config) -> Config:

@@ -77,6 +77,14 @@ class Provision:
 
 
 @dataclass(frozen=True, slots=True)
+class RemoveConfig:
+    """Forget a configuration that a client sent, and its files."""
+
+    config_name: str
+    lease: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class ReadReg:
     """Values of registers or fields (``register.field``); of all readable ones if none is named."""
 
@@ -214,6 +222,7 @@ Request = (
     | ChangeMode
     | CancelChange
     | Provision
+    | RemoveConfig
     | ReadReg
     | WriteReg
     | DescribeData

@@ -235,6 +235,9 @@ class ConfigEntry:
     type: str = ""
     modes: tuple[str, ...] = ()
     default_mode: str = ""
+    origin: str = ""  # "administrator" or "client"
+    owner: str = ""  # of a client's: who sent it
+    bytes: int = 0  # of a client's: all its files
 
 
 @dataclass(frozen=True, slots=True)

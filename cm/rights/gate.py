@@ -122,9 +122,14 @@ class Gate:
 
     def check(self, connection: str, *needs: Need) -> None:
         """Raise Forbidden for what is not allowed."""
-        missing = policy.lacking(self.rights(connection), needs)
-        if missing is not None:
-            raise Forbidden(_sentence(self.principal(connection), missing))
+        check(self.principal(connection), self.rights(connection), *needs)
+
+
+def check(who: Principal, rights: Rights, *needs: Need) -> None:
+    """Raise Forbidden for what rights do not allow. Any thread."""
+    missing = policy.lacking(rights, needs)
+    if missing is not None:
+        raise Forbidden(_sentence(who, missing))
 
 
 def _sentence(who: Principal, need: Need) -> str:

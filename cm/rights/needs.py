@@ -70,6 +70,10 @@ def _change(base: Need, request: rq.ChangeMode, scene: Scene) -> Iterator[Need]:
         yield replace(base, config=config.name, region=region)
 
 
+def _remove(base: Need, request: rq.RemoveConfig, _: Scene) -> Iterator[Need]:
+    yield replace(base, config=request.config_name)
+
+
 def _provision(base: Need, _: rq.Provision, __: Scene) -> Iterator[Need]:
     """Its name is known when its schema has been read: `provisioning` is asked then."""
     yield base
@@ -147,6 +151,7 @@ _KINDS: dict[type, _Kind] = {
     rq.ChangeMode: _Kind(Role.OPERATE, _WRITE_CONFIG, _change),
     rq.CancelChange: _Kind(Role.OPERATE, _WRITE_CONFIG, _cancel),
     rq.Provision: _Kind(Role.PROVISION, _WRITE_CONFIG, _provision),
+    rq.RemoveConfig: _Kind(Role.PROVISION, _WRITE_CONFIG, _remove),
     rq.ReadReg: _Kind(Role.OBSERVE, "cm_read_reg", _registers),
     rq.WriteReg: _Kind(Role.OPERATE, "cm_write_reg", _registers),
     rq.DescribeData: _Kind(Role.OBSERVE, "cm_data_config", _data),

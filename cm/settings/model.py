@@ -82,6 +82,8 @@ class LimitSettings:
     leases: int = 256
     leases_each: int = 32
     slots_each: int = 64
+    provisioned_mib: int = 1024
+    provisioned_each_mib: int = 512
 
 
 @dataclass(frozen=True, slots=True)

@@ -198,7 +198,16 @@ def config_to_pb(c: st.ConfigInfo) -> pb.Config:
         schema=c.schema,
         memories=[memory_to_pb(x) for x in c.memories],
         entries=[
-            pb.ConfigEntry(name=e.name, type=e.type, modes=e.modes, default_mode=e.default_mode) for e in c.entries
+            pb.ConfigEntry(
+                name=e.name,
+                type=e.type,
+                modes=e.modes,
+                default_mode=e.default_mode,
+                origin=e.origin,
+                owner=e.owner,
+                bytes=e.bytes,
+            )
+            for e in c.entries
         ],
     )
 
@@ -215,7 +224,10 @@ def config_from_pb(m: pb.Config) -> st.ConfigInfo:
         names=tuple(m.names),
         schema=m.schema,
         memories=tuple(memory_from_pb(x) for x in m.memories),
-        entries=tuple(st.ConfigEntry(e.name, e.type, tuple(e.modes), e.default_mode) for e in m.entries),
+        entries=tuple(
+            st.ConfigEntry(e.name, e.type, tuple(e.modes), e.default_mode, e.origin, e.owner, e.bytes)
+            for e in m.entries
+        ),
     )
 
 

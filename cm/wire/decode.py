@@ -98,6 +98,8 @@ def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
         )
     if m.cancel:
         return rq.CancelChange()
+    if m.remove:
+        return _remove(m)
     change = rq.ChangeMode(m.config_name, m.mode, "", m.no_wait, m.no_queue, m.force, m.lease)
     if not m.schema:
         return change
@@ -113,6 +115,12 @@ def _file(entry: pb.File, payload: Frame) -> rq.File:
             f"cm_write_config: file {entry.name!r} has {len(payload)} bytes, {entry.length} were announced"
         )
     return rq.File(entry.name, payload, entry.sha256)
+
+
+def _remove(m: pb.WriteConfig) -> rq.RemoveConfig:
+    if not m.config_name or m.schema or m.mode:
+        raise InvalidRequest("cm_write_config: to remove a configuration takes its config_name, and nothing else")
+    return rq.RemoveConfig(m.config_name, m.lease)
 
 
 def _read_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:

@@ -139,6 +139,10 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
     rq.ChangeMode: _change_mode,
     rq.CancelChange: lambda _: [topics.WRITE_CONFIG, pb.WriteConfig(cancel=True).SerializeToString()],
     rq.Provision: _provision,
+    rq.RemoveConfig: lambda r: [
+        topics.WRITE_CONFIG,
+        pb.WriteConfig(config_name=r.config_name, remove=True, lease=r.lease).SerializeToString(),
+    ],
     rq.ReadReg: lambda r: [topics.READ_REG, pb.ReadReg(names=r.names).SerializeToString()],
     rq.WriteReg: _write_reg,
     rq.DescribeData: lambda r: [

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from cm.daemon.host.provision import SCHEMA_FILE, Provisioner
-from cm.errors import InvalidRequest
-from cm.manager.errors import ChangeBusy
+from cm.daemon.host.provision import Provisioner
+from cm.daemon.host.sent import SCHEMA_FILE, NoSpace, Quota, QuotaExceeded, Reserved, Sender
+from cm.errors import Forbidden, InvalidRequest
+from cm.manager.errors import ChangeBusy, UnknownConfig
 from cm.messages.requests import File
-from cm.schema import SchemaError
+from cm.schema import SchemaError, loads
 
 SCHEMA = """
 config:
@@ -31,7 +34,8 @@ def provisioner(tmp_path: Path) -> Provisioner:
 
 
 def content(provisioner: Provisioner) -> dict[str, bytes]:
-    return {p.name: p.read_bytes() for path in provisioner.stored() for p in path.parent.iterdir()}
+    found = (p for path in provisioner.stored() for p in path.parent.iterdir())
+    return {p.name: p.read_bytes() for p in found if p.name != ".owner"}
 
 
 def test_what_was_sent_is_stored_and_found_again(provisioner: Provisioner, tmp_path: Path) -> None:
@@ -121,3 +125,93 @@ def test_where_only_signed_configurations_are_taken_none_comes_over_the_wire(tmp
     assert closed.configs() == {}
     with pytest.raises(InvalidRequest, match="requires signed configurations"):
         closed.store(text, ())
+
+
+# ---- whose it is, and how much ------------------------------------------------------------
+
+ANNA, BEN = Sender("uid:1", "anna"), Sender("uid:2", "ben")
+ROOT = Sender("uid:0", "root", admin=True)
+
+
+def named(name: str) -> str:
+    return SCHEMA.replace("name: sent", f"name: {name}")
+
+
+def test_the_administrators_configurations_are_never_replaced_nor_removed(provisioner: Provisioner) -> None:
+    provisioner.standing({"sent": loads(SCHEMA)})
+    with pytest.raises(Reserved, match="administrator"):
+        provisioner.store(SCHEMA, FILES, sender=ROOT)
+    with pytest.raises(Reserved, match="administrator"):
+        provisioner.remove("sent", ROOT)
+    assert provisioner.stored() == []
+
+
+def test_what_was_sent_before_the_administrator_had_one_of_that_name_is_left_out(
+    provisioner: Provisioner, caplog: pytest.LogCaptureFixture
+) -> None:
+    provisioner.store(SCHEMA, FILES, sender=ANNA)
+    own = loads(SCHEMA)
+    assert provisioner.standing({"sent": own}) == {"sent": own}
+    assert "anna sent is left out" in caplog.text
+
+
+def test_who_sent_it_replaces_and_removes_it_and_an_admin_but_nobody_else(tmp_path: Path) -> None:
+    for who in (ANNA, ROOT):
+        provisioner = Provisioner(tmp_path / "configs")
+        provisioner.store(SCHEMA, FILES, sender=ANNA)
+        again = Provisioner(tmp_path / "configs")  # what it knows is on the disk
+        assert set(again.configs()) == {"sent"}
+        assert (again.owned["sent"].name, again.owned["sent"].account) == ("anna", "uid:1")
+        with pytest.raises(Forbidden, match="was sent by anna"):
+            again.store(SCHEMA, FILES, sender=BEN)
+        with pytest.raises(Forbidden, match="was sent by anna"):
+            again.remove("sent", BEN)
+        again.store(SCHEMA, (File("one.bit", b"new"),), sender=who)
+        again.remove("sent", who)
+        assert again.configs() == {}
+        assert list((tmp_path / "configs").iterdir()) == []
+
+
+def test_a_removal_of_what_nobody_sent_says_what_there_is(provisioner: Provisioner) -> None:
+    provisioner.store(SCHEMA, FILES, sender=ANNA)
+    with pytest.raises(UnknownConfig, match="there are sent"):
+        provisioner.remove("other", ROOT)
+    with pytest.raises(UnknownConfig):
+        provisioner.remove("../sent", ROOT)
+
+
+def test_quotas_of_each_and_of_all_are_kept(tmp_path: Path) -> None:
+    file = File("one.bit", bytes(10_000))
+    provisioner = Provisioner(tmp_path / "configs", quota=Quota(each=25_000, all=40_000))
+    for name in ("a", "b"):
+        provisioner.store(named(name), (file,), sender=ANNA)
+    with pytest.raises(QuotaExceeded, match="yours would have"):
+        provisioner.store(named("c"), (file,), sender=ANNA)
+    provisioner.store(named("b"), (file,), sender=ANNA)  # in the place of what counted
+    provisioner.store(named("c"), (file,), sender=BEN)
+    with pytest.raises(QuotaExceeded, match="all clients' would have"):
+        provisioner.store(named("d"), (file,), sender=BEN)
+    provisioner.remove("a", ANNA)
+    provisioner.store(named("d"), (file,), sender=BEN)
+    assert set(provisioner.configs()) == {"b", "c", "d"}
+
+
+def test_a_full_disk_changes_nothing(small_disk: Path) -> None:
+    provisioner = Provisioner(small_disk / "configs")
+    provisioner.store(SCHEMA, FILES, sender=ANNA)
+    with pytest.raises(NoSpace, match="nothing has changed"):
+        provisioner.store(SCHEMA, (File("one.bit", bytes(4 << 20)),), sender=ANNA)
+    assert content(provisioner)["one.bit"] == b"1"
+    assert [p.name for p in (small_disk / "configs").iterdir()] == ["sent"]
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 1 MiB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", place], capture_output=True, check=False)
+    if made.returncode:
+        pytest.skip(f"needs to mount a tmpfs: {made.stderr.decode().strip()}")
+    yield place
+    subprocess.run(["umount", place], check=True)

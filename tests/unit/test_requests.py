@@ -27,6 +27,7 @@ ALL: list[Any] = [
     rq.CancelChange(),
     rq.Provision("config: {}", (rq.File("a.bit", b"1", sha256(b"1").hexdigest()),)),
     rq.Provision("config: {}", change=rq.ChangeMode(mode="edge", force=True, lease="l"), lease="l"),
+    rq.RemoveConfig("camera", "l"),
     rq.ReadReg(("focus", "led.blink")),
     rq.WriteReg((rq.RegWrite("focus", 2), rq.RegWrite("led", 1, 3)), "l"),
     rq.DescribeData("camera", "l"),
@@ -57,7 +58,9 @@ def test_a_request_is_the_same_behind_the_wire(request_: Any) -> None:
 
 def test_every_intent_is_among_them_and_has_a_handler() -> None:
     manager = SimpleNamespace(memories=None)
-    services: Any = SimpleNamespace(manager=manager, streams=None, memories=None, board=None)
+    services: Any = SimpleNamespace(
+        manager=manager, streams=None, memories=None, board=None, provisioner=None, sessions=None
+    )
     intents = set(get_args(rq.Request))
     assert {type(request) for request in ALL} == intents
     assert set(Handlers(services).table) == intents

@@ -17,6 +17,7 @@ from cm.errors import InvalidRequest
 from cm.messages import requests as rq
 from cm.messages.status import (
     ChangeInfo,
+    ConfigEntry,
     ConfigInfo,
     FrameInfo,
     Irq,
@@ -56,6 +57,16 @@ def status() -> Call[Status]:
 def config_names() -> Call[tuple[str, ...]]:
     """Names of all configurations."""
     return Call(rq.ListConfigs(), lambda r: _body(r, ConfigInfo).names)
+
+
+def config_entries() -> Call[tuple[ConfigEntry, ...]]:
+    """All configurations, with their modes and origins."""
+    return Call(rq.ListConfigs(), lambda r: _body(r, ConfigInfo).entries)
+
+
+def remove_config(name: str, lease: str) -> Call[tuple[ConfigEntry, ...]]:
+    """Remove what a client sent; what is left."""
+    return Call(rq.RemoveConfig(name, lease), lambda r: _body(r, ConfigInfo).entries)
 
 
 def describe(name: str = "") -> Call[ConfigInfo]:

@@ -3,51 +3,54 @@
 
 from __future__ import annotations
 
-import hashlib
+import json
 import logging
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from cm.daemon.folders import own_folder
+from cm.daemon.host.sent import (
+    CONFIGS_MAX,
+    OURSELVES,
+    SCHEMA_FILE,
+    NotTheirs,
+    Owned,
+    Quota,
+    QuotaExceeded,
+    Reserved,
+    Sender,
+    check_files,
+    check_paths,
+    room_for,
+)
 from cm.errors import CmError, InvalidRequest
-from cm.manager.planning.goals import checked_name
+from cm.manager.errors import UnknownConfig
+from cm.manager.planning.goals import listed
 from cm.messages.requests import File
 from cm.schema import load, loads
 from cm.schema.model import Config
 
 _LOG = logging.getLogger("cm")
 
-SCHEMA_FILE = "schema.yaml"
 _SIGNED_ONLY = "policy.signatures requires signed configurations; bring it by `cm import archive`"
-MAX_BYTES = 512 << 20
-
-
-def check_paths(config: Config) -> None:
-    """A schema that came over the wire names files that came with it, or the firmware folder's; no others.
-
-    Raises InvalidRequest for an absolute path or one with '..'.
-    """
-    modes = (overlay for mode in config.modes.values() for overlay in mode.overlays)
-    named: list[tuple[str, Path | None]] = [
-        ("bitstream", config.bitstream),
-        *((f"modules.{m.name}.bitstream", m.bitstream) for m in config.modules.values()),
-        *((f"overlay {o.name}, file", o.file) for o in (*config.overlays, *modes)),
-    ]
-    for key, path in named:
-        if path is not None and (path.is_absolute() or ".." in path.parts):
-            raise InvalidRequest(
-                f"configuration {config.name}: {key}: {path} leaves the configuration's folder; a schema that is "
-                "sent names files that are sent with it, such as edge.bit"
-            )
+_TAKEN = "that name is the administrator's, whose configurations no client replaces"
+_OWNER = ".owner"  # files that are sent have no names that begin so
 
 
 class Provisioner:
-    """Keeps provisioned configurations below a folder, one subfolder each."""
+    """Keeps provisioned configurations below a folder, one subfolder each.
 
-    def __init__(self, folder: Path, unsigned: bool = True) -> None:
+    All but `stored_by` and `owned` is for one thread, which reads and writes files.
+    """
+
+    def __init__(self, folder: Path, unsigned: bool = True, quota: Quota = Quota()) -> None:  # noqa: B008 (frozen)
         """`unsigned`: whether what nobody signed may be used; what comes over the wire is never signed."""
         self._folder = folder
         self._unsigned = unsigned
+        self._quota = quota
+        self.reserved: frozenset[str] = frozenset()  # names of the administrator's configurations
+        self.owned: Mapping[str, Owned] = {}
 
     def stored(self) -> list[Path]:
         """The schema files of all configurations that were provisioned."""
@@ -57,6 +60,7 @@ class Provisioner:
         """All configurations that were provisioned, by name; one that cannot be read is left out and logged."""
         found: dict[str, Config] = {}
         stored = self.stored()
+        self.owned = {path.parent.name: _owned(path.parent) for path in stored}
         if stored and not self._unsigned:
             _LOG.error("%d provisioned configurations are left out: %s", len(stored), _SIGNED_ONLY)
             return found
@@ -69,41 +73,88 @@ class Provisioner:
                 found[config.name] = config
         return found
 
-    def store(self, schema: str, files: tuple[File, ...], allowed: Callable[[str], None] = lambda _: None) -> Config:
+    def standing(self, administrators: Mapping[str, Config]) -> dict[str, Config]:
+        """All configurations: the administrator's, and what clients sent under other names."""
+        self.reserved = frozenset(administrators)
+        sent = self.configs()
+        for name in sorted(sent.keys() & administrators.keys()):
+            _LOG.error("configuration %s that %s sent is left out: %s", name, self.owned[name].name, _TAKEN)
+        return {**sent, **administrators}
+
+    def store(
+        self,
+        schema: str,
+        files: tuple[File, ...],
+        allowed: Callable[[str], None] = lambda _: None,
+        sender: Sender = OURSELVES,
+    ) -> Config:
         """Check the schema and put it with its files in place of what was there under its name.
 
-        Raises SchemaError, InvalidRequest (also where only signed ones are taken), and what `allowed`
-        raises for the configuration's name. The folder is written aside and renamed, so a killed manager
-        leaves the old one or the new one.
+        Raises SchemaError, InvalidRequest (also where only signed ones are taken), Reserved, NotTheirs, QuotaExceeded,
+        NoSpace, and what `allowed` raises for the configuration's name. The folder is written aside and renamed, so
+        a killed manager leaves the old one or the new one.
         """
         if not self._unsigned:
             raise InvalidRequest(f"a configuration over the wire is refused: {_SIGNED_ONLY}")
         config = loads(schema)
         check_paths(config)
+        self._check_owner(config.name, sender)
         allowed(config.name)
-        names = [checked_name(f.name) for f in files]
-        if len(set(names)) != len(names) or SCHEMA_FILE in names:
-            raise InvalidRequest(f"files of {config.name!r}: names must differ, and none may be {SCHEMA_FILE!r}")
-        for file in files:
-            if file.sha256 and hashlib.sha256(file.data).hexdigest() != file.sha256.lower():
-                raise InvalidRequest(f"cm_write_config: file {file.name!r} does not have the sha256 announced for it")
-        if sum(len(f.data) for f in files) > MAX_BYTES:
-            raise InvalidRequest(f"files of {config.name!r} have more than {MAX_BYTES >> 20} MiB together")
-        self._folder.mkdir(parents=True, exist_ok=True)
+        check_files(config.name, files)
+        self._check_quota(config.name, len(schema) + sum(len(f.data) for f in files), sender)
+        with room_for(config.name):
+            own_folder(self._folder)
+            self._write(config.name, schema, files, sender)
+        place = self._folder / config.name
+        self.owned = {**self.owned, config.name: _owned(place)}
+        return load(place / SCHEMA_FILE)
+
+    def remove(self, name: str, sender: Sender) -> None:
+        """Take away what a client sent. Raises UnknownConfig, Reserved, NotTheirs."""
+        if name not in self.owned and name not in self.reserved:
+            raise UnknownConfig(f"no client sent a configuration {name!r}; there are {listed(self.owned)}")
+        self._check_owner(name, sender)
+        place, gone = self._folder / name, self._folder / f".{name}-removed"
+        place.rename(gone)
+        _sync(self._folder)
+        _remove(gone)
+        self.owned = {known: owned for known, owned in self.owned.items() if known != name}
+
+    def _check_owner(self, name: str, sender: Sender) -> None:
+        if name in self.reserved:
+            raise Reserved(f"configuration {name!r}: {_TAKEN}; send it under a name of its own")
+        owned = self.owned.get(name)
+        if owned is not None and not sender.admin and owned.account != sender.account:
+            raise NotTheirs(f"configuration {name!r} was sent by {owned.name}; only they and an admin may replace it")
+
+    def _check_quota(self, name: str, wanted: int, sender: Sender) -> None:
+        others = [owned for known, owned in self.owned.items() if known != name]
+        own = [owned for owned in others if owned.account == sender.account]
+        for whose, held, limit in (("yours", own, self._quota.each), ("all clients'", others, self._quota.all)):
+            total = sum(owned.bytes for owned in held) + wanted
+            if total > limit:
+                raise QuotaExceeded(
+                    f"configuration {name!r} has {wanted} bytes; {whose} would have {total} together, of {limit}: "
+                    "remove some (cm config remove)"
+                )
+        if len(others) >= CONFIGS_MAX:
+            raise QuotaExceeded(f"clients have sent {CONFIGS_MAX} configurations already: remove some")
+
+    def _write(self, name: str, schema: str, files: tuple[File, ...], sender: Sender) -> None:
         import tempfile  # with shutil 1 MiB, which most managers never need
 
-        new = Path(tempfile.mkdtemp(prefix=f".{config.name}-", dir=self._folder))
+        new = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=self._folder))
         try:
             _write(new / SCHEMA_FILE, schema.encode())
+            _write(new / _OWNER, json.dumps({"account": sender.account, "name": sender.name}).encode())
             for file in files:
                 _write(new / file.name, file.data)
             _sync(new)
             load(new / SCHEMA_FILE)
-            self._swap(new, self._folder / config.name)
+            self._swap(new, self._folder / name)
         except BaseException:
             _remove(new)
             raise
-        return load(self._folder / config.name / SCHEMA_FILE)
 
     def _swap(self, new: Path, place: Path) -> None:
         old = place.with_name(f".{place.name}.old")
@@ -124,6 +175,16 @@ class Provisioner:
                 old.rename(place)
         for half in self._folder.glob(".*-*") if self._folder.exists() else ():
             _remove(half)
+
+
+def _owned(folder: Path) -> Owned:
+    """Whose a configuration is; an admin's where that was not noted, as older versions did not."""
+    try:
+        said = json.loads((folder / _OWNER).read_text("utf-8"))
+        account, name = str(said["account"]), str(said["name"])
+    except (OSError, ValueError, LookupError, TypeError):
+        account, name = "", "somebody"
+    return Owned(account, name, sum(path.stat().st_size for path in folder.iterdir()))
 
 
 def _remove(folder: Path) -> None:

@@ -36,7 +36,7 @@ class Surroundings:
     service: ServiceManager
     aside: Executor
     in_loop: Callable[[Callable[[], None]], None]
-    provisioned: Callable[[], Mapping[str, Config]]
+    standing: Callable[[Mapping[str, Config]], Mapping[str, Config]]  # beside what clients sent
     complete: Callable[[Config], Config]
     read: Callable[[], Reloaded] | None
 
@@ -62,19 +62,21 @@ class Reloader:
 
     def _read(self, read: Callable[[], Reloaded]) -> None:
         try:
-            found, stored = read(), self._s.provisioned()
+            found = read()
+            standing = self._s.standing(found.configs)
         except (CmError, OSError) as error:
             _LOG.error("not reloaded: %s", error, extra={"cm_code": getattr(error, "code", "io")})
             self._s.in_loop(self._s.service.ready)
             return
-        self._s.in_loop(lambda: self._apply(found, stored))
+        self._s.in_loop(lambda: self._apply(found, standing))
 
-    def _apply(self, found: Reloaded, stored: Mapping[str, Config]) -> None:
+    def _apply(self, found: Reloaded, standing: Mapping[str, Config]) -> None:
         self._s.renew(found.access)
         # One that is damaged has no name, so that nothing that was known is taken for removed meanwhile.
-        gone = self._ours - found.configs.keys() - stored.keys() if found.whole else frozenset()
-        # Configurations that clients provisioned stand over those of the search path, as at the start.
-        new = {name: config for name, config in found.configs.items() if name not in stored and self._differs(config)}
+        hidden = self._ours - found.configs.keys()
+        gone = hidden - standing.keys() if found.whole else frozenset()
+        kept = frozenset() if found.whole else hidden
+        new = {name: config for name, config in standing.items() if name not in kept and self._differs(config)}
         self._waiting = {**dict.fromkeys(gone), **new}
         self._ours = (self._ours - gone) | found.configs.keys()
         self.continue_waiting()
