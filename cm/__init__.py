@@ -34,14 +34,16 @@ _WHERE = {
 }
 
 
-def __getattr__(name: str) -> Any:
-    where = _WHERE.get(name)
-    if where is None:
-        raise AttributeError(_missing(name))
-    from importlib import import_module
+if not TYPE_CHECKING:  # for a type checker it would allow all
 
-    module = import_module(where)
-    return module if where == f"cm.{name}" else getattr(module, name)
+    def __getattr__(name: str) -> Any:
+        where = _WHERE.get(name)
+        if where is None:
+            raise AttributeError(_missing(name))
+        from importlib import import_module
+
+        module = import_module(where)
+        return module if where == f"cm.{name}" else getattr(module, name)
 
 
 def __dir__() -> list[str]:

@@ -23,7 +23,9 @@ __all__ = ["Problem", "SchemaError", "check", "dump", "json_schema", "load", "lo
 _HOMES = {"dump": "writer", "Problem": "problems", "SchemaError": "problems"}
 
 
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'loader')}"), name)
+if not TYPE_CHECKING:  # for a type checker it would allow all
+
+    def __getattr__(name: str) -> Any:
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(f"{__name__}.{_HOMES.get(name, 'loader')}"), name)

@@ -27,8 +27,10 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    home = "search" if name in ("Found", "find_configs") else "loader"
-    return getattr(import_module(f"{__name__}.{home}"), name)
+if not TYPE_CHECKING:  # for a type checker it would allow all
+
+    def __getattr__(name: str) -> Any:
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        home = "search" if name in ("Found", "find_configs") else "loader"
+        return getattr(import_module(f"{__name__}.{home}"), name)

@@ -3,16 +3,22 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zmq
-from manager_process import Manager, served, short_folder
+from manager_process import REPOSITORY, Manager, served, short_folder
 
 import cm
 from cm.sim import Board as SimBoard
+
+_BUILD = "import sys; sys.path.insert(0, 'release'); import backend; print(backend.build_wheel(sys.argv[1]))"
 
 
 @pytest.fixture
@@ -68,3 +74,26 @@ def context() -> Iterator[zmq.Context[Any]]:
     made = KeptContext()
     yield made
     made.destroy(linger=0)
+
+
+@pytest.fixture(scope="session")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the package as pip leaves it there, of the wheel for any system."""
+    if not (REPOSITORY / ".git").exists():
+        pytest.skip("needs a git checkout: builds what is in version control")
+    folder = tmp_path_factory.mktemp("any")
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=REPOSITORY, capture_output=True, check=True).stdout
+    tree = folder / "tree"
+    tree.mkdir()
+    subprocess.run(["xargs", "-0", "cp", "--parents", "-t", tree], input=names, cwd=REPOSITORY, check=True)
+    env = {**os.environ, "CM_PURE": "1", "PYTHONWARNINGS": "ignore"}
+    done = subprocess.run(
+        [sys.executable, "-c", _BUILD, str(folder)], cwd=tree, env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    wheel = folder / done.stdout.splitlines()[-1]
+    assert wheel.stem.endswith("-py3-none-any")
+    with zipfile.ZipFile(wheel) as archive:
+        assert not [name for name in archive.namelist() if name.endswith(".so")]
+        archive.extractall(folder / "installed")
+    return folder / "installed"
