@@ -59,6 +59,7 @@ MAY = {
     "importers": BASE | {"fdt", "native", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim"},
     "rtl": BASE | {"build", "loop", "schema", "sim"},
+    "testing": BASE | {"child", "client", "rtl", "sim"},
 }
 
 
@@ -87,6 +88,7 @@ LIBRARIES = {
         "web",
     },
     "pyslang": {"build"},
+    "pytest": {"testing"},
     "scipy": {"build"},
     "systemrdl": {"build"},
     "tree_sitter": {"build"},
