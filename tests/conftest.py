@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import functools
+import gc
 import os
 import re
 
@@ -27,3 +29,18 @@ def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None
     if isinstance(val, bytes):
         return f"{len(val)} bytes"
     return re.sub(r"[^ -~]|\\", " ", val[:40]) if isinstance(val, str) else None
+
+
+def _forget() -> None:
+    """mutmut runs the tests in a fork of a process that has run them before: what it cached hides a mutant."""
+    for thing in gc.get_objects():
+        if isinstance(thing, functools._lru_cache_wrapper) and str(thing.__module__).startswith("cm."):
+            thing.cache_clear()
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """mutmut names tests one by one, in the order of their times: a module's fixtures are made once all the same."""
+    if "MUTANT_UNDER_TEST" in os.environ:
+        _forget()
+        modules = {path: number for number, path in enumerate(dict.fromkeys(item.path for item in items))}
+        items.sort(key=lambda item: modules[item.path])

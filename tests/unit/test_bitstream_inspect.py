@@ -31,6 +31,8 @@ def test_json_has_the_documented_keys() -> None:
     assert found["idcode"] == "0x03727093"
     assert found["family"] == "7series"
     assert found["partial"] is True
+    assert found["encrypted"] is False
+    assert found["sha256"] == hashlib.sha256(small()).hexdigest()
     assert found["sections"] == 1
     assert found["frames"] == 1
     assert found["crc"] == "ok"

@@ -214,6 +214,11 @@ def test_a_read_again_after_a_change_of_mode_is_of_that_mode(camera: Daemon) -> 
     [
         (ReadReg(("focsu",)), "unknown_register", "did you mean 'focus'?"),
         (written("focsu", 1), "unknown_register", "did you mean 'focus'?"),
+        (ReadReg(("led.zzz",)), "unknown_register", "'led' has no field 'zzz'; there are blink, pattern"),
+        (ReadReg(("zoom.zzz",)), "unknown_register", "'zoom' has no field 'zzz'; there are none"),
+        (written("focus", 1, mask=1 << 32), "out_of_range", "mask 0x100000000 does not fit 32 bits"),
+        (rq.DefineMemory("camera", 0x1A00, 16), "invalid_request", "'camera' is a stream of configuration 'camera'"),
+        (rq.DefineMemory("scratchpad", 0x1A00, 16), "invalid_request", "'scratchpad' is a memory of configuration"),
         (written("version", 1), "access", "read-only"),
         (written("focus", 16), "out_of_range", "15"),
         (rq.RenewLease("none"), "unknown_lease", "none"),
