@@ -49,12 +49,17 @@ def _plain(value: object) -> Any:
 
 def print_table(rows: Iterable[Sequence[object]], headers: Sequence[str]) -> None:
     """Print `rows` in columns under `headers`; numbers stand right, the last column is not padded."""
-    cells = [["" if cell is None else str(cell) for cell in row] for row in rows]
+    cells = [["" if cell is None else _harmless(str(cell)) for cell in row] for row in rows]
     numeric = [bool(cells) and all(_is_number(row[index]) for row in cells) for index in range(len(headers))]
     widths = [max(len(row[index]) for row in [list(headers), *cells]) for index in range(len(headers))]
     for row in [list(headers), *cells]:
         columns = zip(row, widths, numeric, strict=True)
         print("  ".join(cell.rjust(width) if right else cell.ljust(width) for cell, width, right in columns).rstrip())
+
+
+def _harmless(text: str) -> str:
+    """Names that others chose, without what a terminal would obey."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def _is_number(text: str) -> bool:

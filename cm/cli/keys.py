@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.errors import CmError, InvalidRequest
-from cm.rights.keys import FOLDER, authorized, pairs_of
+from cm.rights.keys import FOLDER, OLD_FOLDER, authorized, pairs_of
 
 if TYPE_CHECKING:
     from cm.daemon.endpoints import Security
@@ -67,7 +67,7 @@ def authorized_keys(server: Path, folder: Path | None) -> tuple[Keys, tuple[str,
     place = folder or server.parent / FOLDER
     found: dict[str, AuthorizedKey] = {}
     left_out = []
-    for file in _files(place, server.parent / "clients"):
+    for file in _files(place, server.parent / OLD_FOLDER):
         try:
             key = authorized(file.stem, pairs_of(file.read_text(encoding="ascii")))
         except (InvalidRequest, OSError, UnicodeDecodeError) as error:

@@ -8,7 +8,7 @@ import logging
 import os
 import signal
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +24,7 @@ from cm.cli.serve_options import (
     secure_as,
     security_of,
     settings_of,
+    stamps,
 )
 from cm.errors import InvalidRequest
 from cm.settings.model import FILE as SETTINGS_FILE
@@ -100,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
     if (args.build or args.sim_traces) and args.sim != "rtl":
         raise InvalidRequest("--build and --sim-traces are about a design's RTL: give --sim=rtl with them")
     settings = settings_of(args)
-    _log_to(_level(args, settings))
+    _log_to(_level(args, settings), service=settings is not None)
     with ExitStack() as stack:
         options = _options(args, settings, stack)
         from cm.daemon.server import Server
@@ -108,8 +109,14 @@ def run(args: argparse.Namespace) -> int:
         server = Server(options)
         _obey_signals(server)
         where = [f"{options.runtime_dir}", *options.listen]
-        server.serve(lambda: print(f"cm serve: ready at {', '.join(where)}", file=sys.stderr, flush=True))
+        server.serve(lambda: _say(f"cm serve: ready at {', '.join(where)}"))
     return 0
+
+
+def _say(sentence: str) -> None:
+    """On stderr; where that is a file on a full disk, we serve none the less."""
+    with suppress(OSError):
+        print(sentence, file=sys.stderr, flush=True)
 
 
 def _level(args: argparse.Namespace, settings: Settings | None) -> int:
@@ -118,14 +125,24 @@ def _level(args: argparse.Namespace, settings: Settings | None) -> int:
     return logging.WARNING if settings is None else int(getattr(logging, settings.log.upper()))
 
 
-def _log_to(level: int) -> None:
+def _log_to(level: int, service: bool) -> None:
     """The journal with its fields where it listens, else lines on stderr."""
     from cm.daemon.host.journald import journal_handler
 
     handler = journal_handler() or logging.StreamHandler(sys.stderr)
-    if isinstance(handler, logging.StreamHandler):
-        handler.setFormatter(logging.Formatter("cm serve: %(message)s"))
+    handler.setFormatter(Lines(f"{'cm serve: ' if isinstance(handler, logging.StreamHandler) else ''}%(message)s"))
     logging.basicConfig(level=level, handlers=[handler])
+    if service:  # who did what belongs into a service's log, whatever else does
+        logging.getLogger("cm.audit").setLevel(logging.INFO)
+
+
+class Lines(logging.Formatter):
+    """Records as lines that nothing from outside can forge: what follows the first is set in, all else is escaped."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """One record."""
+        lines = super().format(record).splitlines() or [""]
+        return "\n    ".join("".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in x) for x in lines)
 
 
 def _obey_signals(server: Server) -> None:
@@ -186,6 +203,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         quota=Quota(said.limits.provisioned_each_mib << 20, said.limits.provisioned_mib << 20),
         unsigned=said.policy.signatures != "require",
         reload=partial(read_again, args, paths, settings),
+        changed=partial(stamps, args, settings),
     )
 
 

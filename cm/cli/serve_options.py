@@ -7,11 +7,13 @@ import argparse
 import grp
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cm.errors import CmError, InvalidRequest
+from cm.rights.keys import FOLDER, OLD_FOLDER
 from cm.settings.model import FILE as SETTINGS_FILE
 from cm.settings.model import Settings as Defaults
 from cm.wire.topics import split_tcp
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from cm.schema.model import Config
     from cm.settings import Settings
 
+Stamps = dict[str, tuple[int, int, int]]
 _LOCAL = ("127.0.0.1", "localhost", "[::1]")
 
 
@@ -173,6 +176,21 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
     security_of(listen, keys, insecure)
     access, notes = access_of(settings, keys)
     return Reloaded(configs, access, (*notes, *left_out, *_needs_restart(began, settings)), not left_out)
+
+
+def stamps(args: argparse.Namespace, began: Settings | None) -> Stamps:
+    """What changes when the settings or the keys do: their files, with inode, size and time."""
+    keys = began.keys if began else args.keys
+    folders = []
+    if keys:
+        folders = [keys, (began and began.access.keys) or keys.parent / FOLDER, keys.parent / OLD_FOLDER]
+    settings = args.settings or (SETTINGS_FILE if began else None)
+    found = {}
+    for path in [*([settings] if settings else []), *folders, *(f for x in folders[1:] for f in x.glob("*.pub"))]:
+        with suppress(OSError):
+            status = path.stat()
+            found[str(path)] = status.st_ino, status.st_size, status.st_mtime_ns
+    return found
 
 
 def secure_as(args: argparse.Namespace, settings: Settings | None) -> tuple[Sequence[str], Path | None, bool]:

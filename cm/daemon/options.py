@@ -38,5 +38,6 @@ class Options:
     quota: Quota = Quota()  # noqa: RUF009 (frozen)
     unsigned: bool = True  # whether clients may provision configurations, which nobody can have signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
+    changed: Callable[[], object] | None = None  # what is other once settings or keys are; asked every second
     settings: Settings = Settings()  # noqa: RUF009 (frozen)
     limits: Limits = Limits()  # noqa: RUF009 (frozen)

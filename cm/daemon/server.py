@@ -104,9 +104,8 @@ class Server:
 
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
-        standing, complete, renew = self._provisioner.standing, self._with_channels, self._sessions.renew
-        aside = self._aside, loop.call_threadsafe
-        surroundings = Surroundings(self._manager, renew, self._service, *aside, standing, complete, o.reload)
+        aside = self._aside, loop.call_threadsafe, self._provisioner.standing, self._with_channels
+        surroundings = Surroundings(self._manager, self._sessions.renew, self._service, *aside, o.reload, o.changed)
         return Reloader(surroundings, o.configs)
 
     def _with_channels(self, config: Config) -> Config:
@@ -241,8 +240,8 @@ class Server:
     def _tick(self) -> None:
         self._manager.flush()
         self._streams.refresh()
-        self._reloader.continue_waiting()
-        self._sessions.look()
+        for look in (self._reloader.continue_waiting, self._reloader.look, self._sessions.look):
+            look()
         self._board.look()
         self._connections.tell()
         if self._streams.any_open:

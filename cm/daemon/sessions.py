@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from cm.errors import Forbidden
 from cm.manager.manager import Manager
 from cm.manager.planning.goals import target
 from cm.rights.gate import Gate
@@ -49,8 +50,12 @@ class Sessions:
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
         """Raise Forbidden where a connection to the data socket asks for what it has no right to."""
         pid, uid, gid = _credentials(connection)
-        writes = wanted.write or wanted.allocate
-        self.gate.check(of_process(DATA, uid, gid, pid).id, opening(wanted.name, writes, self.scene()))
+        who, writes = of_process(DATA, uid, gid, pid).id, wanted.write or wanted.allocate
+        try:
+            self.gate.check(who, opening(wanted.name, writes, self.scene()))
+        except Forbidden as error:
+            self.gate.refused(who, "opening", error)
+            raise
 
     def renew(self, access: Access) -> None:
         """Another policy from now on; sessions of those whose rights are others end."""
@@ -58,6 +63,7 @@ class Sessions:
 
     def look(self) -> None:
         """End the sessions of keys that have expired; called now and then."""
+        self.gate.audit.look()
         keys = self.gate.expired()
         if keys:
             self._end(lambda who: who.key in keys)

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cm.errors import Forbidden
 from cm.messages.requests import Request
 from cm.rights import policy
+from cm.rights.audit import Audit, described
 from cm.rights.model import Access, Need, Rights, Role
 from cm.rights.needs import Scene, least, needs_of, resolved
 from cm.rights.policy import Users
@@ -43,6 +45,7 @@ class Gate:
         self._known: dict[str, _Known] = {}
         self._origins: dict[str, set[Principal]] | None = {}  # who came over TCP, by address
         self._looked = now()
+        self.audit = Audit()
 
     def renew(self, access: Access) -> Callable[[Principal], bool]:
         """Another policy from now on; tells of anybody whether its rights are others than they were."""
@@ -83,6 +86,8 @@ class Gate:
         """The id of a new connection; None for who may do nothing at all."""
         who = introduced(domain, address, mechanism, key)
         if self.rights(who.id).role == Role.NONE:
+            known = self.principal(who.id) if who.id else replace(NOBODY, address=address)
+            self.audit.note(who.account, "enter", lambda: f"refused: {known} is not let in", logging.WARNING)
             return None
         if self._origins is not None and who.address:
             self._origins.setdefault(who.address.removeprefix("::ffff:"), set()).add(who)
@@ -111,14 +116,30 @@ class Gate:
     def admit(self, connection: str, request: Request, scene: Callable[[], Scene]) -> Request:
         """The request as it may be carried out. Raises Forbidden, and what the scene raises for what is not there."""
         known, need = self._current(connection), least(request)
-        if known.everywhere >= need.role:
-            return request
+        if known.everywhere < need.role:
+            try:
+                request = self._narrowly(connection, known, request, need, scene)
+            except Forbidden as error:
+                self.refused(connection, type(request).__name__, error)
+                raise
+        if need.role >= Role.OPERATE:
+            self.audit.note(connection, type(request).__name__, lambda: described(known.who, request))
+        return request
+
+    def _narrowly(
+        self, connection: str, known: _Known, request: Request, need: Need, scene: Callable[[], Scene]
+    ) -> Request:
+        """As `admit`, for who may not do everything."""
         if known.rights.role < need.role:
             raise Forbidden(_sentence(self.principal(connection), need))
         seen = scene()
         request = resolved(request, seen)
         self.check(connection, *needs_of(request, seen))
         return request
+
+    def refused(self, connection: str, kind: str, error: Forbidden) -> None:
+        """Log a refusal, once for a burst of them."""
+        self.audit.note(connection, f"refused {kind}", lambda: f"refused: {error}", logging.WARNING)
 
     def check(self, connection: str, *needs: Need) -> None:
         """Raise Forbidden for what is not allowed."""

@@ -10,6 +10,7 @@ from cm.errors import InvalidRequest
 from cm.rights.model import AuthorizedKey
 
 FOLDER = "authorized_keys.d"
+OLD_FOLDER = "clients"  # as older versions of `cm keygen` had it
 _FIELDS = ("public", "role", "expires")
 _DEFAULT = ("provision",)
 

@@ -124,7 +124,6 @@ def test_an_observer_looks_and_changes_nothing(guarded: Guarded) -> None:
 
 def test_a_narrow_role_reaches_its_registers_and_no_others(guarded: Guarded) -> None:
     guarded.key("tuner", "observe,tuner")
-    guarded.reload()
     until(lambda: guarded.lets_in("tuner"))
     with guarded.connect("tuner") as board:
         board.registers["focus"] = 3
@@ -160,14 +159,29 @@ def _refused(board: cm.Board) -> bool:
 
 def test_a_key_ends_at_its_time_with_its_sessions(guarded: Guarded) -> None:
     guarded.key("guest", "observe")
-    guarded.reload()
     until(lambda: guarded.lets_in("guest"))
     with guarded.connect("guest") as board:
         assert board.configs
         end = datetime.now(timezone.utc) + timedelta(seconds=2)
         with (guarded.keys / "authorized_keys.d/guest.pub").open("a") as file:
             file.write(f"expires: {end.isoformat()}\n")
-        guarded.reload()
         until(lambda: _refused(board), timeout=60)
         assert time.time() >= end.timestamp()
     assert not guarded.lets_in("guest")
+
+
+def test_who_did_what_and_who_was_refused_is_in_the_log_once(guarded: Guarded) -> None:
+    guarded.key("writer", "operate")
+    until(lambda: guarded.lets_in("writer"))
+    with guarded.connect("writer") as board:
+        for value in range(20):
+            board.registers["focus"] = value % 8
+        for _ in range(5):
+            with pytest.raises(Forbidden):
+                board.provision(CAMERA / "camera.yaml")
+    guarded.manager.stop()
+    log = guarded.manager.log.decode()
+    assert log.count("key writer: WriteReg focus") == 1
+    assert log.count("refused: key writer has no right to cm_write_config; it takes the role provision") == 1
+    assert "is not let in" in log
+    guarded.manager.start()

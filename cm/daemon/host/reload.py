@@ -39,6 +39,7 @@ class Surroundings:
     standing: Callable[[Mapping[str, Config]], Mapping[str, Config]]  # beside what clients sent
     complete: Callable[[Config], Config]
     read: Callable[[], Reloaded] | None
+    stamps: Callable[[], object] | None = None
 
 
 class Reloader:
@@ -53,12 +54,25 @@ class Reloader:
         self._s = surroundings
         self._waiting: dict[str, Config | None] = {}  # None: to be forgotten
         self._ours = frozenset(configs)
+        self._stamps = surroundings.stamps() if surroundings.stamps else None
+        self._stale = False  # something has changed, and may be changing still
 
     def begin(self) -> None:
         """Read, then apply; the service manager is told of the beginning and the end."""
         if self._s.read is not None:
             self._s.service.reloading()
             self._s.aside.submit(self._read, self._s.read)
+
+    def look(self) -> None:
+        """Begin by itself once settings or keys have changed, and then not for the time between two looks."""
+        if self._s.stamps is None:
+            return
+        now = self._s.stamps()
+        if now != self._stamps:
+            self._stamps, self._stale = now, True
+        elif self._stale:
+            self._stale = False
+            self.begin()
 
     def _read(self, read: Callable[[], Reloaded]) -> None:
         try:
