@@ -31,7 +31,11 @@ def for_values(schema: Any) -> Any:
     keep.pop("patternProperties", None)
     keep.pop("propertyNames", None)
     keep.pop("short", None)
-    return {key: for_values(value) for key, value in keep.items()}
+    result = {key: for_values(value) for key, value in keep.items()}
+    if not (result.get("then") or result.get("else")):
+        for key in ("if", "then", "else"):  # before 2.19 fastjsonschema writes an empty branch as no statement at all
+            result.pop(key, None)
+    return result
 
 
 def without_references(schema: dict[str, Any]) -> dict[str, Any]:

@@ -50,6 +50,16 @@ def test_wheels_hold_what_wheels_hold() -> None:
     run([TOOLS / "check-wheel-contents", *WHEELS], cwd=ROOT)
 
 
+@pytest.mark.parametrize("wheel", WHEELS or [pytest.param(None, marks=wheels)], ids=lambda w: w and w.stem)
+def test_every_module_of_a_wheel_is_python(wheel: Path) -> None:
+    """Generated ones too: what writes them is of the builder's distribution."""
+    with zipfile.ZipFile(wheel) as archive:
+        modules = [name for name in archive.namelist() if name.endswith(".py")]
+        assert {"cm/schema/_validator.py", "cm/wire/cm_pb2.py"} <= set(modules)
+        for name in modules:
+            compile(archive.read(name), name, "exec")
+
+
 @needs("auditwheel")
 @pytest.mark.parametrize("wheel", BINARY or [pytest.param(None, marks=wheels)], ids=lambda w: w and w.stem)
 def test_the_platform_that_a_wheel_names_is_the_one_that_it_needs(wheel: Path) -> None:
@@ -83,6 +93,22 @@ def test_wheels_of_all_architectures_differ_in_the_module_only() -> None:
             names = [name for name in archive.namelist() if not name.endswith((".so", "/RECORD", "/WHEEL"))]
             contents.append({name: archive.read(name) for name in names})
     assert all(content == contents[0] for content in contents)
+
+
+@debs
+@needs("dpkg-deb")
+def test_the_modules_package_builds_what_it_names_when_it_is_installed(tmp_path: Path) -> None:
+    deb = next(path for path in DEBS if path.name.startswith("fpga-cm-dkms_"))
+    assert "common.postinst" in run(["dpkg-deb", "-I", deb, "postinst"])
+    run(["dpkg-deb", "-x", deb, tmp_path])
+    source = next(tmp_path.glob("usr/src/fpga-cm-*"))
+    named = re.findall(r'BUILT_MODULE_NAME\[\d\]="(\w+)"', (source / "dkms.conf").read_text())
+    # make reads it to its end, as the kernel's build does, and every object has its source
+    listing = "all: ; @echo $(obj-m) / $(foreach m,$(obj-m:.o=),$($m-y:.o=.c))"
+    build = f"src := {source}\ninclude {source}/Kbuild\n{listing}\n"
+    modules, sources = run(["make", "-s", "-f", "-"], input=build).split("/", 1)
+    assert sorted(modules.split()) == sorted(f"{name}.o" for name in named)
+    assert all((source / name).is_file() for name in sources.split())
 
 
 @debs

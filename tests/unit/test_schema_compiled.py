@@ -11,6 +11,7 @@ import pytest
 
 from cm.schema import compiled, loads
 from cm.schema.loader import SchemaError
+from cm.schema.schema_forms import for_values
 from cm.schema.structure import SCHEMA_FILE
 
 CAMERA = resources.files("cm").joinpath("data/camera/camera.yaml").read_text(encoding="utf-8")
@@ -47,3 +48,13 @@ def test_what_is_wrong_is_told_in_full_either_way() -> None:
     with pytest.raises(SchemaError) as refused:
         loads(CAMERA.replace("rate: 30", "rate: fast").replace("slots: 8", "slots: 0"))
     assert {problem.key.rpartition(".")[2] for problem in refused.value.problems} == {"rate", "slots"}
+
+
+def test_a_condition_whose_consequence_the_walk_checks_leaves_nothing_to_generate() -> None:
+    """fastjsonschema 2.16 and 2.18, those of Debian 12 and of scarthgap, write an empty branch that is no Python."""
+    needs = {"if": {"not": {"required": ["a"]}}, "then": {"required": ["b"]}}
+    kept = {"if": {"type": "string"}, "then": {"minLength": 2}}
+    assert for_values({"type": "object", "properties": {"x": needs, "y": kept}}) == {
+        "type": "object",
+        "properties": {"x": {}, "y": kept},
+    }
