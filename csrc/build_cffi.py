@@ -34,7 +34,7 @@ def _builder() -> FFI:
         sources=[_relative(path) for path in sorted(HERE.glob("*.c"))],
         include_dirs=[_relative(HERE), _relative(UAPI)],
         depends=[_relative(path) for path in headers],
-        define_macros=[("_GNU_SOURCE", None)],
+        define_macros=[("_GNU_SOURCE", None), ("_FILE_OFFSET_BITS", "64")],  # 32-bit userland sees 64-bit inodes too
         # no path of the building machine in the module: it is the same from whatever folder it is built
         extra_compile_args=["-std=gnu11", "-O2", "-fvisibility=hidden", f"-ffile-prefix-map={Path.cwd()}=."],
         extra_link_args=["-pthread"],
