@@ -57,12 +57,12 @@ def python(machine: str, wheel: Path, folder: Path) -> Python:
     names = {"root": root, "wheel": folder / "wheel", "emulator": emulator(machine), "script": script}
     script.write_text(SCRIPT.format(**names, python=program))
     script.chmod(0o755)
-    return Python(script, arch.release or "the host's")
+    return Python(script, arch.suite or "the host's")
 
 
 def _unpack(arch: Arch, place: Path) -> None:
     cache = default_root()
-    unpack(Apt(cache, arch).closure(PACKAGES, place / "debs"), place)
+    unpack(Apt(cache, arch, arch.suite).closure(PACKAGES, place / "debs"), place)
     shutil.rmtree(place / "debs")
     for name in ("blas", "lapack"):  # update-alternatives would
         link = place / "usr/lib" / arch.gnu / f"lib{name}.so.3"

@@ -134,7 +134,7 @@ def test_the_service_is_in_the_package_with_its_files() -> None:
     listing = run(["dpkg-deb", "--contents", deb])
     for name in (
         "lib/systemd/system/cm.service", "lib/udev/rules.d/60-cm.rules", "usr/lib/tmpfiles.d/fpga-cm.conf",
-        "etc/cm/cm.yaml", "usr/lib/modprobe.d/cm.conf", "usr/lib/modules-load.d/cm.conf", "usr/bin/cm",
+        "etc/cm/cm.yaml", "usr/lib/modprobe.d/cm.conf", "usr/bin/cm",
     ):  # fmt: skip
         assert f"./{name}\n" in listing, name
     assert "/etc/cm/cm.yaml" in run(["dpkg-deb", "--info", deb, "conffiles"])

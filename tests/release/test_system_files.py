@@ -81,9 +81,13 @@ def test_udev_rules_name_the_group_of_the_unit_and_nodes_of_our_drivers() -> Non
         assert f'"{name}"' in text
 
 
-def test_modules_that_are_loaded_at_boot_are_ours_or_the_kernels() -> None:
+def test_modules_that_the_service_asks_for_are_ours_or_the_kernels() -> None:
     built = set(re.findall(r"^obj-m \+= (\w+)\.o", (ROOT / "kmod/Kbuild").read_text(), re.MULTILINE))
-    loaded = set(lines(SYSTEM / "modules-load.d/cm.conf"))
+    loaded = set(re.findall(r"modprobe@(\w+)", " ".join(unit("Unit", "Wants"))))
+    assert loaded == set(re.findall(r"modprobe@(\w+)", " ".join(unit("Unit", "After"))))
+    modprobe = re.search(r"modprobe -aq (.*) \|\|", (SYSTEM / "sysv/cm").read_text())
+    assert modprobe is not None
+    assert set(modprobe[1].split()) == loaded
     assert loaded - built == {"uio_pdrv_genirq"}
     assert not loaded & {"cm_plsim", "cm_kunit"}
 

@@ -50,7 +50,7 @@ def _uio(machine: Machine) -> Finding:
     """The parameter itself cannot be read back, so what it was set with is looked for."""
     where = machine.root.join("sys/module", _UIO)
     if _UIO not in machine.loaded and not where.exists():
-        advice = "modprobe uio_pdrv_genirq of_id=fpga-cm,uio (for good: system/modprobe.d and modules-load.d)"
+        advice = "modprobe uio_pdrv_genirq of_id=fpga-cm,uio (for good: system/modprobe.d; the service loads it)"
         return Finding("of_id", _UIO, str(where), State.MISSING, "not loaded", advice)
     built_in = _UIO not in machine.loaded
     value = _of_id_of_command_line(machine) or ("" if built_in else _of_id_of_modprobe(machine))

@@ -24,10 +24,17 @@ for disk in /sys/block/vd*; do
 	serial=$(/bin/busybox cat "$disk/serial")
 	[ "$serial" = cm-root ] && /bin/busybox mount -t ext4 "/dev/${disk##*/}" /new
 done
+init=/usr/sbin/cm-init
+for word in $(/bin/busybox cat /proc/cmdline); do
+	case $word in
+	cm.init=*) init=${word#*=} ;;
+	ro) /bin/busybox mount -o remount,ro /new ;;
+	esac
+done
 /bin/busybox mount -o move /dev /new/dev
 /bin/busybox umount /sys
 /bin/busybox umount /proc
-exec /bin/busybox switch_root /new /usr/sbin/cm-init
+exec /bin/busybox switch_root /new "$init"
 """
 
 
@@ -36,13 +43,15 @@ def image(cache: Cache, kernel: Kernel) -> Path:
     require("cpio")
     inputs = [SCRIPT, *DRIVERS, kernel.release, str(kernel.build)]
     return (
-        cache.entry(f"initrd-{kernel.arch.debian}", inputs, lambda place: _build(cache, kernel, place)) / "initrd.cpio"
+        cache.entry(f"initrd-{kernel.arch.label}", inputs, lambda place: _build(cache, kernel, place)) / "initrd.cpio"
     )
 
 
 def _build(cache: Cache, kernel: Kernel, place: Path) -> None:
     root = place / "root"
-    unpack(Apt(cache.root, kernel.arch).download(["busybox-static"], place / "debs"), place / "packages")
+    unpack(
+        Apt(cache.root, kernel.arch, kernel.arch.suite).download(["busybox-static"], place / "debs"), place / "packages"
+    )
     (root / "bin").mkdir(parents=True)
     (root / "modules").mkdir()
     shutil.copy2(place / "packages/usr/bin/busybox", root / "bin/busybox")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 from . import designs, software
@@ -37,7 +38,7 @@ def image(cache: Cache, kernel: Kernel, driver: models.Source | None = None) -> 
         _copy_software(root, package, trees, tests)
         shutil.copytree(programs, root / "bin", ignore=shutil.ignore_patterns(".*"))
         shutil.copytree(made_designs, root / "designs", ignore=shutil.ignore_patterns(".*", "*.dtso"))
-        _copy_modules(root, kernel, modules)
+        copy_modules(root, kernel, STOCK_DRIVERS, modules)
         filesystem = ["-t", "ext4", "-O", "^has_journal", "-L", "cm-payload"]
         run(["mke2fs", "-q", *filesystem, "-d", root, place / "payload.ext4", "128M"])
         shutil.rmtree(root)
@@ -58,15 +59,15 @@ def _copy_software(root: Path, package: Path, trees: Path, tests: list[Path]) ->
         shutil.copy2(tree, target)
 
 
-def _copy_modules(root: Path, kernel: Kernel, ours: list[Path]) -> None:
-    """lib/modules for modprobe: a custom kernel's own, or the few drivers of the stock one; and ours."""
+def copy_modules(root: Path, kernel: Kernel, drivers: tuple[str, ...], ours: Sequence[Path] = ()) -> None:
+    """lib/modules for modprobe: a custom kernel's own, or the named drivers of the stock one; and ours."""
     target = root / "lib/modules" / kernel.release
     source = kernel.modules / "lib/modules" / kernel.release
-    target.mkdir(parents=True)
+    target.mkdir(parents=True, exist_ok=True)
     for name in ("modules.order", "modules.builtin", "modules.builtin.modinfo"):
         if (source / name).exists():
             shutil.copy2(source / name, target / name)
-    for path in _wanted(source):
+    for path in _wanted(source, drivers):
         copy = target / path.relative_to(source)
         copy.parent.mkdir(parents=True, exist_ok=True)
         shutil.copy2(path, copy)
@@ -76,11 +77,11 @@ def _copy_modules(root: Path, kernel: Kernel, ours: list[Path]) -> None:
     run(["depmod", "-b", root, kernel.release])
 
 
-def _wanted(source: Path) -> list[Path]:
+def _wanted(source: Path, drivers: tuple[str, ...]) -> list[Path]:
     dependencies = read_dependencies(source)
     if len(dependencies) < 200:
         return [source / name for name in dependencies]
-    return [source / name for name in closure(dependencies, STOCK_DRIVERS)]
+    return [source / name for name in closure(dependencies, drivers)]
 
 
 def read_dependencies(source: Path) -> dict[str, list[str]]:

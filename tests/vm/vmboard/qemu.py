@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from . import zynq
-from .arch import AMD64, ARMHF, Arch
+from .arch import AMD64, ARMHF, ARMMP, Arch
 
 BUDGET_S = 200.0  # for all tests of a board, times its slowness
 
@@ -33,6 +33,11 @@ class Machine:
     slow: int = 1  # times slower than silicon; see tiers.py
     arguments: tuple[str, ...] = ()  # of the kernel, read by guest/main
     forwards: dict[int, int] = field(default_factory=dict)  # host port → port on the board
+    keep: bool = False  # what the board writes to its root disk stays there
+    init: str = ""  # first process; empty: that of the small boards
+    agent: Path | None = None  # socket of QEMU's guest agent
+    cpus: int = 2
+    budget_s: float = 0  # for all it does; 0: that of a board's tests
 
 
 def command(machine: Machine) -> list[str]:
@@ -40,12 +45,22 @@ def command(machine: Machine) -> list[str]:
     return [
         machine.arch.qemu,
         *_board(machine),
-        *("-smp", "2", "-m", str(machine.memory_mb), "-no-reboot", "-display", "none", "-monitor", "none"),
+        *(
+            "-smp",
+            str(machine.cpus),
+            "-m",
+            str(machine.memory_mb),
+            "-no-reboot",
+            "-display",
+            "none",
+            "-monitor",
+            "none",
+        ),
         *("-kernel", str(machine.image), "-append", _append(machine)),
         *(("-initrd", str(machine.initrd)) if machine.initrd else ()),
         *(("-dtb", str(machine.dtb)) if machine.dtb else ()),
         *_disk(machine, machine.payload, "cm-payload"),
-        *_disk(machine, machine.root, "cm-root"),
+        *_disk(machine, machine.root, "cm-root", keep=machine.keep),
         *_network(machine),
         *("-device", _device(machine, "virtio-rng")),
     ]
@@ -57,11 +72,12 @@ def _board(machine: Machine) -> list[str]:
         return ["-M", "q35", "-cpu", "host" if machine.kvm else "max", "-accel", accelerator, "-nodefaults"]
     if machine.kvm:
         return ["-M", "virt,gic-version=host", "-cpu", "host", "-accel", "kvm", "-nodefaults"]
+    processor = "cortex-a15" if machine.arch == ARMMP else "cortex-a53"
     return [
         "-M",
         ",".join(filter(None, ["virt,gic-version=2", machine.machine])),
         "-cpu",
-        "cortex-a53",
+        processor,
         "-accel",
         "tcg,thread=multi",
         "-nodefaults",
@@ -72,8 +88,10 @@ def _device(machine: Machine, name: str) -> str:
     return f"{name}-pci" if machine.arch == AMD64 else f"{name}-device"
 
 
-def _disk(machine: Machine, image: Path, serial: str) -> list[str]:
-    drive = f"if=none,id={serial},file={image},format=raw,snapshot=on,cache=unsafe"
+def _disk(machine: Machine, image: Path, serial: str, *, keep: bool = False) -> list[str]:
+    # a disk that stays reaches the host's page cache in order, so that killing QEMU is a power cut
+    lasting = "cache=writeback" if keep else "snapshot=on,cache=unsafe"
+    drive = f"if=none,id={serial},file={image},format=raw,{lasting}"
     return ["-drive", drive, "-device", f"{_device(machine, 'virtio-blk')},drive={serial},serial={serial}"]
 
 
@@ -89,6 +107,7 @@ def _append(machine: Machine) -> str:
     console = "ttyS0" if machine.arch == AMD64 else "ttyAMA0"
     root = [] if machine.initrd else ["root=/dev/vda", "rw", "init=/usr/sbin/cm-init"]
     more = os.environ.get("CM_VM_APPEND", "").split()
+    root += [f"cm.init={machine.init}"] if machine.init else []
     return " ".join([f"console={console}", "panic=-1", "loglevel=6", "printk.time=1", *root, *machine.arguments, *more])
 
 
@@ -117,7 +136,7 @@ def run(machine: Machine, place: Path, watch: Callable[[str], None]) -> Finished
         ) as process,
     ):
         try:
-            status = _follow(process, output, started + BUDGET_S * machine.slow, watch)
+            status = _follow(process, output, started + (machine.budget_s or BUDGET_S * machine.slow), watch)
         finally:
             process.kill()
     if machine.arch == ARMHF:
@@ -140,6 +159,9 @@ def _ports(machine: Machine, console: Path, output: Path, results: Path) -> list
     for name, path in (("output", output), ("results", results)):
         arguments += ["-chardev", f"file,id={name},path={path}"]
         arguments += ["-device", f"virtserialport,chardev={name},name=cm.{name}"]
+    if machine.agent:
+        arguments += ["-chardev", f"socket,id=agent,path={machine.agent},server=on,wait=off"]
+        arguments += ["-device", "virtserialport,chardev=agent,name=org.qemu.guest_agent.0"]
     return arguments
 
 

@@ -8,7 +8,7 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import initrd, kvm, payload, qemu, remote, report, rootfs, software, zynq
+from . import initrd, installed, kvm, payload, qemu, remote, report, rootfs, service, software, zynq
 from .arch import ARMHF
 from .cache import Cache
 from .errors import EXIT_MISSING, MissingError, VmError
@@ -24,8 +24,9 @@ def worth_while(cache: Cache) -> list[str]:
     """All boards but those that this machine cannot have, such as with KVM where it does not work; says which."""
     chosen = []
     for name, tier in TIERS.items():
-        reason = _out_of_reach(cache, tier)
-        if reason:
+        if tier.optional:
+            say(f"LEFT OUT {name}: it runs where it is asked for, --tier {name}")
+        elif reason := _out_of_reach(cache, tier):
             say(f"LEFT OUT {name}: {reason}")
         elif tier.kvm and not (kvm.there(tier.arch) and kvm.works(cache, tier.kernel(cache))):
             say(f"LEFT OUT {name}: no working /dev/kvm here; --tier {name} runs it emulated, which tells little new")
@@ -49,7 +50,10 @@ def _out_of_reach(cache: Cache, tier: Tier) -> str:
 def build(cache: Cache, names: list[str]) -> None:
     """Everything the named boards need, from the cache or now."""
     for name in names:
-        machine(cache, TIERS[name])
+        if TIERS[name].installed:
+            installed.with_modules(cache, TIERS[name])
+        else:
+            machine(cache, TIERS[name])
 
 
 def machine(
@@ -97,14 +101,15 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
     skipped = []
     for name in names:
         try:
-            machines[name] = _for_test(cache, TIERS[name], keyword)
+            shutil.rmtree(output / name, ignore_errors=True)
+            machines[name] = _for_test(cache, TIERS[name], keyword, output / name)
         except MissingError as missing:
             say(f"SKIPPED {name}: {missing}")
             skipped.append(name)
     if not machines:
         raise MissingError("no board can run here")
     with step(f"running {', '.join(machines)}"), ThreadPoolExecutor(jobs) as pool:
-        runs = {name: pool.submit(_run, name, board, output / name) for name, board in machines.items()}
+        runs = {name: pool.submit(_run, name, board, output / name, keyword) for name, board in machines.items()}
         results = {name: run.result() for name, run in runs.items()}
     for name, result in results.items():
         _print(name, result, output / name)
@@ -113,18 +118,26 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
     return EXIT_MISSING if skipped else 0
 
 
-def _for_test(cache: Cache, tier: Tier, keyword: str) -> qemu.Machine:
+def _for_test(cache: Cache, tier: Tier, keyword: str, place: Path) -> qemu.Machine:
+    if tier.installed:
+        require(tier.arch.qemu, "depmod", "mke2fs", "dpkg-deb")
+        return service.machine(cache, tier, place, _forwards())
     if not tier.remote:
         changes = int(os.environ.get("CM_VM_CHANGES", tier.changes))  # how many is the user's patience
         words = (f"cm.changes={changes}", *([f"cm.keyword={keyword.replace(' ', '+')}"] if keyword else []))
         return machine(cache, tier, words)
+    return machine(cache, tier, ("cm.action=serve",), _forwards())
+
+
+def _forwards() -> dict[int, int]:
     first = remote.free_ports()
-    return machine(cache, tier, ("cm.action=serve",), {first + index: there for index, there in enumerate(PORTS)})
+    return {first + index: there for index, there in enumerate(PORTS)}
 
 
-def _run(name: str, board: qemu.Machine, place: Path) -> report.Results:
-    shutil.rmtree(place, ignore_errors=True)
-    place.mkdir(parents=True)
+def _run(name: str, board: qemu.Machine, place: Path, keyword: str = "") -> report.Results:
+    place.mkdir(parents=True, exist_ok=True)
+    if TIERS[name].installed:
+        return service.test(board, place, keyword)
     if TIERS[name].remote:
         return remote.test(board, place, min(board.forwards))
     done = qemu.run(board, place, lambda line: say(f"{name:9}| {line}"))

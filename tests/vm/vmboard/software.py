@@ -55,7 +55,16 @@ def _compile_extension(cache: Cache, arch: Arch, target: Path) -> None:
     # Debian's pyconfig.h includes <triplet/python3.x/pyconfig.h>, which lies below usr/include
     includes += [f"-idirafter{include.parent}"]
     options = ["-D_TIME_BITS=64"] if arch == ARMHF else []
-    options += ["-D_GNU_SOURCE", "-D_FILE_OFFSET_BITS=64", "-shared", "-fPIC", "-std=gnu11", "-O2", "-DPy_LIMITED_API=0x03060000", "-pthread"]
+    options += [
+        "-D_GNU_SOURCE",
+        "-D_FILE_OFFSET_BITS=64",
+        "-shared",
+        "-fPIC",
+        "-std=gnu11",
+        "-O2",
+        "-DPy_LIMITED_API=0x03060000",
+        "-pthread",
+    ]
     run([compiler, *options, *includes, generated, *sources, "-o", target])
     generated.unlink()
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from . import kernel
-from .arch import AMD64, ARM64, ARMHF, Arch
+from .arch import AMD64, ARM64, ARMHF, ARMMP, Arch
 from .cache import Cache
 from .silicon import Source
 
@@ -31,6 +31,8 @@ class Tier:
     remote: bool = False  # tests run on the host and talk to the board over TCP
     dtb: str = "qemu-virt"  # tree, where the kernel is our own
     machine: str = ""  # more properties of QEMU's machine
+    installed: bool = False  # a whole Debian, where our packages are installed; tests run on the host
+    optional: bool = False  # only where it is asked for by name
     static: str = "static"  # overlay of the board's own engines, where the kernel takes overlays
     designs: str = "camera-kv260"  # of designs.py, that its memory map has room for
     driver: Source | None = None  # of the engines, of another kernel
@@ -87,6 +89,8 @@ TIERS = {
         replace(SILICON, name="silicon-6.12", driver=Source("trixie", "linux-source-6.12"), cases=ENGINES),
         ZYNQ,
         Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, slow=6, remote=True),
+        Tier("service", ARM64, (), (), memory_mb=1024, slow=6, installed=True),
+        Tier("service-armhf", ARMMP, (), (), memory_mb=1024, slow=6, installed=True, optional=True),
         Tier("x86", AMD64, (), BASIC, memory_mb=768, slow=6, kvm=True),
     )
 }

@@ -42,7 +42,6 @@ do_install:append:class-target() {
     install -d -o cm -g fpga ${D}${nonarch_base_libdir}/firmware/cm-converted
     install -D -m 0644 ${S}/system/udev/60-cm.rules ${D}${nonarch_base_libdir}/udev/rules.d/60-cm.rules
     install -D -m 0644 ${S}/system/modprobe.d/cm.conf ${D}${nonarch_base_libdir}/modprobe.d/cm.conf
-    install -D -m 0644 ${S}/system/modules-load.d/cm.conf ${D}${nonarch_libdir}/modules-load.d/cm.conf
 }
 
 do_install_ptest() {
@@ -55,7 +54,7 @@ FILES:${PN}-client += "${bindir}/cm ${PYTHON_SITEPACKAGES_DIR}/*.dist-info ${CM}
 FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/sim"
 FILES:${PN}-build += "${CM}/build"
 FILES:${PN}-bench += "${CM}/bench"
-FILES:${PN}-udev += "${nonarch_base_libdir}/udev ${nonarch_base_libdir}/modprobe.d ${nonarch_libdir}/modules-load.d"
+FILES:${PN}-udev += "${nonarch_base_libdir}/udev ${nonarch_base_libdir}/modprobe.d"
 FILES:${PN} += "${nonarch_base_libdir}/firmware ${nonarch_libdir}/tmpfiles.d"
 CONFFILES:${PN} = "${sysconfdir}/cm/cm.yaml"
 

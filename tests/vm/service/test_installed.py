@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands of the README leave behind."""
+
+from __future__ import annotations
+
+import re
+
+from board import RELEASE, Board
+
+
+def test_the_service_runs_as_its_own_user_with_one_capability(board: Board) -> None:
+    assert board.unit("ActiveState") == "active"
+    assert board.unit("NRestarts") == "0"
+    status = dict(re.findall(r"(\w+):\s+(.*)", board.do(f"cat /proc/{board.unit('MainPID')}/status")))
+    numbers = board.do("id -u cm; getent group fpga | cut -d : -f 3").split()
+    assert (status["Uid"].split(), status["Gid"].split()) == ([numbers[0]] * 4, [numbers[1]] * 4)
+    assert int(status["CapEff"], 16) == 1 << 1  # CAP_DAC_OVERRIDE
+    assert (status["NoNewPrivs"], status["Seccomp"]) == ("1", "2")
+
+
+def test_the_kernel_modules_are_those_that_dkms_built_on_the_board(board: Board) -> None:
+    assert "installed" in board.do("dkms status fpga-cm")
+    loaded = board.do("lsmod").splitlines()
+    assert {"cm_dma", "cm_icap"} <= {line.split()[0] for line in loaded}
+    assert "/updates/dkms/" in board.do("modinfo -n cm_dma")
+
+
+def test_device_nodes_are_the_groups(board: Board) -> None:
+    nodes = board.do("stat -c '%G %a %n' /dev/uio* /dev/cm_dma/* /dev/cm_icap* /dev/dma_heap/*").splitlines()
+    assert len(nodes) >= 6
+    assert {tuple(line.split()[:2]) for line in nodes} == {("fpga", "660")}, nodes
+
+
+def test_a_package_manager_finds_nothing_amiss(board: Board) -> None:
+    assert board.do("dpkg --audit") == ""
+    assert board.do("dpkg --verify fpga-cm") == ""
+
+
+def test_the_settings_that_were_installed_are_right(board: Board) -> None:
+    board.do("cm check --settings")
+
+
+def test_the_simulated_board_is_a_package_of_its_own(board: Board) -> None:
+    refused = board.run("cm serve --sim --runtime-dir /tmp/sim", "bob")
+    assert refused.status != 0
+    assert "fpga-cm-sim" in refused.said
+    board.do(f"apt-get install -y {RELEASE}/fpga-cm-sim_*.deb")
+    script = (
+        "cm serve --sim --runtime-dir $HOME/sim 2>log & for i in $(seq 300); do grep -q 'ready at' log && break; "
+        "sleep 0.2; done; cm status --runtime-dir $HOME/sim; kill %1; wait %1"
+    )
+    assert "nothing is loaded" in board.do(f"bash -c {script!r}".replace("'$HOME", "'$HOME"), "bob")

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The service in systemd's hands."""
+
+from __future__ import annotations
+
+from board import RELEASE, Board
+
+
+def test_a_manager_that_hangs_is_restarted_and_finds_what_runs(board: Board) -> None:
+    board.do("cm load camera colorise")
+    loads, restarts = board.loads, int(board.unit("NRestarts"))
+    board.do(f"kill -STOP {board.unit('MainPID')}")
+    board.until(lambda: int(board.unit("NRestarts")) == restarts + 1 and board.unit("ActiveState") == "active")
+    assert "watchdog timeout" in board.do("journalctl -u cm -b --no-pager").lower()
+    assert (board.status()["mode"], board.loads) == ("colorise", loads)
+
+
+def test_the_wheel_installs_with_the_boards_own_packages_and_works(board: Board) -> None:
+    """pip compares the bounds of our dependencies with what Debian has; nothing else can come, there is no network."""
+    pip = (
+        "python3 -m pip install --no-index --quiet --break-system-packages --ignore-installed --no-deps --target wheel"
+    )
+    board.do(f"{pip} {RELEASE}/*.whl", "carol")
+    check = "PYTHONPATH=wheel python3 -m pip check"
+    assert "fpga-cm" not in board.run(check, "carol").said
+    where = "import cm.native._cm as m; print(m.__file__)"
+    assert "/home/carol/wheel/" in board.do(f"PYTHONPATH=wheel python3 -c '{where}'", "carol")
+    assert "camera" in board.do(
+        "PYTHONPATH=wheel python3 -m cm check /usr/lib/firmware/cm/camera/camera.yaml; echo camera"
+    )

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A board that runs, as tests on the host see it: programs on it, its ports, its mains switch."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+
+from . import qemu
+from .agent import Agent, Done
+from .errors import VmError
+
+BOOT_S = 50.0  # until the agent answers, times the board's slowness
+COMMAND_S = 30.0  # for a program, times the board's slowness
+
+
+class Booted:
+    """A board with systemd; its root disk keeps what it writes."""
+
+    def __init__(self, machine: qemu.Machine, place: Path) -> None:
+        self._place = place
+        self._sockets = Path(tempfile.mkdtemp(prefix="cm-vm-"))  # the path of a socket must be short
+        self.machine = dataclasses.replace(machine, agent=self._sockets / "agent", keep=True)
+        self._boots = 0
+        self._process: subprocess.Popen[bytes] | None = None
+        self._agent: Agent | None = None
+
+    @property
+    def console(self) -> Path:
+        """What the kernel said since the last boot."""
+        return self._place / f"boot-{self._boots}" / "console.log"
+
+    def boot(self, *arguments: str) -> None:
+        """Switch it on, with more arguments of the kernel, and wait until programs can be run."""
+        self._boots += 1
+        folder = self.console.parent
+        folder.mkdir(parents=True)
+        machine = dataclasses.replace(self.machine, arguments=(*self.machine.arguments, *arguments))
+        with (folder / "qemu.log").open("wb") as log:
+            self._process = subprocess.Popen(
+                qemu.logged(machine, folder), stdin=subprocess.DEVNULL, stdout=log, stderr=log
+            )
+        self._agent = self._connect(time.monotonic() + BOOT_S * machine.slow)
+
+    def _connect(self, deadline: float) -> Agent:
+        agent = None
+        while time.monotonic() < deadline:
+            if self._process is None or self._process.poll() is not None:
+                raise VmError(f"QEMU ended, see {self.console.parent}")
+            if agent is None and self.machine.agent is not None and self.machine.agent.exists():
+                agent = Agent(self.machine.agent)
+            if agent is None:
+                time.sleep(0.2)
+            elif agent.answers(2.0):
+                return agent
+        end = "\n".join(self.console.read_text(errors="replace").splitlines()[-20:])
+        raise VmError(f"the board did not start, see {self.console}:\n{end}")
+
+    def run(self, command: str, user: str = "root", given: str = "") -> Done:
+        """A shell's command line, as a user who has just logged in."""
+        if self._agent is None:
+            raise VmError("the board is switched off")
+        line = ["/bin/sh", "-c", command] if user == "root" else ["/sbin/runuser", "-l", user, "-c", command]
+        return self._agent.run(line, COMMAND_S * self.machine.slow, given)
+
+    def do(self, command: str, user: str = "root", given: str = "") -> str:
+        """The same where an error is a failure; what the command wrote to its standard output."""
+        done = self.run(command, user, given)
+        if done.status:
+            raise VmError(f"{user}: {command}: status {done.status}\n{done.said}")
+        return done.out
+
+    def cut_power(self) -> None:
+        """End QEMU without a word to the board: what its kernel had not written is lost."""
+        if self._agent is not None:
+            self._agent.close()
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        self._agent = self._process = None
+
+    def close(self) -> None:
+        """Switch it off for good."""
+        self.cut_power()
+        shutil.rmtree(self._sockets, ignore_errors=True)
+
+    def shut_down(self) -> None:
+        """Switch it off in order, so that its disk is clean."""
+        if self._process is None:
+            return
+        self.run("systemctl --no-block poweroff")
+        try:
+            self._process.wait(COMMAND_S * self.machine.slow)
+        finally:
+            self.cut_power()

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Our packages for a board of Debian: built, on a disk like a folder of artefacts, the kernel modules by DKMS."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+from . import initrd, qemu
+from .arch import Arch
+from .booted import Booted
+from .cache import Cache, source_files
+from .debian import System, system
+from .errors import MissingError, VmError
+from .progress import say
+from .shell import run
+from .software import REPOSITORY
+from .tiers import Tier
+
+RELEASE = REPOSITORY / "build/release"
+BOARD = REPOSITORY / "tests/vm/guest/installed"  # what stands in for the PL, and starts before the service
+SHARED = REPOSITORY / "tests/vm/guest/board.sh"
+SOURCES = ("cm", "csrc", "kmod", "debian", "release", "system", "setup.py", "pyproject.toml", "MANIFEST.in")
+WHEELS = {"arm64": "aarch64", "armhf": "armv7l"}
+MOUNT = "mount -o ro /dev/disk/by-id/virtio-cm-payload /opt/cm"
+
+
+def artefacts(arch: Arch) -> list[Path]:
+    """Packages and wheel of this tree for an architecture; built where they are older than a source."""
+    found = _found(arch)
+    newest = max(path.stat().st_mtime for name in SOURCES for path in source_files(REPOSITORY / name))
+    if len(found) < 5 or min(path.stat().st_mtime for path in found) < newest:
+        say(f"building packages for {arch.debian}")
+        run(["make", "-C", REPOSITORY, "deb", f"ARCHES={arch.debian}", f"PYTHON={sys.executable}"])
+        found = _found(arch)
+    if len(found) < 5:
+        raise MissingError(
+            f"packages for {arch.debian} could not be built here; `make deb ARCHES={arch.debian}` says why"
+        )
+    return found
+
+
+def _found(arch: Arch) -> list[Path]:
+    patterns = (f"fpga-cm_*_{arch.debian}.deb", "fpga-cm-[dsb]*_all.deb", f"*_{WHEELS[arch.debian]}.whl")
+    return sorted(path for pattern in patterns for path in RELEASE.glob(pattern))
+
+
+def disk(files: list[Path], place: Path) -> Path:
+    """A disk with the artefacts, the configuration's archive, the upgrade, and what a board has instead of a PL."""
+    from .camera import archive
+
+    root = place / "disk"
+    shutil.rmtree(root, ignore_errors=True)
+    (root / "release").mkdir(parents=True)
+    for path in files:
+        shutil.copy2(path, root / "release" / path.name)
+    (root / "release/camera.tar.gz").write_bytes(archive())
+    _newer(next(path for path in files if path.name.startswith("fpga-cm_")), root)
+    (root / "second.tar.gz").write_bytes(archive("second"))
+    shutil.copytree(BOARD, root / "board")
+    shutil.copy2(SHARED, root / "board")
+    image = place / "disk.ext4"
+    run(["mke2fs", "-q", "-t", "ext4", "-O", "^has_journal", "-d", root, image, "64M"])
+    return image
+
+
+def _newer(deb: Path, root: Path) -> None:
+    """The same package under a later version number, for an upgrade."""
+    unpacked = root.parent / "newer"
+    shutil.rmtree(unpacked, ignore_errors=True)
+    run(["dpkg-deb", "-R", deb, unpacked])
+    control = unpacked / "DEBIAN/control"
+    lines = control.read_text().splitlines(keepends=True)
+    control.write_text("".join(f"{line[:-1]}+later\n" if line.startswith("Version: ") else line for line in lines))
+    (root / "later").mkdir()
+    run(["dpkg-deb", "--root-owner-group", "-b", unpacked, root / "later"])
+
+
+def with_modules(cache: Cache, tier: Tier) -> System:
+    """The board's Debian with our kernel modules, as DKMS built them there from our package."""
+    plain = system(cache, tier.arch)
+    inputs = [plain.folder.name, REPOSITORY / "kmod", REPOSITORY / "debian/rules", BOARD, SHARED]
+    place = cache.entry(f"modules-{tier.arch.label}", inputs, lambda out: _install(cache, tier, plain, out))
+    return System(plain.kernel, place / "root.ext4")
+
+
+def _install(cache: Cache, tier: Tier, plain: System, place: Path) -> None:
+    copy(plain.root, place / "root.ext4")
+    image = disk(artefacts(tier.arch), place)
+    board = Booted(machine(cache, tier, System(plain.kernel, place / "root.ext4"), image), place / "log")
+    board.boot()
+    try:
+        board.do(MOUNT)
+        say(board.do("cd /opt/cm/release && apt-get install -y ./fpga-cm-dkms_*.deb").splitlines()[-1])
+        status = board.do("dkms status")
+        if "installed" not in status:
+            raise VmError(f"DKMS did not build the modules: {status}")
+        board.do("sh /opt/cm/board/setup")
+        board.shut_down()
+    finally:
+        board.close()
+    image.unlink()
+
+
+def copy(image: Path, target: Path) -> None:
+    """A disk of one's own; holes stay holes."""
+    run(["cp", "--reflink=auto", "--sparse=always", image, target])
+
+
+def machine(
+    cache: Cache, tier: Tier, root: System, payload: Path, forwards: dict[int, int] | None = None
+) -> qemu.Machine:
+    """The board with systemd as its first process."""
+    return qemu.Machine(
+        arch=tier.arch,
+        image=root.kernel.image,
+        root=root.root,
+        payload=payload,
+        memory_mb=tier.memory_mb,
+        initrd=initrd.image(cache, root.kernel),
+        slow=tier.slow,
+        arguments=("systemd.show_status=0", "quiet"),
+        forwards=forwards or {},
+        init="/lib/systemd/systemd",
+        cpus=4,
+    )
