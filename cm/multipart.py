@@ -28,13 +28,17 @@ def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags:
 
 def receive_from(socket: zmq.Socket[bytes], flags: int = 0) -> tuple[str, list[bytes | memoryview]]:
     """As `receive`, and the user id that authentication gave the connection; empty where it gave none."""
-    first = socket.recv(flags, False)
-    frames: list[bytes | memoryview] = [first.bytes if len(first) <= _SMALL else first.buffer]
-    try:
-        user = str(first.get("User-Id"))
+    pull = socket.recv
+    frames: list[bytes | memoryview] = []
+    more = True
+    while more:
+        frame = pull(flags, False)
+        frames.append(frame.bytes if len(frame) <= _SMALL else frame.buffer)
+        more = frame.more
+    try:  # of the last frame: libzmq 4.3.4 knows none of a routing id that it read ahead, as after a poll
+        return str(frame.get("User-Id")), frames
     except zmq.ZMQError:
-        user = ""
-    return user, frames + receive(socket, flags) if first.more else frames
+        return "", frames
 
 
 def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryview]:

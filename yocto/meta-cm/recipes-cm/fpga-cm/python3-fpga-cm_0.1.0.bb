@@ -15,7 +15,7 @@ S = "${UNPACKDIR}/fpga_cm-${PV}"
 
 inherit python_setuptools_build_meta ptest systemd update-rc.d useradd
 
-PACKAGE_BEFORE_PN = "${PN}-client ${PN}-sim ${PN}-build ${PN}-bench ${PN}-udev"
+PACKAGE_BEFORE_PN = "${PN}-client ${PN}-sim ${PN}-build ${PN}-bench ${PN}-web ${PN}-udev"
 
 SYSTEMD_SERVICE:${PN} = "cm.service"
 INITSCRIPT_NAME = "cm"
@@ -51,7 +51,8 @@ do_install_ptest() {
 CM = "${PYTHON_SITEPACKAGES_DIR}/cm"
 FILES:${PN}-client += "${bindir}/cm ${PYTHON_SITEPACKAGES_DIR}/*.dist-info ${CM}/*.py ${CM}/py.typed \
                        ${CM}/cli ${CM}/client ${CM}/messages ${CM}/native ${CM}/wire"
-FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/sim"
+FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/rtl ${CM}/sim"
+FILES:${PN}-web += "${CM}/web"
 FILES:${PN}-build += "${CM}/build"
 FILES:${PN}-bench += "${CM}/bench"
 FILES:${PN}-udev += "${nonarch_base_libdir}/udev ${nonarch_base_libdir}/modprobe.d"
@@ -65,6 +66,7 @@ CM_NEEDS_CLIENT = "python3-asyncio \
                    python3-crypt \
                    python3-difflib \
                    python3-fcntl \
+                   python3-html \
                    python3-io \
                    python3-json \
                    python3-logging \
@@ -75,6 +77,7 @@ CM_NEEDS_CLIENT = "python3-asyncio \
                    python3-shell \
                    python3-statistics"
 CM_NEEDS_DAEMON = "python3-compression \
+                   python3-datetime \
                    python3-fastjsonschema \
                    python3-netclient \
                    python3-numbers \
@@ -86,8 +89,10 @@ RDEPENDS:${PN}:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) ${CM_NEEDS
 RDEPENDS:${PN}-sim:append:class-target = " ${PN} (= ${EXTENDPKGV})"
 RDEPENDS:${PN}-build:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3-jinja2"
 RDEPENDS:${PN}-bench:append:class-target = " ${PN}-sim (= ${EXTENDPKGV})"
+RDEPENDS:${PN}-web:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) python3-aiohttp python3-netclient"
 RDEPENDS:${PN}-ptest += "${PN}-sim python3-pytest python3-unittest-automake-output"
 RRECOMMENDS:${PN}-sim:append:class-target = " python3-pillow"
+RRECOMMENDS:${PN}-web:append:class-target = " python3-pillow"
 RRECOMMENDS:${PN}:append:class-target = " ${PN}-udev python3-cryptography kernel-module-cm-dma kernel-module-cm-icap kernel-module-cm-overlay"
 
 BBCLASSEXTEND = "native"
