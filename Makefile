@@ -22,7 +22,7 @@ SEED ?= 1
 MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs web-picture demo device-suite test test-c test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup docs web-picture demo device-suite test test-c test-node test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -59,6 +59,9 @@ test: $(STAMP) test-c ## all tests that need no board and no further tools (SANI
 
 test-c: | check-system
 	$(MAKE) -C csrc check $(if $(SANITIZE),SANITIZE=$(SANITIZE))
+
+test-node: $(STAMP) ## the client for Node.js: built, and its tour over ipc and CURVE (npm fetches its packages)
+	cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=$(abspath $(BIN))/cm npm test --silent
 
 test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
 	$(call install,rtl)

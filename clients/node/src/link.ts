@@ -1,0 +1,122 @@
+// SPDX-License-Identifier: Apache-2.0
+import { Dealer, Subscriber } from "zeromq";
+import type { Endpoints, Keys } from "./address.js";
+import { BoardClosed, ConnectionLost, KeyRefused, RequestFailed, Timeout } from "./errors.js";
+import { cm } from "./proto/cm.js";
+
+/** A reply, and the payload frames behind it. */
+export interface Answer {
+  readonly reply: cm.Reply;
+  readonly payload: Buffer[];
+}
+
+interface Pending {
+  resolve(answer: Answer): void;
+  reject(error: Error): void;
+  timer: NodeJS.Timeout | undefined;
+}
+
+const EMPTY = Buffer.alloc(0);
+
+/** Requests on a DEALER, each with a number of its own, so that a late reply is never taken for that of another. */
+export class Link {
+  readonly #socket: Dealer;
+  readonly #pending = new Map<string, Pending>();
+  #last = 0;
+  #up = false;
+  #sending: Promise<unknown> = Promise.resolve();
+  #ended: Error | undefined;
+
+  constructor(private readonly endpoints: Endpoints, private readonly keys: Keys | undefined) {
+    this.#socket = new Dealer({ linger: 0, receiveHighWaterMark: 0, ...curve(keys) });
+    const { events } = this.#socket;
+    events.on("handshake", () => { this.#up = true; });
+    events.on("disconnect", () => this.#lose());
+    for (const failure of ["auth", "protocol", "other"] as const) {
+      events.on(`handshake:error:${failure}`, () => this.#refused(failure));
+    }
+    this.#socket.connect(endpoints.req);
+    void this.#receive();
+  }
+
+  /** Ask; `timeout` in seconds, null waits for ever. Rejects with RequestFailed, Timeout, ConnectionLost, BoardClosed. */
+  ask(topic: string, message: Uint8Array, payload: readonly Uint8Array[], timeout: number | null): Promise<Answer> {
+    if (this.#ended) return Promise.reject(this.#ended);
+    const number = String(++this.#last);
+    const answer = new Promise<Answer>((resolve, reject) => {
+      const expired = () => {
+        this.#pending.delete(number);
+        reject(new Timeout(`no answer from a configuration manager at ${this.endpoints.req} within ${timeout} s`));
+      };
+      const timer = timeout === null ? undefined : setTimeout(expired, timeout * 1000);
+      this.#pending.set(number, { resolve, reject, timer });
+    });
+    // one after the other: the socket takes one message at a time
+    this.#sending = this.#sending.then(() => this.#socket.send([number, EMPTY, topic, message, ...payload]))
+      .catch((error: unknown) => this.#take(number)?.reject(error as Error));
+    return answer;
+  }
+
+  /** What is published on some topics, from when the manager knows of it on. */
+  subscribe(topics: readonly string[], depth = 1000): Subscriber {
+    if (this.#ended) throw this.#ended;
+    const socket = new Subscriber({ linger: 0, receiveHighWaterMark: depth, ...curve(this.keys) });
+    socket.subscribe(...topics);
+    socket.connect(this.endpoints.pub);
+    return socket;
+  }
+
+  close(): void {
+    if (this.#socket.closed) return;
+    this.#end(new BoardClosed());
+    this.#socket.close();
+  }
+
+  async #receive(): Promise<void> {
+    try {
+      for await (const [number, , , message, ...payload] of this.#socket) {
+        const pending = this.#take(String(number));
+        if (!pending || !message) continue;
+        const reply = cm.Reply.decode(message);
+        if (reply.ok) pending.resolve({ reply, payload });
+        else pending.reject(new RequestFailed(reply.error?.code ?? "", reply.error?.message ?? "refused"));
+      }
+    } catch (error) {
+      if (!this.#socket.closed) this.#end(error as Error);
+    }
+  }
+
+  #take(number: string): Pending | undefined {
+    const pending = this.#pending.get(number);
+    this.#pending.delete(number);
+    clearTimeout(pending?.timer);
+    return pending;
+  }
+
+  /** The socket would try for ever, and nothing would ever come. */
+  #refused(failure: string): void {
+    const why = failure === "auth" ? "does not know our key" : "and we do not agree on keys";
+    this.#rejectAll(new KeyRefused(`the configuration manager at ${this.endpoints.req} ${why}`));
+  }
+
+  /** Who waits hears of it; the socket connects again by itself. Before there was anybody it is only not there yet. */
+  #lose(): void {
+    if (!this.#up) return;
+    this.#up = false;
+    this.#rejectAll(new ConnectionLost(`the configuration manager at ${this.endpoints.req} went away`));
+  }
+
+  #end(error: Error): void {
+    this.#ended = error;
+    this.#rejectAll(error);
+  }
+
+  #rejectAll(error: Error): void {
+    for (const number of [...this.#pending.keys()]) this.#take(number)?.reject(error);
+  }
+}
+
+function curve(keys: Keys | undefined) {
+  if (!keys) return {};
+  return { curveServerKey: keys.serverPublic, curvePublicKey: keys.public, curveSecretKey: keys.secret };
+}
