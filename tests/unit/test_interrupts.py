@@ -229,6 +229,7 @@ config:
     two: {base_address: 0x2000, status: flags, bit: 1, acknowledge: true}
     three: {base_address: 0x2000, status: cleared, bit: 2, acknowledge: true}
     four: {base_address: 0x1000, status: plain, bit: 0, acknowledge: true}
+    five: {base_address: 0x1000, status: plain, bit: 3, acknowledge: true}
   modes: {only: {modules: [a]}}
 """
 
