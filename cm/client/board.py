@@ -76,6 +76,14 @@ def connect(
 class Board(Guarded):
     """A board behind a configuration manager. Use as a context manager. Threads may share it."""
 
+    # Attributes, and no properties, into which completion does not look: board.registers["<TAB>.
+    registers: Registers
+    """Registers and fields of the current mode by name."""
+    interrupts: Interrupts
+    """Interrupts of the loaded configuration by name."""
+    memories: Memories
+    """Memories of the current mode by name."""
+
     def __init__(
         self,
         endpoint: str | None = None,
@@ -90,9 +98,9 @@ class Board(Guarded):
         self._link = Link(self._sockets, timeout)
         self._leases = HeldLeases()
         self._users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
-        self._registers = Registers(self)
-        self._interrupts = Interrupts(self)
-        self._memories = Memories(self)
+        object.__setattr__(self, "registers", Registers(self))
+        object.__setattr__(self, "interrupts", Interrupts(self))
+        object.__setattr__(self, "memories", Memories(self))
 
     @property
     def timeout(self) -> float:
@@ -102,21 +110,6 @@ class Board(Guarded):
     @timeout.setter
     def timeout(self, seconds: float) -> None:
         self._link.timeout = seconds
-
-    @property
-    def registers(self) -> Registers:
-        """Registers and fields of the current mode by name."""
-        return self._registers
-
-    @property
-    def interrupts(self) -> Interrupts:
-        """Interrupts of the loaded configuration by name."""
-        return self._interrupts
-
-    @property
-    def memories(self) -> Memories:
-        """Memories of the current mode by name."""
-        return self._memories
 
     # ---- asking ---------------------------------------------------------------------
 

@@ -27,7 +27,7 @@ def _refusal(guarded: Guarded, name: str) -> str:
     owner = type(guarded)
     if name in owner._advice:
         return owner._advice[name]
-    public = [n for n in dir(owner) if not n.startswith("_")]
+    public = [n for n in (*dir(owner), *owner.__annotations__) if not n.startswith("_")]
     if name in public:
         return f"{owner.__name__}.{name} cannot be set"
     close = get_close_matches(name, public, 1)

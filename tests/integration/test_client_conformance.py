@@ -635,6 +635,8 @@ def test_asyncio_says_what_to_write_instead_of_an_assignment(both: tuple[Manager
             board.registers._target["focus"] = 3
         with pytest.raises(AttributeError, match=r"await board\.registers\.write"):
             board.registers.focus = 3
+        with pytest.raises(TypeError, match=r"await board\.memories\['scratchpad'\]\.put\(0, …\)"):
+            board.memories["scratchpad"]._target[0] = 3
 
 
 def test_a_frame_keeps_what_is_known_of_it_when_it_is_pickled(plain: cm.Board) -> None:

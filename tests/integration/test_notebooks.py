@@ -5,14 +5,20 @@ from __future__ import annotations
 
 import base64
 import io
+import json
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 from manager_process import REPOSITORY, Manager, environment, short_folder
 from PIL import Image
+
+import cm
 
 NOTEBOOKS = sorted((REPOSITORY / "docs/notebooks").glob("*.ipynb"))
 
@@ -51,6 +57,43 @@ def executed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
             ).execute()
             done[path.stem] = notebook
     return done
+
+
+COMPLETE = """
+import json, sys
+from IPython.core.completer import provisionalcompleter
+from IPython.core.interactiveshell import InteractiveShell
+
+shell = InteractiveShell.instance()
+assert shell.run_cell("import cm; board = cm.connect(); board.load('camera', 'edge_detection')").success
+with provisionalcompleter():
+    print(json.dumps({line: [c.text for c in shell.Completer.completions(line, len(line))] for line in sys.argv[1:]}))
+"""
+TYPED = {
+    'board.registers["thr': "threshold",
+    'board.registers["led.bl': "led.blink",
+    "board.registers.foc": "focus",
+    'board.interrupts["fra': "frame_done",
+    'board.memories["scr': "scratchpad",
+    "cm.conn": "connect",
+}
+
+
+def test_tab_in_ipython_completes_names_of_what_runs_as_it_is_set_up_by_default(
+    board: cm.Board, manager: Manager, tmp_path: Path
+) -> None:
+    """Its default looks into no property of objects that it does not know."""
+    assert board.mode == "default"
+    done = subprocess.run(
+        [sys.executable, "-c", COMPLETE, *TYPED],
+        env={**environment(), "CM_RUNTIME_DIR": str(manager.runtime), "IPYTHONDIR": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == {line: [name] for line, name in TYPED.items()}
 
 
 def outputs(notebook: Any, kind: str) -> list[str]:

@@ -40,6 +40,14 @@ class Memory:
         """Write rows of the first axis; together they must be whole words of 32 bits."""
         await self._board.run(memory.put(self.name, key, value, lease))
 
+    if not TYPE_CHECKING:  # for a type checker they would allow all
+
+        def __getitem__(self, key: Key) -> Any:
+            raise TypeError(f"await board.memories[{self.name!r}].get({key!r}): brackets cannot be awaited")
+
+        def __setitem__(self, key: Key, value: Any) -> None:
+            raise TypeError(f"await board.memories[{self.name!r}].put({key!r}, …): an assignment cannot be awaited")
+
     def __repr__(self) -> str:
         return f"<Memory {self.name}>"
 
