@@ -47,6 +47,7 @@ COMMANDS = (
     Command("irq", "cm.cli.irq", "list interrupts and wait for them"),
     Command("stream", "cm.cli.stream", "list, set, capture and play data streams"),
     Command("data", "cm.cli.data", "configure the data channels"),
+    Command("view", "cm.cli.view", "look at a stream in the terminal or a window"),
     Command("web", "cm.cli.web", "serve a page to look at a board through"),
     Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams", linux=True),
     Command(

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be seen of a frame, whatever its shape and numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+_MOST = 1e38  # of a signal: a float32 holds no more
+Bytes = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Visible:
+    """Rows × columns, or rows × columns × 3, of bytes.
+
+    `step`: only every so many-th pixel is there. `span`: the numbers that are black and white, where they were spread.
+    """
+
+    pixels: Bytes
+    step: int = 1
+    span: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outline:
+    """A signal: the least and the greatest value of each column."""
+
+    low: npt.NDArray[np.float64]
+    high: npt.NDArray[np.float64]
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Of all of it."""
+        return float(self.low.min()), float(self.high.max())
+
+
+def visible(values: Array, side: int) -> Visible:
+    """A frame of two axes or more as a picture of at most `side` pixels in each direction."""
+    while values.ndim > 3 or (values.ndim == 3 and values.shape[2] not in (1, 3, 4)):
+        values = values[0]  # the first of several planes
+    if values.ndim == 3:
+        values = values[:, :, 0] if values.shape[2] == 1 else values[:, :, :3]
+    step = max(1, -(-max(values.shape[:2]) // side))
+    return _bytes(values[::step, ::step], step)
+
+
+def _bytes(values: Array, step: int) -> Visible:
+    if values.dtype == np.uint8:
+        return Visible(values, step)
+    numbers = _real(values)
+    finite = numbers[np.isfinite(numbers)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    with np.errstate(all="ignore"):  # of what is not finite, or nearly
+        scaled = (numbers - low) / (high - low) * 255.0 if high > low else np.zeros_like(numbers)
+    pixels = np.nan_to_num(scaled, nan=0.0, posinf=255.0, neginf=0.0).clip(0, 255).astype(np.uint8)
+    return Visible(pixels, step, (low, high))
+
+
+def outline(values: Array, columns: int) -> Outline:
+    """A signal in at most so many columns."""
+    numbers = np.clip(np.nan_to_num(_real(values.ravel()), posinf=0.0, neginf=0.0), -_MOST, _MOST)
+    edges = np.linspace(0, len(numbers), min(len(numbers), columns) + 1).astype(np.int64)[:-1]
+    return Outline(np.minimum.reduceat(numbers, edges), np.maximum.reduceat(numbers, edges))
+
+
+def plotted(signal: Outline, width: int, height: int) -> Bytes:
+    """A signal as a picture, white on black."""
+    low, high = signal.span
+    scale = (height - 1) / (high - low) if high > low else 0.0
+    places = np.minimum(np.arange(width) * len(signal.low) // width, len(signal.low) - 1)
+    bottom = height - 1 - (signal.low[places] - low) * scale
+    top = height - 1 - (signal.high[places] - low) * scale
+    top[1:] = np.minimum(top[1:], bottom[:-1])  # from column to column without gaps
+    bottom[1:] = np.maximum(bottom[1:], top[:-1])
+    rows = np.arange(height)[:, np.newaxis]
+    drawn = (rows >= np.floor(top)) & (rows <= np.ceil(bottom))
+    return np.where(drawn, np.uint8(255), np.uint8(0))
+
+
+def fitted(pixels: Bytes, width: int, height: int) -> Bytes:
+    """A picture in at most so many pixels, with its proportions; smaller ones by the mean of what falls together."""
+    rows, columns = pixels.shape[:2]
+    factor = min(width / columns, height / rows)
+    wide, tall = max(1, round(columns * factor)), max(1, round(rows * factor))
+    return resized(pixels, min(wide, width), min(tall, height))
+
+
+def resized(pixels: Bytes, width: int, height: int) -> Bytes:
+    """A picture of exactly so many pixels."""
+    return _along(_along(pixels, height, 0), width, 1)
+
+
+def _along(pixels: Bytes, length: int, axis: int) -> Bytes:
+    there = pixels.shape[axis]
+    if length >= there:
+        return pixels if length == there else pixels.take(np.arange(length) * there // length, axis)
+    edges = np.arange(length) * there // length
+    sums = np.add.reduceat(pixels, edges, axis, dtype=np.uint32)
+    counts = np.diff(np.append(edges, there))
+    shape = [1] * pixels.ndim
+    shape[axis] = length
+    return np.asarray(sums // counts.reshape(shape), np.uint8)
+
+
+def coloured(pixels: Bytes) -> Bytes:
+    """Rows × columns × 3, also of grey."""
+    return pixels if pixels.ndim == 3 else np.repeat(pixels[:, :, np.newaxis], 3, 2)
+
+
+def _real(values: Array) -> npt.NDArray[np.float64]:
+    with np.errstate(all="ignore"):
+        return np.abs(values).astype(np.float64) if np.iscomplexobj(values) else values.astype(np.float64)
