@@ -70,6 +70,7 @@ def python(request: pytest.FixtureRequest, installed: Path, tmp_path: Path) -> P
 
 def by_mypy(python: Path, program: Path) -> set[int]:
     """The lines in which it sees mistakes."""
+    pytest.importorskip("mypy", reason="needs mypy: make lint installs it")
     cache = REPOSITORY / ".mypy_cache/editors"
     done = subprocess.run(
         [sys.executable, "-m", "mypy", "--strict", "--cache-dir", cache, "--python-executable", python, program.name],
@@ -85,6 +86,8 @@ def by_mypy(python: Path, program: Path) -> set[int]:
 def by_pyright(python: Path, program: Path) -> set[int]:
     """The lines in which it sees mistakes."""
     command = [Path(sys.executable).parent / "pyright"]
+    if not command[0].exists():
+        pytest.skip("needs pyright: make lint installs it")
     asked = subprocess.run([*command, "--version"], capture_output=True, text=True, check=False)
     if asked.returncode != 0 or "pyright" not in asked.stdout:
         pytest.skip("needs_pyright: its program comes from the npm registry, which cannot be reached")
