@@ -26,7 +26,8 @@ SPLIT = {
     "tempfile": "io", "urllib": "netclient", "uuid": "netclient", "xml": "xml", "zipfile": "compression",
 }  # fmt: skip
 OTHERS = {
-    "aiohttp": "python3-aiohttp", "_cffi_backend": "python3-cffi", "fastjsonschema": "python3-fastjsonschema", "google": "python3-protobuf",
+    "aiohttp": "python3-aiohttp", "_cffi_backend": "python3-cffi", "fastjsonschema": "python3-fastjsonschema",
+    "google": "python3-protobuf",
     "jinja2": "python3-jinja2", "numpy": "python3-numpy", "yaml": "python3-pyyaml",
     "zmq": "python3-pyzmq",
 }  # fmt: skip
