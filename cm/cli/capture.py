@@ -101,7 +101,7 @@ class _Interrupt:
         self._before: Any = None
 
     def __enter__(self) -> _Interrupt:
-        with suppress(ValueError):  # not in the main thread: nobody can press it
+        with suppress(ValueError):  # not in the main thread, where no key press arrives
             self._before = signal.signal(signal.SIGINT, self._pressed)
         return self
 

@@ -50,7 +50,7 @@ def load_server_keys(path: Path) -> Security:
     if stat.S_IMODE(status.st_mode) & 0o077:
         raise ReadableKey(
             f"{path} can be read or written by others (mode {stat.S_IMODE(status.st_mode):04o}), who could pose as "
-            f"this board: chmod 600 {path}, and make new keys if somebody may have read it"
+            f"this board: chmod 600 {path}, and make new keys if someone may have read it"
         )
     return Security(keys["public"], keys["secret"])
 
@@ -77,7 +77,7 @@ def authorized_keys(server: Path, folder: Path | None) -> tuple[Keys, tuple[str,
         if first is not key and first.name != key.name:
             left_out.append(f"{file}: this key is left out: it is that of {first.name} already")
     if not found:
-        left_out.append(f"{place} holds no client's key, so that nobody can connect over TCP: 'cm keygen' makes one")
+        left_out.append(f"{place} holds no client's key, so that no client can connect over TCP: 'cm keygen' makes one")
     return tuple(found.values()), tuple(left_out)
 
 

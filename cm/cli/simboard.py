@@ -45,7 +45,7 @@ def _refuse_where_served(runtime: Path) -> None:
 
         FolderLock(runtime).release()  # raises, with who it is
     except OSError:
-        return  # nobody ever served there, or what is wrong is told by the daemon
+        return  # no manager ever served there, or what is wrong is told by the daemon
 
 
 def schema_of_build(build: Path, runtime: Path) -> Path:

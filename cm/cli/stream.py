@@ -89,8 +89,8 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     add("--direction", default="", help="s2mm or mm2s; changes nothing: refused unless it is the stream's")
     add("--cyclic", action=switch, default=None, help="a written frame is repeated until the next, or sent once")
     add("--backpressure", action=switch, default=None, help="the hardware waits for readers, or they lose frames")
-    add("--enable", action=switch, default=None, help="run it, or stop it, whoever listens")
-    add("--automatic", action="store_true", help="run it while somebody uses it, as before any --enable")
+    add("--enable", action=switch, default=None, help="run it, or stop it, with or without readers")
+    add("--automatic", action="store_true", help="run it while it is used, as before any --enable")
     add("--lease", default="", metavar="ID", help="one's own, where the stream's region is held")
     add("--force", action="store_true", help="although it is in use")
 

@@ -47,7 +47,7 @@ class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
             self._memory.from_device()
 
     def free(self) -> None:
-        """Give the memory back now: it is the device's no more, whoever still has arrays in it. Twice is fine."""
+        """Give the memory back now: it is the device's no more, even if there are still arrays in it. Twice is fine."""
         if self._memory is not None:
             self._memory.free()
 

@@ -62,7 +62,7 @@ def connect(
         timeout: seconds to wait for answers to all but `load`.
         keys: a client's key file (``cm keygen``), or the keys.
 
-    Raises NotFound where nobody serves, NoAnswer where nobody answers.
+    Raises NotFound where no manager serves, NoAnswer where none answers.
     """
     board = Board(endpoint, runtime_dir=runtime_dir, timeout=timeout, keys=keys)
     try:
@@ -335,7 +335,7 @@ class Board(Guarded):
     ) -> Memory:
         """Name `length` bytes at a physical address, until another configuration is loaded.
 
-        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; who may write must
+        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; one that may be written must
         not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
         all else that has a name in that window is in one. Raises RequestFailed.
         """

@@ -36,7 +36,7 @@ class DataConnection:
     """
 
     def __init__(self, folder: Path, wanted: Open) -> None:
-        """Connect and ask. Raises NotFound where nobody serves the folder's data socket."""
+        """Connect and ask. Raises NotFound where no manager serves the folder's data socket."""
         self.wanted = wanted
         self.memory: SlotMappings | None = None
         self._left: SlotMappings | None = None  # of frames that are held beyond `close`
@@ -119,7 +119,7 @@ class DataConnection:
         return lend(memory, head, self.names, self.give_back, self.generation)
 
     def give_back(self, memory: SlotMappings, frame: Descriptor) -> None:
-        """Release a frame; nobody is told if the stream was stopped meanwhile: its memory is not used again."""
+        """Release a frame; the manager is not told if the stream was stopped meanwhile: its memory is not used again."""
         memory.end(frame.slot)
         if memory is not self.memory and memory is not self._left:
             return

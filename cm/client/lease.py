@@ -33,7 +33,7 @@ class BoardLease:
         return self._wanted.scope
 
     def take(self) -> str:
-        """Take it; returns its id. Raises RequestBusy with who holds it."""
+        """Take it; returns its id. Raises RequestBusy with the holder's name."""
         self.id = self._board.ask(calls.lease(self._wanted)).id
         self._held.add(self.id)
         return self.id

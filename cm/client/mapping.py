@@ -50,7 +50,7 @@ class SlotMappings:
         return len(self._maps)
 
     def take(self, slot: int) -> mmap.mmap:
-        """The mapping of a slot, which lives from here on as long as somebody else refers to it."""
+        """The mapping of a slot, which lives from here on as long as something else refers to it."""
         return self._maps.pop(slot)
 
     def is_begun(self, slot: int) -> bool:

@@ -100,14 +100,14 @@ def notebook_display() -> Callable[..., Any] | None:
 
 
 class Shown:
-    """Who is told of a load's progress, as `load(progress=)` says: a context manager around the load.
+    """What is told of a load's progress, as `load(progress=)` says: a context manager around the load.
 
     A function is called with each `Progress`. None draws a bar in a notebook, True on a terminal too, False nowhere.
     """
 
     def __init__(self, progress: OnProgress | bool | None, config: str, mode: str) -> None:
         self._bar: TextBar | None = None
-        self.tell: OnProgress | None = None  # None: nobody wants to know
+        self.tell: OnProgress | None = None  # None: nothing is told
         if callable(progress):
             self.tell = progress
         elif progress is not False:

@@ -69,7 +69,7 @@ class MemoryTransfers:
         job = self._waiting[0]
         try:
             problem, ended = None, job.transfer.step()
-        except Exception as error:  # noqa: BLE001 (handed to who asked)
+        except Exception as error:  # noqa: BLE001 (handed to the client that asked)
             problem, ended = error, True
         if ended:
             self._waiting.popleft()

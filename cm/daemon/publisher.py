@@ -41,7 +41,7 @@ class XpubSender:
         self._hopeless_until = 0.0
 
     def send(self, message: Sequence[Any]) -> None:
-        """Send a short message. Only who has left its queue full for a while does not get it."""
+        """Send a short message. Only a subscriber that has left its queue full for a while does not get it."""
         for pause in _PAUSES:
             try:
                 self._loop.send(self._socket, message, _NOBLOCK)

@@ -15,7 +15,7 @@ SIZES = (64, 4096, 65536, 1 << 20, *sorted(IMAGES))
 KINDS = ("zmq", "zmq_tcp", "zenoh", "cyclonedds", "iceoryx2")
 NAMES = {"zmq": "pyzmq ipc", "zmq_tcp": "pyzmq tcp", "zenoh": "zenoh, shared memory"}
 NAMES |= {"cyclonedds": "cyclonedds (Python)", "iceoryx2": "iceoryx2, events only"}
-SLOW_US = 50_000  # who takes longer for a trip makes fewer
+SLOW_US = 50_000  # a peer that takes longer for a trip makes fewer
 OURS: dict[str, Callable[[Run, int], AbstractContextManager[Batch]]] = {
     "fpga-cm, descriptors": echoed,
     "fpga-cm, through the simulated PL": looped,

@@ -20,7 +20,7 @@ MEMORY = Goal(48)
 IDLE = Goal(0.5)
 RAN = (
     "cm serve --sim, camera example: from the start of the process to its first reply, on all CPUs (the simulator "
-    "starts beside it); memory and processor of the manager's process when its mode was entered and nobody listens"
+    "starts beside it); memory and processor of the manager's process when its mode was entered, without readers"
 )
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """``cm completion names``: what may stand in a command line, of the manager and the board that it speaks of.
 
-It runs at each Tab, so it is silent where nobody serves, gives up soon, and imports neither numpy nor the clients.
+It runs at each Tab, so it is silent where no manager serves, gives up soon, and imports neither numpy nor the clients.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change of the asyncio client that nobody waits for yet."""
+"""A change of the asyncio client, to be waited for later."""
 
 from __future__ import annotations
 

@@ -164,7 +164,7 @@ class Link:
                 await teller
 
     async def close(self) -> None:
-        """Disconnect; twice is fine. Who waits gets BoardClosed."""
+        """Disconnect; twice is fine. Calls that wait get BoardClosed."""
         tasks, self._tasks = self._tasks, ()
         for task in tasks:
             task.cancel()
@@ -174,7 +174,7 @@ class Link:
 
 
 def _hand_on(waiting: asyncio.Future[Any], sending: asyncio.Future[Any]) -> None:
-    """What goes wrong when it is sent, to who waits for the reply."""
+    """What goes wrong when it is sent, to the call that waits for the reply."""
     problem = None if sending.cancelled() else sending.exception()
     if problem is not None and not waiting.done():
         waiting.set_exception(problem)

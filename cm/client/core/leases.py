@@ -41,7 +41,7 @@ class HeldLeases:
 
 def wanted(scope: str, exclusive: bool, seconds: float, holder: str, local: bool) -> TakeLease:
     """The request for a new one. On the manager's machine it ends with this process."""
-    pid = os.getpid() if local else 0  # a number of another machine would name somebody else here
+    pid = os.getpid() if local else 0  # a number of another machine would name another process here
     return TakeLease(scope, exclusive, seconds, holder=holder or f"pid {os.getpid()}", pid=pid)
 
 

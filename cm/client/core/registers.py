@@ -34,7 +34,7 @@ def names(info: Mapping[str, RegisterInfo]) -> list[str]:
 
 
 def not_by_attribute(name: str, value: Any) -> str:
-    """What is said to whoever writes ``registers.focus = 9``."""
+    """What is said to a user who writes ``registers.focus = 9``."""
     return (
         f"registers are written by name: registers.write({{{name!r}: {value!r}}}), or registers[{name!r}] = {value!r}"
     )

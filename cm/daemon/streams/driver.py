@@ -160,7 +160,7 @@ class StreamDriver:
         try:
             opened = OpenStream(self.plane, self._devices.dma(stream.channel), stream)
         except DeviceTimeout:
-            with suppress(OSError):  # then the next who opens it finds out anew
+            with suppress(OSError):  # then the next client that opens it finds out anew
                 self._stalled.probe(stream)
                 self._policy.after(stream.name, StreamEvent.STALL)
             raise

@@ -27,7 +27,7 @@ class StreamStopped(Busy):
 class StreamPhase(str, Enum):
     """Where a stream is."""
 
-    CLOSED = "closed"  # nobody needs it
+    CLOSED = "closed"  # it is not needed
     OPEN = "open"  # its channel runs
     HELD = "held"  # stopped while its region changes
     STALLED = "stalled"  # its channel does not answer: a simulated board that is stopped
@@ -122,11 +122,11 @@ class StreamOverrides:
         return stream
 
     def runs(self, name: str) -> bool | None:
-        """Whether a stream shall run whoever listens; None: nobody has said."""
+        """Whether a stream shall run, used or not; None: no client has said."""
         return self._runs.get(name)
 
     def mode_changed(self) -> None:
-        """What a mode has is the schema's until somebody changes it again; what runs runs on."""
+        """What a mode has is the schema's until a client changes it again; what runs runs on."""
         self._set.clear()
         self._runs = {name: True for name, runs in self._runs.items() if runs}
 
@@ -194,7 +194,7 @@ class StreamPolicy:
         return self.phase(name) in (_P.HELD, _P.HELD_STALLED)
 
     def may_run(self, name: str) -> bool:
-        """Whether a stream can be opened for whoever asks."""
+        """Whether a stream can be opened for a client."""
         return self.phase(name) in (_P.CLOSED, _P.OPEN) and self._overrides.runs(name) is not False
 
     def check_may_run(self, name: str) -> None:
@@ -207,7 +207,7 @@ class StreamPolicy:
             raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")
 
     def set_to_run(self, name: str) -> bool:
-        """Whether a client has set a stream to run whoever listens."""
+        """Whether a client has set a stream to run, used or not."""
         return bool(self._overrides.runs(name))
 
     def override(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:

@@ -144,14 +144,14 @@ class Streams:
     def open_local(self, connection: socket.socket, wanted: Open) -> None:
         """Make a connection to the data socket a reader or writer; the caller closes it.
 
-        Raises UnknownStream, NoSlots; HeldBy for who writes, or could hold the hardware up, beside a lease.
+        Raises UnknownStream, NoSlots; HeldBy for a client without the lease that writes, or could hold the hardware up.
         """
         stream = self.named(wanted.name, Direction.MM2S if wanted.write else Direction.S2MM)
         if wanted.write or stream.backpressure:
             self.check_lease(stream, wanted.lease)
         driver = self._driver
         driver.locals.adopt(connection, wanted, lambda client, peer: driver.attach(stream, client, wanted.depth, peer))
-        if stream.name not in driver.open:  # so that who asks need not guess from silence
+        if stream.name not in driver.open:  # so that the client need not guess from silence
             connection.send(Descriptor(kind=STOPPED).pack())
 
     def status(self) -> tuple[StreamStatus, ...]:

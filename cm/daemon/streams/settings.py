@@ -75,7 +75,7 @@ def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
         raise InvalidRequest(f"{name}: channel {info.name} is a VDMA's: its frames have a shape of lines and columns")
     if video and not info.caps & DmaCaps.VIDEO:
         raise InvalidRequest(f"{name} has a stride, but channel {info.name} knows no lines")
-    # What is read goes round the slots anyway; the hardware must not do it by itself, under who holds one.
+    # What is read goes round the slots anyway; the hardware must not do it by itself, as readers may hold one.
     cyclic = stream.cyclic and write
     if cyclic and not video and not info.caps & DmaCaps.CYCLIC:
         raise InvalidRequest(f"{name} cannot be cyclic: channel {info.name} cannot repeat a transfer")

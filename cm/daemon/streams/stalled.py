@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams whose channel does not answer: a simulated board that is stopped. Nobody waits for it twice."""
+"""Streams whose channel does not answer: a simulated board that is stopped. No request waits for it twice."""
 
 from __future__ import annotations
 

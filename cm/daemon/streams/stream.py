@@ -74,7 +74,7 @@ class OpenStream:
             raise
 
     def start(self) -> None:
-        """Let frames come: who is attached by now misses none."""
+        """Let frames come: clients that are attached by now miss none."""
         self._started = True
         self._hand_over()
 
