@@ -200,6 +200,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         queue_bytes=queue,
         firmware_dir=said.firmware_dir,
         limits=limits_of(said),
+        example=example,
         quota=Quota(said.limits.provisioned_each_mib << 20, said.limits.provisioned_mib << 20),
         unsigned=said.policy.signatures != "require",
         reload=partial(read_again, args, paths, settings),

@@ -76,8 +76,10 @@ class TransferFailed(CmError):
 
 
 _KINDS: dict[str, type[RequestFailed]] = {
-    **dict.fromkeys(("busy", "region_busy", "held_by", "stream_stopped", "no_slots"), RequestBusy),
-    **dict.fromkeys(("invalid_request", "access", "out_of_range", "schema", "unsupported"), RequestInvalid),
+    **dict.fromkeys(("busy", "region_busy", "held_by", "stream_stopped", "no_slots", "quota"), RequestBusy),
+    **dict.fromkeys(
+        ("invalid_request", "access", "out_of_range", "schema", "unsupported", "config_reserved"), RequestInvalid
+    ),
     "forbidden": RequestForbidden,
     **dict.fromkeys(("timeout", "step_timeout"), RequestTimeout),
     **dict.fromkeys(

@@ -16,7 +16,7 @@ from cm import multipart
 from cm.client.core.calls import Call
 from cm.client.core.effects import AskBeside, Deadline, Flow, Pause, Receive, seconds
 from cm.client.core.requests import Requests, result
-from cm.client.sockets import Socket, Sockets, closed
+from cm.client.sockets import Socket, Sockets, closed, not_subscribed
 
 _T = TypeVar("_T")
 _NOBLOCK = int(zmq.NOBLOCK)
@@ -28,15 +28,20 @@ class Subscription:
 
     def __init__(self, sockets: Sockets, topics: tuple[bytes, ...], depth: int = 0) -> None:
         self._sockets = sockets
-        self.socket: Socket = sockets.subscriber(topics, depth)
+        self.socket: Socket
+        self.socket, self._monitor = sockets.subscriber(topics, depth)
+        self._sources: list[tuple[Any, int]] = [(self.socket, _POLLIN), (self._monitor, _POLLIN)]
 
     def receive(self, timeout: float | None) -> list[bytes] | None:
-        """The next message; None if there is none within `timeout` seconds. Raises BoardClosed."""
+        """The next message; None if there is none within `timeout` seconds. Raises BoardClosed, NotAdmitted."""
         if self.socket.closed:
             raise closed(self._sockets.endpoints.req)
-        if not self.socket.poll(None if timeout is None else _milliseconds(timeout)):
-            return None
-        return self.socket.recv_multipart()
+        ready = dict(zmq_poll(self._sources, -1 if timeout is None else _milliseconds(timeout)))
+        if self.socket in ready:
+            return self.socket.recv_multipart()
+        if ready:
+            raise not_subscribed(self._sockets.endpoints.pub)
+        return None
 
     def fileno(self) -> int:
         """Readable when something may have come; then take all there is (zmq_getsockopt(3), ZMQ_FD)."""
@@ -48,7 +53,9 @@ class Subscription:
 
     def close(self) -> None:
         """Twice is fine."""
-        self._sockets.end(self.socket)
+        if not self.socket.closed:
+            self.socket.disable_monitor()
+        self._sockets.end(self._monitor, self.socket)
 
 
 class Link:

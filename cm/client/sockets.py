@@ -9,7 +9,7 @@ import zmq
 
 from cm.client.address import Keys
 from cm.client.core.handshake import EVENTS, Handshake
-from cm.client.errors import BoardClosed
+from cm.client.errors import BoardClosed, NotAdmitted
 from cm.wire.topics import Endpoints
 
 Socket = zmq.Socket[bytes]
@@ -63,12 +63,17 @@ class Sockets:
         return socket, monitor, Handshake(self.endpoints.req, self._keys is not None)
 
     def subscriber(self, topics: tuple[bytes, ...], depth: int = 0) -> Any:
-        """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number). Raises BoardClosed."""
+        """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number), and its monitor.
+
+        That is readable once the manager does not let us subscribe. Raises BoardClosed.
+        """
         socket = self._new(zmq.SUB, depth)
+        monitor = socket.get_monitor_socket(zmq.EVENT_HANDSHAKE_FAILED_AUTH)
+        self._open.add(monitor)
         for topic in topics:
             socket.setsockopt(zmq.SUBSCRIBE, topic)
         socket.connect(self.endpoints.pub)
-        return socket
+        return socket, monitor
 
     def _new(self, kind: int, depth: int = 0) -> Any:
         if self.closed:
@@ -87,6 +92,14 @@ class Sockets:
         """Close all; twice is fine."""
         self.end(*self._open)
         self._context.destroy(linger=0)
+
+
+def not_subscribed(address: str) -> NotAdmitted:
+    """What is raised where the manager does not let us subscribe."""
+    return NotAdmitted(
+        f"the manager at {address} does not let us subscribe: that takes the right to observe everything; "
+        "ask for what is allowed instead"
+    )
 
 
 def closed(address: str) -> BoardClosed:

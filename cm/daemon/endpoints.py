@@ -172,7 +172,7 @@ class Sockets:
         for socket, address in zip(self.all, (self.ipc.pub, self.ipc.sub, self.ipc.req), strict=True):
             path = Path(address.removeprefix("ipc://"))
             path.unlink(missing_ok=True)
-            socket.setsockopt_string(zmq.ZAP_DOMAIN, IPC)
+            self._name(socket, IPC)
             _bind(socket, address)
             share(path, self._group)
 
@@ -206,10 +206,14 @@ class Sockets:
             return wanted
         raise InvalidRequest(f"cannot listen on tcp://{host}:0: no three ports in a row are free")
 
+    def _name(self, socket: zmq.Socket[bytes], transport: str) -> None:
+        """What the authenticator is told of connections to what is bound from now on."""
+        socket.setsockopt_string(zmq.ZAP_DOMAIN, f"{transport} pub" if socket is self.pub else transport)
+
     def _secure(self, security: Security | None) -> None:
         """For what is bound from now on."""
         for socket in self.all:
-            socket.setsockopt_string(zmq.ZAP_DOMAIN, TCP if security is None else CURVE)
+            self._name(socket, TCP if security is None else CURVE)
             if security is not None:
                 socket.curve_server = True
                 socket.curve_publickey = security.public_key

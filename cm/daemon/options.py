@@ -36,6 +36,7 @@ class Options:
     queue_bytes: int = BYTES  # of frames that may wait for one subscriber over ZeroMQ
     firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
     quota: Quota = Quota()  # noqa: RUF009 (frozen)
+    example: bool = False  # `configs` are the shipped ones, which clients may replace
     unsigned: bool = True  # whether clients may provision configurations, which nobody can have signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
     changed: Callable[[], object] | None = None  # what is other once settings or keys are; asked every second

@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 
 import zmq
 
@@ -94,7 +95,7 @@ class Server:
 
     def _configs(self) -> dict[str, Config]:
         self._provisioner.recover()
-        named = self._provisioner.standing(self._options.configs)
+        named = self._provisioner.standing(self._options.configs, self._options.example)
         return {name: self._with_channels(config) for name, config in named.items()}
 
     def _environment(self) -> Environment:
@@ -104,7 +105,8 @@ class Server:
 
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
-        aside = self._aside, loop.call_threadsafe, self._provisioner.standing, self._with_channels
+        standing = partial(self._provisioner.standing, example=o.example)
+        aside = self._aside, loop.call_threadsafe, standing, self._with_channels
         surroundings = Surroundings(self._manager, self._sessions.renew, self._service, *aside, o.reload, o.changed)
         return Reloader(surroundings, o.configs)
 

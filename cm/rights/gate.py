@@ -83,11 +83,18 @@ class Gate:
         return self._current(connection).everywhere
 
     def enter(self, domain: str, address: str, mechanism: str, key: str) -> str | None:
-        """The id of a new connection; None for who may do nothing at all."""
-        who = introduced(domain, address, mechanism, key)
-        if self.rights(who.id).role == Role.NONE:
+        """The id of a new connection; None for who may do nothing at all.
+
+        Over the socket of what is published, only who may look at everything: ZeroMQ hands out by prefixes, and has
+        no safe way to refuse one of them to one subscriber (docs/security.md).
+        """
+        transport, _, publishes = domain.partition(" ")
+        who = introduced(transport, address, mechanism, key)
+        rights = self.rights(who.id)
+        if rights.role == Role.NONE or (publishes and rights.everywhere < Role.OBSERVE):
             known = self.principal(who.id) if who.id else replace(NOBODY, address=address)
-            self.audit.note(who.account, "enter", lambda: f"refused: {known} is not let in", logging.WARNING)
+            said = f"refused: {known} is not let in{_where(publishes)}"
+            self.audit.note(who.account, f"enter {publishes}", lambda: said, logging.WARNING)
             return None
         if self._origins is not None and who.address:
             self._origins.setdefault(who.address.removeprefix("::ffff:"), set()).add(who)
@@ -144,6 +151,10 @@ class Gate:
     def check(self, connection: str, *needs: Need) -> None:
         """Raise Forbidden for what is not allowed."""
         check(self.principal(connection), self.rights(connection), *needs)
+
+
+def _where(publishes: str) -> str:
+    return " to what is published, which takes the right to observe everything" if publishes else ""
 
 
 def check(who: Principal, rights: Rights, *needs: Need) -> None:

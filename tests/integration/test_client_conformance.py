@@ -186,9 +186,21 @@ def test_watching_begins_with_what_is(board: Any) -> None:
 
 def test_a_configuration_can_be_sent(board: Any, sim: SimBoard, tmp_path: Path) -> None:
     schema = tmp_path / "camera.yaml"
-    schema.write_text((CAMERA / "camera.yaml").read_text())
+    text = (CAMERA / "camera.yaml").read_text()
     files = sorted((sim.root / "lib/firmware/cm/camera").iterdir())
-    assert board.provision(schema, *files).name == "camera"
+    schema.write_text(text)
+    with pytest.raises(RequestInvalid, match="the administrator's"):
+        board.provision(schema, *files)
+    schema.write_text(text.replace("name: camera", "name: sent", 1))
+    assert board.provision(schema, *files).name == "sent"
+    (entry,) = [entry for entry in board.config_entries() if entry.name == "sent"]
+    assert (entry.origin, entry.bytes > 10_000, "uid" in entry.owner or "without a key" in entry.owner) == (
+        "client",
+        True,
+        True,
+    )
+    board.remove_config("sent")
+    assert [entry.origin for entry in board.config_entries()] == ["administrator"]
 
 
 # ---- leases ---------------------------------------------------------------------------------------

@@ -33,7 +33,7 @@ class Guarded:
         settings = folder / "cm.yaml"
         settings.write_text(
             f"listen: ['tcp://127.0.0.1:0']\nkeys: {self.keys}/server.key\nstate_dir: {folder}/state\nlog: warning\n"
-            "access: {roles: {tuner: {role: operate, registers: [focus]}}}\n"
+            "access: {roles: {tuner: {role: operate, registers: [focus]}, clerk: {role: observe, topics: cm_status}}}\n"
         )
         arguments = ("--settings", str(settings), "--config", str(CAMERA), "--root", str(board))
         self.manager = Manager(folder / "run", *arguments, service=True).start()
@@ -133,6 +133,34 @@ def test_a_narrow_role_reaches_its_registers_and_no_others(guarded: Guarded) -> 
         with pytest.raises(Forbidden, match="register 'zoom'"):
             board.registers.write({"focus": 1, "zoom": 2})
         assert board.registers["focus"] == 3  # all or nothing
+
+
+def test_who_may_not_look_at_everything_asks_and_does_not_subscribe(guarded: Guarded) -> None:
+    path = guarded.key("clerk", "clerk")
+    until(lambda: _knows(guarded, "clerk"))
+    with guarded.connect("clerk") as board:
+        assert board.status.mode == "default"
+        with pytest.raises(Forbidden, match="cm_read_reg"):
+            board.registers["focus"]
+        with pytest.raises(Forbidden, match="does not let us subscribe"), board.watch(timeout=30) as events:
+            events.next()
+        assert board.status.mode == "default"
+
+    async def twin() -> None:
+        async with cm.aio.connect(guarded.address, keys=path, timeout=30) as board:
+            with pytest.raises(Forbidden, match="does not let us subscribe"):
+                async with board.watch(timeout=30) as events:
+                    await events.next()
+
+    asyncio.run(twin())
+
+
+def _knows(guarded: Guarded, name: str) -> bool:
+    try:
+        with guarded.connect(name) as board:
+            return bool(board.status.mode)
+    except Forbidden:
+        return False
 
 
 def test_a_key_that_is_taken_away_ends_its_sessions_while_others_go_on(guarded: Guarded) -> None:

@@ -16,7 +16,7 @@ from cm.client.core.calls import Call
 from cm.client.core.effects import Ask, AskBeside, Flow, Pause, Receive, seconds
 from cm.client.core.handshake import Handshake
 from cm.client.core.requests import Requests, result
-from cm.client.sockets import Sockets, closed
+from cm.client.sockets import Sockets, closed, not_subscribed
 
 _T = TypeVar("_T")
 
@@ -26,15 +26,22 @@ class Subscription:
 
     def __init__(self, sockets: Sockets, topics: tuple[bytes, ...], depth: int = 0) -> None:
         self._sockets = sockets
-        self.socket: zmq.asyncio.Socket = sockets.subscriber(topics, depth)
+        self.socket: zmq.asyncio.Socket
+        self.socket, self._monitor = sockets.subscriber(topics, depth)
+        self._poller = zmq.asyncio.Poller()
+        for source in (self.socket, self._monitor):
+            self._poller.register(source, zmq.POLLIN)
 
     async def receive(self, timeout: float | None) -> list[bytes] | None:
-        """The next message; None if there is none within `timeout` seconds. Raises BoardClosed."""
+        """The next message; None if there is none within `timeout` seconds. Raises BoardClosed, NotAdmitted."""
         if self.socket.closed:
             raise closed(self._sockets.endpoints.req)
-        if not await self.socket.poll(None if timeout is None else int(timeout * 1000) + (timeout > 0)):
-            return None
-        return await self.socket.recv_multipart()
+        ready = dict(await self._poller.poll(-1 if timeout is None else int(timeout * 1000) + (timeout > 0)))
+        if self.socket in ready:
+            return await self.socket.recv_multipart()
+        if ready:
+            raise not_subscribed(self._sockets.endpoints.pub)
+        return None
 
     def fileno(self) -> int:
         """Readable when something may have come; then take all there is (zmq_getsockopt(3), ZMQ_FD)."""
@@ -46,7 +53,9 @@ class Subscription:
 
     def close(self) -> None:
         """Twice is fine."""
-        self._sockets.end(self.socket)
+        if not self.socket.closed:
+            self.socket.disable_monitor()
+        self._sockets.end(self._monitor, self.socket)
 
 
 class Link:

@@ -73,8 +73,13 @@ class Provisioner:
                 found[config.name] = config
         return found
 
-    def standing(self, administrators: Mapping[str, Config]) -> dict[str, Config]:
-        """All configurations: the administrator's, and what clients sent under other names."""
+    def standing(self, administrators: Mapping[str, Config], example: bool = False) -> dict[str, Config]:
+        """All configurations: the administrator's, and what clients sent under other names.
+
+        `example`: nobody brought the first, they are what there is to play with; what is sent takes their place.
+        """
+        if example:
+            return {**administrators, **self.configs()}
         self.reserved = frozenset(administrators)
         sent = self.configs()
         for name in sorted(sent.keys() & administrators.keys()):
