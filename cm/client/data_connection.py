@@ -119,7 +119,7 @@ class DataConnection:
         return lend(memory, head, self.names, self.give_back, self.generation)
 
     def give_back(self, memory: SlotMappings, frame: Descriptor) -> None:
-        """Release a frame; the manager is not told if the stream was stopped meanwhile: its memory is not used again."""
+        """Release a frame; if the stream was stopped meanwhile nothing is sent: its memory is not used again."""
         memory.end(frame.slot)
         if memory is not self.memory and memory is not self._left:
             return

@@ -64,7 +64,7 @@ class Order:
 
     A change of mode, a configuration that is stored and a memory that is written take time, and the manager goes on
     serving meanwhile. A write that came after one of them, from the same sender, waits where it would be overwritten
-    or refused by it; what came after that write waits behind it. No sender waits for another sender's requests. A sender
+    or refused by it; what came after that write waits behind it. No sender waits for another's requests. A sender
     is a connection to the socket of requests; all who publish to the other socket are one sender together.
     """
 

@@ -307,7 +307,7 @@ class Board(Guarded):
     ) -> Memory:
         """Name `length` bytes at a physical address, until another configuration is loaded.
 
-        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; one that may be written must
+        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; writable ones must
         not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
         all else that has a name in that window is in one. Raises RequestFailed.
         """
