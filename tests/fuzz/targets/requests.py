@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Requests as they come from ZeroMQ: decoded, or refused with InvalidRequest.
 
-What is decoded keeps its meaning when it is encoded and decoded once more.
+The line of the log that tells of one is printable, and what is decoded keeps its meaning when it is encoded and
+decoded once more.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from pieces import join, split
 
 from cm.errors import InvalidRequest
 from cm.messages import requests as rq
+from cm.rights.audit import described
+from cm.rights.principal import NOBODY
 from cm.wire import cm_pb2 as pb
 from cm.wire import topics
 from cm.wire.decode import decode_request
 from cm.wire.encode import encode_request
 
-PACKAGES = ("cm.wire",)
+PACKAGES = ("cm.wire", "cm.rights")
 MAX_LENGTH = 4096
 
 
@@ -53,4 +56,5 @@ def _requests() -> list[rq.Request]:
 def one(data: bytes) -> None:
     with suppress(InvalidRequest):
         request = decode_request(encode_request(decode_request(split(data))))  # with the hashes of files
+        assert described(NOBODY, request).isprintable(), "a line of the log is made of what the request says"
         assert repr(decode_request(encode_request(request))) == repr(request)  # repr: NaN is not equal to itself
