@@ -3,7 +3,13 @@
 #
 # Build the modules against the kernels of several Debian suites.
 #
-#   matrix.sh [SUITE:ARCH…]      default: all below
+#   matrix.sh [SUITE:ARCH…]              default: all below
+#   LINUX_XLNX=DIR matrix.sh [linux-xlnx:ARCH…]   a kernel tree of one's own, such
+#                                        as Xilinx' linux-xlnx; default arm64
+#
+# A tree of one's own must be configured (make ARCH=… defconfig, xilinx_defconfig
+# or xilinx_zynq_defconfig, then modules_prepare); without the Module.symvers of
+# a whole build modpost's warnings of missing symbols are left out.
 #
 # Prints one line for each: built, FAILED, or skipped and why.  KMOD_W=1 adds
 # the kernel's own extra warnings, KMOD_SPARSE=1 sparse; any warning of either
@@ -13,6 +19,7 @@ set -u
 
 here=$(cd "$(dirname "$0")" && pwd)
 out=${KMOD_OUT:-${CM_VM_CACHE:-${XDG_CACHE_HOME:-$HOME/.cache}/cm-vm}/kmod}
+[ $# -gt 0 ] || [ -z "${LINUX_XLNX:-}" ] || set -- linux-xlnx:arm64
 [ $# -gt 0 ] || set -- bullseye:arm64 bookworm:arm64 bookworm:armhf bookworm:amd64 trixie:arm64 sid:arm64
 
 failed=0
@@ -45,7 +52,15 @@ for pair in "$@"; do
 	fi
 	log=$out/$suite-$arch.log
 	mkdir -p "$out/$suite-$arch"
-	if ! kdir=$("$here/headers.sh" "$suite" "$arch" 2>"$log"); then
+	if [ "$suite" = linux-xlnx ]; then
+		kdir=${LINUX_XLNX:?matrix.sh: say where the tree is: LINUX_XLNX=DIR}
+		if [ ! -e "$kdir/include/generated/autoconf.h" ]; then
+			echo "skipped  $suite/$arch: $kdir is not prepared (make ARCH=… modules_prepare)"
+			skipped=1
+			continue
+		fi
+		[ -e "$kdir/Module.symvers" ] || extra="$extra KBUILD_MODPOST_WARN=1"
+	elif ! kdir=$("$here/headers.sh" "$suite" "$arch" 2>"$log"); then
 		echo "skipped  $suite/$arch: $(tail -n 1 "$log")"
 		skipped=1
 		continue
@@ -61,7 +76,9 @@ for pair in "$@"; do
 		failed=1
 	else
 		modules=$(cd "$out/$suite-$arch" && echo *.ko)
-		echo "built    $suite/$arch: $(basename "$kdir" | sed 's/linux-headers-//') $modules"
+		release=$(basename "$kdir" | sed 's/linux-headers-//')
+		[ "$suite" != linux-xlnx ] || release="$(cat "$kdir/include/config/kernel.release") $(git -C "$kdir" log -1 --format='%h %cs' 2>/dev/null)"
+		echo "built    $suite/$arch: $release $modules"
 	fi
 done
 if [ $failed = 1 ]; then exit 1; fi

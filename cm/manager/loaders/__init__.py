@@ -37,6 +37,18 @@ class Loaders:
         """The loader of a kind."""
         return self._all[kind]
 
+    def instead(self, job: Job, schema: Config, refused: Exception) -> tuple[Loader, Choice]:
+        """What loads after the ICAP has refused a load, where the schema leaves the port open. Raises `refused`."""
+        region = schema.regions.get(job.region.name) if job.region else None
+        chosen = job.region.loader if job.region else None
+        if region is None or region.loader is not LoaderKind.AUTO or chosen is not LoaderKind.ICAP:
+            raise refused
+        if _against_fpga_manager(job.port, self._devices):
+            raise refused
+        other = self._all[LoaderKind.FPGA_MANAGER]
+        other.check(job)
+        return other, Choice(LoaderKind.FPGA_MANAGER, f"icap: {refused}")
+
     def prefetch(self, jobs: Iterable[Job], go_on: Callable[[], bool] = lambda: True) -> None:
         """Keep these images ready where their loader can, and no others; asks `go_on` before each."""
         self._icap.prefetch([j for j in jobs if j.region and j.region.loader is LoaderKind.ICAP], go_on)

@@ -92,6 +92,11 @@ def test_the_clocks_of_the_design_run_at_the_rate_that_it_asks_for(made: Design,
         assert clock["rate"] - clock["rate"] // 50 <= rate <= clock["rate"]
 
 
+def test_a_design_behind_a_coherent_port_needs_no_cache_maintenance(made: Design, applied: device.Overlays) -> None:
+    told = Path("/sys/class/cm_dma/cm_dma!camera/coherent").read_text().strip()
+    assert told == str(int(made.folder.name.endswith("-coherent")))
+
+
 def test_each_modules_overlay_is_bound_and_goes_again(made: Design, applied: device.Overlays) -> None:
     for name in module_overlays(made):
         blob = made.overlay(name)

@@ -226,6 +226,21 @@ def test_a_video_frame_is_received_and_nothing_is_written_after_its_end() -> Non
         assert buffer.array(0, lines * stride).reshape(lines, stride)[:, :line].tobytes() == words(9999, lines * line)
 
 
+# PG020, S2MM_VDMASR: SOFEarlyErr, SOFLateErr; the channel goes on
+
+
+@pytest.mark.parametrize("size", [FRAME - 4, FRAME + 4])
+def test_a_frame_of_another_size_is_dropped_and_the_next_one_is_told(size: int) -> None:
+    lines, line = 32, FRAME // 32
+    with device.AxiDma.open("vdma_in") as channel, channel.allocate(FRAME) as buffer:
+        channel.submit_video(buffer, lines, line, line, cookie=1)
+        VDMA.give(words(5, size))
+        VDMA.give(words(9, FRAME))
+        done = channel.wait(PATIENCE)
+        assert (done.cookie, done.status, done.length) == (1, 0, FRAME)
+        assert buffer.array(0, FRAME).tobytes() == words(9, FRAME)
+
+
 def test_a_vdma_refuses_a_transfer_without_lines() -> None:
     opened = device.AxiDma.open("vdma_in")
     with opened as channel, channel.allocate(FRAME) as buffer, pytest.raises(device.DeviceError):

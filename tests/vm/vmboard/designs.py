@@ -48,9 +48,16 @@ def _on_kv260(schema: dict[str, Any]) -> None:
         region["interfaces"][name] = {"connect": "none"}
 
 
+def _coherent(schema: dict[str, Any]) -> None:
+    """Behind a port that snoops the processors' caches."""
+    _on_kv260(schema)
+    schema["static"] = {"coherent": True}
+
+
 DESIGNS = (
     Design("camera-pynq-z2", "zynq7000", 0x40000000, _as_shipped),
     Design("camera-kv260", "zynqmp", 0xA0000000, _on_kv260),
+    Design("camera-kv260-coherent", "zynqmp", 0xA0000000, _coherent),
 )
 
 

@@ -63,6 +63,7 @@ SILICON = Tier(
     dtb="qemu-zynqmp",
     machine="virtualization=on",  # for the platform firmware's model, at EL2
     static="silicon",
+    designs="camera-kv260+camera-kv260-coherent",
     cases=(*(f"vm/cases/test_{name}.py" for name in SILICON_CASES), "device"),
 )
 ENGINES = ("vm/cases/test_silicon.py", "vm/cases/test_generated.py", "device")

@@ -7,6 +7,7 @@ import contextlib
 from dataclasses import replace
 from types import MappingProxyType
 
+from cm.errors import Busy
 from cm.manager.access.register_bus import drive, is_cut
 from cm.manager.errors import IdentityMismatch, RecordFailed, VerifyFailed, WrongStatic
 from cm.manager.execution.actions.overlays import note_applied
@@ -57,7 +58,7 @@ def load(run: StepContext, step: s.Load) -> None:
         _forget_content(run, step)
         run.begun.add(name)
         try:
-            _timed(run, step, start)
+            _through(run, step, start)
         except BaseException:
             run.region_event(name, RegionEvent.LOAD_FAILED)
             raise
@@ -65,6 +66,19 @@ def load(run: StepContext, step: s.Load) -> None:
     run.set_region(name, held.holding(step.module.name, step.image.sha256))
     if step.region.loader is LoaderKind.OVERLAY:
         note_applied(run, OverlayState(loading_overlay(name), step.image.sha256))
+
+
+def _through(run: StepContext, step: s.Load, start: Start) -> None:
+    """Through the step's port, or the other one if that refuses before it has taken anything."""
+    state, config = run.tools.state, run.plan.goal.config.name
+    try:
+        _timed(run, step, start)
+    except (Busy, PermissionError) as refused:
+        job = job_of(run, step)
+        loader, choice = run.tools.loaders.instead(job, state.configs[config], refused)
+        with loader.prepared(job, step.timeout) as other:
+            other(run.tell)
+        state.choose(config, {step.region.name: choice})
 
 
 def _forget_content(run: StepContext, step: s.Load) -> None:
