@@ -100,14 +100,14 @@ static void free_plane(struct cm_plane *plane)
 }
 
 /* Signals are the caller's affair: its thread shall have them. */
-static int start_thread(struct cm_plane *plane)
+int plane_thread(pthread_t *thread, void *(*start)(void *), void *argument)
 {
 	sigset_t all, before;
 	int error;
 
 	sigfillset(&all);
 	pthread_sigmask(SIG_SETMASK, &all, &before);
-	error = pthread_create(&plane->thread, NULL, run, plane);
+	error = pthread_create(thread, NULL, start, argument);
 	pthread_sigmask(SIG_SETMASK, &before, NULL);
 	errno = error;
 	return error ? -1 : 0;
@@ -126,7 +126,7 @@ struct cm_plane *cm_plane_new(void)
 	plane->wake_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
 	plane->event_fd = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
 	if (plane->epoll_fd < 0 || plane->wake_fd < 0 || plane->event_fd < 0 ||
-	    watch(plane, plane->wake_fd, 0) || start_thread(plane)) {
+	    watch(plane, plane->wake_fd, 0) || plane_thread(&plane->thread, run, plane)) {
 		int error = errno;
 
 		free_plane(plane);

@@ -39,6 +39,9 @@ struct stream {
 	uint32_t first, count;
 	uint32_t under_way;
 	int cycling;	/* slot that repeats, or -1 */
+	bool replacing; /* that slot is being cancelled, aside, for the next */
+	bool aside;	/* there is a thread for it, to be joined */
+	pthread_t replacer;
 	bool announced; /* its writer knows that it does */
 	uint64_t sequence;
 	uint64_t generation; /* of the frame that comes next; 0: not known */
@@ -101,6 +104,7 @@ struct cm_plane {
 
 /* All of these under the lock. */
 
+int plane_thread(pthread_t *thread, void *(*start)(void *), void *argument);
 void plane_report(struct cm_plane *plane, uint32_t kind, int id, int error);
 
 void stream_completed(struct cm_plane *plane, struct stream *stream);

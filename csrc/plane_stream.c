@@ -86,22 +86,56 @@ static void written(struct stream *stream, struct slot *slot, uint32_t error, ui
 		note_error(stream, (int)error);
 }
 
-/* A new frame takes the place of the one that repeats. */
-static void end_cycle(struct stream *stream)
+static void push(struct cm_plane *plane, struct stream *stream);
+
+/* What repeated was cancelled. */
+static void cycle_cancelled(struct stream *stream)
 {
 	struct slot *slot = &stream->slot[stream->cycling];
 
-	cm_dma_cancel(stream->dma);
 	stream->cycling = -1;
 	slot->queued = false;
 	if (slot->owner)
 		client_grant(slot->owner, stream, slot);
 }
 
+/* A driver may need seconds to cancel: the lock is not held meanwhile, and the other streams go on. */
+static void *replace(void *argument)
+{
+	struct stream *stream = argument;
+	bool more;
+
+	do {
+		cm_dma_cancel(stream->dma);
+		pthread_mutex_lock(&stream->plane->lock);
+		stream->replacing = false;
+		if (stream->cycling >= 0)
+			cycle_cancelled(stream);
+		push(stream->plane, stream);
+		more = stream->replacing;
+		pthread_mutex_unlock(&stream->plane->lock);
+	} while (more);
+	return NULL;
+}
+
+/* A new frame takes the place of the one that repeats, aside. */
+static void end_cycle(struct stream *stream)
+{
+	stream->replacing = true;
+	if (stream->aside && pthread_equal(pthread_self(), stream->replacer))
+		return; /* it goes round once more */
+	if (stream->aside)
+		pthread_join(stream->replacer, NULL); /* it is over: nothing was being replaced */
+	stream->aside = !plane_thread(&stream->replacer, replace, stream);
+	if (stream->aside)
+		return;
+	cm_dma_cancel(stream->dma);
+	stream->replacing = false;
+	cycle_cancelled(stream);
+}
+
 static int push_one(struct stream *stream, uint32_t number)
 {
-	if (stream->setup.cyclic && stream->cycling >= 0)
-		end_cycle(stream);
 	if (submit(stream, &stream->slot[number], number))
 		return -1;
 	if (stream->setup.cyclic) {
@@ -126,10 +160,14 @@ static uint32_t pop(struct stream *stream)
 static void push(struct cm_plane *plane, struct stream *stream)
 {
 	while (stream->count && stream->under_way < stream->setup.queue_depth && !stream->lost &&
-	       !stream->ending) {
+	       !stream->ending && !stream->replacing) {
 		uint32_t number = stream->waiting[stream->first];
 		bool fault;
 
+		if (stream->setup.cyclic && stream->cycling >= 0) {
+			end_cycle(stream);
+			continue;
+		}
 		if (!push_one(stream, number)) {
 			pop(stream);
 			continue;
@@ -280,6 +318,9 @@ void stream_cancel(struct stream *stream)
 {
 	struct cm_dma_completion completions[TAKE_AT_ONCE];
 
+	if (stream->aside)
+		pthread_join(stream->replacer, NULL);
+	stream->aside = false;
 	if (stream->dma && !cm_dma_cancel(stream->dma))
 		while (cm_dma_take(stream->dma, completions, TAKE_AT_ONCE) > 0)
 			;

@@ -315,6 +315,8 @@ static bool serve_request(struct fake_node *fake, int sock, int events)
 	if ((fake->misdeed == ANSWER_LATE || fake->misdeed == OFFER_BLOCKS_AND_ANSWER_LATE) &&
 	    !fake_node_requests(fake))
 		sem_wait(&fake->speak);
+	if (fake->misdeed == ANSWER_CANCEL_LATE && request.header.op == CM_DMA_IOC_CANCEL)
+		sem_wait(&fake->speak);
 	answer_request(fake, &request, fd, events, &answer);
 	if (fd >= 0)
 		close(fd);

@@ -44,6 +44,8 @@ enum misdeed {
 	OFFER_BLOCKS_AND_ANSWER_LATE, /* as ANSWER_LATE */
 	/* the first request is answered when fake_node_speak() says so */
 	ANSWER_LATE,
+	/* each cancel of a channel */
+	ANSWER_CANCEL_LATE,
 };
 
 #define FAKE_NODE_WORDS (40 * 1024) /* more than fit into two messages */

@@ -511,8 +511,77 @@ static void slots_out_of_order_are_an_error(void)
 	}
 }
 
+/* A packet of a kind; others are passed over. */
+static struct cm_plane_descriptor await_kind(int sock, uint8_t kind)
+{
+	struct cm_plane_descriptor packet = { 0 };
+
+	do
+		CHECK(recv(sock, &packet, sizeof(packet), 0) > 0);
+	while (packet.kind != kind);
+	return packet;
+}
+
+static void send_frame(int sock, struct cm_plane_descriptor grant)
+{
+	grant.kind = CM_PLANE_SUBMIT;
+	grant.length = LENGTH;
+	CHECK(send(sock, &grant, sizeof(grant), 0) == sizeof(grant));
+}
+
+/* The driver is slow to cancel what repeats: who waits is the one that replaces it, and nobody else. */
+static void a_frame_that_is_long_in_being_replaced_holds_up_no_other_stream(void)
+{
+	char *root = fake_root_make();
+	struct fake_node *fake = fake_node_start(root, "dev/cm_dma/slow", ANSWER_CANCEL_LATE);
+	struct cm_dma *dma = cm_dma_open(root, "slow");
+	struct cm_plane_setup setup = {
+		.write = true, .cyclic = true, .queue_depth = 4, .length = LENGTH
+	};
+	struct cm_plane *plane = cm_plane_new();
+	struct cm_plane_descriptor grants[2], other = { 0 };
+	unsigned char geometry[CM_PLANE_PACKET_MAX];
+	int memory = memfd_create("slot", MFD_CLOEXEC), pair[2], stream, writer;
+	uint64_t requests;
+
+	CHECK(dma && plane && !ftruncate(memory, LENGTH));
+	stream = cm_plane_start(plane, dma, &setup);
+	CHECK(cm_plane_add_slot(plane, stream, memory, 1) == 0);
+	CHECK(cm_plane_add_slot(plane, stream, memory, 2) == 1);
+	CHECK(!socketpair(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0, pair));
+	CHECK(!cm_plane_attach(plane, cm_plane_adopt(plane, pair[1]), stream, 2, geometry,
+			       geometry_packet(geometry, true)));
+	for (int i = 0; i < 2; i++)
+		grants[i] = await_kind(pair[0], CM_PLANE_GRANT);
+	writer = echo_writer(plane, memory, &other);
+	send_frame(pair[0], grants[0]);
+	while (!fake_node_requests(fake)) /* it repeats */
+		poll(NULL, 0, 1);
+	requests = fake_node_requests(fake);
+	send_frame(pair[0], grants[1]);
+	for (int i = 0; i < 20; i++) {
+		send_frame(writer, other);
+		CHECK(await_kind(writer, CM_PLANE_DONE).offset == 0);
+	}
+	CHECK(fake_node_requests(fake) ==
+	      requests); /* the cancel waits, and the next frame for it */
+	fake_node_speak(fake);
+	CHECK(await_kind(pair[0], CM_PLANE_GRANT).slot == grants[0].slot);
+	while (fake_node_requests(fake) < requests + 2) /* the cancel, and the next frame */
+		poll(NULL, 0, 1);
+	fake_node_speak(fake);
+	cm_plane_close(plane);
+	close(pair[0]);
+	close(writer);
+	close(memory);
+	cm_dma_close(dma);
+	fake_node_stop(fake);
+	fake_root_remove(root);
+}
+
 int main(void)
 {
+	RUN(a_frame_that_is_long_in_being_replaced_holds_up_no_other_stream);
 	RUN(readers_come_and_go);
 	RUN(streams_end_under_their_readers);
 	RUN(the_plane_ends_under_its_readers);
