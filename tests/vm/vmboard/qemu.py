@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -183,5 +184,9 @@ def _follow(
 
 def interact(machine: Machine) -> int:
     """Boot with the console on this terminal; Ctrl-A X ends it."""
+    if machine.arch == ARMHF:
+        with tempfile.TemporaryDirectory() as place:
+            words = zynq.command(machine, Path(place), ("mon:stdio", "null"))
+            return subprocess.run(words, check=False).returncode
     arguments = ["-chardev", "stdio,id=console,mux=on,signal=off", "-serial", "chardev:console"]
     return subprocess.run([*command(machine), *arguments], check=False).returncode

@@ -66,8 +66,12 @@ def tree(cache: Cache, kernel: Kernel) -> Path:
     return cache.entry("tree-zynq", [source, chip / "zynq-7000.dtsi"], build) / "zynq-a9.dtb"
 
 
-def command(machine: Machine, place: Path) -> list[str]:
-    """The whole command line; the board's second disk is a copy, into which it puts its results."""
+def command(machine: Machine, place: Path, consoles: tuple[str, str] | None = None) -> list[str]:
+    """The whole command line; the board's second disk is a copy, into which it puts its results.
+
+    `consoles`: where its two UARTs go; files in `place` if None.
+    """
+    first, second = consoles or (f"file:{place / 'console.log'}", f"file:{place / 'output.log'}")
     shutil.copyfile(machine.payload, place / "payload.ext4")
     append = ["console=ttyPS0,115200", "root=/dev/mmcblk0", "rootwait", "rw", "init=/usr/sbin/cm-init", "panic=-1"]
     append += ["loglevel=6", "printk.time=1", "maxcpus=1", *machine.arguments]
@@ -79,7 +83,7 @@ def command(machine: Machine, place: Path) -> list[str]:
         *("-kernel", str(machine.image), "-dtb", str(machine.dtb), "-append", " ".join(append), "-nic", "none"),
         *("-drive", f"if=sd,index=0,file={machine.root},format=raw,snapshot=on"),
         *("-drive", f"if=sd,index=1,file={place / 'payload.ext4'},format=raw,cache=unsafe"),
-        *("-serial", f"file:{place / 'console.log'}", "-serial", f"file:{place / 'output.log'}"),
+        *("-serial", first, "-serial", second),
         *(word for register in registers for word in ("-device", register)),
     ]
 
