@@ -213,3 +213,4 @@ _DECODERS: dict[bytes, _Decoder] = {
     topics.IRQ: _read_irq,
     topics.LEASE: _lease,
 }
+TOPICS = frozenset(_DECODERS)  # of commands

@@ -24,6 +24,7 @@ class Peer:
 
     def __init__(self, manager: Manager) -> None:
         self.context = zmq.Context()
+        self.others: list[zmq.Socket[bytes]] = []
         self.req = self.connect(zmq.REQ, manager, "req")
         self.pub = self.connect(zmq.XPUB, manager, "sub")  # a PUB, but that it can tell when it is connected
         assert self.pub.recv() == b"\x01cm_"
@@ -35,6 +36,10 @@ class Peer:
         socket.rcvtimeo = 20_000
         socket.connect(f"ipc://{manager.runtime}/{name}")
         return socket
+
+    def dealer(self, manager: Manager) -> zmq.Socket[bytes]:
+        self.others.append(self.connect(zmq.DEALER, manager, "req"))
+        return self.others[-1]
 
     def ask(self, *frames: bytes) -> pb.Reply:
         self.req.send_multipart(list(frames))
@@ -52,6 +57,8 @@ class Peer:
                     return status
 
     def close(self) -> None:
+        for socket in self.others:
+            socket.close()
         self.context.destroy(linger=0)
 
 
@@ -186,3 +193,53 @@ def test_no_frames_whatsoever_bring_the_manager_down(peer: Peer, frames: list[by
     peer.req.send_multipart(frames)
     pb.Reply.FromString(peer.req.recv_multipart()[1])
     assert peer.ask(b"cm_status", b"").status.config_name == "camera"
+
+
+ENVELOPES = [[b"cm_client_7"], [b"cm_"], [b"cm_status_of_mine", b"cm_x"], [b"\0\0", b"7"], [b"7"], []]
+
+
+@pytest.mark.parametrize("envelope", ENVELOPES)
+def test_frames_of_ones_own_may_begin_as_a_topic_does(peer: Peer, manager: Manager, envelope: list[bytes]) -> None:
+    dealer = peer.dealer(manager)
+    before = [*envelope, b""] if envelope else []
+    for command in ([b"cm_status", b""], [b"cm_read_reg", pb.ReadReg(names=["focus"]).SerializeToString()]):
+        dealer.send_multipart([*before, *command])
+        answer = dealer.recv_multipart()
+        assert answer[: len(before)] == before
+        assert answer[len(before)] == command[0]
+        assert pb.Reply.FromString(answer[len(before) + 1]).ok
+
+
+def test_an_unknown_topic_with_an_empty_message_is_named(peer: Peer, manager: Manager) -> None:
+    dealer = peer.dealer(manager)
+    dealer.send_multipart([b"cm_stauts", b""])
+    _, message = dealer.recv_multipart()
+    assert "cm_stauts" in pb.Reply.FromString(message).error.message
+
+
+def test_the_list_of_configurations_has_their_modes(peer: Peer) -> None:
+    config = peer.ask(b"cm_read_config", pb.ReadConfig(list=True).SerializeToString()).config
+    assert [entry.name for entry in config.entries] == list(config.names)
+    [camera] = [entry for entry in config.entries if entry.name == "camera"]
+    assert (camera.type, camera.default_mode) == ("partial", "default")
+    assert "edge_detection" in camera.modes
+
+
+def test_while_a_change_runs_the_mode_is_that_of_before(peer: Peer, board: cm.Board) -> None:
+    peer.status_until(lambda status: status.mode == "default")
+    change = pb.WriteConfig(mode="edge_detection", no_wait=True).SerializeToString()
+    number = peer.ask(b"cm_write_config", change).change.number
+    seen = []
+    peer.status_until(lambda status: seen.append(status) or status.last_change == number)
+    during = [status for status in seen if status.fpga_busy]
+    assert {status.mode for status in during} == {"default"}
+    assert [s.progress.fraction for s in during] == sorted(s.progress.fraction for s in during)
+    assert (seen[-1].mode, seen[-1].fpga_busy) == ("edge_detection", False)
+
+
+def test_a_lease_without_seconds_is_shared_and_lasts_half_a_minute(peer: Peer) -> None:
+    first = peer.ask(b"cm_lease", pb.Lease(scope="region:prr0").SerializeToString()).lease
+    second = peer.ask(b"cm_lease", pb.Lease(scope="region:prr0").SerializeToString())
+    assert (first.seconds, first.exclusive, second.ok) == (30.0, False, True)
+    for lease in (first.id, second.lease.id):
+        assert peer.ask(b"cm_lease", pb.Lease(id=lease, release=True).SerializeToString()).ok
