@@ -80,9 +80,8 @@ def _provision(base: Need, _: rq.Provision, __: Scene) -> Iterator[Need]:
 
 
 def opening(name: str, writes: bool, scene: Scene) -> Need:
-    """To open a stream where frames are not copied, or memory there."""
-    role, topic = (Role.OPERATE, "cm_write_data") if writes else (Role.OBSERVE, "cm_read_data")
-    return next(_data(Need(role, topic), rq.ReadData(name), scene))
+    """To open a stream where frames are not copied, or memory there; the topic is the socket's name."""
+    return next(_data(Need(Role.OPERATE if writes else Role.OBSERVE, "data"), rq.ReadData(name), scene))
 
 
 def provisioning(name: str) -> Need:

@@ -224,6 +224,7 @@ class Board(Guarded):
         newest: bool = False,
         compression: str = "",
         lease: str = "",
+        copy: bool = False,
     ) -> Stream:
         """The frames of a stream, as a context manager and iterator; frames lost to slowness show in `sequence`.
 
@@ -233,8 +234,9 @@ class Board(Guarded):
         package lz4 at both ends), `newest` asks for each frame when it is read, and `depth` of them (0: 4) wait
         here, beside those at the manager. `timeout` in seconds, None waits
         for ever. `lease`: the id of one's own, where a stream with back-pressure lies in a region that is held.
+        `copy`: over ZeroMQ here too, so that frames are ours alone (docs/security.md).
         """
-        if self._place.data is not None:
+        if self._place.data is not None and not copy:
             wanted = Open(name, depth=depth, lease=self._leases.named(lease))
             return self._using(AsyncLocalStream(self, self._place.data, wanted, timeout, newest))
         published = Wanted(name, timeout, newest, compression, depth)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from cm.daemon.streams.figures import median, rate, transfer_error
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.settings import frame_bytes, setup
+from cm.daemon.streams.sharing import for_readers, for_writers
 from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane
 from cm.errors import Busy, CmError
@@ -88,7 +89,7 @@ class OpenStream:
 
     def _hand_over(self) -> None:
         for slot in self.slots[len(self._shared) :]:
-            self._shared.append(os.dup(slot.fd) if self.writes else _read_only(slot.fd))
+            self._shared.append(for_writers(slot) if self.writes else for_readers(slot))
             self._plane.add_slot(self.id, self._shared[-1], slot.handle)
 
     def _make_room(self, depth: int) -> None:
@@ -229,11 +230,3 @@ class OpenStream:
                 os.close(fd)
             self._shared.clear()
         return self._dma
-
-
-def _read_only(fd: int) -> int:
-    """The same memory for readers, who then cannot map it writable; a dma-buf cannot be opened anew."""
-    try:
-        return os.open(f"/proc/self/fd/{fd}", os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return os.dup(fd)

@@ -24,7 +24,8 @@ else:
 
 PAGE = mmap.PAGESIZE
 BASE = 0x1000_0000  # of the memory that is allocated, for masters in the PL
-_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SEAL
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW  # further ones are for who shares it: a manager, against its clients
+_F_SEAL_FUTURE_WRITE = 0x0010  # linux/fcntl.h; the module has it from Python 3.13 on
 
 
 class Buffer:
@@ -206,10 +207,12 @@ def _memfd(name: str, length: int) -> int:
 def _map_foreign(fd: int) -> Buffer:
     """Map a client's memfd. It must not shrink under us, so it gets the seal, or has it."""
     try:
-        if not fcntl.fcntl(fd, fcntl.F_GET_SEALS) & fcntl.F_SEAL_SHRINK:
+        seals = fcntl.fcntl(fd, fcntl.F_GET_SEALS)
+        if not seals & fcntl.F_SEAL_SHRINK:
             fcntl.fcntl(fd, fcntl.F_ADD_SEALS, fcntl.F_SEAL_SHRINK)
         length = os.fstat(fd).st_size
         writable = fcntl.fcntl(fd, fcntl.F_GETFL) & os.O_ACCMODE == os.O_RDWR
+        writable = writable and not seals & (fcntl.F_SEAL_WRITE | _F_SEAL_FUTURE_WRITE)
         return Buffer(fd, length, allocated=False, writable=writable)
     except (OSError, ValueError) as error:
         raise NodeError(errno.EINVAL, f"not a memfd that can be sealed and mapped: {error}") from error
