@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import sys
 from collections.abc import Callable
 from importlib import import_module
@@ -63,6 +64,10 @@ def commands(address: str) -> None:
         words = line.split()
         place = ["--connect", address]
         assert main([*words[:2], *place, *words[2:]] if words[0] == "completion" else [*words, *place]) == 0, line
+    os.environ["CM_CONNECT"] = address
+    assert main(["status"]) == 0
+    assert main(["completion", "names", "mode", "edg"]) == 0
+    assert cm.connect().mode == "edge_detection"
     assert main(["help"]) == 0
     assert main(["keygen", "keys", "laptop"]) == 0
     assert main(["completion", "zsh"]) == 0

@@ -25,8 +25,12 @@ def add_connection_options(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of the manager's sockets (default: $CM_RUNTIME_DIR, /run/cm, or $XDG_RUNTIME_DIR/cm)",
     )
-    choice.add_argument("--connect", metavar="ENDPOINT", help="a manager elsewhere, such as tcp://kria.local")
-    group.add_argument("--keys", type=Path, metavar="FILE", help="this client's key file, for TCP with keys")
+    choice.add_argument(
+        "--connect", metavar="ENDPOINT", help="a manager elsewhere, such as tcp://kria.local (default: $CM_CONNECT)"
+    )
+    group.add_argument(
+        "--keys", type=Path, metavar="FILE", help="this client's key file, for TCP with keys (default: $CM_KEYS)"
+    )
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:

@@ -35,7 +35,7 @@ def default_runtime_dir() -> Path:
     if sys.platform != "linux":
         raise InvalidRequest(
             "a configuration manager runs on a Linux board, not here: say which one, "
-            "connect('tcp://kria.local'), or --connect tcp://kria.local"
+            "connect('tcp://kria.local'), --connect tcp://kria.local, or CM_CONNECT=tcp://kria.local"
         )
     if os.geteuid() == 0 or _serves(SYSTEM_DIR):
         return SYSTEM_DIR
@@ -47,7 +47,16 @@ def default_runtime_dir() -> Path:
 
 def _users_dir() -> Path:
     user = os.environ.get("XDG_RUNTIME_DIR")
-    return Path(user) / "cm" if user else Path(f"/tmp/cm-{os.getuid()}")
+    if user or sys.platform == "win32":  # which has neither of both
+        return Path(user or ".") / "cm"
+    return Path(f"/tmp/cm-{os.getuid()}")
+
+
+def _is_of_another_user(folder: Path) -> bool:
+    """Whether the folder that is looked in without being named was made by somebody else."""
+    if sys.platform == "win32":
+        return False
+    return folder == _users_dir() and folder.stat().st_uid not in (0, os.geteuid())
 
 
 def _serves(folder: Path) -> bool | None:
@@ -74,7 +83,7 @@ def resolve(endpoint: str | None, runtime_dir: str | os.PathLike[str] | None) ->
         raise NotFound(f"no configuration manager serves {folder}: start one ('cm serve'), or name its --runtime-dir")
     if serves is None or not os.access(folder / "req", os.W_OK):
         raise NotAdmitted(_not_for_us(folder))
-    if not endpoint and not runtime_dir and folder == _users_dir() and folder.stat().st_uid not in (0, os.geteuid()):
+    if not endpoint and not runtime_dir and _is_of_another_user(folder):
         raise NotAdmitted(f"{folder} belongs to another user: its manager is not ours")
     return ipc_endpoints(folder)
 
@@ -82,16 +91,21 @@ def resolve(endpoint: str | None, runtime_dir: str | os.PathLike[str] | None) ->
 def _not_for_us(folder: Path) -> str:
     """Who may use the sockets of a folder, and how to become one of them."""
     try:
-        group = folder.stat().st_gid
-        import grp  # not on every system that clients run on
-
-        name = grp.getgrgid(group).gr_name
-    except (OSError, KeyError, ImportError):
+        name = _group(folder)
+    except (OSError, KeyError):
         name = "its group"
     return (
         f"this user may not use the sockets in {folder}: they are for members of {name} "
         f"(sudo usermod -aG {name} $USER, then log in again)"
     )
+
+
+def _group(folder: Path) -> str:
+    if sys.platform == "win32":
+        return "its group"
+    import grp
+
+    return grp.getgrgid(folder.stat().st_gid).gr_name
 
 
 def load_keys(path: str | os.PathLike[str]) -> Keys:

@@ -57,10 +57,10 @@ def connect(
     """Connect to a configuration manager and check that it answers.
 
     Args:
-        endpoint: ``tcp://host[:port]`` or a runtime folder; default: the manager of this machine.
+        endpoint: ``tcp://host[:port]`` or a runtime folder; default: `$CM_CONNECT`, else the manager of this machine.
         runtime_dir: the runtime folder, spelt out.
         timeout: seconds to wait for answers to all but `load`.
-        keys: a client's key file (``cm keygen``), or the keys.
+        keys: a client's key file (``cm keygen``), or the keys; default over TCP: the file `$CM_KEYS`, if that is set.
 
     Raises NotFound where no manager serves, NoAnswer where none answers.
     """

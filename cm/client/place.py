@@ -37,10 +37,17 @@ class Place:
 def find(
     endpoint: str | None, runtime_dir: str | os.PathLike[str] | None, keys: str | os.PathLike[str] | Keys | None
 ) -> Place:
-    """As `connect` takes them. Raises InvalidRequest, NotFound."""
+    """As `connect` takes them; what is not given may stand in `$CM_CONNECT` and `$CM_KEYS`.
+
+    Raises InvalidRequest, NotFound.
+    """
+    if endpoint is None and runtime_dir is None:
+        endpoint = os.environ.get("CM_CONNECT") or None
     endpoints = resolve(endpoint, runtime_dir)
     folder = Path(endpoints.req.removeprefix("ipc://")).parent
     local = endpoints.req.startswith("ipc://")
     # Elsewhere than on Linux a folder can only be that of sockets that are forwarded, and frames come over ZeroMQ.
     data = folder if local and sys.platform == "linux" and (folder / packets.SOCKET).exists() else None
+    if keys is None and not local:
+        keys = os.environ.get("CM_KEYS") or None
     return Place(endpoints, keys if keys is None or isinstance(keys, Keys) else load_keys(keys), data)

@@ -19,6 +19,7 @@ from manager_process import REPOSITORY, Manager, environment, short_folder
 from PIL import Image
 
 import cm
+from cm.cli.main import main
 
 NOTEBOOKS = sorted((REPOSITORY / "docs/notebooks").glob("*.ipynb"))
 
@@ -27,7 +28,9 @@ NOTEBOOKS = sorted((REPOSITORY / "docs/notebooks").glob("*.ipynb"))
 def serving() -> Iterator[Manager]:
     """`cm serve --sim`, as the notebooks ask for it."""
     with short_folder() as folder:
-        manager = Manager(folder / "run", "--sim")
+        assert main(["keygen", str(folder / "keys"), "laptop"]) == 0
+        keys = ("--listen", "tcp://127.0.0.1:0", "--keys", str(folder / "keys/server.key"))
+        manager = Manager(folder / "run", "--sim", *keys)
         manager.start()
         try:
             yield manager
@@ -38,9 +41,7 @@ def serving() -> Iterator[Manager]:
 @pytest.fixture(scope="module")
 def executed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """Each notebook after it has run; an error in a cell is an error here."""
-    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     folder = tmp_path_factory.mktemp("notebooks")
-    done = {}
     with serving() as manager, pytest.MonkeyPatch.context() as patch, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of jupyter's packages among themselves
         import nbclient
@@ -50,13 +51,18 @@ def executed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         patch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
         patch.setenv("IPYTHONDIR", str(folder))
         patch.setenv("JUPYTER_RUNTIME_DIR", str(folder))
-        for path in NOTEBOOKS:
+
+        def execute(path: Path) -> Any:
             notebook = nbformat.read(path, as_version=4)
-            nbclient.NotebookClient(
-                notebook, timeout=120, startup_timeout=120, resources={"metadata": {"path": str(folder)}}
-            ).execute()
-            done[path.stem] = notebook
-    return done
+            resources = {"metadata": {"path": str(folder)}}
+            nbclient.NotebookClient(notebook, timeout=120, startup_timeout=120, resources=resources).execute()
+            return notebook
+
+        done = {path.stem: execute(path) for path in NOTEBOOKS}
+        patch.delenv("CM_RUNTIME_DIR")
+        patch.setenv("CM_CONNECT", json.loads((manager.runtime / "endpoints.json").read_text())["tcp"][0]["pub"])
+        patch.setenv("CM_KEYS", str(manager.runtime.parent / "keys/laptop.key"))
+        return {**done, "elsewhere": execute(NOTEBOOKS[0])}
 
 
 COMPLETE = """
@@ -128,6 +134,12 @@ def test_the_first_look_shows_board_plan_registers_and_a_frame(executed: dict[st
     assert any("1 slow" in text and "threshold" in text for text in shown)
     assert "did you mean 'threshold'?" in printed(notebook)
     assert [picture.size for picture in pictures(notebook)] == [(640, 480)]
+
+
+@pytest.mark.timeout(600)
+def test_the_same_notebook_runs_over_tcp_with_keys(executed: dict[str, Any]) -> None:
+    assert "&lt;board at tcp://127.0.0.1:" in outputs(executed["elsewhere"], "text/html")[0]
+    assert [picture.size for picture in pictures(executed["elsewhere"])] == [(640, 480)]
 
 
 @pytest.mark.timeout(600)
