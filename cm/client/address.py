@@ -92,7 +92,7 @@ def _not_for_us(folder: Path) -> str:
     """Who may use the sockets of a folder, and how to become one of them."""
     try:
         name = _group(folder)
-    except (OSError, KeyError):
+    except (OSError, KeyError, ImportError):
         name = "its group"
     return (
         f"this user may not use the sockets in {folder}: they are for members of {name} "
