@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import stat
@@ -13,17 +12,20 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from manager_process import CAMERA, REPOSITORY, Manager, environment, short_folder
+from manager_process import CAMERA, REPOSITORY, Manager, environment, short_folder, until
 
+import cm
+from cm.errors import CmError
 from cm.sim import Board as SimBoard
 
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be several users")
-GROUP, ALICE, BOB, MALLORY = 47110, 47111, 47112, 47113
+GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY = range(47110, 47117)
 
 
 PLAY = """
 import json, os, sys
-import cm, cm.aio, cm.client.data_connection, cm.client.stream, cm.client.aio.stream, encodings.idna, numpy.linalg
+import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream
+import encodings.idna, numpy.linalg
 from cm.errors import CmError
 
 uid, groups, runtime, *acts = json.loads(sys.argv[1])
@@ -60,13 +62,14 @@ def outcome(manager: Manager, uid: int, *acts: str, groups: tuple[int, ...] = (G
     return found
 
 
-@contextlib.contextmanager
-def shared(access: str) -> Iterator[Manager]:
-    """A manager whose sockets belong to a group, with these lines under `access`."""
+@pytest.fixture(scope="module")
+def manager() -> Iterator[Manager]:
+    """One whose sockets belong to a group, and that knows all but one of its members."""
     with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
         folder.chmod(0o755)
         settings = folder / "cm.yaml"
-        settings.write_text(f"state_dir: {folder}/state\naccess:\n  group: '{GROUP}'\n{access}")
+        users = f"{ALICE}: operate, {BOB}: observe, {CARL}: provision, {DORA}: provision, {ERIN}: [operate]"
+        settings.write_text(f"state_dir: {folder}/state\naccess: {{group: '{GROUP}', local: [], users: {{{users}}}}}\n")
         arguments = ("--settings", str(settings), "--config", str(CAMERA), "--root", str(sim.root))
         manager = Manager(folder / "run", *arguments, service=True)
         manager.start()
@@ -79,23 +82,31 @@ def shared(access: str) -> Iterator[Manager]:
 
 
 @needs_root
-def test_the_sockets_are_for_the_group_and_nobody_else() -> None:
-    with shared("") as manager:
-        for name in ("pub", "sub", "req", "data"):
-            status = (manager.runtime / name).stat()
-            assert (status.st_gid, stat.S_IMODE(status.st_mode)) == (GROUP, 0o660), name
-        assert stat.S_IMODE(manager.runtime.stat().st_mode) == 0o750
+def test_the_sockets_are_for_the_group_and_nobody_else(manager: Manager) -> None:
+    for name in ("pub", "sub", "req", "data"):
+        status = (manager.runtime / name).stat()
+        assert (status.st_gid, stat.S_IMODE(status.st_mode)) == (GROUP, 0o660), name
+    assert stat.S_IMODE(manager.runtime.stat().st_mode) == 0o750
 
 
 @needs_root
-def test_two_users_of_different_roles_and_one_without() -> None:
-    with shared(f"  local: []\n  users: {{'{ALICE}': operate, '{BOB}': observe}}\n") as manager:
-        acts = ("board.status.mode", "board.registers['focus']", "write('focus', 2)")
-        assert outcome(manager, ALICE, *acts) == {acts[0]: "default", acts[1]: "1", acts[2]: "None"}
-        seen = outcome(manager, BOB, *acts)
-        assert (seen[acts[0]], seen[acts[1]]) == ("default", "2")
-        assert seen[acts[2]].startswith("RequestForbidden: forbidden: ")
-        assert "takes the role operate" in seen[acts[2]]
+def test_two_users_of_different_roles_and_one_without(manager: Manager) -> None:
+    acts = ("board.status.mode", "board.registers['focus']", "write('focus', 2)")
+    assert outcome(manager, ALICE, *acts) == {acts[0]: "default", acts[1]: "1", acts[2]: "None"}
+    seen = outcome(manager, BOB, *acts)
+    assert (seen[acts[0]], seen[acts[1]]) == ("default", "2")
+    assert seen[acts[2]].startswith("RequestForbidden: forbidden: ")
+    assert "takes the role operate" in seen[acts[2]]
+    told = outcome(manager, MALLORY, "board.status")["connect"]
+    assert told.startswith("NotAdmitted: forbidden: the manager at ipc://")
+    assert "gives this user no role" in told
+
+
+@needs_root
+def test_who_is_not_of_the_group_is_told_so_at_once(manager: Manager) -> None:
+    told = outcome(manager, ALICE, "board.status", groups=())["connect"]
+    assert told.startswith("NotAdmitted: forbidden: this user may not use the sockets in ")
+    assert f"members of {GROUP}" in told or "members of its group" in told
 
 
 def test_one_user_needs_no_setting_at_all(tmp_path: Path) -> None:
@@ -111,17 +122,83 @@ def test_one_user_needs_no_setting_at_all(tmp_path: Path) -> None:
             manager.stop()
 
 
-@needs_root
-def test_who_is_not_of_the_group_is_told_so_at_once() -> None:
-    with shared("") as manager:
-        told = outcome(manager, MALLORY, "board.status", groups=())["connect"]
-    assert told.startswith("NotAdmitted: forbidden: this user may not use the sockets in ")
-    assert f"members of {GROUP}" in told or "members of its group" in told
+HOLD = """
+import json, os, sys, time
+import cm, cm.client.board, cm.client.data_connection, cm.client.stream, numpy.linalg, encodings.idna
+from cm.errors import CmError
+
+uid, gid, runtime = json.loads(sys.argv[1])
+os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
+board = cm.connect(runtime_dir=runtime, timeout=20)
+frames = iter(board.stream("camera", timeout=20))
+events = board.watch(timeout=20)
+next(frames)
+print("ready", flush=True)
+try:
+    while True:
+        next(frames)
+except (CmError, OSError) as error:
+    print(type(error).__name__, flush=True)
+try:
+    while True:
+        events.next()
+except (CmError, OSError) as error:
+    print(type(error).__name__, flush=True)
+try:
+    board.status
+except (CmError, OSError) as error:
+    print(type(error).__name__, getattr(error, "code", ""), flush=True)
+os._exit(0)
+"""
 
 
 @needs_root
-def test_who_is_of_the_group_but_has_no_role_is_told_so_at_once() -> None:
-    with shared("  local: []\n") as manager:
-        told = outcome(manager, MALLORY, "board.status")["connect"]
-    assert told.startswith("NotAdmitted: forbidden: the manager at ipc://")
-    assert "gives this user no role" in told
+def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_requests(manager: Manager) -> None:
+    """While others notice nothing."""
+    command = [sys.executable, "-c", HOLD, json.dumps([ERIN, GROUP, str(manager.runtime)])]
+    settings = manager.runtime.parent / "cm.yaml"
+    held = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY)
+    with held, manager.connected() as board, board.stream("camera", timeout=20) as stream:
+        assert held.stdout is not None
+        assert held.stdout.readline() == "ready\n"
+        next(iter(stream))
+        settings.write_text(settings.read_text().replace("[operate]", "[]"))
+        assert held.stdout.read().split("\n")[:3] == ["ConnectionLost", "NotAdmitted", "NotAdmitted forbidden"]
+        next(iter(stream))
+        assert board.status.mode == "default"
+
+
+@needs_root
+def test_what_one_user_sent_another_does_not_replace_nor_remove(manager: Manager) -> None:
+    path = manager.runtime.parent / "mine.yaml"
+    path.write_text("config: {name: mine, modules: {a: {bitstream: a.bit}}, modes: {m: {modules: [a]}}}\n")
+    path.chmod(0o644)
+    send, remove = f"board.provision({str(path)!r}).name", "board.remove_config('mine')"
+    assert outcome(manager, CARL, send) == {send: "mine"}
+    whose = "[(e.origin, e.owner) for e in board.config_entries() if e.name == 'mine']"
+    told = outcome(manager, DORA, send, remove, whose)
+    refused = "RequestForbidden: forbidden: configuration 'mine' was sent by"
+    assert [told[act].startswith(refused) for act in (send, remove)] == [True, True]
+    assert f"('client', 'user (uid {CARL}" in told[whose]
+    assert outcome(manager, CARL, remove) == {remove: "None"}
+
+
+def test_a_manager_whose_log_goes_to_a_full_disk_serves_on() -> None:
+    with (
+        short_folder() as folder,
+        SimBoard([CAMERA], root=folder / "board") as sim,
+        Path("/dev/full").open("wb") as full,
+    ):
+        command = [sys.executable, "-m", "cm", "serve", "-v", "--runtime-dir", str(folder / "run")]
+        command += ["--config", str(CAMERA), "--root", str(sim.root), "--state-dir", str(folder / "state")]
+        process = subprocess.Popen(command, stderr=full, env=environment(), cwd=REPOSITORY)
+        try:
+            until((folder / "run/endpoints.json").exists, timeout=60)
+            with cm.connect(runtime_dir=folder / "run", timeout=20) as board:
+                board.load("camera", "edge_detection")
+                with pytest.raises(CmError):
+                    board.load("nothing")
+                assert board.status.mode == "edge_detection"
+        finally:
+            process.terminate()
+            assert process.wait(60) == 0
