@@ -9,6 +9,7 @@ whether more follow.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import zmq
 
@@ -17,6 +18,23 @@ _MORE = int(zmq.SNDMORE)
 # 0.15 µs less for a frame in a tight loop, 4 % of a register's round trip (docs/decisions/own-event-loop.md).
 _push = super(zmq.Socket, zmq.Socket).send
 _SMALL = 4096  # bytes; larger frames stay where libzmq put them
+_SOURCE = int(zmq.SRCFD)
+_PARTS = 1024  # of a message; further ones are dropped
+_LOCAL = "ipc:"  # what the user ids of processes of this machine begin with (`cm.rights.principal`)
+
+Frame = bytes | memoryview
+
+
+class Message(NamedTuple):
+    """A message, and the user id that authentication gave its connection; empty where it gave none.
+
+    Of one that has large frames, or comes from elsewhere: the connection's descriptor (-1: not known), and their bytes.
+    """
+
+    connection: str
+    frames: list[Frame]
+    source: int
+    large: int
 
 
 def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
@@ -24,21 +42,6 @@ def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags:
     for frame in frames[:-1]:
         _push(socket, frame, flags | _MORE)
     _push(socket, frames[-1], flags)
-
-
-def receive_from(socket: zmq.Socket[bytes], flags: int = 0) -> tuple[str, list[bytes | memoryview]]:
-    """As `receive`, and the user id that authentication gave the connection; empty where it gave none."""
-    pull = socket.recv
-    frames: list[bytes | memoryview] = []
-    more = True
-    while more:
-        frame = pull(flags, False)
-        frames.append(frame.bytes if len(frame) <= _SMALL else frame.buffer)
-        more = frame.more
-    try:  # of the last frame: libzmq 4.3.4 knows none of a routing id that it read ahead, as after a poll
-        return str(frame.get("User-Id")), frames
-    except zmq.ZMQError:
-        return "", frames
 
 
 def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryview]:
@@ -51,3 +54,41 @@ def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryvie
         frames.append(frame.bytes if len(frame) <= _SMALL else frame.buffer)
         more = frame.more
     return frames
+
+
+def receive_from(socket: zmq.Socket[bytes]) -> Message:
+    """As `receive`, with where it came from."""
+    pull = socket.recv
+    frames: list[Frame] = []
+    large = 0
+    more = True
+    while more:
+        frame = pull(0, False)
+        size, more = len(frame), frame.more
+        if len(frames) >= _PARTS:
+            frames.pop()
+        frames.append(frame.bytes if size <= _SMALL else frame.buffer)
+        large += size if size > _SMALL else 0
+    try:  # of the last frame: libzmq 4.3.4 knows none of a routing id that it read ahead, as after a poll
+        connection = str(frame.get("User-Id"))
+    except zmq.ZMQError:
+        connection = ""
+    source = _source(frame) if large or not connection.startswith(_LOCAL) else -1
+    return Message(connection, frames, source, large)
+
+
+def _source(frame: zmq.Frame) -> int:
+    try:
+        return int(frame.get(_SOURCE))
+    except zmq.ZMQError:  # from within this process
+        return -1
+
+
+def send_tracked(socket: zmq.Socket[bytes], frames: Sequence[Frame]) -> zmq.MessageTracker:
+    """As `send`, without a copy of the last frame, which must not change any more; tells when it has left."""
+    for frame in frames[:-1]:
+        _push(socket, frame, _MORE)
+    last = zmq.Frame(frames[-1], track=True, copy=False)
+    _push(socket, last, 0, False, True)
+    tracker: zmq.MessageTracker = last.tracker
+    return tracker

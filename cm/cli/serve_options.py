@@ -220,6 +220,7 @@ def limits_of(settings: Settings) -> Limits:
         connections_each=said.connections_each,
         message_bytes=said.message_mib * MIB,
         waiting_bytes=said.waiting_mib * MIB,
+        replies_bytes=said.replies_mib * MIB,
         upload_bytes=said.upload_mib * MIB,
         uploads_bytes=said.uploads_mib * MIB,
         leases=said.leases,

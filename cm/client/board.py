@@ -37,7 +37,7 @@ from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream
 from cm.client.zmq_frames import Wanted
 from cm.messages import html
 from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import ConfigEntry, ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
+from cm.messages.status import ClientStatus, ConfigEntry, ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
@@ -134,6 +134,10 @@ class Board(Guarded):
     def status(self) -> Status:
         """The state of the PL now."""
         return self.ask(calls.status())
+
+    def clients(self) -> tuple[ClientStatus, ...]:
+        """What each client takes of the manager: connections, leases, slots, bytes, the loop's time."""
+        return self.ask(calls.clients())
 
     def watch(self, timeout: float | None = None) -> EventStream[Status]:
         """Every status from now on, the current one first. Raises Timeout if none comes for `timeout` seconds."""

@@ -75,11 +75,17 @@ class TransferFailed(CmError):
     code = "transfer_failed"
 
 
+_BUSY = (
+    "busy", "region_busy", "held_by", "stream_stopped", "no_slots", "too_much_waiting", "replies_unread",
+    "too_many_leases", "quota",
+)  # fmt: skip
+_INVALID = (
+    "invalid_request", "access", "out_of_range", "schema", "unsupported", "too_long", "too_many", "name_too_long",
+    "number_too_long", "config_reserved",
+)  # fmt: skip
 _KINDS: dict[str, type[RequestFailed]] = {
-    **dict.fromkeys(("busy", "region_busy", "held_by", "stream_stopped", "no_slots", "quota"), RequestBusy),
-    **dict.fromkeys(
-        ("invalid_request", "access", "out_of_range", "schema", "unsupported", "config_reserved"), RequestInvalid
-    ),
+    **dict.fromkeys(_BUSY, RequestBusy),
+    **dict.fromkeys(_INVALID, RequestInvalid),
     "forbidden": RequestForbidden,
     **dict.fromkeys(("timeout", "step_timeout"), RequestTimeout),
     **dict.fromkeys(

@@ -7,24 +7,26 @@ says what was tried.
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 import resource
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from cm.budgets.budget import Bounds
+from cm.budgets.names import Who, place_of
+from cm.budgets.registry import Budgets
 from cm.daemon.limits import Limits
 from cm.native import guard
 from cm.native.guard import REQUESTS, TOPICS
 
-__all__ = ["REQUESTS", "TOPICS", "Connections", "listening", "raise_descriptors", "who"]
+__all__ = ["REQUESTS", "TOPICS", "Connections", "listening", "raise_descriptors"]
 
 _LOG = logging.getLogger("cm")
 _DESCRIPTORS = 65536  # asked for, where as many are allowed
 _RESERVE = 128  # descriptors that no connection takes: for devices, frames, files and leases
 _NEWCOMERS = 64  # connections for clients that have few
 PARTS = 300  # of one message
-_TOPICS = 4096  # subscriptions and their ends at once; 256 more each second
+_TOPICS = 1024  # subscriptions and their ends at once; 64 more each second
 _CAUSES = {
     "full": "as many are connected as may be (limits.connections)",
     "each": "it has as many connections as one client may have (limits.connections_each)",
@@ -55,31 +57,26 @@ def listening(kind: int) -> Iterator[None]:
         guard.expect(guard.NONE)
 
 
-def who(peer: guard.Peer) -> str:
-    """A client's name for people: ``pid 123``, or its address."""
-    if peer.pid:
-        return f"pid {peer.pid}" if peer.pid > 0 else "a process of another container"
-    address = ipaddress.IPv6Address(peer.address)
-    return str(address.ipv4_mapped or address)
-
-
 class Connections:
-    """Sets the bounds, and tells once in a while of those that were refused."""
+    """Sets the bounds, knows what each client takes, and tells once in a while of connections that were refused."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, who: Callable[[str], Who]) -> None:
         raise_descriptors()
         if not guard.install():
             _LOG.warning("connections cannot be limited here: libzmq does not call the C library by its tables")
         guard.limit(bounds(limits))
+        each = Bounds(limits.waiting_bytes, limits.replies_bytes, limits.upload_bytes, limits.uploads_bytes)
+        self.budgets = Budgets(each, who, guard.taken, guard.peers)
         self._told = guard.counts().refused
 
     def tell(self) -> None:
-        """Log what was refused since the last call: one line for each cause, however many there were."""
+        """Forget who has gone, and log what was refused since the last call: one line for each cause."""
+        self.budgets.settle()
         now = guard.counts()
         for cause, count in now.refused.items():
             more = count - self._told[cause]
             if more:
-                name = who(now.last) if cause == now.last_cause else "others"
+                name = place_of(now.last) if cause == now.last_cause else "others"
                 _LOG.warning("%d connections refused, the last of %s: %s", more, name, _CAUSES[cause])
         self._told = now.refused
 

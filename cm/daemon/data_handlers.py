@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from cm.budgets.budget import Budget
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.memory_transfers import MemoryTransfers, frame_info
 from cm.daemon.replies import Respond, error_info, refusal
@@ -64,26 +65,26 @@ class DataHandlers:
         except UnknownStream as error:
             raise UnknownStream(f"{error}{self._memories.listed()}") from None
 
-    def _read_data(self, request: rq.ReadData, respond: Respond) -> None:
+    def _read_data(self, request: rq.ReadData, respond: Respond, client: Budget) -> None:
         if request.offset or request.length or self._memories.find(request.stream):
-            self._transfer(self._memories.begin_read(request.stream, request.offset, request.length), respond)
+            self._transfer(client, self._memories.begin_read(request.stream, request.offset, request.length), respond)
             return
         if request.stream:
             self._stream(request.stream)
+        client.check_room()
 
         def done(result: Frame | CmError) -> None:
             if isinstance(result, CmError):
                 respond(Reply(error=error_info(result)))
             else:
-                respond(Reply(result.info, payload=(bytes(result.data),)))
+                respond(Reply(result.info, payload=(result.data,)))
 
         self._streams.read_once(request.stream, request.timeout, done)
 
-    def _write_data(self, request: rq.WriteData, respond: Respond) -> None:
+    def _write_data(self, request: rq.WriteData, respond: Respond, client: Budget) -> None:
         if request.offset or self._memories.find(request.stream):
-            self._transfer(
-                self._memories.begin_write(request.stream, request.offset, request.data, request.lease), respond
-            )
+            written = self._memories.begin_write(request.stream, request.offset, request.data, request.lease)
+            self._transfer(client, written, respond)
             return
         if request.stream:
             self._stream(request.stream)
@@ -93,7 +94,7 @@ class DataHandlers:
 
         self._streams.write(request.stream, request.data, done, request.lease)
 
-    def _transfer(self, transfer: Transfer, respond: Respond) -> None:
+    def _transfer(self, client: Budget, transfer: Transfer, respond: Respond) -> None:
         def done(problem: Exception | None) -> None:
             if problem is None:
                 respond(self._moved(transfer))
@@ -101,7 +102,7 @@ class DataHandlers:
                 self._board.noticed(problem)
                 respond(refusal(problem))
 
-        self._transfers.start(transfer, done)
+        self._transfers.start(client, transfer, done)
 
     def _moved(self, transfer: Transfer) -> Reply:
         state, payload = self._manager.state, () if transfer.write else (transfer.data,)

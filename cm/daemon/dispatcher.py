@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from functools import partial
+from time import monotonic_ns
+
+import zmq
 
 from cm import multipart
+from cm.budgets.budget import Budget
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.endpoints import Sockets
 from cm.daemon.handlers import Handlers
@@ -17,11 +21,12 @@ from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.replies import Respond, refusal
 from cm.errors import Busy, CmError, InvalidRequest
+from cm.manager.access.leases import scopes_written
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.messages import requests as rq
-from cm.messages.requests import Request
 from cm.messages.status import ErrorInfo, Reply
+from cm.multipart import Message
 from cm.rights.model import Role
 from cm.schema.model import Memory
 from cm.wire.decode import Frame, decode_request, split_text
@@ -33,30 +38,27 @@ _PUBLISHED = b""  # the sender of all that is published to the manager; a connec
 _MOST = 256  # requests of one sender that wait
 _LOOKS = (rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.CancelChange)  # never wait
 _STORES = (rq.Provision, rq.RemoveConfig)
+_LASTING = (rq.ChangeMode, rq.PlanChange, *_STORES, rq.ReadData, rq.WriteData)  # not done at once
+_TRACKED = 16 << 10  # bytes of a reply of which it is known whether it has left
 _WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
 
 
-@dataclass(frozen=True, slots=True)
-class _Waiting:
-    request: rq.Request
-    respond: Respond
-    connection: str  # who asked, as `cm.rights` knows it
+_Waiting = tuple[rq.Request, Respond, str]  # and who asked, as `cm.rights` knows it
 
 
+@dataclass(slots=True)
 class _Sender:
     """What of a sender is under way, and what waits for it."""
 
-    __slots__ = ("changes", "queue", "stores", "writes")
-
-    def __init__(self) -> None:
-        self.changes: list[Change] = []
-        self.stores = 0  # configurations that are being stored
-        self.writes = 0  # memories that are being written
-        self.queue: deque[_Waiting] = deque()
+    changes: list[Change] = field(default_factory=list)
+    stores: int = 0  # configurations that are being stored
+    writes: int = 0  # memories that are being written
+    long: int = 0  # registers, piece by piece
+    queue: deque[_Waiting] = field(default_factory=deque)
 
     @property
     def idle(self) -> bool:
-        return not (self.changes or self.stores or self.writes or self.queue)
+        return not (self.changes or self.stores or self.writes or self.long or self.queue)
 
 
 class Order:
@@ -86,32 +88,20 @@ class Order:
         elif len(state.queue) >= _MOST:
             respond(refusal(Busy(f"{_MOST} requests wait for the end of a change; ask again after it")))
         else:
-            state.queue.append(_Waiting(request, respond, connection))
+            state.queue.append((request, respond, connection))
 
     def _is_blocked(self, state: _Sender, request: rq.Request) -> bool:
-        if isinstance(request, (rq.ChangeMode, *_STORES)):
-            return bool(state.stores or state.writes)
+        if state.long or isinstance(request, (rq.ChangeMode, *_STORES)):
+            return bool(state.long or state.stores or state.writes)
         if state.writes and (isinstance(request, rq.WriteReg) or self._writes_memory(request)):
             return True
         return isinstance(request, _WRITES) and any(self._touches(change, request) for change in state.changes)
 
     def _touches(self, change: Change, request: rq.Request) -> bool:
         """Whether a change writes what this request writes, or loads the region of it."""
-        return bool({"config", *self._scopes(request)} & set(change.scopes))
-
-    def _scopes(self, request: rq.Request) -> Iterator[str]:
-        """What a request writes, as the scopes of a change are named."""
-        config = self._manager.loaded_config()
-        if isinstance(request, rq.WriteReg):
-            visible = config.visible_registers(self._manager.state.mode) if config else {}
-            for name in {write.name.partition(".")[0] for write in request.writes}:
-                yield f"registers:{name}"
-                yield f"region:{visible[name].region if name in visible else None}"
-        elif isinstance(request, (rq.WriteData, rq.ConfigureStream)):
-            memory = self._memory(request.stream)
-            stream = config.streams.get(request.stream) if config else None
-            yield f"memories:{request.stream}"
-            yield f"region:{(memory or stream).region if memory or stream else None}"  # type: ignore[union-attr]
+        config, mode = self._manager.loaded_config(), self._manager.state.mode
+        memory = self._memory(request.stream) if isinstance(request, (rq.WriteData, rq.ConfigureStream)) else None
+        return bool({"config", *scopes_written(request, config, mode, memory)} & set(change.scopes))
 
     def _writes_memory(self, request: rq.Request) -> bool:
         return isinstance(request, rq.WriteData) and self._memory(request.stream) is not None
@@ -123,7 +113,9 @@ class Order:
             return None
 
     def _do(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
-        if isinstance(request, _STORES):
+        if self._handlers.takes_long(request):
+            respond = self._counted(sender, "long", respond)
+        elif isinstance(request, _STORES):
             respond = self._counted(sender, "stores", respond)
         elif self._writes_memory(request):
             respond = self._counted(sender, "writes", respond)
@@ -156,9 +148,8 @@ class Order:
         state = self._senders.get(sender)
         if state is None:
             return
-        while state.queue and not self._is_blocked(state, state.queue[0].request):
-            waiting = state.queue.popleft()
-            self._do(sender, waiting.request, waiting.respond, waiting.connection)
+        while state.queue and not self._is_blocked(state, state.queue[0][0]):
+            self._do(sender, *state.queue.popleft())
         if state.idle:
             self._senders.pop(sender, None)
 
@@ -179,7 +170,7 @@ class Dispatcher:
     ) -> None:
         self._loop = loop
         self._sockets = sockets
-        self._gate = handlers.gate
+        self._gate, self._budgets = handlers.gate, handlers.budgets
         self._order = Order(handlers, manager)
         self._read_cache = read_cache
         self._publisher = publisher
@@ -190,53 +181,68 @@ class Dispatcher:
 
     def on_request(self) -> None:
         """A message on the ROUTER: answer it, now or when its work has ended."""
+        self._take(self._sockets.req, self._answer)
+
+    def on_message(self) -> None:
+        """A message on the SUB: as above without a reply; what is wrong shows in the status."""
+        self._take(self._sockets.sub, self._obey)
+
+    def _take(self, socket: zmq.Socket[bytes], serve: Callable[[Message, Budget], None]) -> None:
+        began, message = monotonic_ns(), multipart.receive_from(socket)
+        budget = self._budgets.came(message)
         self.taken += 1
-        connection, frames = multipart.receive_from(self._sockets.req)
-        envelope, message = split_envelope(frames)
+        serve(message, budget)
+        budget.busy_ns += monotonic_ns() - began
+
+    def _answer(self, came: Message, budget: Budget) -> None:
+        envelope, message = split_envelope(came.frames)
         sender, again = bytes(envelope[0]), len(message) == 2 and message[0] == READ_REG
-        again = again and self._gate.everywhere(connection) >= Role.OBSERVE  # nothing keeps it from what others read
-        if again and not self._order.waits(sender) and self._read_again(envelope, message[1]):
+        again = again and self._gate.everywhere(came.connection) >= Role.OBSERVE  # it may read what others read
+        if again and not self._order.waits(sender) and self._read_again(envelope, message[1], budget):
             return
         if len(message) == 1:
             message = split_text(message)
         topic = bytes(message[0]) if message else b""
-        self._dispatch(sender, connection, message, partial(self._reply, envelope, topic))
+        self._dispatch(sender, came, message, partial(self._reply, envelope, topic, budget), budget)
         if topic == READ_REG:
             self._read_cache.learn(message)
 
-    def _read_again(self, envelope: list[Frame], message: Frame) -> bool:
+    def _read_again(self, envelope: list[Frame], message: Frame, budget: Budget) -> bool:
         """Answer a read of registers that was answered before; False where it was not."""
         try:
             reply = self._read_cache.answer(bytes(message), self._publisher.sequence)
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
             self._board.noticed(error)
-            self._reply(envelope, READ_REG, refusal(error))
+            self._reply(envelope, READ_REG, budget, refusal(error))
             return True
         if reply is not None:
             self._loop.send(self._sockets.req, [*envelope, READ_REG, reply])
         return reply is not None
 
-    def _reply(self, envelope: list[Frame], topic: bytes, reply: Reply) -> None:
+    def _reply(self, envelope: list[Frame], topic: bytes, budget: Budget, reply: Reply) -> None:
         if reply.error is not None:
             self.refused[reply.error.code] += 1
-        frames = encode_reply(topic, reply, self._publisher.sequence)
-        self._loop.send(self._sockets.req, [*envelope, *frames])
+        frames = [*envelope, *encode_reply(topic, reply, self._publisher.sequence)]
+        if len(frames[-1]) < _TRACKED:
+            self._loop.send(self._sockets.req, frames)
+        else:
+            budget.sent(multipart.send_tracked(self._sockets.req, frames), len(frames[-1]))
 
-    def on_message(self) -> None:
-        """A message on the SUB: the same requests without a reply; what is wrong with them shows in the status."""
-        self.taken += 1
-        connection, frames = multipart.receive_from(self._sockets.sub)
-        self._dispatch(_PUBLISHED, connection, frames, self._fire_and_forget)
+    def _obey(self, came: Message, budget: Budget) -> None:
+        self._dispatch(_PUBLISHED, came, came.frames, self._fire_and_forget, budget)
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:
             self.refused[reply.error.code] += 1
             self._note_error(reply.error)
 
-    def _dispatch(self, sender: bytes, connection: str, frames: Sequence[Frame], respond: Respond) -> None:
+    def _dispatch(self, sender: bytes, came: Message, frames: Sequence[Frame], respond: Respond, by: Budget) -> None:
         try:
-            request: Request = decode_request(frames)
-        except InvalidRequest as error:
+            request: rq.Request = decode_request(frames)
+            if isinstance(request, _LASTING):
+                respond = by.under_way(respond, came.large)
+        except (InvalidRequest, Busy) as error:
+            by.refused += 1
             respond(refusal(error))
             return
-        self._order.take(sender, request, respond, connection)
+        self._order.take(sender, request, respond, came.connection)

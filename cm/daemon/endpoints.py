@@ -26,6 +26,7 @@ ENDPOINTS_FILE = "endpoints.json"
 _TRIES = 64  # of ports, until three in a row are free
 _LAST = 65533  # the first of the last three
 _HANDSHAKE = 10_000  # milliseconds for which a connection may say nothing
+_TOPIC = 512  # bytes of a subscription, and of what shakes hands
 _WAITING = 64  # messages of each connection that wait to be taken
 
 
@@ -160,6 +161,7 @@ class Sockets:
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE)
         for socket in (self.sub, self.req):
             socket.setsockopt(zmq.RCVHWM, _WAITING)
+        self.pub.setsockopt(zmq.MAXMSGSIZE, _TOPIC)
         self.tcp: list[Endpoints] = []
 
     @property

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NoReturn, TypeVar
 
+from cm.budgets.registry import Budgets, with_holdings
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.config_handlers import SentConfigs
 from cm.daemon.data_handlers import DataHandlers
@@ -17,6 +18,8 @@ from cm.daemon.interrupts import InterruptWatch
 from cm.daemon.lease_watch import LeaseWatch
 from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import MemoryTransfers
+from cm.daemon.pieces import Pieces
+from cm.daemon.register_handlers import RegisterHandlers, takes_long
 from cm.daemon.replies import Respond, refusal
 from cm.daemon.sessions import Sessions
 from cm.daemon.streams.registry import Streams
@@ -35,8 +38,7 @@ _T = TypeVar("_T")
 Began = Callable[[Change], Callable[[], None]]
 
 
-def _nobody_waits(_: Change) -> Callable[[], None]:
-    return lambda: None
+_OF_CLIENTS = (rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData)  # done by turns of clients
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,8 @@ class Services:
     status: Callable[[], Status]
     complete: Callable[[Config], Config]  # adds what only the board knows
     sessions: Sessions
+    pieces: Pieces
+    budgets: Budgets
     aside: Executor  # for what reads or writes files, so that the loop goes on
 
 
@@ -72,12 +76,11 @@ class Handlers:
             rq.CancelChange: self._cancel_change,
             rq.Provision: self._provision,
             rq.RemoveConfig: self._remove_config,
-            rq.ReadReg: self._read_reg,
-            rq.WriteReg: self._write_reg,
             rq.ReadIrq: self._read_irq,
             rq.TakeLease: self._lease,
             rq.RenewLease: self._lease,
             rq.ReleaseLease: self._lease,
+            **RegisterHandlers(services.manager, services.pieces, services.board).table,
             **DataHandlers(services.manager, services.streams, services.memories, services.board).table,
         }
 
@@ -86,7 +89,16 @@ class Handlers:
         """Who may do what."""
         return self._s.sessions.gate
 
-    def handle(self, connection: str, request: rq.Request, respond: Respond, began: Began = _nobody_waits) -> None:
+    def takes_long(self, request: rq.Request) -> bool:
+        """Whether it is a read or write of so many registers that it is done piece by piece."""
+        return isinstance(request, (rq.ReadReg, rq.WriteReg)) and takes_long(request, self._s.manager.registers)
+
+    @property
+    def budgets(self) -> Budgets:
+        """Who takes what."""
+        return self._s.budgets
+
+    def handle(self, connection: str, request: rq.Request, respond: Respond, began: Began) -> None:
         """Do what a request over a connection asks; whatever goes wrong becomes an error reply.
 
         A change that this asks for is given to `began`; what that returns is called when the change has ended.
@@ -101,6 +113,8 @@ class Handlers:
             self._guarded(partial(handler, request, respond, began), respond)
         elif isinstance(request, (rq.Provision, rq.RemoveConfig)):
             self._guarded(partial(handler, request, respond, began, connection), respond)
+        elif isinstance(request, _OF_CLIENTS):
+            self._guarded(partial(handler, request, respond, self._s.budgets.of(connection)), respond)
         else:
             self._guarded(partial(handler, request, respond), respond)
 
@@ -129,8 +143,10 @@ class Handlers:
 
     # ---- status and configurations ------------------------------------------------------
 
-    def _read_status(self, _: rq.ReadStatus, respond: Respond) -> None:
-        respond(Reply(self._s.status()))
+    def _read_status(self, request: rq.ReadStatus, respond: Respond) -> None:
+        status = self._s.status()
+        taken = with_holdings(self._s.budgets.snapshot(), status.leases, status.streams) if request.clients else ()
+        respond(Reply(replace(status, clients=taken) if taken else status))
         self._s.manager.status_read()
 
     def _read_config(self, request: rq.ReadConfig, respond: Respond) -> None:
@@ -184,14 +200,6 @@ class Handlers:
     def _removed(self, name: str, respond: Respond) -> None:
         self._s.manager.forget_config(name)
         respond(Reply(self._sent.listed()))
-
-    # ---- registers ------------------------------------------------------------------------
-
-    def _read_reg(self, request: rq.ReadReg, respond: Respond) -> None:
-        respond(Reply(self._s.manager.registers.read(request.names)))
-
-    def _write_reg(self, request: rq.WriteReg, respond: Respond) -> None:
-        respond(Reply(self._s.manager.write_registers(request.writes, request.lease)))
 
     # ---- interrupts and leases ------------------------------------------------------------
 

@@ -13,7 +13,7 @@ class Limits:
     """What an operator may set (`limits` of ``/etc/cm/cm.yaml``); `…_each` is of one client.
 
     A client is a process of this machine, or an address beyond it. `message_bytes`: of one ZeroMQ message.
-    `waiting_bytes`: of one client's requests that wait, and likewise of its replies that it has not read.
+    `waiting_bytes`: of one client's requests that wait. `replies_bytes`: of replies that it has not read.
     `upload_bytes`, `uploads_bytes`: sent in parts and not used yet, of one client and of all. `slots_each`: of one
     stream.
     """
@@ -22,6 +22,7 @@ class Limits:
     connections_each: int = 256
     message_bytes: int = 8 * MIB
     waiting_bytes: int = 32 * MIB
+    replies_bytes: int = 16 * MIB
     upload_bytes: int = 256 * MIB
     uploads_bytes: int = 512 * MIB
     leases: int = 256

@@ -12,8 +12,9 @@ import os
 import time
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import zmq
 
@@ -22,6 +23,7 @@ from cm.daemon.loop import Loop
 from cm.daemon.streams.compression import Compressor, compressions
 from cm.daemon.streams.stream import Frame
 from cm.messages.status import FrameInfo, Irq, RegValues, SensorStatus, Status
+from cm.native import guard
 from cm.wire import encode, topics
 
 # libzmq's thread takes short messages off a queue in no time, once it has a processor: seconds to give it.
@@ -29,6 +31,8 @@ _PAUSES = (0.0001, 0.0005, 0.002, 0.01)
 _HOPELESS = 1.0  # seconds for which a queue that stayed full is not waited for again
 
 _NODROP, _NOBLOCK = int(zmq.XPUB_NODROP), int(zmq.NOBLOCK)
+_AT_ONCE = 32  # subscriptions that are taken before others get their turn
+TOPICS_EACH, TOPICS_ALL = 64 << 10, 1 << 20  # bytes of the topics of one connection, and of all
 _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 
 
@@ -72,15 +76,73 @@ class XpubSender:
             self._socket.setsockopt(_NODROP, 1)
 
 
+class Wires(Protocol):
+    """What is known of connections by their descriptors (`cm.native.guard`)."""
+
+    def serial(self, fd: int, /) -> int:
+        """A number that no other connection has; 0: it is none."""
+
+    def cut(self, fd: int, /) -> None:
+        """End it; OSError where it is none."""
+
+
+class Subscriptions:
+    """Topics that somebody subscribes to; each counts for the connection that named it first.
+
+    A connection that names too many is ended, and where all together are too many, the one that named most of them:
+    libzmq keeps a node for each byte, for as long as the connection lasts. Memory is given back as they go.
+    """
+
+    def __init__(self, wires: Wires) -> None:
+        self._wires = wires
+        self._owners: dict[bytes, tuple[int, int]] = {}  # serial and descriptor
+        self._bytes: Counter[tuple[int, int]] = Counter()
+        self._peak = 0  # topics that there were, since the table was last made anew
+
+    def add(self, topic: bytes, source: int) -> None:
+        """A subscription over a connection."""
+        if topic in self._owners:
+            return
+        owner = self._owners[topic] = self._wires.serial(source), source
+        self._bytes[owner] += len(topic) + 1
+        self._peak = max(self._peak, len(self._owners))
+        if self._bytes[owner] > TOPICS_EACH:
+            self._end(owner)
+        elif self._bytes.total() > TOPICS_ALL:
+            self._end(max(self._bytes, key=self._bytes.__getitem__))
+
+    def _end(self, owner: tuple[int, int]) -> None:
+        """Its topics go as soon as libzmq tells of them."""
+        if self._wires.serial(owner[1]) == owner[0]:
+            with suppress(OSError):
+                self._wires.cut(owner[1])
+
+    def discard(self, topic: bytes) -> None:
+        """The last subscription to it is gone."""
+        owner = self._owners.pop(topic, None)
+        if owner is None:
+            return
+        self._bytes[owner] -= len(topic) + 1
+        if not self._bytes[owner]:
+            del self._bytes[owner]
+        if len(self._owners) < self._peak // 8:  # a dict does not shrink by itself
+            self._owners, self._peak = dict(self._owners), len(self._owners)
+
+    def covers(self, topic: bytes, least: int = 0) -> bool:
+        """Whether one of `least` bytes or more is a prefix of a topic; as long as that, however many there are."""
+        owners = self._owners
+        return bool(owners) and any(topic[:length] in owners for length in range(least, len(topic) + 1))
+
+
 class Publisher:
     """Keeps track of who subscribes to what; numbers statuses. The loop's thread."""
 
-    def __init__(self, loop: Loop, socket: zmq.Socket[bytes], board: str = "") -> None:
+    def __init__(self, loop: Loop, socket: zmq.Socket[bytes], board: str = "", wires: Wires = guard) -> None:
         self._socket = socket
         self._board = board or os.uname().nodename
         self._sender = XpubSender(loop, socket)
         self._compressor = Compressor(loop, self._compressed)
-        self._subscriptions: set[bytes] = set()
+        self._subscriptions = Subscriptions(wires)
         self._overruns: Counter[str] = Counter()
         self._numbers = itertools.count(1)
         self._started_ns = time.time_ns()
@@ -88,16 +150,17 @@ class Publisher:
         self.sequence = 0
 
     def take_subscriptions(self) -> bool:
-        """Take subscription messages off the socket; whether one of them wants the status, which it gets at once."""
+        """Take some subscription messages off the socket; whether one wants the status, which it gets at once."""
         wanted = False
-        while True:
+        for _ in range(_AT_ONCE):
             try:
-                message = self._socket.recv(zmq.NOBLOCK)
+                frame = self._socket.recv(zmq.NOBLOCK, copy=False)
             except zmq.Again:
                 break
+            message = frame.bytes
             topic = message[1:]
             if message[:1] == b"\x01":
-                self._subscriptions.add(topic)
+                self._subscriptions.add(topic, frame.get(zmq.SRCFD))
                 wanted = wanted or topics.STATUS.startswith(topic)
             else:
                 self._subscriptions.discard(topic)
@@ -105,7 +168,7 @@ class Publisher:
 
     def has_subscriber(self, topic: bytes) -> bool:
         """Whether a topic has a subscriber."""
-        return any(topic.startswith(prefix) for prefix in self._subscriptions)
+        return self._subscriptions.covers(topic)
 
     def wants_stream(self, name: str) -> bool:
         """Whether a stream's frames have a subscriber."""
@@ -113,8 +176,7 @@ class Publisher:
 
     def _wants_compressed(self, name: str) -> bool:
         """Only who names the topic: a subscription to everything does not mean every form of it."""
-        topic = topics.LZ4_PREFIX + name.encode()
-        return any(s.startswith(topics.LZ4_PREFIX) and topic.startswith(s) for s in self._subscriptions)
+        return self._subscriptions.covers(topics.LZ4_PREFIX + name.encode(), len(topics.LZ4_PREFIX))
 
     def overruns(self, stream: str) -> int:
         """How often a subscriber began to lose a stream's frames."""

@@ -30,6 +30,7 @@ from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import MemoryTransfers
 from cm.daemon.metrics import Metrics
 from cm.daemon.options import Options
+from cm.daemon.pieces import Pieces
 from cm.daemon.publisher import Publisher
 from cm.daemon.queue_limit import mark
 from cm.daemon.read_cache import ReadCache
@@ -60,17 +61,18 @@ class Server:
         self._options = options
         self._locks = Locks(options.runtime_dir, options.root, options.group)
         self._loop = Loop()
-        self._connections = Connections(options.limits)
+        gate = Gate(options.access, system_users())
+        self._connections = Connections(options.limits, gate.principal)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         own_folder(options.state_dir)
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, options.quota)
         self._journal = Journal(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
-        configs = self._configs()
-        waiting = mark(configs.values(), options.queue_bytes)
-        self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
-        gate = Gate(options.access, system_users())
+        configs, bounds = self._configs(), (options.limits, options.group)
+        self._sockets = Sockets(
+            self._context, options.runtime_dir, mark(configs.values(), options.queue_bytes), *bounds
+        )
         self._authenticator = Authenticator(self._context, gate.enter)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time)
@@ -83,7 +85,8 @@ class Server:
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )
         self._leases = LeaseWatch(self._loop, leases)
-        self._memories = MemoryTransfers(self._loop, self._manager.memories)
+        self._pieces = Pieces(self._loop)
+        self._memories = MemoryTransfers(self._pieces, self._manager.memories)
         self._board = BoardWatch(self._devices.boot_id, self._manager, self._streams, self._interrupts, self._autoload)
         self._dispatcher = self._make_dispatcher()
         self._metrics = Metrics(self._services(), self._dispatcher)
@@ -127,9 +130,11 @@ class Server:
             provisioner=self._provisioner,
             leases=self._leases,
             memories=self._memories,
+            pieces=self._pieces,
             board=self._board,
             sessions=self._sessions,
             status=lambda: self._publisher.complete(self._status()),
+            budgets=self._connections.budgets,
             complete=self._with_channels,
             aside=self._aside,
         )
@@ -184,14 +189,12 @@ class Server:
 
     def _close(self) -> None:
         self._service.stopping()
-        users = (self._acceptor.close, self._streams.end, self._memories.close, self._interrupts.close)
+        users = (self._acceptor.close, self._streams.end, self._pieces.close, self._interrupts.close)
         watches = (self._metrics.close, self._sensors.close, self._leases.close, self._aside.shutdown)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
-        last = (self._authenticator.close, self._context.term)
+        last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
         for end in (self._manager.stop, *users, *watches, *board, *last):
             end()
-        self._loop.close()
-        self._locks.release()
 
     def _on_subscription(self) -> None:
         if self._publisher.take_subscriptions():
@@ -242,9 +245,8 @@ class Server:
     def _tick(self) -> None:
         self._manager.flush()
         self._streams.refresh()
-        for look in (self._reloader.continue_waiting, self._reloader.look, self._sessions.look):
+        looks = (self._sessions.look, self._board.look, self._connections.tell)
+        for look in (self._reloader.continue_waiting, self._reloader.look, *looks):
             look()
-        self._board.look()
-        self._connections.tell()
         if self._streams.any_open:
             self._publisher.status(self._status())

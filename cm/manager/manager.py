@@ -201,14 +201,11 @@ class Manager:
         scopes = leases_concerned(config, mode, self.state.config)
         self.leases.check(scopes, request.lease)
         if request.no_queue and self._worker.busy:
-            raise ChangeBusy(f"a change to {self._target_text()} is running")
+            running = self._worker.running
+            raise ChangeBusy(f"a change to {f'{running.config}/{running.mode}' if running else 'a mode'} is running")
         number = self._state.next_number()
         change = Change(number, config.name, mode, request.force, None, scopes, request.lease, on_done=on_done)
         return self._worker.add(change)
-
-    def _target_text(self) -> str:
-        running = self._worker.running
-        return f"{running.config}/{running.mode}" if running else "another mode"
 
     @property
     def changing(self) -> bool:
@@ -221,8 +218,7 @@ class Manager:
 
     def cancel(self) -> bool:
         """Cancel the running change, if there is one."""
-        running = self._worker.running
-        if running is not None:
+        if (running := self._worker.running) is not None:
             running.cancel()
         return running is not None
 
@@ -235,7 +231,10 @@ class Manager:
 
     def write_registers(self, writes: tuple[RegWrite, ...], lease: str = "") -> RegValues:
         """Check all, then write in order; returns and publishes what the registers then hold."""
-        result = self.registers.write(writes, lease)
+        return self.tell_registers(self.registers.write(writes, lease))
+
+    def tell_registers(self, result: RegValues) -> RegValues:
+        """Publish what was written."""
         self._env.data_plane.wrote(result.generation)  # before anybody knows its number
         self._env.observer.registers_changed(result)
         return result

@@ -11,7 +11,9 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class ReadStatus:
-    """The current `cm.messages.status.Status`."""
+    """The current `cm.messages.status.Status`; with its `clients` if asked for."""
+
+    clients: bool = False
 
 
 @dataclass(frozen=True, slots=True)

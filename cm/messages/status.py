@@ -118,6 +118,34 @@ class StreamStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class LeaseStatus:
+    """A lease that is held, for all to see: its id is its holder's alone. `seconds` until it ends unless renewed."""
+
+    number: int  # by which it can be broken
+    scope: str
+    exclusive: bool = True
+    holder: str = ""
+    client: str = ""  # who took it, as the manager knows it
+    pid: int = 0  # of the process with which it ends
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ClientStatus:
+    """What one client takes of what there is for all."""
+
+    name: str
+    connections: int = 0
+    leases: int = 0
+    slots: int = 0
+    upload_bytes: int = 0
+    waiting_bytes: int = 0  # of requests that wait, and of replies that it has not read
+    loop_seconds: float = 0.0
+    requests: int = 0
+    refused: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """The state of the PL as the manager knows it: the content of ``cm_status``."""
 
@@ -140,6 +168,8 @@ class Status:
     realtime_offset_ns: int = 0  # CLOCK_REALTIME less CLOCK_MONOTONIC of the manager's machine
     generation: int = 0  # of the registers: grows with every write by a request, and with every change
     sensors: tuple[SensorStatus, ...] = ()  # of the board; within the last seconds
+    leases: tuple[LeaseStatus, ...] = ()
+    clients: tuple[ClientStatus, ...] = ()  # in the reply to who asks for them only
 
     def _repr_html_(self) -> str:
         from cm.messages import html  # only notebooks need it

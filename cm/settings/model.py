@@ -77,6 +77,7 @@ class LimitSettings:
     connections_each: int = 256
     message_mib: int = 8
     waiting_mib: int = 32
+    replies_mib: int = 16
     upload_mib: int = 256
     uploads_mib: int = 512
     leases: int = 256

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 
 from cm.messages import status as st
 from cm.wire import cm_pb2 as pb
+from cm.wire import holders
 
 _PR_MODES = tuple(st.PrMode)  # in the order of the enum PrMode of cm.proto
 
@@ -38,6 +39,8 @@ def status_to_pb(s: st.Status) -> pb.Status:
         realtime_offset_ns=s.realtime_offset_ns,
         generation=s.generation,
         sensors=[pb.SensorState(device=x.device, name=x.name, quantity=x.quantity, value=x.value) for x in s.sensors],
+        leases=[holders.lease_state_to_pb(x) for x in s.leases],
+        clients=[holders.client_to_pb(x) for x in s.clients],
     )
     if s.progress is not None:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
@@ -67,6 +70,8 @@ def status_from_pb(m: pb.Status) -> st.Status:
         realtime_offset_ns=m.realtime_offset_ns,
         generation=m.generation,
         sensors=tuple([st.SensorStatus(x.device, x.name, x.quantity, x.value) for x in m.sensors]),
+        leases=tuple(holders.lease_state_from_pb(x) for x in m.leases),
+        clients=tuple(holders.client_from_pb(x) for x in m.clients),
     )
 
 

@@ -71,8 +71,7 @@ def _no_payload(topic: str, payload: Sequence[Frame]) -> None:
 
 def _read_status(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_status", payload)
-    _parse(pb.ReadStatus, "cm_status", message)
-    return rq.ReadStatus()
+    return rq.ReadStatus(_parse(pb.ReadStatus, "cm_status", message).clients)
 
 
 def _read_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:

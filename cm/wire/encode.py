@@ -132,7 +132,7 @@ def _config(message: pb.ReadConfig) -> list[Frame]:
 
 
 _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
-    rq.ReadStatus: lambda _: [topics.STATUS, b""],
+    rq.ReadStatus: lambda r: [topics.STATUS, pb.ReadStatus(clients=r.clients).SerializeToString()],
     rq.ReadConfig: lambda r: _config(pb.ReadConfig(config_name=r.config_name)),
     rq.ListConfigs: lambda _: _config(pb.ReadConfig(list=True)),
     rq.PlanChange: lambda r: _config(pb.ReadConfig(config_name=r.config_name, plan_mode=r.mode, plan=True)),

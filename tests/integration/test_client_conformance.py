@@ -109,6 +109,7 @@ def test_the_status_names_the_board_and_tells_wall_time_from_its_own_clock(board
 
 def test_configurations_can_be_listed_and_described(board: Any) -> None:
     assert board.configs == ("camera",)
+    assert any(client.requests for client in board.clients())
     assert board.config().name == board.config("camera").name == "camera"
     with pytest.raises(RequestNotFound, match="camra"):
         board.config("camra")

@@ -20,6 +20,7 @@ MAY = {
     "errors": set(),
     "_version": set(),
     "messages": set(),
+    "budgets": {"errors", "messages"},
     "multipart": set(),
     "zap": set(),
     "fdt": set(),
@@ -38,6 +39,7 @@ MAY = {
     "wire": BASE | {"messages"},
     "daemon": BASE
     | {
+        "budgets",
         "rights",
         "zap",
         "fdt",

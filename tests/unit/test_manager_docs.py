@@ -17,7 +17,7 @@ from cm.manager.state.steps import Step
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "reconfiguration.md"
-PACKAGES = ("errors", "manager", "device", "bitstream", "daemon", "client", "schema", "wire")
+PACKAGES = ("errors", "manager", "device", "bitstream", "daemon", "client", "schema", "wire", "budgets")
 
 
 def maker() -> Any:

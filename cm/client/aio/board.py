@@ -38,7 +38,7 @@ from cm.client.progress import OnProgress, Shown
 from cm.client.sockets import Sockets, closed
 from cm.client.zmq_frames import Wanted
 from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import ConfigEntry, ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
+from cm.messages.status import ClientStatus, ConfigEntry, ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
@@ -120,6 +120,10 @@ class Board(Guarded):
     async def status(self) -> Status:
         """The state of the PL now."""
         return await self.ask(calls.status())
+
+    async def clients(self) -> tuple[ClientStatus, ...]:
+        """What each client takes of the manager: connections, leases, slots, bytes, the loop's time."""
+        return await self.ask(calls.clients())
 
     def watch(self, timeout: float | None = None) -> EventStream[Status]:
         """Every status from now on, the current one first. Raises Timeout if none comes for `timeout` seconds."""

@@ -17,6 +17,7 @@ from cm.errors import InvalidRequest
 from cm.messages import requests as rq
 from cm.messages.status import (
     ChangeInfo,
+    ClientStatus,
     ConfigEntry,
     ConfigInfo,
     FrameInfo,
@@ -52,6 +53,11 @@ def _body(reply: Reply, kind: type[_T]) -> _T:
 def status() -> Call[Status]:
     """The current status."""
     return Call(rq.ReadStatus(), lambda r: _body(r, Status))
+
+
+def clients() -> Call[tuple[ClientStatus, ...]]:
+    """What each client takes of the manager."""
+    return Call(rq.ReadStatus(clients=True), lambda r: _body(r, Status).clients)
 
 
 def config_names() -> Call[tuple[str, ...]]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from cm.daemon.loop import Loop, Timer
 from cm.daemon.streams.policy import StreamStopped
@@ -34,7 +35,7 @@ class ZmqReader(ZmqClient):
         return bool(self._readers)
 
     def read_once(self, timeout: float, done: Done) -> None:
-        """Hand the next frame to `done`, or a Timeout after `timeout` seconds."""
+        """Hand the next frame to `done`, whose data stay, or a Timeout after `timeout` seconds."""
         entry: list[tuple[Done, Timer]] = []
 
         def expired() -> None:
@@ -62,9 +63,10 @@ class ZmqReader(ZmqClient):
         try:
             frame = Frame(self._stream.info(packet, self._generation), self._bytes(packet))
             readers, self._readers = self._readers, deque()
+            kept = replace(frame, data=memoryview(bytes(frame.data))) if readers else frame  # one copy for all
             for done, timer in readers:
                 timer.cancel()
-                done(frame)
+                done(kept)
             self._deliver(frame)
         finally:
             slot.sync_end(write=False)

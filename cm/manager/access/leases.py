@@ -9,16 +9,24 @@ from __future__ import annotations
 
 import secrets
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 
 from cm.errors import InvalidRequest, NotFound
 from cm.manager.errors import HeldBy
 from cm.manager.ports import TimeSource
-from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
+from cm.messages.requests import (
+    ConfigureStream,
+    ReleaseLease,
+    RenewLease,
+    Request,
+    TakeLease,
+    WriteData,
+    WriteReg,
+)
 from cm.messages.status import LeaseInfo
-from cm.schema.model import Config, Mode, Module
+from cm.schema.model import Config, Memory, Mode, Module
 
 MAX_SECONDS = 3600.0
 _NAMED = ("region", "registers", "memories")
@@ -136,6 +144,19 @@ def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str
         *(f"registers:{name}" for name in names),
         *(f"memories:{name}" for name in memories),
     )
+
+
+def scopes_written(request: Request, config: Config | None, mode: str | None, memory: Memory | None) -> Iterator[str]:
+    """What a request writes, as `leases_concerned` names it; `memory`: that of the name in it."""
+    if isinstance(request, WriteReg):
+        visible = config.visible_registers(mode) if config else {}
+        for name in {write.name.partition(".")[0] for write in request.writes}:
+            yield f"registers:{name}"
+            yield f"region:{visible[name].region if name in visible else None}"
+    elif isinstance(request, (WriteData, ConfigureStream)):
+        what = memory or (config.streams.get(request.stream) if config else None)
+        yield f"memories:{request.stream}"
+        yield f"region:{what.region if what else None}"
 
 
 def check_scope_names_something(scope: str, configs: Iterable[Config], memories: Iterable[str]) -> None:

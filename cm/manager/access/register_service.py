@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 from cm.errors import CmError
@@ -18,6 +18,7 @@ from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue, RegValues
 from cm.schema.model import Access, BitField, Config, Register
 
+Checked = tuple[Register, int, int]  # value and mask in its place
 _WO, _RW, _READY = Access.WO, Access.RW, RegionPhase.READY  # a look into an enum's class is not free
 
 
@@ -142,17 +143,45 @@ class RegisterService:
             read = self._bus.read_address
             return [(read(address, width) & mask) >> lsb for address, width, lsb, mask in places]
 
+    def visible_names(self) -> Collection[str]:
+        """Those of all registers of this mode; none where nothing is loaded."""
+        try:
+            return self._look().registers.keys()
+        except NothingLoaded:
+            return ()
+
+    def readable_names(self) -> tuple[str, ...]:
+        """Those of all registers that can be read now."""
+        with self._lock:
+            return tuple([place.register.name for place in self._readable(self._look())])
+
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
         """Check all, then write in order; what the registers then hold."""
+        return self.write_checked(self.checked(writes, lease))
+
+    def checked(self, writes: tuple[RegWrite, ...], lease: str) -> list[Checked]:
+        """Registers, values and masks of writes that may be done. Raises for the first that may not."""
         visible = self._look().registers
         checked = [checked_write(visible, w, lambda n=w.name: self._elsewhere(n, visible)) for w in writes]  # type: ignore[misc]
         self._check_leases([r for r, _, _ in checked], lease)
+        return checked
+
+    def write_checked(self, checked: list[Checked]) -> RegValues:
+        """Write in order what was checked. Raises RegionBusy where a change has begun."""
         with self._lock:
             view = self._look()
             for register, _, _ in checked:
                 self._check_free(register)
             values = tuple([self._write(register, value, mask) for register, value, mask in checked])
             return RegValues(values, view.config.name, view.mode or "", self._state.written())
+
+    def check_again(self, checked: list[Checked], lease: str) -> None:
+        """Raise HeldBy, RegionBusy where what was checked a while ago has another holder, or is not there any more."""
+        registers, visible = [register for register, _, _ in checked], self._look().registers
+        for register in registers:
+            if visible.get(register.name) is not register:
+                raise RegionBusy(f"register {register.name!r}: the mode was changed while the request was carried out")
+        self._check_leases(registers, lease)
 
     def take_flags(self, name: str, clear: int) -> int:
         """Read a status register and acknowledge those interrupts of `clear` (bits) that stand; what was read.

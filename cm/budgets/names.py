@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How clients are called, and where their connections come from."""
+
+from __future__ import annotations
+
+import ipaddress
+from pathlib import Path
+from typing import Protocol
+
+
+class Peer(Protocol):
+    """Who is at the other end of a connection that is there (`cm.native.guard.Peer`)."""
+
+    @property
+    def pid(self) -> int:
+        """Of a process of this machine, -1 in a container of its own; 0: it is elsewhere."""
+
+    @property
+    def address(self) -> bytes:
+        """Then IPv6, or IPv4 mapped into it."""
+
+
+class Who(Protocol):
+    """Whom a message came from (`cm.rights.principal.Principal`)."""
+
+    @property
+    def pid(self) -> int | None:
+        """Of a process of this machine."""
+
+    @property
+    def address(self) -> str:
+        """Of somebody elsewhere."""
+
+    @property
+    def name(self) -> str:
+        """A user's, or that of a key."""
+
+    @property
+    def key(self) -> str:
+        """Public, Z85."""
+
+
+def place_of(peer: Peer) -> str:
+    """Where a connection comes from: ``pid 123``, or an address."""
+    if peer.pid:
+        return f"pid {peer.pid}" if peer.pid > 0 else "a process of another container"
+    address = ipaddress.IPv6Address(peer.address)
+    return str(address.ipv4_mapped or address)
+
+
+def name_of(who: Who) -> str:
+    """A client's name for people: ``pid 123 (python3)``, ``key laptop``, or an address."""
+    if who.pid is None:
+        return f"key {who.name or who.key}" if who.key else who.address or "somebody"
+    try:
+        return f"pid {who.pid} ({Path(f'/proc/{who.pid}/comm').read_text('utf-8', 'replace').strip()})"
+    except OSError:
+        return f"pid {who.pid}"

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The budgets of all clients."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import Protocol
+
+from cm.budgets.budget import Bounds, Budget
+from cm.budgets.names import Peer, Who, name_of, place_of
+from cm.messages.status import ClientStatus, LeaseStatus, StreamStatus
+
+
+class Message(Protocol):
+    """What came (`cm.multipart.Message`)."""
+
+    @property
+    def connection(self) -> str:
+        """Whose it is, as authentication has it."""
+
+    @property
+    def source(self) -> int:
+        """Its connection's descriptor; -1 where that does not matter."""
+
+    @property
+    def large(self) -> int:
+        """Bytes of its large frames."""
+
+
+class Budgets:
+    """All clients', by their names; and which connection is whose."""
+
+    def __init__(
+        self,
+        bounds: Bounds,
+        who: Callable[[str], Who],
+        taken: Callable[[int, int], None],
+        peers: Callable[[], Iterable[Peer]],
+    ) -> None:
+        """`who` knows clients by the ids of their connections. `taken` is told of messages that were taken off one, by
+        its descriptor and the bytes of large frames; `peers` tells what connections there are.
+        """
+        self._bounds = bounds
+        self._who = who
+        self._taken = taken
+        self._peers = peers
+        self._named: dict[str, Budget] = {}
+        self._known: dict[str, Budget] = {}  # by connection
+
+    def __iter__(self) -> Iterator[Budget]:
+        return iter(self._named.values())
+
+    def came(self, message: Message) -> Budget:
+        """The budget of who sent a message, which counts as taken off its connection."""
+        if message.source >= 0:
+            self._taken(message.source, message.large)
+        found = self.of(message.connection)
+        found.requests += 1
+        return found
+
+    def of(self, connection: str) -> Budget:
+        """The budget of whose connection that is."""
+        return self._known.get(connection) or self._admit(connection)
+
+    def _admit(self, connection: str) -> Budget:
+        who = self._who(connection)
+        found = self._known[connection] = self.named(name_of(who))
+        found.place = f"pid {who.pid}" if who.pid is not None else who.address.removeprefix("::ffff:")
+        return found
+
+    def named(self, name: str) -> Budget:
+        """A client's budget, with whatever it is connected."""
+        found = self._named.get(name)
+        if found is None:
+            found = self._named[name] = Budget(name, self._bounds, self)
+        return found
+
+    def upload_bytes(self) -> int:
+        """Of all clients."""
+        return sum([budget.upload_bytes for budget in self])
+
+    def waiting_bytes(self) -> int:
+        """Of all clients."""
+        return sum([budget.waiting_bytes for budget in self])
+
+    def leaving_bytes(self) -> int:
+        """Of all clients."""
+        return sum([budget.leaving_bytes for budget in self])
+
+    def settle(self) -> None:
+        """Count connections anew, and forget who has nothing any more."""
+        there = Counter(map(place_of, self._peers()))
+        for budget in self._named.values():
+            budget.connections = there[budget.place]
+        self._named = {name: budget for name, budget in self._named.items() if not budget.idle}
+        self._known = {key: budget for key, budget in self._known.items() if budget.name in self._named}
+
+    def snapshot(self) -> tuple[ClientStatus, ...]:
+        """What every client takes now; leases and slots are for others to add."""
+        self.settle()
+        return tuple([_told(budget) for _, budget in sorted(self._named.items())])
+
+
+def with_holdings(
+    clients: Iterable[ClientStatus], leases: Iterable[LeaseStatus], streams: Iterable[StreamStatus]
+) -> tuple[ClientStatus, ...]:
+    """Clients with the leases and the slots of streams that they hold."""
+    held = Counter(lease.client for lease in leases)
+    slots = Counter[str]()
+    for stream in streams:
+        for reader in stream.clients:
+            slots[f"pid {reader.pid} ({reader.name})"] += reader.depth
+    known = {client.name: client for client in clients}
+    for name in (held | slots).keys() - known.keys():
+        known[name] = ClientStatus(name)
+    return tuple([replace(known[name], leases=held[name], slots=slots[name]) for name in sorted(known)])
+
+
+def _told(budget: Budget) -> ClientStatus:
+    return ClientStatus(
+        name=budget.name,
+        connections=budget.connections,
+        upload_bytes=budget.upload_bytes,
+        waiting_bytes=budget.waiting_bytes + budget.unread_bytes,
+        loop_seconds=budget.busy_ns / 1e9,
+        requests=budget.requests,
+        refused=budget.refused,
+    )

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work that takes long, piece by piece: the loop serves everybody else between two, and clients take turns."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+from cm.daemon.loop import Loop, Timer
+from cm.errors import Busy
+
+Done = Callable[[Exception | None], None]
+WAITING_MAX = 16  # works of one client
+_AGAIN = 0.005  # seconds until those are asked again who could not begin
+
+
+class Work(Protocol):
+    """What is done in pieces."""
+
+    def step(self) -> bool:
+        """Do the next piece; whether that was the last. What it raises ends the work."""
+
+
+class _Job:
+    __slots__ = ("_may_begin", "_work", "begun", "done")
+
+    def __init__(self, work: Work, done: Done, may_begin: Callable[[], bool]) -> None:
+        self._work, self.done, self._may_begin = work, done, may_begin
+        self.begun = False
+
+    def ready(self) -> bool:
+        """Whether its next piece may be done; asked until the first may."""
+        self.begun = self.begun or self._may_begin()
+        return self.begun
+
+    def step(self) -> tuple[bool, Exception | None]:
+        """Whether it has ended, and with what."""
+        try:
+            return self._work.step(), None
+        except Exception as error:  # noqa: BLE001 (handed to who asked)
+            return True, error
+
+
+class Pieces:
+    """A client's works one after the other, in the order of its requests; a piece of each client's in its turn.
+
+    Everything in the loop's thread.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._waiting: dict[str, deque[_Job]] = {}  # by client, whose turn it is first
+        self._more = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)  # readable while a piece can be done
+        self._again: Timer | None = None  # while none can
+        loop.add(self._more, self._go_on)
+
+    def start(self, client: str, work: Work, done: Done, may_begin: Callable[[], bool] = lambda: True) -> None:
+        """Begin a work as soon as `may_begin` says so, at once if nothing else waits; `done` is called once, now or
+        later, with what went wrong.
+
+        Raises Busy.
+        """
+        jobs = self._waiting.setdefault(client, deque())
+        if len(jobs) >= WAITING_MAX:
+            raise Busy(f"{WAITING_MAX} transfers and long requests of {client} wait already; try again when one ended")
+        jobs.append(_Job(work, done, may_begin))
+        if len(jobs) == len(self._waiting) == 1:
+            os.eventfd_write(self._more, 1)
+            self._go_on()
+        elif self._again is not None:
+            self._wake()
+
+    def close(self) -> None:
+        """Forget what waits."""
+        self._waiting.clear()
+        if self._again is not None:
+            self._again.cancel()
+        self._loop.remove(self._more)
+        os.close(self._more)
+
+    def _go_on(self) -> None:
+        """One piece; the next, another client's, when the loop has looked at everything else."""
+        client = next((name for name, jobs in self._waiting.items() if jobs[0].ready()), None)
+        if client is None:
+            os.eventfd_read(self._more)
+            self._again = self._loop.call_later(_AGAIN, self._wake)
+            return
+        try:
+            self._step(client)
+        finally:
+            if not self._waiting:
+                os.eventfd_read(self._more)
+
+    def _wake(self) -> None:
+        if self._again is not None:
+            self._again.cancel()
+            self._again = None
+            os.eventfd_write(self._more, 1)
+
+    def _step(self, client: str) -> None:
+        jobs = self._waiting.pop(client)
+        ended, problem = jobs[0].step()
+        job = jobs.popleft() if ended else None
+        if jobs:
+            self._waiting[client] = jobs  # behind the others
+        if job is not None:
+            job.done(problem)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Handlers of requests for registers: few at once, many piece by piece."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from cm.budgets.budget import Budget
+from cm.daemon.board_watch import BoardWatch
+from cm.daemon.pieces import Pieces
+from cm.daemon.replies import Respond, refusal
+from cm.manager.access.register_pieces import AT_ONCE, ReadPieces, WritePieces
+from cm.manager.access.register_service import RegisterService
+from cm.manager.manager import Manager
+from cm.messages import requests as rq
+from cm.messages.status import RegValues, Reply
+
+
+def takes_long(request: rq.ReadReg | rq.WriteReg, registers: RegisterService) -> bool:
+    """Whether a request is for so many registers that it is done piece by piece."""
+    named = request.writes if isinstance(request, rq.WriteReg) else request.names or registers.visible_names()
+    return len(named) > AT_ONCE
+
+
+class RegisterHandlers:
+    """As `cm.daemon.handlers.Handlers`, which has them in its table."""
+
+    def __init__(self, manager: Manager, pieces: Pieces, board: BoardWatch) -> None:
+        self._manager = manager
+        self._pieces = pieces
+        self._board = board
+
+    @property
+    def table(self) -> Mapping[type, Callable[..., None]]:
+        """The handler of each kind of request."""
+        return {rq.ReadReg: self._read_reg, rq.WriteReg: self._write_reg}
+
+    def _read_reg(self, request: rq.ReadReg, respond: Respond, client: Budget) -> None:
+        registers = self._manager.registers
+        if takes_long(request, self._manager.registers):
+            self._by_pieces(client, ReadPieces(registers, request.names), respond)
+        else:
+            respond(Reply(registers.read(request.names)))
+
+    def _write_reg(self, request: rq.WriteReg, respond: Respond, client: Budget) -> None:
+        if takes_long(request, self._manager.registers):
+            pieces = WritePieces(self._manager.registers, request.writes, request.lease)
+            self._by_pieces(client, pieces, respond, self._manager.tell_registers)
+        else:
+            respond(Reply(self._manager.write_registers(request.writes, request.lease)))
+
+    def _by_pieces(
+        self,
+        client: Budget,
+        work: ReadPieces | WritePieces,
+        respond: Respond,
+        then: Callable[[RegValues], object] = lambda _: None,
+    ) -> None:
+        """`then` is told of what was done, also where it was not all."""
+
+        def done(problem: Exception | None) -> None:
+            if work.result.values:
+                then(work.result)
+            if problem is not None:
+                self._board.noticed(problem)
+            respond(Reply(work.result) if problem is None else refusal(problem))
+
+        self._pieces.start(client.name, work, done)

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many registers in one request, some at a time: others are served, and changes may begin, in between."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+from cm.errors import CmError
+from cm.manager.access.register_service import RegisterService
+from cm.messages.requests import RegWrite
+from cm.messages.status import RegValue, RegValues
+
+AT_ONCE = 32  # registers of a request that is done in one go
+_SOME = 16  # in a piece of a longer one
+
+
+class ReadPieces:
+    """A read; of all that can be read where no name is given: what has gone meanwhile is left out then."""
+
+    def __init__(self, service: RegisterService, names: tuple[str, ...]) -> None:
+        self._service = service
+        self._strict = bool(names)
+        self._names = names or service.readable_names()
+        self._values: list[RegValue] = []
+        self._at = 0
+        self._last = RegValues(())
+
+    @property
+    def result(self) -> RegValues:
+        """What was read."""
+        return self._last._replace(values=tuple(self._values))
+
+    def step(self) -> bool:
+        """The next registers; whether they were the last. Raises as `RegisterService.read`."""
+        some = self._names[self._at : self._at + _SOME]
+        self._at += len(some)
+        for names in (some,) if self._strict else ((name,) for name in some):
+            with suppress(*(() if self._strict else (CmError,))):
+                self._last = self._service.read(names)
+                self._values += self._last.values
+        return self._at >= len(self._names)
+
+
+class WritePieces:
+    """A write, all of which is checked before the first is done; and each piece again, for what came in between."""
+
+    def __init__(self, service: RegisterService, writes: tuple[RegWrite, ...], lease: str) -> None:
+        self._service = service
+        self._lease = lease
+        self._checked = service.checked(writes, lease)
+        self._values: list[RegValue] = []
+        self._at = 0
+        self.result = RegValues(())
+
+    def step(self) -> bool:
+        """The next registers; whether they were the last. Raises as `RegisterService.write`."""
+        some = self._checked[self._at : self._at + _SOME]
+        self._service.check_again(some, self._lease)
+        done = self._service.write_checked(some)
+        self._at += len(some)
+        self._values += done.values
+        self.result = done._replace(values=tuple(self._values))
+        return self._at >= len(self._checked)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one client may take of the manager's memory, while another goes on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import zmq
+from flood import resident_mib
+from manager_process import Manager, served, until
+
+import cm
+from cm.messages import requests as rq
+from cm.messages.status import Reply
+from cm.wire.encode import decode_reply, encode_request
+
+MIB = 1 << 20
+SCHEMA = """
+config:
+  name: many
+  regions: [left]
+  modules: {fir: {region: left}}
+  mmio: [{base_address: 0x1000, registers: {led: {offset: 0x10}}}]
+  memories: {big: {base_address: 0x10000000, size: 0xA00000}}
+  modes: {default: {modules: [fir]}}
+"""
+
+
+@pytest.fixture(scope="module")
+def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Manager]:
+    schema = tmp_path_factory.mktemp("many") / "many.yaml"
+    schema.write_text(SCHEMA, encoding="utf-8")
+    with served(schemas=schema) as (made, _):
+        with made.connected() as board:
+            board.load("many", "default")
+        yield made
+
+
+def pid_of(manager: Manager) -> int:
+    assert manager.process is not None
+    return manager.process.pid
+
+
+def dealer(context: zmq.Context[Any], manager: Manager) -> Any:
+    """A client that takes as little off its connection as it can."""
+    made = context.socket(zmq.DEALER)
+    made.setsockopt(zmq.RCVHWM, 1)
+    made.setsockopt(zmq.RCVBUF, 4096)
+    made.connect(f"ipc://{manager.runtime}/req")
+    return made
+
+
+def replies(sockets: list[Any], count: int) -> list[Reply]:
+    """So many of all together, in the order in which they come."""
+    poller = zmq.Poller()
+    for socket in sockets:
+        poller.register(socket, zmq.POLLIN)
+    found: list[Reply] = []
+    while len(found) < count:
+        ready = poller.poll(60_000)
+        assert ready, f"{len(found)} of {count} replies came"
+        found += [decode_reply(socket.recv_multipart()) for socket, _ in ready]
+    return found
+
+
+def works(board: cm.Board) -> bool:
+    board.registers["led"] = 3
+    return board.registers["led"] == 3
+
+
+def test_answers_that_nobody_reads_have_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:
+    """Ten clients that ask for 200 MiB each: gigabytes, before."""
+    ask = encode_request(rq.ReadData("big", length=4 * MIB))
+    with manager.connected() as board:
+        assert works(board)
+        before = resident_mib(pid_of(manager))
+        readers = [dealer(context, manager) for _ in range(10)]
+        for reader in readers:
+            for _ in range(50):
+                reader.send_multipart(ask)
+        assert works(board)
+        until(lambda: board.clients()[0].requests > 450, 60)
+        until(lambda: board.clients()[0].waiting_bytes > 8 * MIB, 60)
+        assert works(board)
+        assert resident_mib(pid_of(manager)) < before + 64
+    found = replies(readers, 500)
+    codes = Counter(reply.error.code if reply.error else "" for reply in found)
+    assert codes[""] >= 16  # what waited was made when there was room
+    assert codes.keys() == {"", "busy"} or codes.keys() == {"", "busy", "too_much_waiting"}
+    until(lambda: resident_mib(pid_of(manager)) < before + 32, 60)
+
+
+def test_what_waits_of_a_client_has_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:
+    write = encode_request(rq.WriteData("big", bytes(4 * MIB)))
+    with manager.connected() as board:
+        before = resident_mib(pid_of(manager))
+        writer = dealer(context, manager)
+        for _ in range(30):
+            writer.send_multipart(write)
+        assert works(board)
+        codes = Counter(r.error.code if r.error else "" for r in replies([writer], 30))
+        assert codes[""] >= 4
+        assert codes["too_much_waiting"] == 30 - codes[""]
+        assert resident_mib(pid_of(manager)) < before + 64
+
+
+def test_what_clients_take_is_told_to_who_asks(manager: Manager, context: zmq.Context[Any]) -> None:
+    with manager.connected() as board:
+        assert works(board)
+        (found,) = [client for client in board.clients() if client.requests]
+        assert found.name.startswith("pid ")
+        assert found.connections >= 1
+        assert found.requests >= 2
+        assert found.loop_seconds > 0
+        assert board.status.clients == ()
