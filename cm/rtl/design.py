@@ -139,6 +139,9 @@ def _wiring(design: RtlDesign, static: Path, seed: int) -> Iterator[str]:
     for stream in design.streams:
         kind = "source" if stream.sends else "sink" if stream.channel else "drain"
         yield f"{kind} {stream.prefix} {clocks.index(stream.clock)}"
+    for region in system.regions:
+        for bus in region.memory:
+            yield f"memory m_axi_{region.name}_{bus.interface.name} {clocks.index(region.spec.clock)}"
     if system.icap:
         yield f"port axis_icap {clocks.index(system.icap.clock)} 1"
     for output in design.outputs:

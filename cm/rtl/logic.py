@@ -12,9 +12,9 @@ from cm.rtl.board import RunningDesign
 from cm.rtl.bus import RtlBus
 from cm.rtl.design import RtlDesign, StreamEnd
 from cm.rtl.errors import RtlError
-from cm.rtl.messages import Op
+from cm.rtl.messages import EXCHANGE, Op
 from cm.rtl.process import EngineProcess
-from cm.rtl.streams import Intake, IntakeLink, OpticalPath, OutletLink, RtlCameraLink
+from cm.rtl.streams import Intake, IntakeLink, NoLink, OpticalPath, OutletLink, RtlCameraLink
 from cm.schema.model import Direction
 from cm.sim.errors import NodeError, SimError
 from cm.sim.hardware.camera import PhotoReel
@@ -73,16 +73,18 @@ class RtlLogic:
         self.interrupts = RtlInterrupts(parts)
         self._running.on_interrupt = self.interrupts.level
         self._models = RunningModels(parts.loop, parts.fabric, _NO_MODELS, self.interrupts, parts.memory)
+        process.memory = self._exchange
         parts.loop.add(process.fileno(), self._hear)
 
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
         """Each channel at the stream that `cm build` gave its DMA engine."""
         streams = {end.channel: number for number, end in enumerate(self._design.streams) if end.channel}
+        named = any(config.streams for config in self._parts.fabric.spec.configs)
         links: dict[str, Link] = {}
         for name, channel in channels.items():
-            if name not in streams:
+            if name not in streams and named:
                 raise SimError(f"the design has no stream {name}; it has {', '.join(sorted(streams)) or 'none'}")
-            links[name] = self._link(channel, streams[name])
+            links[name] = self._link(channel, streams.get(name))
             channel.kick = links[name].kick
         return links
 
@@ -126,16 +128,31 @@ class RtlLogic:
         self._parts.loop.remove(self._process.fileno())
         self._process.close()
 
+    def _exchange(self, write: bool, address: int, length: int) -> bool:
+        """Bytes between the arena and the board's memory, by the address that devices have for it."""
+        try:
+            there = self._parts.memory.view(address, length)
+        except SimError:
+            return False
+        bytes_at = np.frombuffer(self._process.arena, np.uint8, 2 * length, EXCHANGE)
+        if write:
+            np.copyto(there, bytes_at[:length], where=bytes_at[length:] != 0)
+        else:
+            bytes_at[:length] = there
+        return True
+
     def _hear(self) -> None:
         self._running.hear()
         if self._process.ended:
             self._parts.loop.remove(self._process.fileno())
 
-    def _link(self, channel: Channel, stream: int) -> Link:
+    def _link(self, channel: Channel, stream: int | None) -> Link:
         parts, spec = self._parts, channel.spec
         path = OpticalPath(parts.fabric, _NO_MODELS, self._models, spec.region, spec.shape)
         path.running = self._running
         common = (parts.loop, parts.faults, self.interrupts, path)
+        if stream is None:
+            return NoLink(*common)
         if spec.direction is Direction.MM2S:
             return OutletLink(*common, self._running, stream, channel)
         intake = Intake(self._running, stream, channel, parts.faults)

@@ -11,6 +11,7 @@ _HEAD = struct.Struct("=IIQQQQ")
 TEXT = 4096
 ANSWER = 128
 ARENA_BYTES = 1 << 32
+EXCHANGE = 32 << 20  # where in the arena bytes of memory are handed over
 
 
 class Op(IntEnum):
@@ -35,6 +36,8 @@ class Op(IntEnum):
     INTERRUPT = 66
     OUTPUT = 67
     STOPPED = 68
+    FETCH = 72
+    STORE = 73
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import mmap
 import os
 import select
@@ -11,6 +12,7 @@ import signal
 import socket
 import subprocess
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
@@ -18,6 +20,12 @@ from cm.rtl.errors import RtlError
 from cm.rtl.messages import ANSWER, ARENA_BYTES, TEXT, Message, Op
 
 PATIENCE = 60.0  # seconds for an answer: an access that the logic never answers is given up long before
+
+Exchange = Callable[[bool, int, int], bool]  # write or read, address, bytes: by the arena; False: there is none
+
+
+def _no_memory(write: bool, address: int, length: int) -> bool:  # noqa: ARG001 - an Exchange
+    return False
 
 
 class EngineProcess:
@@ -32,6 +40,7 @@ class EngineProcess:
         os.ftruncate(memory, ARENA_BYTES)
         self.arena = mmap.mmap(memory, ARENA_BYTES)
         self.events: deque[Message] = deque()
+        self.memory: Exchange = _no_memory
         self._socket = ours
         self._next = 1
         self._ended = ""
@@ -71,7 +80,9 @@ class EngineProcess:
         """The events that are there."""
         with contextlib.suppress(RtlError, BlockingIOError):
             while True:
-                self.events.append(self._receive())
+                message = self._receive()
+                if not self._exchanged(message):
+                    self.events.append(message)
         found = list(self.events)
         self.events.clear()
         return found
@@ -84,11 +95,21 @@ class EngineProcess:
         with contextlib.suppress(BufferError):  # somebody still looks at it
             self.arena.close()
 
+    def _exchanged(self, message: Message) -> bool:
+        """Answer at once what the logic wants of memory: it waits."""
+        if message.op not in (Op.FETCH, Op.STORE):
+            return False
+        there = self.memory(message.op == Op.STORE, message.a, message.b)
+        self._socket.send(Message(message.op | ANSWER, a=0 if there else errno.EFAULT).pack())
+        return True
+
     def _await(self, number: int) -> Message:
         while True:
             if not select.select([self._socket], [], [], PATIENCE)[0]:
                 self._end(f"the engine did not answer for {PATIENCE:g} s")
             message = self._receive()
+            if self._exchanged(message):
+                continue
             if message.op & ANSWER and message.id == number:
                 return message
             self.events.append(message)

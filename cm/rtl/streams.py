@@ -109,6 +109,13 @@ class Intake:
         channel.kick()
 
 
+class NoLink(Link):
+    """A channel that is there because no schema names one: nothing is behind it."""
+
+    def _move(self) -> None:
+        """Nothing moves."""
+
+
 class IntakeLink(Link):
     """A stream that comes out of the logic by itself."""
 

@@ -12,12 +12,14 @@
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>
+#include <deque>
 #include <fstream>
 #include <poll.h>
 #include <sstream>
 #include <sys/mman.h>
 #include <sys/socket.h>
 #include <sys/time.h>
+#include <tuple>
 #include <unistd.h>
 
 namespace
@@ -81,12 +83,17 @@ class Engine
 	std::string state() const;
 	uint8_t *arena(uint64_t offset, uint64_t length) const;
 	int clocked(uint32_t word, bool taken);
+	bool exchange(uint32_t op, uint64_t address, uint32_t length);
+	bool receive(cm_message &message, std::string &text);
 
 	std::unique_ptr<Fabric> fabric;
 	std::vector<std::unique_ptr<Bus>> buses;
 	std::vector<std::unique_ptr<Source>> sources; // by stream; nullptr where it is a sink
 	std::vector<std::unique_ptr<Sink>> sinks;
 	std::vector<std::unique_ptr<Sink>> drains;
+	std::vector<std::unique_ptr<MemorySlave>> memories;
+	std::deque<std::pair<cm_message, std::string>>
+		postponed; // requests that came while an answer was awaited
 	std::unique_ptr<Source> port;
 	std::vector<std::string> names;		       // of regions
 	std::vector<std::pair<Pin, uint64_t>> outputs; // and the value that was told
@@ -158,6 +165,22 @@ void Engine::wire(const std::string &line)
 		drains.push_back(std::make_unique<Sink>(fabric->part(), name));
 		drains.back()->always_ready();
 		fabric->clock(clock).sinks.push_back(drains.back().get());
+	} else if (kind == "memory") {
+		words >> name >> clock;
+		Store store;
+		store.read = [this](uint64_t address, uint8_t *to, uint32_t length) {
+			bool there = exchange(CM_FETCH, address, length);
+			memcpy(to, memory + CM_EXCHANGE, length);
+			return there;
+		};
+		store.write = [this](uint64_t address, const uint8_t *from, const uint8_t *mask,
+				     uint32_t length) {
+			memcpy(memory + CM_EXCHANGE, from, length);
+			memcpy(memory + CM_EXCHANGE + length, mask, length);
+			return exchange(CM_STORE, address, length);
+		};
+		memories.push_back(std::make_unique<MemorySlave>(fabric->part(), name, store));
+		fabric->clock(clock).memories.push_back(memories.back().get());
 	} else if (kind == "port") {
 		words >> name >> clock >> reverses;
 		port = std::make_unique<Source>(fabric->part(), name);
@@ -219,11 +242,15 @@ bool Engine::run(uint64_t edges)
 		before += source ? source->beats : 0;
 	for (auto &sink : sinks)
 		before += sink ? sink->beats : 0;
+	for (auto &slave : memories)
+		before += slave->beats;
 	fabric->run(edges);
 	for (auto &source : sources)
 		after += source ? source->beats : 0;
 	for (auto &sink : sinks)
 		after += sink ? sink->beats : 0;
+	for (auto &slave : memories)
+		after += slave->beats;
 	moved |= before != after;
 	quiet = moved ? 0 : quiet + edges;
 	report();
@@ -446,20 +473,47 @@ void Engine::handle(const cm_message &message, const std::string &text)
 	answer(message, status, b, reply);
 }
 
-bool Engine::take(int wait_ms)
+bool Engine::receive(cm_message &message, std::string &text)
 {
-	pollfd waiting = { connection, POLLIN, 0 };
-	if (poll(&waiting, 1, wait_ms) <= 0)
-		return false;
 	char packet[sizeof(cm_message) + TEXT];
 	ssize_t length = recv(connection, packet, sizeof packet, 0);
 	if (length < ssize_t(sizeof(cm_message))) {
 		ended = ended || length == 0 || errno != EINTR;
 		return false;
 	}
-	cm_message message;
 	memcpy(&message, packet, sizeof message);
-	std::string text(packet + sizeof message, size_t(length) - sizeof message);
+	text.assign(packet + sizeof message, size_t(length) - sizeof message);
+	return true;
+}
+
+// Bytes of the board's memory; meanwhile the board may ask us for something, which then waits.
+bool Engine::exchange(uint32_t op, uint64_t address, uint32_t length)
+{
+	tell(op, address, length);
+	cm_message message;
+	std::string text;
+	while (!ended) {
+		if (!receive(message, text))
+			continue;
+		if (message.op == (op | CM_ANSWER))
+			return message.a == 0;
+		postponed.emplace_back(message, text);
+	}
+	return false;
+}
+
+bool Engine::take(int wait_ms)
+{
+	cm_message message;
+	std::string text;
+	if (!postponed.empty()) {
+		std::tie(message, text) = postponed.front();
+		postponed.pop_front();
+	} else {
+		pollfd waiting = { connection, POLLIN, 0 };
+		if (poll(&waiting, 1, wait_ms) <= 0 || !receive(message, text))
+			return false;
+	}
 	try {
 		handle(message, text);
 	} catch (const Failure &failure) {

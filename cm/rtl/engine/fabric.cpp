@@ -179,6 +179,8 @@ void Fabric::step()
 			source->sample();
 		for (Sink *sink : clock.sinks)
 			sink->sample();
+		for (MemorySlave *memory : clock.memories)
+			memory->sample();
 	}
 	// every register takes what its inputs were before the edge: modules first, with the pins as they are
 	for (uint32_t index = 0; index < regions.size(); index++) {
@@ -206,6 +208,8 @@ void Fabric::step()
 			source->edge();
 		for (Sink *sink : clock.sinks)
 			sink->edge();
+		for (MemorySlave *memory : clock.memories)
+			memory->edge();
 	}
 	for (Region &region : regions) {
 		for (auto &[pin, number] : region.clock_pins)

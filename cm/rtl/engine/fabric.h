@@ -3,6 +3,7 @@
 // The programmable logic: the static part, what is loaded in its regions, and the clocks of both.
 #pragma once
 #include "agents.h"
+#include "memory.h"
 
 #include <csetjmp>
 #include <functional>
@@ -20,6 +21,7 @@ struct Clock {
 	std::vector<LiteMaster *> masters;
 	std::vector<Source *> sources;
 	std::vector<Sink *> sinks;
+	std::vector<MemorySlave *> memories;
 };
 
 // A region's pins at the static part are called `prefix` and the pin's name.

@@ -27,13 +27,17 @@ enum cm_op : uint32_t {
 	CM_MARK,      // text: what to show in the trace
 	CM_STATE,     // answer's text: JSON
 	CM_SPIN,      // b: clock cycles to run, at full speed: for measurements
-	// what the engine tells; no answer but to the last two
+	// what the engine tells; the board answers the last two
 	CM_SENT = 64, // a: stream
 	CM_RECEIVED,  // a: stream, b: bytes, c: 1 if the packet was longer than the room
 	CM_INTERRUPT, // a: level
 	CM_OUTPUT,    // a: external output, b: value
 	CM_STOPPED,   // a: region, text: why
+	CM_FETCH =
+		72, // a: address, b: bytes; the board's answer has a: errno, and they are at CM_EXCHANGE
+	CM_STORE, // a: address, b: bytes, which are at CM_EXCHANGE, and behind them their mask
 	CM_ANSWER = 128,
 };
 
 constexpr uint64_t CM_ARENA_BYTES = 1ull << 32; // mapped whole, filled only where it is used
+constexpr uint64_t CM_EXCHANGE = 32 << 20; // where in the arena bytes of memory are handed over
