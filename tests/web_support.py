@@ -25,8 +25,10 @@ SWITCHES = ["--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
 class WebServer:
     """A `cm web` process."""
 
-    def __init__(self, runtime: Path, *arguments: str) -> None:
-        command = child.command("cm.cli.main", "web", "--runtime-dir", str(runtime), "--listen", "0", *arguments)
+    def __init__(self, runtime: Path | None, *arguments: str) -> None:
+        """`runtime` None: the arguments say which manager."""
+        where = () if runtime is None else ("--runtime-dir", str(runtime))
+        command = child.command("cm.cli.main", "web", *where, "--listen", "0", *arguments)
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=environment(), cwd="/")
         assert self.process.stderr is not None
         ready, _, _ = select.select([self.process.stderr], [], [], 60)
@@ -52,7 +54,7 @@ class WebServer:
 
 
 @contextlib.contextmanager
-def web_server(runtime: Path, *arguments: str) -> Iterator[WebServer]:
+def web_server(runtime: Path | None, *arguments: str) -> Iterator[WebServer]:
     server = WebServer(runtime, *arguments)
     try:
         yield server

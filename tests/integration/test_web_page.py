@@ -256,5 +256,5 @@ def test_a_hundred_changes_leave_nothing_behind(page: Any, server: WebServer) ->
     assert after.nodes <= before.nodes * 1.1
     assert after.listeners <= before.listeners * 1.1
     assert after.heap <= before.heap * 1.25
-    assert after.descriptors <= before.descriptors + 3
+    until(lambda: server.descriptors() <= before.descriptors)  # slots of two shapes are there at once for a moment
     assert after.resident <= before.resident + (8 << 10)
