@@ -59,7 +59,7 @@ class PageServer:
 
     async def serve(self, on_ready: Callable[[str], None]) -> None:
         """`on_ready` is given the page's address, with the token. Raises InvalidRequest."""
-        runner = web.AppRunner(self._application(), access_log=None, shutdown_timeout=1.0)
+        runner = web.AppRunner(self._application(), access_log=None)
         await runner.setup()
         try:
             await self._listen(runner)
