@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import base64
+import binascii
 import zlib
 
 import numpy as np
@@ -20,7 +20,7 @@ def encoded(pixels: Bytes, columns: int, rows: int) -> str:
     """A picture that the terminal makes as large as so many cells; the cursor stays where it is."""
     picture = np.ascontiguousarray(coloured(pixels))
     height, width = picture.shape[:2]
-    data = base64.b64encode(zlib.compress(picture.tobytes(), 1)).decode("ascii")
+    data = binascii.b2a_base64(zlib.compress(picture.tobytes(), 1), newline=False).decode("ascii")
     pieces = [data[at : at + _PIECE] for at in range(0, len(data), _PIECE)]
     head = f"a=T,f=24,o=z,s={width},v={height},c={columns},r={rows},i={IMAGE},p=1,C=1,q=2,"
     last = len(pieces) - 1

@@ -10,7 +10,6 @@ import select
 import struct
 import termios
 import time
-import tty
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -85,7 +84,9 @@ def keys_as_they_come(descriptor: int) -> Iterator[None]:
     """Keys are neither shown nor kept until Enter; Ctrl-C stays what it is."""
     before = termios.tcgetattr(descriptor)
     try:
-        tty.setcbreak(descriptor, termios.TCSANOW)
+        attributes = termios.tcgetattr(descriptor)
+        attributes[3] &= ~(termios.ECHO | termios.ICANON)  # lflag
+        termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
         yield
     finally:
         termios.tcsetattr(descriptor, termios.TCSANOW, before)

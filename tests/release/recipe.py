@@ -23,7 +23,9 @@ SPLIT = {
     "html": "html", "http": "netclient", "json": "json", "logging": "logging", "mmap": "mmap",
     "multiprocessing": "multiprocessing", "pickle": "pickle", "queue": "threading", "secrets": "netclient",
     "shlex": "shell", "socket": "io", "ssl": "io", "statistics": "statistics", "tarfile": "compression",
-    "tempfile": "io", "urllib": "netclient", "uuid": "netclient", "xml": "xml", "zipfile": "compression",
+    "tempfile": "io", "termios": "io", "base64": "netclient", "hmac": "netclient", "resource": "resource",
+    "tty": "terminal", "pty": "terminal", "urllib": "netclient", "uuid": "netclient", "xml": "xml",
+    "zipfile": "compression",
 }  # fmt: skip
 OTHERS = {
     "aiohttp": "python3-aiohttp", "_cffi_backend": "python3-cffi", "fastjsonschema": "python3-fastjsonschema",
@@ -33,6 +35,7 @@ OTHERS = {
 }  # fmt: skip
 # In no layer of meta-openembedded, or of use to few: `cm` says what is missing where they are needed.
 OPTIONAL = {
+    "pytest", "tkinter",  # of whoever runs tests, or has a screen
     "cocotb", "cyclonedds", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "PIL", "cryptography", "pyslang", "scipy",
     "systemrdl", "tree_sitter", "tree_sitter_vhdl", "zenoh", "setuptools",
 }  # fmt: skip
@@ -104,7 +107,7 @@ def needed(path: Path) -> set[str]:
     found = {"python3-core"}
     for name in imported(path):
         head = name.partition(".")[0]
-        if head in sys.stdlib_module_names:
+        if head in sys.stdlib_module_names and head not in OPTIONAL:
             found.add(f"python3-{SPLIT.get(head, 'core')}")
         elif head not in OPTIONAL and head != "cm":
             found.add(OTHERS[head])

@@ -50,7 +50,7 @@ do_install_ptest() {
 
 CM = "${PYTHON_SITEPACKAGES_DIR}/cm"
 FILES:${PN}-client += "${bindir}/cm ${PYTHON_SITEPACKAGES_DIR}/*.dist-info ${CM}/*.py ${CM}/py.typed \
-                       ${CM}/cli ${CM}/client ${CM}/messages ${CM}/native ${CM}/wire"
+                       ${CM}/cli ${CM}/client ${CM}/messages ${CM}/native ${CM}/view ${CM}/wire"
 FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/rtl ${CM}/sim"
 FILES:${PN}-web += "${CM}/web"
 FILES:${PN}-build += "${CM}/build"
@@ -82,6 +82,7 @@ CM_NEEDS_DAEMON = "python3-compression \
                    python3-netclient \
                    python3-numbers \
                    python3-pyyaml \
+                   python3-resource \
                    python3-threading \
                    python3-xml"
 RDEPENDS:${PN}-client:append:class-target = " ${CM_NEEDS_CLIENT}"
