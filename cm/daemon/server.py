@@ -70,9 +70,8 @@ class Server:
         self._journal = Journal(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
         configs, bounds = self._configs(), (options.limits, options.group)
-        self._sockets = Sockets(
-            self._context, options.runtime_dir, mark(configs.values(), options.queue_bytes), *bounds
-        )
+        waiting = mark(configs.values(), options.queue_bytes)
+        self._sockets = Sockets(self._context, options.runtime_dir, waiting, *bounds)
         self._authenticator = Authenticator(self._context, gate.enter)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time)
@@ -184,8 +183,7 @@ class Server:
 
     def _autoload(self) -> None:
         if self._options.load and self._manager.state.config is None:
-            config, _, mode = self._options.load.partition("/")
-            self._manager.submit(ChangeMode(config_name=config, mode=mode))
+            self._manager.submit(ChangeMode(*self._options.load.partition("/")[::2]))
 
     def _close(self) -> None:
         self._service.stopping()
@@ -245,8 +243,8 @@ class Server:
     def _tick(self) -> None:
         self._manager.flush()
         self._streams.refresh()
-        looks = (self._sessions.look, self._board.look, self._connections.tell)
-        for look in (self._reloader.continue_waiting, self._reloader.look, *looks):
+        for look in (self._reloader.continue_waiting, self._reloader.look, self._sessions.look, self._board.look):
             look()
+        self._connections.tell()
         if self._streams.any_open:
             self._publisher.status(self._status())
