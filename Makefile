@@ -62,6 +62,7 @@ test-c: | check-system
 
 test-node: $(STAMP) ## the client for Node.js: built, and its tour over ipc and CURVE (npm fetches its packages)
 	cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=$(abspath $(BIN))/cm npm test --silent
+	$(BIN)/cm conformance -- node clients/node/dist/test/driver.js
 
 test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
 	$(call install,rtl)

@@ -62,6 +62,7 @@ COMMANDS = (
     Command("doctor", "cm.cli.doctor", "say what this machine has, and what to do about what it lacks", linux=True),
     Command("demo", "cm.cli.demo", "run the camera demonstration on a simulated board", linux=True),
     Command("bench", "cm.cli.bench", "measure latency and throughput", linux=True),
+    Command("conformance", "cm.cli.conformance", "try a client, or a manager, against the wire protocol", linux=True),
     Command("check", "cm.cli.check", "check runtime schemas"),
     Command("completion", "cm.cli.completion", "print a completion script for a shell"),
     Command("help", "cm.cli.help", "describe a command"),

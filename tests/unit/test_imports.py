@@ -62,6 +62,7 @@ MAY = {
     "importers": BASE | {"fdt", "native", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim"},
     "rtl": BASE | {"build", "loop", "schema", "sim"},
+    "conformance": BASE | {"client", "messages", "wire"},
     "testing": BASE | {"child", "client", "rtl", "sim"},
 }
 
@@ -98,7 +99,7 @@ LIBRARIES = {
     "tree_sitter": {"build"},
     "tree_sitter_vhdl": {"build"},
     "yaml": {"build", "schema"},
-    "zmq": {"bench", "cli", "client", "daemon", "demo", "multipart", "zap"},
+    "zmq": {"bench", "cli", "client", "conformance", "daemon", "demo", "multipart", "zap"},
 }
 FREE = {"bench", "cli", "demo"}  # may import all of ours; the baselines of the bench are libraries of their own
 
@@ -153,7 +154,7 @@ def test_only_the_bindings_import_the_compiled_module() -> None:
 
 def test_only_the_codec_knows_protobuf() -> None:
     users = {owner_of(name) for name, path in GRAPH.modules.items() if "cm_pb2" in path.read_text("utf-8")}
-    assert users <= {"wire", "demo", "bench"}
+    assert users <= {"wire", "conformance", "demo", "bench"}
 
 
 # ---- the reader of imports itself -------------------------------------------------------

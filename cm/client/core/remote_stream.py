@@ -56,11 +56,13 @@ class PublishedReader:
 
     def reading(self, timeout: Limit) -> Flow[Frame]:
         yield from self.opening()
-        limit = seconds(timeout, self._wanted.timeout)
-        frames = yield Receive(self._subscription, limit)
-        if frames is None:
-            raise _nothing(self._wanted.name, limit)
-        return self._arrivals.frame(frames)
+        deadline = Deadline(seconds(timeout, self._wanted.timeout))
+        while True:
+            frames = yield Receive(self._subscription, deadline.left)
+            if frames is None:
+                raise _nothing(self._wanted.name, deadline.limit)
+            if bytes(frames[0]) == self._wanted.topic:  # not a stream whose name begins as this one's
+                return self._arrivals.frame(frames)
 
     def close(self) -> None:
         if self._subscription is not None:

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm conformance``: whether a client, or a manager, keeps to the wire protocol."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from cm.cli.common import add_connection_options, add_json_option, print_json
+from cm.errors import InvalidRequest, NotFound
+
+if TYPE_CHECKING:
+    from cm.conformance.runner import Outcome
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "conformance",
+        help="try a client, or a manager, against the wire protocol",
+        description="Play a manager, case by case, to a client in any language: DRIVER is a program of its author that "
+        "does what lines of JSON ask for (docs/conformance.md). With --manager: ask a manager that runs all that the "
+        "protocol promises. Exit status 1 where a case failed.",
+    )
+    parser.add_argument("--manager", action="store_true", help="try the manager instead; nothing is changed")
+    parser.add_argument("--act", action="store_true", help="with --manager: leases, writes and changes of mode too")
+    parser.add_argument("--case", action="append", default=[], metavar="NAME", help="only these")
+    parser.add_argument("--list", action="store_true", help="the cases, and what each is about")
+    parser.add_argument("driver", nargs="*", metavar="DRIVER", help="the command, behind --")
+    add_connection_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the cases; the exit status."""
+    if args.list:
+        return _list(args.json)
+    if args.manager == bool(args.driver):
+        raise InvalidRequest("say the command of a driver behind --, or --manager")
+    outcomes = []
+    for outcome in _of_manager(args) if args.manager else _of_client(args):
+        outcomes.append(outcome)
+        if not args.json:
+            print(f"{outcome.result:>8}  {outcome.name}: {outcome.why or outcome.says}", flush=True)
+    failed = [o for o in outcomes if o.result == "failed"]
+    if args.json:
+        print_json([asdict(o) for o in outcomes])
+    else:
+        left = sum(o.result == "left out" for o in outcomes)
+        print(f"{len(outcomes) - len(failed) - left} passed, {len(failed)} failed, {left} left out")
+    return 1 if failed else 0
+
+
+def _of_client(args: argparse.Namespace) -> Iterator[Outcome]:
+    from cm.conformance.cases import cases
+    from cm.conformance.runner import run as run_cases
+
+    if shutil.which(args.driver[0]) is None:
+        raise NotFound(f"no command {args.driver[0]!r}")
+    known = list(cases())
+    unknown = set(args.case) - {case.name for case in known}
+    if unknown:
+        raise NotFound(f"no case {', '.join(sorted(unknown))}; cm conformance --list has them")
+    return run_cases(args.driver, (case for case in known if not args.case or case.name in args.case))
+
+
+def _of_manager(args: argparse.Namespace) -> Iterator[Outcome]:
+    from cm.client.address import load_keys, resolve
+    from cm.conformance.manager import run as run_promises
+
+    keys = load_keys(args.keys) if args.keys else None
+    return run_promises(resolve(args.connect, args.runtime_dir), keys, args.act)
+
+
+def _list(as_json: bool) -> int:
+    from cm.conformance.cases import cases
+
+    known = [(case.name, case.says) for case in cases()]
+    if as_json:
+        print_json([{"name": name, "says": says} for name, says in known])
+    else:
+        for name, says in known:
+            print(f"{name:16} {says}")
+    return 0
