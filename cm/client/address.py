@@ -94,6 +94,8 @@ def _not_for_us(folder: Path) -> str:
         name = _group(folder)
     except (OSError, KeyError, ImportError):
         name = "its group"
+    if name == "root":
+        return f"this user may not use the sockets in {folder}: they are for root, until cm.yaml names an access.group"
     return (
         f"this user may not use the sockets in {folder}: they are for members of {name} "
         f"(sudo usermod -aG {name} $USER, then log in again)"

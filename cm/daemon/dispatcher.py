@@ -31,7 +31,7 @@ from cm.rights.model import Role
 from cm.schema.model import Memory
 from cm.wire.decode import Frame, decode_request, split_text
 from cm.wire.encode import encode_reply
-from cm.wire.envelope import split_envelope
+from cm.wire.envelope import guest_named, split_envelope
 from cm.wire.topics import READ_REG
 
 _PUBLISHED = b""  # the sender of all that is published to the manager; a connection's name is never empty
@@ -196,6 +196,8 @@ class Dispatcher:
 
     def _answer(self, came: Message, budget: Budget) -> None:
         envelope, message = split_envelope(came.frames)
+        if len(envelope) > 2:  # a bridge may say there for whom it asks
+            came = came._replace(connection=self._gate.guest(came.connection, guest_named(envelope)))
         sender, again = bytes(envelope[0]), len(message) == 2 and message[0] == READ_REG
         again = again and self._gate.everywhere(came.connection) >= Role.OBSERVE  # it may read what others read
         if again and not self._order.waits(sender) and self._read_again(envelope, message[1], budget):

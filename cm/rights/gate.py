@@ -15,8 +15,9 @@ from cm.rights.audit import Audit, described
 from cm.rights.model import Access, Need, Rights, Role
 from cm.rights.needs import Scene, least, needs_of, resolved
 from cm.rights.policy import Users
-from cm.rights.principal import CURVE, NOBODY, Principal, from_id, introduced
+from cm.rights.principal import CURVE, NOBODY, Principal, from_id, guest_of, introduced, on_behalf
 
+_NAME = 64  # characters of a guest's name
 _KEPT = 4096  # connections whose rights are remembered
 
 
@@ -102,6 +103,17 @@ class Gate:
                 self._origins = None
         return who.id
 
+    def guest(self, bridge: str, name: str) -> str:
+        """The connection of somebody for whom a bridge speaks; the bridge's own where none is named.
+
+        Nothing may be asked over it where the bridge has no right to speak for that name.
+        """
+        if not name:
+            return bridge
+        if len(name) > _NAME or not name.isprintable():
+            return ""
+        return on_behalf(from_id(bridge), name).id
+
     def _current(self, connection: str) -> _Known:
         known = self._look_up(connection)
         until = known.rights.until
@@ -116,6 +128,12 @@ class Gate:
         return found
 
     def _find_out(self, connection: str) -> _Known:
+        name, bridge = guest_of(connection)
+        if name:
+            behind = self._current(bridge)
+            speaks = behind.rights.speaks_for(name)
+            rights = policy.of_guest(name, behind.rights, self._access) if speaks else policy.NOTHING
+            return _Known(on_behalf(behind.who, name), rights, rights.everywhere)
         who = policy.known_as(from_id(connection), self._access, self._users)
         rights = policy.rights_of(who, self._access, self._users)
         return _Known(who, rights, rights.everywhere)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from fnmatch import fnmatchcase
 from types import MappingProxyType
@@ -49,6 +49,7 @@ class Grant:
     regions: tuple[str, ...] = ALL
     registers: tuple[str, ...] = ALL
     data: tuple[str, ...] = ALL
+    guests: tuple[str, ...] = ()  # for whom its holder may speak
 
     def allows(self, need: Need) -> bool:
         """Whether this grant alone is enough."""
@@ -90,8 +91,14 @@ class Rights:
     @property
     def everywhere(self) -> Role:
         """The highest that nothing narrows."""
-        own = max((grant.role for grant in self.grants if grant == Grant(grant.role)), default=Role.NONE)
+        own = max(
+            (grant.role for grant in self.grants if replace(grant, guests=()) == Grant(grant.role)), default=Role.NONE
+        )
         return min(own, self.under.everywhere) if self.under else own
+
+    def speaks_for(self, name: str) -> bool:
+        """Whether a bridge with these rights may speak for somebody."""
+        return any(grant.role >= Role.ADMIN or any(fnmatchcase(name, p) for p in grant.guests) for grant in self.grants)
 
     def allow(self, need: Need) -> bool:
         """Whether one thing may be done."""

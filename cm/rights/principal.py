@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 IPC, CURVE, TCP, DATA = "ipc", "curve", "tcp", "data"  # ways in; `data` is the socket of frames without copies
+GUEST = "for"  # begins the id of somebody for whom a bridge speaks
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +88,16 @@ def from_id(text: str) -> Principal:
 
 def on_behalf(bridge: Principal, name: str) -> Principal:
     """Somebody for whom a bridge speaks."""
-    return replace(bridge, id=f"for:{name}:{bridge.id}", name=name, via=bridge.id)
+    return replace(bridge, id=f"{GUEST}:{len(name)}:{name}:{bridge.id}", name=name, via=bridge.id)
+
+
+def guest_of(connection: str) -> tuple[str, str]:
+    """The name of a guest, and the id of its bridge; empty where an id is not that of one."""
+    kind, _, rest = connection.partition(":")
+    length, _, rest = rest.partition(":")
+    if kind != GUEST or not length.isdecimal():
+        return "", ""
+    return rest[: int(length)], rest[int(length) + 1 :]
 
 
 def printable(text: str) -> str:

@@ -5,6 +5,14 @@ from __future__ import annotations
 
 from cm.wire.decode import TOPICS, Frame
 
+GUEST = b"for="  # begins the frame before the empty one, of a bridge that speaks for somebody
+
+
+def guest_named(envelope: list[Frame]) -> str:
+    """Whom a bridge speaks for; empty for who speaks for itself."""
+    said = bytes(envelope[-2]) if len(envelope) > 2 else b""
+    return said[len(GUEST) :].decode("utf-8", "replace") or "\0" if said.startswith(GUEST) else ""
+
 
 def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
     """What a ROUTER received → return path, message.

@@ -18,10 +18,12 @@ from manager_process import CAMERA, Manager, short_folder, until
 
 import cm
 import cm.aio
-from cm.cli.keys import write_key_file
+from cm.cli.keys import read_key_file, write_key_file
 from cm.cli.main import main
 from cm.errors import CmError, Forbidden
 from cm.sim import Board as SimBoard
+from cm.wire.cm_pb2 import RegWrite, Reply, WriteReg
+from cm.wire.topics import tcp_endpoints
 
 
 class Guarded:
@@ -33,7 +35,8 @@ class Guarded:
         settings = folder / "cm.yaml"
         settings.write_text(
             f"listen: ['tcp://127.0.0.1:0']\nkeys: {self.keys}/server.key\nstate_dir: {folder}/state\nlog: warning\n"
-            "access: {roles: {tuner: {role: operate, registers: [focus]}, clerk: {role: observe, topics: cm_status}}}\n"
+            "access: {roles: {tuner: {role: operate, registers: [focus]}, clerk: {role: observe, topics: cm_status}, "
+            "gateway: {role: operate, guests: 'web:*'}}, guests: {'web:eve': observe, 'web:ada': operate}}\n"
         )
         arguments = ("--settings", str(settings), "--config", str(CAMERA), "--root", str(board))
         self.manager = Manager(folder / "run", *arguments, service=True).start()
@@ -161,6 +164,32 @@ def _knows(guarded: Guarded, name: str) -> bool:
             return bool(board.status.mode)
     except Forbidden:
         return False
+
+
+def test_a_bridge_asks_in_the_name_of_its_guests_with_their_rights(guarded: Guarded) -> None:
+    path = guarded.key("gateway", "gateway")
+    until(lambda: guarded.lets_in("gateway"))
+    keys = read_key_file(path)
+    request = WriteReg(writes=[RegWrite(name="focus", value=5)]).SerializeToString()
+    with zmq.Context() as context, context.socket(zmq.DEALER) as bridge:
+        bridge.linger = 0
+        bridge.curve_serverkey, bridge.curve_publickey = keys["server-public"], keys["public"]
+        bridge.curve_secretkey = keys["secret"]
+        bridge.connect(tcp_endpoints(guarded.address).req)
+
+        def told(*envelope: bytes) -> Reply:
+            bridge.send_multipart([b"1", *envelope, b"", b"cm_write_reg", request])
+            assert bridge.poll(20_000)
+            frames = bridge.recv_multipart()
+            assert frames[: len(envelope) + 2] == [b"1", *envelope, b""]
+            return Reply.FromString(frames[-1])
+
+        assert told().ok
+        assert told(b"for=web:ada").ok
+        refused = told(b"for=web:eve").error
+        assert (refused.code, refused.message.startswith("web:eve through curve:")) == ("forbidden", True)
+        assert told(b"for=root").error.code == "forbidden"
+        assert told(b"for=").error.code == "forbidden"
 
 
 def test_a_key_that_is_taken_away_ends_its_sessions_while_others_go_on(guarded: Guarded) -> None:

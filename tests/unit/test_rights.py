@@ -21,7 +21,7 @@ from cm.rights.keys import authorized, pairs_of
 from cm.rights.model import Access, AuthorizedKey, Grant, Need, Rights, Role
 from cm.rights.needs import Scene, least, needs_of
 from cm.rights.policy import Users, rights_of
-from cm.rights.principal import NOBODY, Principal, from_id, introduced, of_process
+from cm.rights.principal import NOBODY, Principal, from_id, guest_of, introduced, of_process, on_behalf
 from cm.schema import load_folder
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -299,3 +299,49 @@ def test_no_text_breaks_the_reader_of_keys(text: str) -> None:
 def test_the_page_has_the_roles_in_their_order() -> None:
     text = (ROOT / "docs/security.md").read_text("utf-8").split("a test compares this table")[1].split("\n\n| who")[0]
     assert re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE) == [role.name.lower() for role in Role if role]
+
+
+# ---- bridges --------------------------------------------------------------------------------------
+
+WEB = MappingProxyType({"web": Grant(Role.OPERATE, guests=("web:*",))})
+
+
+def test_a_bridge_speaks_for_whom_its_role_names_and_for_nobody_else() -> None:
+    guests = MappingProxyType({"web:ann": ("observe",), "web:boss": ("admin",), "*": ()})
+    gate = Gate(Access(users=MappingProxyType({"anna": ("web",)}), roles=WEB, guests=guests), USERS)
+    bridge = user(1000).id
+    assert gate.everywhere(bridge) is Role.OPERATE  # the right to speak narrows nothing
+    for name, role in (("web:ann", Role.OBSERVE), ("web:boss", Role.OPERATE), ("web:else", Role.NONE)):
+        guest = gate.guest(bridge, name)
+        assert gate.everywhere(guest) is role, name
+        assert (gate.principal(guest).name, gate.principal(guest).account) == (name, f"for:{name}")
+        assert str(gate.principal(guest)) == f"{name} through {bridge}"
+    for name in ("ros:ann", "root", "web:" + "x" * 64, "web:a\nb"):
+        assert gate.everywhere(gate.guest(bridge, name)) is Role.NONE, name
+    assert gate.guest(bridge, "") == bridge
+
+
+def test_an_admin_speaks_for_everybody_and_who_lacks_the_right_for_nobody() -> None:
+    guests = MappingProxyType({"boss": ("admin",)})
+    gate = Gate(Access(guests=guests), USERS)
+    guest = gate.guest(user(0).id, "boss")
+    assert gate.everywhere(guest) is Role.ADMIN
+    gate = Gate(Access(guests=guests), USERS)
+    assert gate.everywhere(gate.guest(user(1000).id, "boss")) is Role.NONE
+
+
+@given(st.text(min_size=1, max_size=64), st.sampled_from([user(0).id, user(1000).id]))
+def test_a_guests_name_is_read_out_of_its_id_whatever_it_is(name: str, bridge: str) -> None:
+    assert guest_of(on_behalf(from_id(bridge), name).id) == (name, bridge)
+    assert from_id(on_behalf(from_id(bridge), name).id) == NOBODY
+
+
+def test_the_rights_of_a_guest_end_with_those_of_its_bridge() -> None:
+    clock = [0.0]
+    keys = (AuthorizedKey(KEY, "gateway", ("admin",), 10.0),)
+    gate = Gate(Access(keys=keys, guests=MappingProxyType({"*": ("operate",)})), USERS, lambda: clock[0])
+    bridge = gate.enter("curve", "10.0.0.1", "CURVE", KEY) or ""
+    guest = gate.guest(bridge, "anybody")
+    assert gate.everywhere(guest) is Role.OPERATE
+    clock[0] = 10.0
+    assert gate.everywhere(guest) is Role.NONE
