@@ -27,6 +27,7 @@ from cm.device.gpio import GpioChip, GpioLine, list_gpio
 from cm.device.icap import Icap, IcapCompletion, IcapErrors, IcapInfo, IcapState, IcapStatus, list_icap
 from cm.device.overlays import Overlays
 from cm.device.paths import Root
+from cm.device.sensors import Reading, read_sensors
 from cm.device.uio import Uio, UioInfo, UioMap, find_uio, list_uio
 
 __all__ = [
@@ -59,6 +60,7 @@ __all__ = [
     "Overlays",
     "PlClock",
     "PlClocks",
+    "Reading",
     "Root",
     "Uio",
     "UioInfo",
@@ -69,4 +71,5 @@ __all__ = [
     "list_gpio",
     "list_icap",
     "list_uio",
+    "read_sensors",
 ]

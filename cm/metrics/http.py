@@ -55,7 +55,7 @@ class MetricsServer:
         try:
             self._listener = socket.create_server((host, port), family=family, backlog=4 * CONNECTIONS)
         except OSError as error:
-            raise InvalidRequest(f"metrics: cannot listen on {address}: {error.strerror or error}") from error
+            raise InvalidRequest(f"metrics: cannot listen on {address}: {_reason(error)}") from error
         self._listener.setblocking(False)
         self._loop.add(self._listener.fileno(), self._accept, listener=True)
         bound = self._listener.getsockname()
@@ -207,6 +207,11 @@ class _Connection:
             self._socket.shutdown(socket.SHUT_WR)
         self._socket.close()
         self._gone(self)
+
+
+def _reason(error: OSError) -> str:
+    """Without what `socket.create_server` adds: the address is told already."""
+    return (error.strerror or str(error)).partition(" (while")[0]
 
 
 def _head(status: int, reason: str, length: int) -> Iterator[str]:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
@@ -65,6 +66,8 @@ class PageServer:
             await self._listen(runner)
             host, port = runner.addresses[0][:2]
             scheme = "https" if self._options.tls else "http"
+            if host in ("0.0.0.0", "::"):  # everywhere: browsers need a name
+                host = os.uname().nodename
             where = f"[{host}]" if ":" in host else host
             on_ready(f"{scheme}://{where}:{port}/#token={self._options.gate.token}")
             await asyncio.Event().wait()
@@ -76,7 +79,8 @@ class PageServer:
         try:
             await web.TCPSite(runner, o.host, o.port, ssl_context=o.tls).start()
         except OSError as error:
-            raise InvalidRequest(f"cannot listen on {o.host}:{o.port}: {error.strerror or error}") from error
+            why = os.strerror(error.errno) if error.errno and error.errno > 0 else error.strerror or error
+            raise InvalidRequest(f"cannot listen on {o.host}:{o.port}: {why}") from error
 
     def _application(self) -> web.Application:
         app = web.Application(middlewares=[self._guard], client_max_size=_MESSAGE)
