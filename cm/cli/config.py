@@ -26,7 +26,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     rollback = actions.add_parser("rollback", help="put an earlier version in force, in one step")
     rollback.add_argument("--to", type=int, metavar="N", help="the version of this number (default: the youngest)")
     for action, run in ((listing, run_versions), (rollback, run_rollback)):
-        action.add_argument("config", metavar="CONFIG")
+        completes(action.add_argument("config", metavar="CONFIG"), "<config>")
         action.add_argument("--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"below this folder ({FIRMWARE})")
         add_json_option(action)
         action.set_defaults(run=run)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Any, TextIO
@@ -12,6 +13,7 @@ from cm.messages import html
 from cm.messages.status import Progress
 
 OnProgress = Callable[[Progress], None]
+_AT_ONCE = 0.3  # seconds: what lasts no longer needs no bar
 
 
 class TextBar:
@@ -62,20 +64,30 @@ def bar(label: str, fraction: float, note: str, columns: int) -> str:
 
 
 class NotebookBar(TextBar):
-    """The same in the output of a notebook's cell, from which it goes when the load has ended."""
+    """The same in the output of a notebook's cell, from which it goes when the load has ended.
 
-    def __init__(self, label: str, display: Callable[..., Any]) -> None:
+    A load that is over at once draws none: a loop of them would leave an empty output for each.
+    """
+
+    def __init__(self, label: str, display: Callable[..., Any], clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__(label)
-        self._shown = display(_Html(html.progress(0.0, label)), display_id=True)
+        self._display, self._clock = display, clock
+        self._begin = clock() + _AT_ONCE
+        self._shown: Any = None
 
     def update(self, fraction: float, note: str = "") -> None:
         """As `TextBar.update`."""
-        self._shown.update(_Html(html.progress(fraction, f"{self._label} {note}")))
+        text = _Html(html.progress(fraction, f"{self._label} {note}"))
+        if self._shown is not None:
+            self._shown.update(text)
+        elif self._clock() >= self._begin:
+            self._shown = self._display(text, display_id=True)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._shown.update(_Html(""))
+        if self._shown is not None:
+            self._shown.update(_Html(""))
 
 
 class _Html:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from PIL import Image
 import cm
 from cm.client.frame import frame_of
 from cm.client.picture import png
+from cm.client.progress import NotebookBar
 from cm.errors import InvalidRequest
 from cm.messages import html
 from cm.messages.status import (
@@ -152,6 +154,41 @@ def test_registers_are_shown_with_their_fields_and_names_of_values() -> None:
     assert shown[1][:5] == ["led", "0x1018", "rw", "47 (0x2f)", "0 to 255"]
     assert [cell.strip() for cell in shown[2][:5]] == [".blink", "bit 4", "", "2 fast", "steady=0, fast=2"]
     assert shown[3][3] == "-"
+
+
+class Cell:
+    """Stands for a notebook's `display`, and for the handle that it gives: what the cell shows."""
+
+    def __init__(self) -> None:
+        self.shown: list[str] = []
+
+    def __call__(self, text: Any, display_id: bool) -> Cell:
+        self.shown.append(text._repr_html_())
+        return self
+
+    def update(self, text: Any) -> None:
+        self.shown[-1] = text._repr_html_()
+
+
+def test_a_load_that_lasts_shows_a_bar_in_its_cell_until_its_end() -> None:
+    cell, now = Cell(), 100.0
+    with NotebookBar("camera/edge", cell, lambda: now) as bar:
+        bar.update(0.1, "validate edge.bit")
+        assert cell.shown == []
+        now += 0.5
+        bar.update(0.25, "load prr0")
+        assert "value='0.250'" in cell.shown[0]
+        assert "camera/edge load prr0" in Cells(cell.shown[0]).text
+        bar.update(7.0)
+        assert "value='1.000'" in cell.shown[0]
+    assert cell.shown == [""]
+
+
+def test_a_load_that_is_over_at_once_leaves_nothing_in_its_cell() -> None:
+    cell = Cell()
+    with NotebookBar("camera/edge", cell, lambda: 100.0) as bar:
+        bar.update(0.5, "load prr0")
+    assert cell.shown == []
 
 
 def test_the_package_offers_what_it_has() -> None:
