@@ -42,6 +42,7 @@ class Fabric
       public:
 	using Told = std::function<void(uint32_t region, const std::string &why)>;
 
+	static const cm_host host; // what every model is given
 	using Port = std::function<int(uint32_t word, bool taken)>;
 
 	Fabric(const std::string &library, uint64_t seed, Told stopped, Port port);
