@@ -46,7 +46,7 @@ class AllClients(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Of one client: bytes of requests that wait, of replies that it does not read, of what it sends in parts.
+    """Of one client: bytes of requests that wait, and of replies that it does not read.
 
     All clients together may have one and a half times as many waiting, and unread; beyond that only who has nothing
     there gets a request through.
@@ -54,8 +54,6 @@ class Bounds:
 
     waiting_bytes: int
     replies_bytes: int
-    upload_bytes: int
-    uploads_bytes: int  # of all clients
 
 
 class Budget:

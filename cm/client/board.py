@@ -17,7 +17,7 @@ import zmq
 from cm.client import place
 from cm.client.address import Keys
 from cm.client.change import ChangeHandle
-from cm.client.core import calls, change, leases
+from cm.client.core import calls, change, leases, uploads
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Flow, Limit, seconds
 from cm.client.core.events import StatusEvents
@@ -223,7 +223,7 @@ class Board(Guarded):
 
     def provision(self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = "") -> ConfigInfo:
         """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""
-        call = calls.provision(Path(schema), tuple(map(Path, files)), lease)
+        call = self.run(uploads.provision(Path(schema), tuple(map(Path, files)), lease))
         return self.ask(call, timeout=max(self.timeout, 60.0))
 
     def lease(
@@ -303,7 +303,8 @@ class Board(Guarded):
 
     def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
         """Send an array or bytes to the hardware; returns when it has taken them."""
-        return self.ask(calls.write_data(stream, data, lease), timeout=self.timeout + 5.0)
+        call = self.run(uploads.write_data(stream, data, lease))
+        return self.ask(call, timeout=self.timeout + 5.0)
 
     def allocate(
         self, shape: int | Sequence[int], dtype: npt.DTypeLike = np.uint8, timeout: Limit = DEFAULT

@@ -11,11 +11,13 @@ import logging
 import resource
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from cm.budgets.budget import Bounds
 from cm.budgets.names import Who, place_of
 from cm.budgets.registry import Budgets
 from cm.daemon.limits import Limits
+from cm.daemon.uploads import Uploads
 from cm.native import guard
 from cm.native.guard import REQUESTS, TOPICS
 
@@ -60,17 +62,23 @@ def listening(kind: int) -> Iterator[None]:
 class Connections:
     """Sets the bounds, knows what each client takes, and tells once in a while of connections that were refused."""
 
-    def __init__(self, limits: Limits, who: Callable[[str], Who]) -> None:
+    def __init__(self, limits: Limits, who: Callable[[str], Who], folder: Path) -> None:
         raise_descriptors()
         if not guard.install():
             _LOG.warning("connections cannot be limited here: libzmq does not call the C library by its tables")
         guard.limit(bounds(limits))
-        each = Bounds(limits.waiting_bytes, limits.replies_bytes, limits.upload_bytes, limits.uploads_bytes)
-        self.budgets = Budgets(each, who, guard.taken, guard.peers)
+        each = Bounds(limits.waiting_bytes, limits.replies_bytes)
+        self.budgets = budgets = Budgets(each, who, guard.taken, guard.peers)
+        self.uploads = Uploads(folder, limits.upload_bytes, limits.uploads_bytes, budgets.upload_bytes)
         self._told = guard.counts().refused
+
+    def close(self) -> None:
+        """Forget what was sent in parts."""
+        self.uploads.close()
 
     def tell(self) -> None:
         """Forget who has gone, and log what was refused since the last call: one line for each cause."""
+        self.uploads.forget_old()
         self.budgets.settle()
         now = guard.counts()
         for cause, count in now.refused.items():

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import NoReturn, TypeVar
 
+from cm.budgets.budget import Budget
 from cm.budgets.registry import Budgets, with_holdings
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.config_handlers import SentConfigs
+from cm.daemon.connections import Connections
 from cm.daemon.data_handlers import DataHandlers
 from cm.daemon.host.provision import Provisioner
 from cm.daemon.interrupts import InterruptWatch
@@ -38,7 +40,7 @@ _T = TypeVar("_T")
 Began = Callable[[Change], Callable[[], None]]
 
 
-_OF_CLIENTS = (rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData)  # done by turns of clients
+_OF_CLIENTS = (rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload)  # done by turns of clients
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,7 @@ class Services:
     complete: Callable[[Config], Config]  # adds what only the board knows
     sessions: Sessions
     pieces: Pieces
-    budgets: Budgets
+    connections: Connections
     aside: Executor  # for what reads or writes files, so that the loop goes on
 
 
@@ -76,6 +78,7 @@ class Handlers:
             rq.CancelChange: self._cancel_change,
             rq.Provision: self._provision,
             rq.RemoveConfig: self._remove_config,
+            rq.Upload: self._upload,
             rq.ReadIrq: self._read_irq,
             rq.TakeLease: self._lease,
             rq.RenewLease: self._lease,
@@ -96,7 +99,7 @@ class Handlers:
     @property
     def budgets(self) -> Budgets:
         """Who takes what."""
-        return self._s.budgets
+        return self._s.connections.budgets
 
     def handle(self, connection: str, request: rq.Request, respond: Respond, began: Began) -> None:
         """Do what a request over a connection asks; whatever goes wrong becomes an error reply.
@@ -105,6 +108,8 @@ class Handlers:
         """
         try:
             request = self._s.sessions.gate.admit(connection, request, self._s.sessions.scene)
+            if isinstance(request, (rq.WriteData, rq.Provision)):
+                request = self._s.connections.uploads.filled_in(self._s.connections.budgets.of(connection), request)
         except CmError as error:
             respond(refusal(error))
             return
@@ -114,7 +119,7 @@ class Handlers:
         elif isinstance(request, (rq.Provision, rq.RemoveConfig)):
             self._guarded(partial(handler, request, respond, began, connection), respond)
         elif isinstance(request, _OF_CLIENTS):
-            self._guarded(partial(handler, request, respond, self._s.budgets.of(connection)), respond)
+            self._guarded(partial(handler, request, respond, self._s.connections.budgets.of(connection)), respond)
         else:
             self._guarded(partial(handler, request, respond), respond)
 
@@ -145,7 +150,11 @@ class Handlers:
 
     def _read_status(self, request: rq.ReadStatus, respond: Respond) -> None:
         status = self._s.status()
-        taken = with_holdings(self._s.budgets.snapshot(), status.leases, status.streams) if request.clients else ()
+        taken = (
+            with_holdings(self._s.connections.budgets.snapshot(), status.leases, status.streams)
+            if request.clients
+            else ()
+        )
         respond(Reply(replace(status, clients=taken) if taken else status))
         self._s.manager.status_read()
 
@@ -200,6 +209,9 @@ class Handlers:
     def _removed(self, name: str, respond: Respond) -> None:
         self._s.manager.forget_config(name)
         respond(Reply(self._sent.listed()))
+
+    def _upload(self, request: rq.Upload, respond: Respond, client: Budget) -> None:
+        respond(Reply(self._s.connections.uploads.take(client, request)))
 
     # ---- interrupts and leases ------------------------------------------------------------
 

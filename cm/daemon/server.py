@@ -62,7 +62,7 @@ class Server:
         self._locks = Locks(options.runtime_dir, options.root, options.group)
         self._loop = Loop()
         gate = Gate(options.access, system_users())
-        self._connections = Connections(options.limits, gate.principal)
+        self._connections = Connections(options.limits, gate.principal, options.state_dir)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         own_folder(options.state_dir)
@@ -133,7 +133,7 @@ class Server:
             board=self._board,
             sessions=self._sessions,
             status=lambda: self._publisher.complete(self._status()),
-            budgets=self._connections.budgets,
+            connections=self._connections,
             complete=self._with_channels,
             aside=self._aside,
         )
@@ -187,11 +187,11 @@ class Server:
 
     def _close(self) -> None:
         self._service.stopping()
-        users = (self._acceptor.close, self._streams.end, self._pieces.close, self._interrupts.close)
+        users = (self._connections.close, self._streams.end, self._pieces.close, self._interrupts.close)
         watches = (self._metrics.close, self._sensors.close, self._leases.close, self._aside.shutdown)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
-        for end in (self._manager.stop, *users, *watches, *board, *last):
+        for end in (self._manager.stop, self._acceptor.close, *users, *watches, *board, *last):
             end()
 
     def _on_subscription(self) -> None:

@@ -6,6 +6,7 @@ Several of them share a topic and a message on the wire (`cm.wire.decode` tells 
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, field
 
 
@@ -43,6 +44,11 @@ class File:
     name: str
     data: bytes | memoryview = field(repr=False)
     sha256: str = ""
+    upload: str = ""  # the id of an `Upload` that has the bytes
+
+    def uploaded(self, name: str) -> File:
+        """The same, with its bytes sent before."""
+        return File(self.name, b"", self.sha256 or hashlib.sha256(self.data).hexdigest(), name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +186,18 @@ class WriteData:
     data: bytes | memoryview = field(repr=False, default=b"")
     lease: str = ""
     offset: int = 0
+    upload: str = ""  # the id of an `Upload` that has the bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """A part of what is too long for one message: `data` from `offset` on, of `length` bytes in all."""
+
+    id: str
+    length: int = 0
+    offset: int = 0
+    data: bytes | memoryview = field(repr=False, default=b"")
+    discard: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,6 +250,7 @@ Request = (
     | DefineMemory
     | ReadData
     | WriteData
+    | Upload
     | ReadIrq
     | TakeLease
     | RenewLease

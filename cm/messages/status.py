@@ -337,6 +337,15 @@ class LeaseInfo:
 
 
 @dataclass(frozen=True, slots=True)
+class UploadInfo:
+    """How many bytes of an upload of `length` have come."""
+
+    id: str
+    length: int
+    got: int
+
+
+@dataclass(frozen=True, slots=True)
 class FrameInfo:
     """What stands beside a payload of stream data. Times are CLOCK_MONOTONIC of the manager's machine.
 
@@ -371,6 +380,7 @@ Body = (
     | RegValues
     | StreamStatus
     | FrameInfo
+    | UploadInfo
     | PlanInfo
     | LeaseInfo
     | ChangeInfo

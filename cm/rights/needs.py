@@ -158,6 +158,7 @@ _KINDS: dict[type, _Kind] = {
     rq.DefineMemory: _Kind(Role.PROVISION, "cm_data_config", _data),
     rq.ReadData: _Kind(Role.OBSERVE, "cm_read_data", _data),
     rq.WriteData: _Kind(Role.OPERATE, "cm_write_data", _data),
+    rq.Upload: _Kind(Role.OPERATE, "cm_upload"),
     rq.ReadIrq: _Kind(Role.OBSERVE, "cm_irq"),
     rq.TakeLease: _Kind(Role.OPERATE, "cm_lease", _take),
     rq.RenewLease: _Kind(Role.OPERATE, "cm_lease"),

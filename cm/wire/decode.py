@@ -91,9 +91,10 @@ def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     if text.is_word(message):
         return _text_config(message, payload)
     m = _parse(pb.WriteConfig, "cm_write_config", message)
-    if len(m.files) != len(payload):
+    parts = [f for f in m.files if not f.upload]
+    if len(parts) != len(payload):
         raise InvalidRequest(
-            f"cm_write_config: {len(m.files)} files are named and {len(payload)} payload frames follow; one each"
+            f"cm_write_config: {len(parts)} files are named and {len(payload)} payload frames follow; one each"
         )
     if m.cancel:
         return rq.CancelChange()
@@ -102,13 +103,16 @@ def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     change = rq.ChangeMode(m.config_name, m.mode, "", m.no_wait, m.no_queue, m.force, m.lease)
     if not m.schema:
         return change
-    files = tuple(_file(f, data) for f, data in zip(m.files, payload, strict=True))
+    data = iter(payload)
+    files = tuple(_file(f, None if f.upload else next(data)) for f in m.files)
     change = replace(change, config_name="")  # the schema names it
     return rq.Provision(m.schema, files, None if m.provision_only else change, m.lease)
 
 
-def _file(entry: pb.File, payload: Frame) -> rq.File:
+def _file(entry: pb.File, payload: Frame | None) -> rq.File:
     """A file as it came; whether its sha256 is right takes its time, and is found out where it is stored."""
+    if payload is None:
+        return rq.File(entry.name, b"", entry.sha256, entry.upload)
     if len(payload) != entry.length:
         raise InvalidRequest(
             f"cm_write_config: file {entry.name!r} has {len(payload)} bytes, {entry.length} were announced"
@@ -179,9 +183,18 @@ def _read_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 
 def _write_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     m = _parse(pb.WriteData, "cm_write_data", message)
-    if len(payload) != 1:
-        raise InvalidRequest(f"cm_write_data: {len(payload)} payload frames; one frame of data is expected")
-    return rq.WriteData(m.stream, payload[0], m.lease, m.offset)
+    if len(payload) != (0 if m.upload else 1):
+        raise InvalidRequest(
+            f"cm_write_data: {len(payload)} payload frames; one frame of data is expected, or an upload"
+        )
+    return rq.WriteData(m.stream, b"" if m.upload else payload[0], m.lease, m.offset, m.upload)
+
+
+def _upload(message: bytes, payload: Sequence[Frame]) -> rq.Request:
+    m = _parse(pb.Upload, "cm_upload", message)
+    if len(payload) != (0 if m.discard else 1) or not m.id:
+        raise InvalidRequest(f"cm_upload: {len(payload)} payload frames, id {m.id!r}; an id and one frame are expected")
+    return rq.Upload(m.id, m.length, m.offset, payload[0] if payload else b"", m.discard)
 
 
 def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
@@ -211,5 +224,6 @@ _DECODERS: dict[bytes, _Decoder] = {
     topics.WRITE_DATA: _write_data,
     topics.IRQ: _read_irq,
     topics.LEASE: _lease,
+    topics.UPLOAD: _upload,
 }
 TOPICS = frozenset(_DECODERS)  # of commands

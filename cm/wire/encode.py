@@ -42,11 +42,14 @@ def _change(r: rq.ChangeMode) -> pb.WriteConfig:
 
 def _provision(r: rq.Provision) -> list[Frame]:
     files = [
-        pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or hashlib.sha256(f.data).hexdigest()) for f in r.files
+        pb.File(name=f.name, upload=f.upload, sha256=f.sha256)
+        if f.upload
+        else pb.File(name=f.name, length=len(f.data), sha256=f.sha256 or hashlib.sha256(f.data).hexdigest())
+        for f in r.files
     ]
     message = _change(r.change) if r.change is not None else pb.WriteConfig(provision_only=True)
     message.MergeFrom(pb.WriteConfig(schema=r.schema, files=files, lease=r.lease))
-    return [topics.WRITE_CONFIG, message.SerializeToString(), *(f.data for f in r.files)]
+    return [topics.WRITE_CONFIG, message.SerializeToString(), *(f.data for f in r.files if not f.upload)]
 
 
 def _write_reg(r: rq.WriteReg) -> list[Frame]:
@@ -67,9 +70,14 @@ def _write_data(r: rq.WriteData) -> list[Frame]:
     _place(r.stream, r.offset)
     return [
         topics.WRITE_DATA,
-        pb.WriteData(stream=r.stream, lease=r.lease, offset=r.offset).SerializeToString(),
-        r.data,
+        pb.WriteData(stream=r.stream, lease=r.lease, offset=r.offset, upload=r.upload).SerializeToString(),
+        *(() if r.upload else (r.data,)),
     ]
+
+
+def _upload(r: rq.Upload) -> list[Frame]:
+    message = pb.Upload(id=r.id, length=r.length, offset=r.offset, discard=r.discard).SerializeToString()
+    return [topics.UPLOAD, message, *(() if r.discard else (r.data,))]
 
 
 def _place(name: str, *numbers: int) -> None:
@@ -153,6 +161,7 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
     rq.DefineMemory: _define_memory,
     rq.ReadData: _read_data,
     rq.WriteData: _write_data,
+    rq.Upload: _upload,
     rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
     rq.TakeLease: _take_lease,
     rq.RenewLease: lambda r: _lease(pb.Lease(id=r.id, seconds=r.seconds, pid=r.pid)),
@@ -169,6 +178,11 @@ _BODIES: dict[type, tuple[str, Callable[[Any], Any], Callable[[Any], Any]]] = {
     st.LeaseInfo: ("lease", bodies.lease_to_pb, bodies.lease_from_pb),
     st.ChangeInfo: ("change", bodies.change_to_pb, bodies.change_from_pb),
     st.Irq: ("irq", bodies.irq_to_pb, bodies.irq_from_pb),
+    st.UploadInfo: (
+        "upload",
+        lambda x: pb.Upload(id=x.id, length=x.length, offset=x.got),
+        lambda m: st.UploadInfo(m.id, m.length, m.offset),
+    ),
     st.MemoryInfo: ("memory", bodies.memory_to_pb, bodies.memory_from_pb),
     st.StreamStatus: (
         "stream",

@@ -40,6 +40,9 @@ ALL: list[Any] = [
     rq.ReadData("camera", 1.5),
     rq.ReadData("taps", offset=4, length=8),
     rq.WriteData("taps", b"1234", "l", 4),
+    rq.Upload("a", 10, 4, b"part"),
+    rq.Upload("a", discard=True),
+    rq.WriteData("s", upload="a"),
     rq.ReadIrq("done"),
     rq.TakeLease("region:prr0", False, 5.0, "anna", 7),
     rq.RenewLease("id", 5.0, 7),
@@ -59,7 +62,7 @@ def test_a_request_is_the_same_behind_the_wire(request_: Any) -> None:
 def test_every_intent_is_among_them_and_has_a_handler() -> None:
     manager = SimpleNamespace(memories=None)
     services: Any = SimpleNamespace(
-        manager=manager, streams=None, memories=None, board=None, provisioner=None, sessions=None
+        manager=manager, streams=None, memories=None, board=None, pieces=None, provisioner=None, sessions=None
     )
     intents = set(get_args(rq.Request))
     assert {type(request) for request in ALL} == intents

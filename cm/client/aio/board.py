@@ -26,7 +26,7 @@ from cm.client.aio.memories import Memories, Memory
 from cm.client.aio.registers import Registers
 from cm.client.aio.stream import AsyncLocalStream, AsyncRemoteStream, Stream
 from cm.client.aio.writer import AsyncWriter
-from cm.client.core import calls, change, leases
+from cm.client.core import calls, change, leases, uploads
 from cm.client.core.calls import Call
 from cm.client.core.effects import DEFAULT, Flow, Limit, seconds
 from cm.client.core.events import StatusEvents
@@ -205,7 +205,7 @@ class Board(Guarded):
         self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = ""
     ) -> ConfigInfo:
         """Send a schema file with the bitstreams and overlays that belong to it; it can then be loaded."""
-        call = calls.provision(Path(schema), tuple(map(Path, files)), lease)
+        call = await self.run(uploads.provision(Path(schema), tuple(map(Path, files)), lease))
         return await self.ask(call, timeout=max(self.timeout, 60.0))
 
     def lease(
@@ -275,7 +275,8 @@ class Board(Guarded):
 
     async def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
         """Send an array or bytes to the hardware; returns when it has taken them."""
-        return await self.ask(calls.write_data(stream, data, lease), timeout=self.timeout + 5.0)
+        call = await self.run(uploads.write_data(stream, data, lease))
+        return await self.ask(call, timeout=self.timeout + 5.0)
 
     async def allocate(
         self, shape: int | Sequence[int], dtype: npt.DTypeLike = np.uint8, timeout: Limit = DEFAULT

@@ -29,6 +29,7 @@ from cm.messages.status import (
     Reply,
     Status,
     StreamStatus,
+    UploadInfo,
 )
 
 _T = TypeVar("_T")
@@ -103,6 +104,11 @@ def provision(schema: Path, files: tuple[Path, ...], lease: str) -> Call[ConfigI
     sent = tuple(rq.File(path.name, path.read_bytes()) for path in files)
     request = rq.Provision(schema.read_text(encoding="utf-8"), sent, lease=lease)
     return Call(request, lambda r: _body(r, ConfigInfo))
+
+
+def upload(part: rq.Upload) -> Call[UploadInfo]:
+    """A part of what is too long for one message."""
+    return Call(part, lambda r: _body(r, UploadInfo))
 
 
 def read_registers(names: tuple[str, ...]) -> Call[RegValues]:

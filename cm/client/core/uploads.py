@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is too long for one message goes in parts before it. Each flow returns the call that is to be asked then."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from cm.client.core import calls
+from cm.client.core.calls import Call
+from cm.client.core.effects import Flow
+from cm.client.errors import RequestInvalid
+from cm.messages import requests as rq
+from cm.messages.status import ConfigInfo, FrameInfo
+
+WHOLE = 4 << 20  # bytes that still go in the message itself
+PART = 1 << 20
+
+
+def provision(schema: Path, files: Sequence[Path], lease: str) -> Flow[Call[ConfigInfo]]:
+    """Send the files of a configuration, if they are long, one after the other."""
+    call = calls.provision(schema, tuple(files), lease)
+    request = call.request
+    if not isinstance(request, rq.Provision) or sum(len(file.data) for file in request.files) <= WHOLE:
+        return call
+    sent = []
+    for file in request.files:
+        name = yield from upload(file.data)
+        sent.append(file.uploaded(name) if name else file)
+    return replace(call, request=replace(request, files=tuple(sent)))
+
+
+def write_data(stream: str, data: Any, lease: str) -> Flow[Call[FrameInfo]]:
+    """Send the bytes of a frame, if they are many."""
+    call = calls.write_data(stream, data, lease)
+    request = call.request
+    if not isinstance(request, rq.WriteData) or len(request.data) <= WHOLE:
+        return call
+    name = yield from upload(request.data)
+    return replace(call, request=replace(request, data=b"", upload=name)) if name else call
+
+
+def upload(data: bytes | memoryview) -> Flow[str]:
+    """Send bytes in parts; the name that they have then. Empty where a manager is too old to know of parts."""
+    name, view = secrets.token_hex(8), memoryview(data)
+    for start in range(0, max(len(view), 1), PART):
+        try:
+            yield calls.upload(rq.Upload(name, len(view), start, view[start : start + PART]))
+        except RequestInvalid as error:
+            if start or "unknown topic" not in str(error):
+                raise
+            return ""
+    return name
