@@ -345,3 +345,15 @@ def test_the_rights_of_a_guest_end_with_those_of_its_bridge() -> None:
     assert gate.everywhere(guest) is Role.OPERATE
     clock[0] = 10.0
     assert gate.everywhere(guest) is Role.NONE
+
+
+def test_every_promise_of_the_page_names_a_test_that_there_is() -> None:
+    text = (ROOT / "docs/security.md").read_text("utf-8").split("## Promises")[1]
+    rows = [line for line in text.splitlines() if line.startswith("| ") and "`" in line]
+    assert len(rows) > 25
+    for row in rows:
+        path = ""
+        for file, name in re.findall(r"`(tests/[\w/]+\.py)?::(test_\w+)`", row):
+            path = file or path
+            assert f"def {name}(" in (ROOT / path).read_text("utf-8"), f"{path}::{name}"
+        assert path, row

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys as `cm serve` and `cm keygen` have them, and what is asked before TCP is served."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from cm.cli.keys import ReadableKey, authorized_keys, load_server_keys
+from cm.cli.main import main
+from cm.cli.serve_options import InsecureListen, security_of
+from cm.errors import InvalidRequest
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    """A folder with the server's key, and a client's."""
+    assert main(["keygen", str(tmp_path / "keys"), "laptop", "--role", "observe,tuner", "--expires", "2030-12-31"]) == 0
+    return tmp_path / "keys"
+
+
+@pytest.mark.parametrize(
+    ("address", "who"),
+    [
+        ("tcp://127.0.0.1", "every user of this machine"),
+        ("tcp://127.0.0.1:5560", "every user of this machine"),
+        ("tcp://localhost", "every user of this machine"),
+        ("tcp://[::1]:0", "every user of this machine"),
+        ("tcp://0.0.0.0", "anybody who reaches it"),
+        ("tcp://127.0.0.1.example.org:1", "anybody who reaches it"),
+    ],
+)
+def test_tcp_takes_a_key_or_to_be_told_that_it_needs_none(address: str, who: str, keys: Path) -> None:
+    with pytest.raises(InsecureListen, match=f"{who} could change the hardware"):
+        security_of([address], None, insecure=False)
+    assert security_of([address], None, insecure=True) is None
+    assert security_of([address], keys / "server.key", insecure=False) is not None
+
+
+def test_a_wrong_address_is_told_as_that(keys: Path) -> None:
+    with pytest.raises(InvalidRequest, match="is not tcp://"):
+        security_of(["udp://127.0.0.1"], None, insecure=False)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o644])
+def test_a_servers_key_that_others_may_read_is_refused(keys: Path, mode: int) -> None:
+    load_server_keys(keys / "server.key")
+    (keys / "server.key").chmod(mode)
+    with pytest.raises(ReadableKey, match="chmod 600"):
+        load_server_keys(keys / "server.key")
+
+
+def test_what_keygen_writes_is_read_again(keys: Path) -> None:
+    (key,), notes = authorized_keys(keys / "server.key", None)
+    assert (key.name, key.roles, key.until) == ("laptop", ("observe", "tuner"), 1924991999.0)
+    assert notes == ()
+    assert {oct(path.stat().st_mode & 0o777) for path in keys.rglob("*.*") if path.is_file()} == {"0o600"}
+
+
+def test_keygen_refuses_what_is_no_day_before_it_writes_anything(tmp_path: Path) -> None:
+    assert main(["keygen", str(tmp_path / "keys"), "laptop", "--expires", "soon"]) == 1
+    assert not (tmp_path / "keys" / "laptop.key").exists()
+
+
+def test_a_wrong_file_among_the_keys_is_left_out_and_named(keys: Path) -> None:
+    folder = keys / "authorized_keys.d"
+    (folder / "broken.pub").write_text("public: short\n")
+    (folder / "binary.pub").write_bytes(bytes(range(256)))
+    (folder / "again.pub").write_text((folder / "laptop.pub").read_text())
+    (folder / ".hidden.pub").write_text("what an editor left")
+    os.mkfifo(folder / "pipe.txt")
+    found, notes = authorized_keys(keys / "server.key", None)
+    assert [key.name for key in found] == ["again"]
+    assert sorted(Path(note.split(":")[0]).name for note in notes) == ["binary.pub", "broken.pub", "laptop.pub"]
+
+
+def test_that_nobody_can_connect_is_told_but_keeps_nothing_from_running(keys: Path) -> None:
+    (keys / "authorized_keys.d/laptop.pub").unlink()
+    found, notes = authorized_keys(keys / "server.key", None)
+    assert found == ()
+    assert "can connect over TCP" in notes[0]
+
+
+def test_keys_of_an_older_version_count_with_the_usual_role(keys: Path) -> None:
+    (keys / "clients").mkdir()
+    (keys / "clients/old.pub").write_text("# client old\npublic: " + "k" * 40 + "\n")
+    found, _ = authorized_keys(keys / "server.key", None)
+    assert {key.name: key.roles for key in found}["old"] == ("provision",)
