@@ -25,17 +25,19 @@ static u32 channel_caps(const struct cm_channel *channel)
 {
 	struct dma_chan *chan = channel->chan;
 	const struct cm_traits *traits = channel->traits;
+	/* what xilinx_dma says of itself is right for AXI DMA alone */
+	bool known = !traits->own_cyclic && traits->residue;
 	struct dma_slave_caps slave;
 	u32 caps = 0;
 
-	if (dma_has_cap(DMA_CYCLIC, chan->device->cap_mask))
+	if (known || dma_has_cap(DMA_CYCLIC, chan->device->cap_mask))
 		caps |= CM_DMA_CAP_CYCLIC;
 	if (chan->device->device_prep_interleaved_dma &&
 	    (traits->interleaved || dma_has_cap(DMA_INTERLEAVE, chan->device->cap_mask)))
 		caps |= CM_DMA_CAP_VIDEO;
 	if (traits->simple)
 		caps |= CM_DMA_CAP_SIMPLE;
-	if (traits->length_register ||
+	if (known || traits->length_register ||
 	    (traits->residue && !dma_get_slave_caps(chan, &slave) &&
 	     slave.residue_granularity != DMA_RESIDUE_GRANULARITY_DESCRIPTOR))
 		caps |= CM_DMA_CAP_RESIDUE;

@@ -21,7 +21,7 @@ from cm import device
 from cm.bitstream import to_dma_words
 
 pytestmark = pytest.mark.needs("xilinx_dma")
-SG, SIMPLE, VDMA = Engine("sg"), Engine("simple"), Engine("vdma")
+SG, SIMPLE, VDMA, MC = Engine("sg"), Engine("simple"), Engine("vdma"), Engine("mc")
 FRAME = 4096
 
 
@@ -34,7 +34,7 @@ def bench() -> Iterator[None]:
     """The engines of silicon-bench.dtso."""
     overlays = device.Overlays("/")
     overlays.apply("bench", plsim.overlay("silicon-bench"))
-    until(lambda: {"sg_in", "simple_in", "vdma_in"} <= set(device.list_dma()))
+    until(lambda: {"sg_in", "simple_in", "vdma_in", "mc_in1"} <= set(device.list_dma()))
     yield
     overlays.remove("bench")
     assert not list(Path("/sys/bus/platform/drivers/xilinx-vdma").glob("58033000.*"))
@@ -67,7 +67,7 @@ def simple_out() -> Iterator[device.AxiDma]:
 # what the tree describes
 
 
-@pytest.mark.parametrize("node", [f"5803{n}000.dma-controller" for n in range(8)])
+@pytest.mark.parametrize("node", [f"5803{n}000.dma-controller" for n in range(9)])
 def test_each_engine_has_the_kernels_own_driver(node: str) -> None:
     assert driver(node) == "xilinx-vdma"
 
@@ -247,21 +247,74 @@ def test_a_vdma_refuses_a_transfer_without_lines() -> None:
         channel.submit(buffer, length=FRAME)
 
 
+# AXI MCDMA, PG288: channels behind one port, a reset for all of them
+
+
+def give_to(channel: int, data: bytes) -> None:
+    """A packet with a TDEST."""
+    MC.set("tdest", channel)
+    MC.give(data)
+
+
+def test_channels_of_a_multichannel_engine_get_what_is_for_them() -> None:
+    first, second = device.AxiDma.open("mc_in0"), device.AxiDma.open("mc_in1")
+    with first, second, first.allocate(2 * FRAME) as one, second.allocate(2 * FRAME) as two:
+        for channel, buffer in ((first, one), (second, two)):
+            for index in range(2):
+                channel.submit(buffer, index * FRAME, FRAME, cookie=index)
+        for number, length in ((1, 100), (0, FRAME), (1, 8), (0, 12)):
+            give_to(number, words(1000 * number + length, length))
+        got = [
+            [(done.cookie, done.status, done.length) for done in (c.wait(PATIENCE), c.wait(PATIENCE))]
+            for c in (first, second)
+        ]
+        assert got == [[(0, 0, FRAME), (1, 0, 12)], [(0, 0, 100), (1, 0, 8)]]
+        assert one.array(0, FRAME).tobytes() == words(FRAME, FRAME)
+        assert two.array(FRAME, 8).tobytes() == words(1008, 8)
+
+
+def test_a_multichannel_engine_sends_whole_packets_of_each_channel() -> None:
+    first, second = device.AxiDma.open("mc_out0"), device.AxiDma.open("mc_out1")
+    with first, second, first.allocate(FRAME) as one, second.allocate(FRAME) as two:
+        for channel, buffer, value in ((first, one, 5), (second, two, 6)):
+            buffer.array()[:] = np.frombuffer(words(value), np.uint8)
+            channel.submit(buffer, length=FRAME)
+            assert channel.wait(PATIENCE).status == 0
+            assert MC.sent() == words(value)
+
+
+def test_closing_a_channel_of_a_multichannel_engine_leaves_the_others_what_they_wait_for() -> None:
+    with device.AxiDma.open("mc_in0") as stays, stays.allocate(2 * FRAME) as buffer:
+        for index in range(2):
+            stays.submit(buffer, index * FRAME, FRAME, cookie=index)
+        with device.AxiDma.open("mc_in1") as goes, goes.allocate(FRAME) as other:
+            goes.submit(other, length=FRAME)
+            goes.cancel()
+            assert goes.wait(PATIENCE).status == -errno.ECANCELED
+        for index in range(2):
+            give_to(0, words(index))
+            done = stays.wait(PATIENCE)
+            assert (done.cookie, done.status, done.length) == (index, 0, FRAME)
+        assert buffer.array().tobytes() == words(0) + words(1)
+
+
 # T6: cyclic transfers
 
 
-def test_each_period_of_a_cyclic_transfer_is_told(sg_in: device.AxiDma) -> None:
-    assert device.DmaCaps.CYCLIC in sg_in.info.caps
-    with sg_in.allocate(4 * FRAME) as buffer:
-        sg_in.submit(buffer, length=4 * FRAME, cyclic=True, period=FRAME, cookie=9)
+@pytest.mark.parametrize(("name", "engine"), [("sg_in", SG), ("mc_in0", MC)])
+def test_each_period_of_a_cyclic_transfer_is_told(name: str, engine: Engine) -> None:
+    engine.set("tdest", 0)
+    with device.AxiDma.open(name) as channel, channel.allocate(4 * FRAME) as buffer:
+        assert device.DmaCaps.CYCLIC in channel.info.caps
+        channel.submit(buffer, length=4 * FRAME, cyclic=True, period=FRAME, cookie=9)
         for index in range(10):
-            SG.give(words(index))
-            done = sg_in.wait(PATIENCE)
+            engine.give(words(index))
+            done = channel.wait(PATIENCE)
             assert (done.cookie, done.status, done.length, done.sequence) == (9, 0, FRAME, index)
             place = index % 4
             assert buffer.array(place * FRAME, FRAME).tobytes() == words(index)
-        sg_in.cancel()
-        assert sg_in.wait(PATIENCE).status == -errno.ECANCELED
+        channel.cancel()
+        assert channel.wait(PATIENCE).status == -errno.ECANCELED
 
 
 # errors: PG021 table 2-7, DMASlvErr; the driver tells none of them
@@ -467,6 +520,7 @@ def test_a_frame_is_synchronised_once_over_its_length_for_all_its_readers(sg_in:
         ("simple_out", "cyclic simple", (1 << 14) - 4, "mm2s"),
         ("simple_in", "cyclic residue simple", (1 << 14) - 4, "s2mm"),
         ("vdma_in", "video", (1 << 23) - 4, "s2mm"),
+        ("mc_in0", "cyclic residue", (1 << 26) - 4, "s2mm"),
     ],
 )
 def test_sysfs_says_what_a_channel_can_do(name: str, caps: str, length: int, direction: str) -> None:

@@ -99,7 +99,7 @@ void axi_mirror(struct axi_engine *engine)
 {
 	int i;
 
-	for (i = 0; i < 2; i++) {
+	for (i = 0; i < 2 && !engine->mcdma; i++) {
 		struct axi_channel *channel = &engine->channels[i];
 		u32 __iomem *base = engine->mirror + channel->offset / sizeof(u32);
 
@@ -126,7 +126,10 @@ u32 axi_model_read(const void __iomem *address)
 	if (!engine)
 		return ~0;
 	spin_lock_irqsave(&engine->lock, flags);
-	value = engine->vdma ? axi_vdma_read(channel_at(engine, offset), offset) :
+	if (engine->mcdma)
+		value = axi_mcdma_read(engine, offset);
+	else
+		value = engine->vdma ? axi_vdma_read(channel_at(engine, offset), offset) :
 			       axi_dma_read(channel_at(engine, offset), offset);
 	axi_trace(engine, 'r', offset, value);
 	axi_mirror(engine);
@@ -151,7 +154,9 @@ void axi_model_write(u32 value, void __iomem *address)
 		return;
 	spin_lock_irqsave(&engine->lock, flags);
 	axi_trace(engine, 'w', offset, value);
-	if (engine->vdma)
+	if (engine->mcdma)
+		axi_mcdma_write(engine, offset, value);
+	else if (engine->vdma)
 		axi_vdma_write(channel_at(engine, offset), offset, value);
 	else
 		axi_dma_write(channel_at(engine, offset), offset, value);

@@ -98,6 +98,7 @@ static ssize_t packet_write(struct file *file, const char __user *from, size_t c
 		kfree(packet);
 		return -EFAULT;
 	}
+	packet->tdest = engine->tdest;
 	spin_lock_irqsave(&engine->lock, flags);
 	list_add_tail(&packet->node, &engine->channels[1].stream);
 	spin_unlock_irqrestore(&engine->lock, flags);
@@ -165,6 +166,7 @@ void axi_debugfs(struct axi_engine *engine, struct dentry *root)
 	debugfs_create_file("state", 0400, folder, engine, &state_fops);
 	debugfs_create_file("packet", 0600, folder, engine, &packet_fops);
 	debugfs_create_file_unsafe("kick", 0200, folder, engine, &kick_fops);
+	debugfs_create_u32("tdest", 0600, folder, &engine->tdest);
 	debugfs_create_u32("fail_next", 0600, folder, &engine->fail_next);
 	debugfs_create_u64("loads", 0400, folder, &engine->port.loads);
 	debugfs_create_u32("words", 0400, folder, &engine->port.words);

@@ -71,6 +71,7 @@ static int read_engine(struct device_node *node, struct axi_engine *engine)
 	of_property_read_u32_array(node, "fpga-cm,lines", lines, 2);
 	engine->address = address;
 	engine->vdma = of_property_read_bool(node, "fpga-cm,vdma");
+	engine->mcdma = of_property_read_bool(node, "fpga-cm,mcdma");
 	engine->sg = of_property_read_bool(node, "fpga-cm,sg");
 	engine->fstores = 3;
 	of_property_read_u32(node, "fpga-cm,length-width", &bits);
@@ -93,6 +94,8 @@ static void engine_free(void *data)
 	axi_stream_clear(&engine->channels[0]);
 	axi_stream_clear(&engine->channels[1]);
 	axi_packet_drop(engine->channels[0].packet);
+	if (engine->mcdma)
+		axi_mcdma_reset(engine);
 	if (engine->port.status)
 		iounmap(engine->port.status);
 	if (engine->port.identity)
@@ -117,6 +120,14 @@ static int engine_start(struct device *dev, struct axi_engine *engine, struct ir
 		INIT_LIST_HEAD(&channel->stream);
 		axi_reset_channel(channel);
 	}
+	for (i = 0; i < 2 * AXI_MC_CHANNELS && engine->mcdma; i++) {
+		struct axi_channel *channel = &engine->mc[i / AXI_MC_CHANNELS][i % AXI_MC_CHANNELS];
+
+		channel->engine = engine;
+		channel->irq = engine->channels[i / AXI_MC_CHANNELS].irq + i % AXI_MC_CHANNELS;
+	}
+	if (engine->mcdma)
+		axi_mcdma_reset(engine);
 	axi_mirror(engine);
 	axi_pl_init(engine);
 	axi_bus_add(engine);

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: GPL-2.0-only */
 /*
- * Register models of AXI DMA (PG021) and AXI VDMA (PG020), written from the
+ * Register models of AXI DMA (PG021), AXI VDMA (PG020) and AXI MCDMA (PG288), written from the
  * product guides; sources.md says where each bit stands.
  *
  * A register of an engine is read and written by axi_model_read() and
@@ -23,6 +23,8 @@
 #define AXI_WINDOW 0x1000
 #define AXI_FSTORES 32
 #define AXI_TRACE 4096
+#define AXI_MC_CHANNELS 4
+#define AXI_MC_IRQS GENMASK(7, 5) /* MCDMA: of a channel's CR and SR */
 
 /* DMACR and DMASR of a channel: PG021 tables 2-6, 2-7; PG020 tables 2-10, 2-11 */
 #define DMACR 0x00
@@ -57,12 +59,14 @@
  * @node: in a stream
  * @length: bytes
  * @taken: bytes that the engine has received
+ * @tdest: MCDMA: channel that it is for
  * @data: bytes
  */
 struct axi_packet {
 	struct list_head node;
 	size_t length;
 	size_t taken;
+	u32 tdest;
 	u8 data[] __aligned(4);
 };
 
@@ -198,6 +202,7 @@ enum axi_pl {
  * @mirror: memory at that address
  * @lock: protects everything
  * @vdma: AXI VDMA; else AXI DMA
+ * @mcdma: AXI MCDMA
  * @sg: AXI DMA: with scatter/gather
  * @length_mask: AXI DMA: of LENGTH, and of a descriptor's
  * @fstores: VDMA: frame stores
@@ -209,6 +214,10 @@ enum axi_pl {
  * @port: configuration port
  * @fail_next: so many transfers end with DMASlvErr
  * @channels: MM2S, S2MM
+ * @mc: MCDMA: channels behind them
+ * @chen: MCDMA: CHEN of MM2S and S2MM
+ * @errors: MCDMA: ERR of MM2S and S2MM
+ * @tdest: MCDMA: of packets that come
  * @work: the engine at work
  * @camera: the next frame
  * @irqs: interrupt controller
@@ -223,6 +232,7 @@ struct axi_engine {
 	u32 __iomem *mirror;
 	spinlock_t lock; /* protects everything */
 	bool vdma;
+	bool mcdma;
 	bool sg;
 	u32 length_mask;
 	u32 fstores;
@@ -234,6 +244,10 @@ struct axi_engine {
 	struct axi_port port;
 	u32 fail_next;
 	struct axi_channel channels[2];
+	struct axi_channel mc[2][AXI_MC_CHANNELS];
+	u32 chen[2];
+	u32 errors[2];
+	u32 tdest;
 	struct delayed_work work;
 	struct delayed_work camera;
 	struct irq_domain *irqs;
@@ -269,6 +283,12 @@ void axi_count_packet(struct axi_channel *channel);
 u32 axi_vdma_read(struct axi_channel *channel, u32 offset);
 void axi_vdma_write(struct axi_channel *channel, u32 offset, u32 value);
 bool axi_vdma_step(struct axi_channel *channel);
+
+/* mcdma.c */
+void axi_mcdma_reset(struct axi_engine *engine);
+u32 axi_mcdma_read(struct axi_engine *engine, u32 offset);
+void axi_mcdma_write(struct axi_engine *engine, u32 offset, u32 value);
+bool axi_mcdma_step(struct axi_engine *engine);
 
 /* stream.c */
 struct axi_packet *axi_packet_new(size_t length, gfp_t flags);

@@ -121,7 +121,9 @@ static bool step(struct axi_engine *engine)
 	int i;
 
 	spin_lock_irqsave(&engine->lock, flags);
-	for (i = 0; i < 2; i++)
+	if (engine->mcdma)
+		moved = axi_mcdma_step(engine);
+	for (i = 0; i < 2 && !engine->mcdma; i++)
 		moved |= engine->vdma ? axi_vdma_step(&engine->channels[i]) :
 					axi_dma_step(&engine->channels[i]);
 	consume(engine);
@@ -146,24 +148,33 @@ static unsigned int line_of(const struct axi_channel *channel)
 	return channel->virq ?: irq_find_mapping(channel->engine->irqs, channel->irq);
 }
 
-/* the lines are levels: they stay until the driver has cleared what raises them */
-static bool drive_lines(struct axi_engine *engine)
+/* the line is a level: it stays until the driver has cleared what raises it */
+static bool drive_line(struct axi_engine *engine, struct axi_channel *channel, u32 irqs)
 {
-	bool high[2];
 	unsigned long flags;
 	unsigned int irq;
-	int i;
+	bool high;
 
 	spin_lock_irqsave(&engine->lock, flags);
-	for (i = 0; i < 2; i++)
-		high[i] = engine->channels[i].sr & engine->channels[i].cr & SR_IRQS;
+	high = channel->sr & channel->cr & irqs;
 	spin_unlock_irqrestore(&engine->lock, flags);
-	for (i = 0; i < 2; i++) {
-		irq = high[i] ? line_of(&engine->channels[i]) : 0;
-		if (irq)
-			irq_set_irqchip_state(irq, IRQCHIP_STATE_PENDING, true);
-	}
-	return high[0] || high[1];
+	irq = high ? line_of(channel) : 0;
+	if (irq)
+		irq_set_irqchip_state(irq, IRQCHIP_STATE_PENDING, true);
+	return high;
+}
+
+static bool drive_lines(struct axi_engine *engine)
+{
+	bool high = false;
+	int way, i;
+
+	for (way = 0; way < 2 && !engine->mcdma; way++)
+		high |= drive_line(engine, &engine->channels[way], SR_IRQS);
+	for (i = 0; i < 2 * AXI_MC_CHANNELS && engine->mcdma; i++)
+		high |= drive_line(engine, &engine->mc[i / AXI_MC_CHANNELS][i % AXI_MC_CHANNELS],
+				   AXI_MC_IRQS);
+	return high;
 }
 
 static void engine_work(struct work_struct *work)

@@ -21,6 +21,7 @@ struct axi_packet *axi_packet_new(size_t length, gfp_t flags)
 		INIT_LIST_HEAD(&packet->node);
 		packet->length = length;
 		packet->taken = 0;
+		packet->tdest = 0;
 	}
 	return packet;
 }
