@@ -134,8 +134,7 @@ def _object(module: str, found: Any) -> list[str]:
     if found.is_function:
         return [*lines, *_signature(found, found.name), *_text(found)]
     bases = [str(base) for base in found.bases if not str(base).startswith(_PLAIN_BASES)]
-    lines += [f"A kind of {', '.join(f'`{base}`' for base in bases)}.", ""] if bases else []
-    lines += _text(found)
+    lines += [*([f"A kind of {', '.join(f'`{base}`' for base in bases)}.", ""] if bases else []), *_text(found)]
     start = found.members.get("__init__")
     if start is not None and not start.is_alias and start.docstring is not None:
         lines += [*_signature(start, found.name), *_text(start)]
@@ -167,14 +166,14 @@ def _fields(found: Any) -> list[str]:
         return []
     lines = ["| attribute | type | default | |", "|---|---|---|---|"]
     for name, member, note in rows:
-        kind = _cell(str(member.annotation)) if member.annotation is not None else ""
-        value = _cell(str(member.value)) if member.value is not None else ""
-        lines.append(f"| `{name}` | {kind} | {value} | {note} |")
+        lines.append(f"| `{name}` | {_cell(member.annotation)} | {_cell(member.value)} | {note} |")
     return [*lines, ""]
 
 
-def _cell(code: str) -> str:
-    text = code if len(code) <= 60 else code[:57] + "..."
+def _cell(code: Any) -> str:
+    if code is None:
+        return ""
+    text = str(code) if len(str(code)) <= 60 else str(code)[:57] + "..."
     return "`" + text.replace("|", "\\|").replace("\n", " ") + "`"
 
 
@@ -198,9 +197,7 @@ def _member(owner: Any, member: Any) -> list[str]:
 def _signature(function: Any, name: str) -> list[str]:
     words: list[str] = []
     star = False
-    for p in function.parameters:
-        if p.name in ("self", "cls") and not words and not star:
-            continue
+    for p in (p for p in function.parameters if p.name not in ("self", "cls")):
         kind = p.kind.name if p.kind is not None else ""
         if kind == "keyword_only" and not star:
             words.append("*")
@@ -213,9 +210,8 @@ def _signature(function: Any, name: str) -> list[str]:
     waits = "await " if "async" in function.labels else ""
     returns = f" -> {function.returns}" if function.returns is not None else ""
     line = f"{waits}{name}({', '.join(words)}){returns}"
-    if len(line) > 110:
-        line = f"{waits}{name}(\n    " + ",\n    ".join(words) + f",\n){returns}"
-    return ["```python", line, "```", ""]
+    wide = f"{waits}{name}(\n    " + ",\n    ".join(words) + f",\n){returns}"
+    return ["```python", line if len(line) <= 110 else wide, "```", ""]
 
 
 def _text(found: Any) -> list[str]:

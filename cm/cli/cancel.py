@@ -8,10 +8,13 @@ from typing import TYPE_CHECKING
 
 from cm.cli.client import connected
 from cm.cli.common import add_connection_options, add_json_option, print_json
+from cm.errors import Timeout
 from cm.messages.status import Status
 
 if TYPE_CHECKING:
     from cm.client.board import Board
+
+_PATIENCE = 5.0  # seconds without a word from the manager, until it is asked
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -54,5 +57,8 @@ def _cancelled(board: Board) -> tuple[int, Status]:
         change = status.progress.change
         board.cancel()
         while status.last_change < change:
-            status = statuses.next(None)
+            try:
+                status = statuses.next(_PATIENCE)
+            except Timeout:
+                status = board.status  # raises where the manager has gone
     return change, status
