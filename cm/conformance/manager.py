@@ -8,90 +8,15 @@ the modes of the loaded configuration are gone to and back.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-
-import zmq
 
 from cm.client.address import Keys
+from cm.conformance.peer import Broken, Peer, check, refused, until
 from cm.conformance.runner import Outcome
 from cm.errors import Timeout
 from cm.wire import cm_pb2 as pb
 from cm.wire.topics import Endpoints
 
-_WAIT = 20_000  # milliseconds for an answer
 _NEWER = b"\xc2\xbb\x01\x03new"  # field 3000 of every message: one that is newer than the manager
-
-
-class Peer:
-    """Sockets as a program in any language has them."""
-
-    def __init__(self, endpoints: Endpoints, keys: Keys | None) -> None:
-        self._endpoints, self._keys = endpoints, keys
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-
-    @contextmanager
-    def socket(self, kind: int, address: str) -> Iterator[zmq.Socket[bytes]]:
-        """A socket that is connected."""
-        socket = self._context.socket(kind)
-        socket.linger, socket.rcvtimeo = 0, _WAIT
-        if self._keys is not None:
-            socket.curve_serverkey = self._keys.server_public
-            socket.curve_publickey, socket.curve_secretkey = self._keys.public, self._keys.secret
-        try:
-            socket.connect(address)
-            yield socket
-        except zmq.Again:
-            raise Timeout(f"nothing came from {address} within {_WAIT / 1000:g} s") from None
-        finally:
-            socket.close()
-
-    @contextmanager
-    def dealer(self) -> Iterator[zmq.Socket[bytes]]:
-        """For requests of which several are under way."""
-        with self.socket(zmq.DEALER, self._endpoints.req) as dealer:
-            yield dealer
-
-    def ask(self, topic: str, message: bytes = b"", *payload: bytes) -> pb.Reply:
-        """A request of its own connection."""
-        with self.socket(zmq.REQ, self._endpoints.req) as req:
-            req.send_multipart([topic.encode(), message, *payload])
-            answer = req.recv_multipart()
-        _check(answer[0] == topic.encode(), f"a reply begins with its topic {topic}, this one with {answer[0]!r}")
-        return pb.Reply.FromString(answer[1])
-
-    @contextmanager
-    def listening(self, *topics: str) -> Iterator[zmq.Socket[bytes]]:
-        """A SUB that the manager knows of: the first status has come."""
-        with self.socket(zmq.SUB, self._endpoints.pub) as sub:
-            for topic in (*topics, "cm_status"):
-                sub.setsockopt(zmq.SUBSCRIBE, topic.encode())
-            _until(sub, "cm_status", lambda _: True)
-            yield sub
-
-    def close(self) -> None:
-        """End it."""
-        self._context.destroy(linger=0)
-
-
-class Broken(AssertionError):
-    """A promise that was not kept."""
-
-
-def _check(holds: bool, why: str) -> None:
-    if not holds:
-        raise Broken(why)
-
-
-def _until(sub: zmq.Socket[bytes], topic: str, accepts: Callable[[bytes], bool]) -> bytes:
-    while True:
-        frames = sub.recv_multipart()
-        if frames[0] == topic.encode() and accepts(frames[1]):
-            return frames[1]
-
-
-def _refused(reply: pb.Reply, code: str, says: str = "") -> None:
-    _check(not reply.ok and reply.error.code == code, f"code {code} is wanted, {reply.error.code or 'ok'!r} came")
-    _check(says in reply.error.message, f"the sentence should name {says}: {reply.error.message!r}")
 
 
 # ---- what changes nothing ---------------------------------------------------------------------
@@ -100,8 +25,8 @@ def _refused(reply: pb.Reply, code: str, says: str = "") -> None:
 def a_req_is_answered(peer: Peer) -> None:
     """[topic][Reply]: ok, with the body and the number of the status"""
     reply = peer.ask("cm_status")
-    _check(reply.ok and reply.HasField("status"), "cm_status should be answered with a status")
-    _check(bool(reply.status.version and reply.status.started_ns), "a status tells version and start")
+    check(reply.ok and reply.HasField("status"), "cm_status should be answered with a status")
+    check(bool(reply.status.version and reply.status.started_ns), "a status tells version and start")
 
 
 def frames_before_a_command_come_back(peer: Peer) -> None:
@@ -110,8 +35,8 @@ def frames_before_a_command_come_back(peer: Peer) -> None:
         for envelope in ([], [b"1", b""], [b"cm_client", b"\0", b""]):
             dealer.send_multipart([*envelope, b"cm_status", b""])
             answer = dealer.recv_multipart()
-            _check(answer[: len(envelope)] == envelope, f"{envelope} should have come back, {answer[:-1]} did")
-            _check(pb.Reply.FromString(answer[-1]).ok, "the status should be told")
+            check(answer[: len(envelope)] == envelope, f"{envelope} should have come back, {answer[:-1]} did")
+            check(pb.Reply.FromString(answer[-1]).ok, "the status should be told")
 
 
 def many_requests_have_their_own_answers(peer: Peer) -> None:
@@ -122,24 +47,24 @@ def many_requests_have_their_own_answers(peer: Peer) -> None:
             dealer.send_multipart([number, b"", b"cm_read_config", pb.ReadConfig(config_name=name).SerializeToString()])
         for _ in range(100):
             number, _, _, message = dealer.recv_multipart()
-            _refused(pb.Reply.FromString(message), "unknown_config", f"no_{int(number)}")
+            refused(pb.Reply.FromString(message), "unknown_config", f"no_{int(number)}")
 
 
 def an_unknown_topic_is_named(peer: Peer) -> None:
     """with and without a message"""
-    _refused(peer.ask("cm_nothing"), "invalid_request", "cm_nothing")
-    _refused(peer.ask("cm_nothing", b"x"), "invalid_request", "cm_nothing")
+    refused(peer.ask("cm_nothing"), "invalid_request", "cm_nothing")
+    refused(peer.ask("cm_nothing", b"x"), "invalid_request", "cm_nothing")
 
 
 def what_is_no_message_is_refused(peer: Peer) -> None:
     """bytes that protobuf cannot read, and payload where none belongs"""
-    _refused(peer.ask("cm_read_reg", b"\xff\xff\xff"), "invalid_request")
-    _refused(peer.ask("cm_status", b"", b"payload"), "invalid_request")
+    refused(peer.ask("cm_read_reg", b"\xff\xff\xff"), "invalid_request")
+    refused(peer.ask("cm_status", b"", b"payload"), "invalid_request")
 
 
 def fields_of_newer_clients_are_ignored(peer: Peer) -> None:
     """a field that the manager does not know"""
-    _check(peer.ask("cm_status", _NEWER).ok, "an unknown field should be passed over")
+    check(peer.ask("cm_status", _NEWER).ok, "an unknown field should be passed over")
 
 
 def a_subscriber_hears_the_status_at_once(peer: Peer) -> None:
@@ -148,30 +73,30 @@ def a_subscriber_hears_the_status_at_once(peer: Peer) -> None:
     with peer.listening():
         pass
     after = peer.ask("cm_status").status
-    _check(before.sequence <= after.sequence, "the numbers of statuses should grow")
+    check(before.sequence <= after.sequence, "the numbers of statuses should grow")
 
 
 def the_list_tells_configurations_with_their_modes(peer: Peer) -> None:
     """names, entries, default modes"""
     config = peer.ask("cm_read_config", pb.ReadConfig(list=True).SerializeToString()).config
-    _check([e.name for e in config.entries] == list(config.names), "names and entries should be the same, in one order")
+    check([e.name for e in config.entries] == list(config.names), "names and entries should be the same, in one order")
     for entry in config.entries:
-        _check(entry.default_mode in entry.modes, f"{entry.name}: its default mode should be one of its modes")
+        check(entry.default_mode in entry.modes, f"{entry.name}: its default mode should be one of its modes")
 
 
 def registers_are_read_with_their_fields(peer: Peer) -> None:
     """values, and the bits of each field in them"""
     reply = peer.ask("cm_read_reg")
     if not reply.ok:
-        _refused(reply, "nothing_loaded")
+        refused(reply, "nothing_loaded")
         return
     config = peer.ask("cm_read_config").config
     fields = {(r.name, f.name): f for r in config.registers for f in r.fields}
     for value in reply.registers.values:
         for name, part in value.fields.items():
             field = fields[value.name, name]
-            _check(value.value >> field.lsb & (1 << field.width) - 1 == part, f"{value.name}.{name} is not in its bits")
-    _refused(peer.ask("cm_read_reg", pb.ReadReg(names=["no such"]).SerializeToString()), "unknown_register", "no such")
+            check(value.value >> field.lsb & (1 << field.width) - 1 == part, f"{value.name}.{name} is not in its bits")
+    refused(peer.ask("cm_read_reg", pb.ReadReg(names=["no such"]).SerializeToString()), "unknown_register", "no such")
 
 
 # ---- what acts --------------------------------------------------------------------------------
@@ -181,12 +106,12 @@ def leases_are_shared_unless_they_are_exclusive(peer: Peer) -> None:
     """defaults, refusal with held_by, the way back"""
     first = peer.ask("cm_lease", pb.Lease(scope="board").SerializeToString()).lease
     try:
-        _check((first.seconds, first.exclusive) == (30.0, False), "a lease that says nothing is shared, for 30 s")
-        _refused(peer.ask("cm_lease", pb.Lease(scope="board", exclusive=True).SerializeToString()), "held_by")
+        check((first.seconds, first.exclusive) == (30.0, False), "a lease that says nothing is shared, for 30 s")
+        refused(peer.ask("cm_lease", pb.Lease(scope="board", exclusive=True).SerializeToString()), "held_by")
     finally:
         given = peer.ask("cm_lease", pb.Lease(id=first.id, release=True).SerializeToString())
-    _check(given.ok, "a lease can be given back")
-    _refused(peer.ask("cm_lease", pb.Lease(id=first.id, release=True).SerializeToString()), "unknown_lease")
+    check(given.ok, "a lease can be given back")
+    refused(peer.ask("cm_lease", pb.Lease(id=first.id, release=True).SerializeToString()), "unknown_lease")
 
 
 def a_write_is_published_with_its_generation(peer: Peer) -> None:
@@ -194,12 +119,12 @@ def a_write_is_published_with_its_generation(peer: Peer) -> None:
     config = peer.ask("cm_read_config").config
     values = {v.name: v.value for v in peer.ask("cm_read_reg").registers.values}
     plain = [r.name for r in config.registers if r.access == "rw" and r.name in values]
-    _check(bool(plain), "no register of this mode can be read and written")
+    check(bool(plain), "no register of this mode can be read and written")
     write = pb.WriteReg(writes=[pb.RegWrite(name=plain[0], value=values[plain[0]])]).SerializeToString()
     with peer.listening("cm_read_reg") as sub:
         first, second = (peer.ask("cm_write_reg", write).registers.generation for _ in range(2))
-        _check(second > first > 0, "each write makes a generation of its own")
-        _until(sub, "cm_read_reg", lambda m: pb.RegValues.FromString(m).generation == second)
+        check(second > first > 0, "each write makes a generation of its own")
+        until(sub, "cm_read_reg", lambda m: pb.RegValues.FromString(m).generation == second)
 
 
 def a_change_is_told_from_its_begin_to_its_end(peer: Peer) -> None:
@@ -213,13 +138,13 @@ def a_change_is_told_from_its_begin_to_its_end(peer: Peer) -> None:
             request = pb.WriteConfig(mode=mode, no_wait=True).SerializeToString()
             number = peer.ask("cm_write_config", request).change.number
             while True:
-                told = pb.Status.FromString(_until(sub, "cm_status", lambda _: True))
+                told = pb.Status.FromString(until(sub, "cm_status", lambda _: True))
                 if told.last_change == number:
                     break
-                _check(
+                check(
                     not told.fpga_busy or told.mode in (before, ""), f"{told.mode} is told before the change has ended"
                 )
-        _check(told.mode == mode, f"{mode} was asked for; {told.mode} came of it: {told.last_error.message}")
+        check(told.mode == mode, f"{mode} was asked for; {told.mode} came of it: {told.last_error.message}")
 
 
 LOOKS: tuple[Callable[[Peer], None], ...] = (

@@ -15,7 +15,8 @@ from cm.sim.hardware.camera import MAX_ZOOM, PhotoReel
 from cm.sim.hardware.datapath import Datapath
 from cm.sim.hardware.dma import Bytes, Channel, Transfer
 from cm.sim.hardware.interrupts import InterruptWiring
-from cm.sim.hardware.links import CameraLink, Link
+from cm.sim.hardware.links import Link
+from cm.sim.hardware.sensor import CameraLink
 
 if TYPE_CHECKING:
     import numpy as np

@@ -20,9 +20,9 @@ from cm.sim.hardware.configuration_memory import ConfigMemory
 from cm.sim.hardware.configuration_port import Engine
 from cm.sim.hardware.dma import Channel
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.links import CameraLink
 from cm.sim.hardware.logic import Interrupts, LogicParts, MakeLogic, SoftwareLogic
 from cm.sim.hardware.models import Models
+from cm.sim.hardware.sensor import CameraLink
 from cm.sim.nodes import uio
 from cm.sim.nodes.clocks import Clocks
 from cm.sim.nodes.control import ControlNode
