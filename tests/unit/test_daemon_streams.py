@@ -15,7 +15,7 @@ from manager_process import until
 
 from cm.messages import requests as rq
 from cm.messages.requests import ConfigureStream
-from cm.messages.status import FrameInfo, Reply, Status
+from cm.messages.status import ErrorInfo, FrameInfo, Reply, Status
 from cm.wire import plane_packets as packets
 from cm.wire import topics
 from cm.wire.plane_packets import Descriptor, Geometry, Open
@@ -403,12 +403,17 @@ def test_a_cyclic_frame_comes_again_and_again(flowing: Daemon) -> None:
 # ---- boards that go ------------------------------------------------------------------------------------
 
 
+def failure(status: Status) -> ErrorInfo | None:
+    """Why the camera's stream ended."""
+    return next((stream.last_error for stream in status.streams if stream.name == "camera"), None)
+
+
 def test_a_board_that_stops_answering_is_told_and_taken_up_again(
     client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("CM_SIM_TIMEOUT", "6")  # for every node: an interrupt's register is waited for as well
     with daemon(["--rate", "200"]) as made:
         made.load("default")
-        monkeypatch.setenv("CM_SIM_TIMEOUT", "3")  # of what is opened from here on
         reader = client(made, Open("camera", depth=2))
         held = [reader.next(packets.FRAME)[0] for _ in range(2)]
         seen = Subscriber(made)
@@ -416,10 +421,10 @@ def test_a_board_that_stops_answering_is_told_and_taken_up_again(
         try:
             for head in held:  # a slot that is given back goes to the board
                 reader.send(head, packets.RELEASE)
-            told = seen.until(Status, lambda status: status.last_error is not None).last_error
+            told = failure(seen.first) or failure(seen.until(Status, failure))  # a busy machine's may have come before
+            assert told is not None
             assert (told.code, "'camera' ended: Connection timed out" in told.message) == ("device_error", True)
-            code, message = made.refused(rq.ReadData("camera", 1.0))
-            assert (code, "the board does not answer" in message) == ("timeout", True)
+            assert made.refused(rq.ReadData("camera", 1.0))[0] == "timeout"
         finally:
             os.kill(made.board.pid, signal.SIGCONT)
         reader.next(packets.STOPPED)
