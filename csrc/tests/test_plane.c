@@ -24,6 +24,7 @@
 #define SLOTS 12
 #define DEPTH 2
 #define LENGTH 8192
+#define HUNG_MS 30000 /* however busy the machine is */
 
 struct place {
 	char *root;
@@ -33,7 +34,7 @@ struct place {
 	int listener;
 	atomic_int stream; /* readers are let in to it */
 	atomic_bool ending;
-	atomic_uint frames, releases_refused;
+	atomic_uint releases_refused;
 	int memory[SLOTS];
 	pthread_t door;
 };
@@ -162,7 +163,6 @@ static void live(struct place *place, unsigned int *seed)
 			continue;
 		CHECK(frame.length == LENGTH / 2);
 		CHECK(*(const volatile unsigned char *)frame.data == 0);
-		place->frames++;
 		if (rand_r(seed) % 16 == 0)
 			continue; /* kept, until the end gives it back */
 		if (cm_reader_release(reader, &frame))
@@ -227,6 +227,16 @@ static void *look_on(void *argument)
 	return NULL;
 }
 
+/* A busy machine may have given the readers none in their lives: one more, that waits. */
+static void frames_come(struct place *place)
+{
+	struct cm_reader *reader = cm_reader_open(place->root, "x", DEPTH);
+	struct cm_frame frame;
+
+	CHECK(reader && cm_reader_next(reader, HUNG_MS, &frame) == 1);
+	cm_reader_close(reader);
+}
+
 static void run_with(struct place *place, void (*meanwhile)(struct place *))
 {
 	pthread_t readers[READERS], nonsense, looker;
@@ -239,10 +249,10 @@ static void run_with(struct place *place, void (*meanwhile)(struct place *))
 		meanwhile(place);
 	for (int i = 0; i < READERS; i++)
 		pthread_join(readers[i], NULL);
+	frames_come(place);
 	place->ending = true;
 	pthread_join(nonsense, NULL);
 	pthread_join(looker, NULL);
-	CHECK(place->frames > 0);
 }
 
 /* When all clients have gone, no slot is held, and frames go on. */
@@ -251,7 +261,7 @@ static void nothing_is_held(struct place *place)
 	struct cm_plane_stats stats = { .held = 1 };
 	uint64_t before = 0;
 
-	for (int i = 0; i < 2000 && (stats.held || stats.frames <= before); i++) {
+	for (int i = 0; i < HUNG_MS && (stats.held || stats.frames <= before); i++) {
 		before = stats.frames && !before ? stats.frames : before;
 		poll(NULL, 0, 1);
 		CHECK(!cm_plane_get_stats(place->plane, place->stream, &stats));
@@ -292,10 +302,10 @@ static void the_plane_ends_under_its_readers(void)
 	struct cm_reader *reader = cm_reader_open(place->root, "x", DEPTH);
 	struct cm_frame frame;
 
-	CHECK(cm_reader_next(reader, 5000, &frame) == 1);
+	CHECK(cm_reader_next(reader, HUNG_MS, &frame) == 1);
 	place_end(place);
 	CHECK(*(const volatile unsigned char *)frame.data == 0);
-	while (cm_reader_next(reader, 5000, &frame) >= 0)
+	while (cm_reader_next(reader, HUNG_MS, &frame) >= 0)
 		;
 	CHECK(errno == ECONNRESET);
 	cm_reader_close(reader);
