@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How fast the simulated RTL is: pictures through the camera's edge module, and accesses to its registers."""
+
+from __future__ import annotations
+
+import json
+import select
+import statistics
+from pathlib import Path
+
+import numpy as np
+
+from cm.bench.result import Goal, Result, unavailable
+from cm.bench.run import Run
+from cm.rtl.compile import compile_engine, compile_units
+from cm.rtl.design import RtlDesign, load_rtl_design, wiring
+from cm.rtl.errors import RtlError
+from cm.rtl.main import example_build
+from cm.rtl.messages import Op
+from cm.rtl.process import EngineProcess
+from cm.rtl.tools import Tools, find_tools
+
+SHAPE = (480, 640)
+FRAMES = (
+    "pictures of 640 × 480 through the static part and the edge module of the shipped camera, a byte a beat, "
+    "for each second of processor time of the engine"
+)
+REGISTERS = "reads of a module's registers over AXI4-Lite for each second of processor time of the engine"
+REGISTERS_GOAL = Goal(100_000, at_least=True)
+_IN, _OUT, _WORDS = 64 << 20, 192 << 20, 4096
+_DECOUPLE, _REGISTERS = 0x4000_0100, 0x4001_0000
+
+
+def run(bench: Run) -> list[Result]:
+    """Measure `rtl_frames` and `rtl_registers`."""
+    try:
+        tools = find_tools()
+        engine = _Engine(tools, bench.place("rtl"))
+    except RtlError as why:
+        missing = str(why)
+        return [
+            unavailable("rtl_frames", "frames/s", FRAMES, missing),
+            unavailable("rtl_registers", "reads/s", REGISTERS, missing, REGISTERS_GOAL),
+        ]
+    rounds = 1 if bench.quick else 20
+    try:
+        frames = [engine.frame() for _ in range(rounds)]
+        reads = [engine.reads() / _WORDS for _ in range(rounds)]
+    finally:
+        engine.close()
+    clocks = {"clocks_of_a_frame": SHAPE[0] * SHAPE[1], "verilator": tools.version}
+    return [
+        Result("rtl_frames", 1 / statistics.median(frames), "frames/s", FRAMES, details=clocks),
+        Result("rtl_registers", 1 / statistics.median(reads), "reads/s", REGISTERS, goal=REGISTERS_GOAL),
+    ]
+
+
+class _Engine:
+    """The camera with its edge module, without a board round it."""
+
+    def __init__(self, tools: Tools, folder: Path) -> None:
+        design: RtlDesign = load_rtl_design(example_build(), folder / "tree")
+        static, edge = compile_units(tools, [design.static, design.modules["prr0", "edge"]])
+        (folder / "wiring").write_text(wiring(design, static, 1), encoding="utf-8")
+        self._process = EngineProcess(compile_engine(tools), folder / "wiring")
+        self._streams = {stream.sends: number for number, stream in enumerate(design.streams)}
+        self._write(_DECOUPLE, 1)
+        self._process.ask(Op.LOAD, 0, 1, text=str(edge))
+        self._write(_DECOUPLE, 0)
+        picture = np.random.default_rng(1).integers(0, 256, SHAPE, np.uint8).tobytes()
+        self._process.arena[_IN : _IN + len(picture)] = picture
+
+    def frame(self) -> float:
+        """Processor time for a picture, in seconds."""
+        before, length = self._cpu(), SHAPE[0] * SHAPE[1]
+        self._process.ask(Op.RECEIVE, self._streams[False], _OUT, length)
+        self._process.ask(Op.SEND, self._streams[True], _IN, length)
+        while not any(event.op == Op.RECEIVED for event in self._process.take()):
+            select.select([self._process], [], [], 60)
+        return self._cpu() - before
+
+    def reads(self) -> float:
+        """Processor time for many reads, in seconds."""
+        before = self._cpu()
+        self._process.ask(Op.READ, _REGISTERS, _WORDS, 0)
+        return self._cpu() - before
+
+    def close(self) -> None:
+        """End the engine."""
+        self._process.close()
+
+    def _cpu(self) -> float:
+        return float(json.loads(self._process.ask(Op.STATE).text)["cpu_ns"]) / 1e9
+
+    def _write(self, address: int, value: int) -> None:
+        self._process.arena[:4] = value.to_bytes(4, "little")
+        self._process.ask(Op.WRITE, address, 1, 0, 15)
