@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import subprocess
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from manager_schemas import written
@@ -25,3 +27,15 @@ def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
     assert folder is not None
     with SimBoard([folder.parent], arguments=["--icap-rate", "0", "--pcap-rate", "0"]) as board:
         yield board
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 1 MiB."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", place], capture_output=True, check=False)
+    if made.returncode:
+        pytest.skip(f"needs to mount a tmpfs: {made.stderr.decode().strip()}")
+    yield place
+    subprocess.run(["umount", place], check=True)

@@ -134,6 +134,20 @@ def test_the_last_versions_are_kept(tmp_path: Path) -> None:
     assert note(out) == b"5"
 
 
+def test_a_full_disk_leaves_the_version_that_is_in_force(
+    small_disk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["import", "archive", str(packed(tmp_path, GOOD)), "--out", str(small_disk)]) == 0
+    large = os.urandom(2 << 20)
+    schema = SCHEMA.replace(hashlib.sha256(EDGE).hexdigest().encode(), hashlib.sha256(large).hexdigest().encode())
+    newer = packed(tmp_path, {**GOOD, "vision.yaml": schema, "edge.bin": large})
+    assert main(["import", "archive", str(newer), "--out", str(small_disk)]) == 1
+    assert "No space left" in capsys.readouterr().err
+    assert set(load_folder(small_disk / "vision")) == {"vision"}
+    assert (small_disk / "vision/edge.bin").read_bytes() == EDGE
+    assert find_configs([f"{small_disk}/*"]).left_out == ()
+
+
 def test_a_rollback_goes_to_the_youngest_and_the_next_one_forward_again(tmp_path: Path) -> None:
     out = imported(tmp_path, b"1", b"2", b"3")
     assert main(["config", "rollback", "vision", "--out", str(out)]) == 0

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -203,15 +201,3 @@ def test_a_full_disk_changes_nothing(small_disk: Path) -> None:
         provisioner.store(SCHEMA, (File("one.bit", bytes(4 << 20)),), sender=ANNA)
     assert content(provisioner)["one.bit"] == b"1"
     assert [p.name for p in (small_disk / "configs").iterdir()] == ["sent"]
-
-
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 1 MiB."""
-    place = tmp_path / "disk"
-    place.mkdir()
-    made = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", place], capture_output=True, check=False)
-    if made.returncode:
-        pytest.skip(f"needs to mount a tmpfs: {made.stderr.decode().strip()}")
-    yield place
-    subprocess.run(["umount", place], check=True)
