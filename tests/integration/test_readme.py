@@ -42,7 +42,7 @@ def pasted(terminal: Terminal, text: str, done: Path) -> None:
 
 
 def test_the_first_mode_runs_as_it_is_pasted(folder: Path) -> None:
-    first, second = (block.replace("/tmp/cm", f"{folder}/run") for block in blocks())
+    first, second = (block.replace("~/.cm", f"{folder}/run") for block in blocks())
     clean = {name: value for name, value in environment().items() if name != "CM_RUNTIME_DIR"}
     env = {**clean, "PS1": "", "TERM": "dumb", "HOME": str(folder), "PATH": os.environ["PATH"]}
     failed = folder / "failed"
