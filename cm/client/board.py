@@ -36,8 +36,18 @@ from cm.client.sockets import Sockets, closed
 from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream
 from cm.client.zmq_frames import Wanted
 from cm.messages import html
+from cm.messages import requests as rq
 from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import ClientStatus, ConfigEntry, ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
+from cm.messages.status import (
+    ClientStatus,
+    ConfigEntry,
+    ConfigInfo,
+    FrameInfo,
+    LeaseInfo,
+    PlanInfo,
+    Status,
+    StreamStatus,
+)
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
@@ -134,6 +144,10 @@ class Board(Guarded):
     def status(self) -> Status:
         """The state of the PL now."""
         return self.ask(calls.status())
+
+    def break_lease(self, number: int) -> LeaseInfo:
+        """End another's lease, by its number in `status.leases`; it takes the rights of an administrator."""
+        return self.ask(calls.lease(rq.BreakLease(number)))
 
     def clients(self) -> tuple[ClientStatus, ...]:
         """What each client takes of the manager: connections, leases, slots, bytes, the loop's time."""

@@ -21,7 +21,7 @@ from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.replies import Respond, refusal
 from cm.errors import Busy, CmError, InvalidRequest
-from cm.manager.access.leases import scopes_written
+from cm.manager.access.lease_scopes import scopes_written
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.messages import requests as rq

@@ -26,7 +26,7 @@ from cm.daemon.replies import Respond, refusal
 from cm.daemon.sessions import Sessions
 from cm.daemon.streams.registry import Streams
 from cm.errors import CmError
-from cm.manager.access.leases import check_scope_names_something
+from cm.manager.access.lease_scopes import check_scope_names_something
 from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
@@ -40,7 +40,8 @@ _T = TypeVar("_T")
 Began = Callable[[Change], Callable[[], None]]
 
 
-_OF_CLIENTS = (rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload)  # done by turns of clients
+_LEASES = (rq.TakeLease, rq.RenewLease, rq.ReleaseLease, rq.BreakLease)
+_OF_CLIENTS = (rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, *_LEASES)  # done by turns of clients
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +84,7 @@ class Handlers:
             rq.TakeLease: self._lease,
             rq.RenewLease: self._lease,
             rq.ReleaseLease: self._lease,
+            rq.BreakLease: self._lease,
             **RegisterHandlers(services.manager, services.pieces, services.board).table,
             **DataHandlers(services.manager, services.streams, services.memories, services.board).table,
         }
@@ -222,13 +224,16 @@ class Handlers:
             raise UnknownInterrupt(f"no interrupt {request.name!r}{hint(request.name, known)}")
         respond(Reply(self._s.interrupts.latest(request.name)))
 
-    def _lease(self, request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease, respond: Respond) -> None:
+    def _lease(
+        self, request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLease, respond: Respond, client: Budget
+    ) -> None:
         if isinstance(request, rq.TakeLease):
             manager = self._s.manager
             defined = [memory.name for memory in manager.memories.defined()]
             check_scope_names_something(request.scope, manager.configs.values(), defined)
-        info = self._s.manager.leases.request(request)
-        self._s.leases.follow(info, request)
+        self._s.leases.check_process(request)
+        info = self._s.manager.leases.request(request, client.name)
+        self._s.leases.follow(info, request, client.name)
         respond(Reply(info))
 
 

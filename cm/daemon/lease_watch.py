@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 import errno
+import logging
 import os
 from typing import NoReturn
 
 from cm.daemon.loop import Loop
-from cm.errors import Busy
+from cm.errors import Busy, InvalidRequest
 from cm.manager.access.leases import Leases
-from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
+from cm.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
 from cm.messages.status import LeaseInfo
 
+_LOG = logging.getLogger("cm")
+_PID_MAX = 1 << 22  # PID_MAX_LIMIT of Linux
 _EXHAUSTED = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 
@@ -30,10 +33,23 @@ class LeaseWatch:
         self._leases = leases
         self._fds: dict[str, int] = {}
 
-    def follow(self, lease: LeaseInfo, request: TakeLease | RenewLease | ReleaseLease) -> None:
+    @staticmethod
+    def check_process(request: TakeLease | RenewLease | ReleaseLease | BreakLease) -> None:
+        """Raise InvalidRequest for a number that no process can have."""
+        if isinstance(request, (TakeLease, RenewLease)) and request.pid > _PID_MAX:
+            raise InvalidRequest(f"pid {request.pid}: no process has a number above {_PID_MAX}; 0: it is elsewhere")
+
+    def follow(
+        self, lease: LeaseInfo, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = ""
+    ) -> None:
         """Follow a granted, renewed or returned lease. Raises Unwatched, and the lease has ended then."""
         self._forget_ended()
-        if not isinstance(request, ReleaseLease) and request.pid and lease.id not in self._fds:
+        if isinstance(request, BreakLease):
+            _LOG.warning("lease %d on %s, of %s, was broken by %s", request.number, lease.scope, lease.holder, client)
+        elif not isinstance(request, RenewLease):
+            done = "taken" if isinstance(request, TakeLease) else "given back"
+            _LOG.info("lease on %s %s by %s for %s", lease.scope, done, client, lease.holder)
+        if isinstance(request, (TakeLease, RenewLease)) and request.pid and lease.id not in self._fds:
             self._open(lease.id, request.pid)
 
     def _forget_ended(self) -> None:

@@ -59,6 +59,7 @@ class Server:
 
     def __init__(self, options: Options) -> None:
         self._options = options
+        self._with_channels = partial(with_channels, root=options.root)
         self._locks = Locks(options.runtime_dir, options.root, options.group)
         self._loop = Loop()
         gate = Gate(options.access, system_users())
@@ -74,7 +75,7 @@ class Server:
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, *bounds)
         self._authenticator = Authenticator(self._context, gate.enter)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
-        leases = Leases(time)
+        leases = Leases(time, options.limits.leases, options.limits.leases_each)
         self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
@@ -111,9 +112,6 @@ class Server:
         aside = self._aside, loop.call_threadsafe, standing, self._with_channels
         surroundings = Surroundings(self._manager, self._sessions.renew, self._service, *aside, o.reload, o.changed)
         return Reloader(surroundings, o.configs)
-
-    def _with_channels(self, config: Config) -> Config:
-        return with_channels(config, self._options.root)
 
     def _make_dispatcher(self) -> Dispatcher:
         handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
@@ -215,7 +213,7 @@ class Server:
             status = self._statuses.popleft()
             if not status.fpga_busy:
                 self._watch_interrupts()
-            self._publisher.status(replace(status, streams=self._streams.status()))
+            self._publisher.status(self._status(status))
             if self._publisher.has_subscriber(topics.STATUS):
                 self._manager.status_read()
             self._log_error(status.last_error, status.last_change)
@@ -235,8 +233,9 @@ class Server:
     def _note_error(self, error: ErrorInfo) -> None:
         self._manager.note_error(error)
 
-    def _status(self) -> Status:
-        return replace(self._manager.status(), streams=self._streams.status())
+    def _status(self, status: Status | None = None) -> Status:
+        streams, leases = self._streams.status(), self._manager.leases.told()
+        return replace(status or self._manager.status(), streams=streams, leases=leases)
 
     # ---- regular work ---------------------------------------------------------------------
 

@@ -234,6 +234,13 @@ class ReleaseLease:
     id: str
 
 
+@dataclass(frozen=True, slots=True)
+class BreakLease:
+    """End another's lease, by its number in the status."""
+
+    number: int
+
+
 Request = (
     ReadStatus
     | ReadConfig
@@ -255,4 +262,5 @@ Request = (
     | TakeLease
     | RenewLease
     | ReleaseLease
+    | BreakLease
 )

@@ -162,5 +162,6 @@ _KINDS: dict[type, _Kind] = {
     rq.ReadIrq: _Kind(Role.OBSERVE, "cm_irq"),
     rq.TakeLease: _Kind(Role.OPERATE, "cm_lease", _take),
     rq.RenewLease: _Kind(Role.OPERATE, "cm_lease"),
+    rq.BreakLease: _Kind(Role.ADMIN, "cm_lease"),
     rq.ReleaseLease: _Kind(Role.OPERATE, "cm_lease"),
 }

@@ -205,11 +205,17 @@ def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 def _lease(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_lease", payload)
     m = _parse(pb.Lease, "cm_lease", message)
+    if m.release and m.number and not m.id:
+        return rq.BreakLease(m.number)
     if m.release:
         return rq.ReleaseLease(m.id)
     if m.id:
         return rq.RenewLease(m.id, m.seconds, m.pid)
-    return rq.TakeLease(m.scope or "board", m.exclusive, m.seconds, m.holder, m.pid)
+    if not m.scope:
+        raise InvalidRequest(
+            "cm_lease: no scope; it is one of board, config, region:NAME, registers:NAME, memories:NAME"
+        )
+    return rq.TakeLease(m.scope, m.exclusive, m.seconds, m.holder, m.pid)
 
 
 _DECODERS: dict[bytes, _Decoder] = {

@@ -165,6 +165,7 @@ _REQUESTS: dict[type, Callable[[Any], list[Frame]]] = {
     rq.ReadIrq: lambda r: [topics.IRQ, pb.ReadIrq(name=r.name).SerializeToString()],
     rq.TakeLease: _take_lease,
     rq.RenewLease: lambda r: _lease(pb.Lease(id=r.id, seconds=r.seconds, pid=r.pid)),
+    rq.BreakLease: lambda r: _lease(pb.Lease(number=r.number, release=True)),
     rq.ReleaseLease: lambda r: _lease(pb.Lease(id=r.id, release=True)),
 }
 

@@ -207,6 +207,11 @@ def test_a_configuration_can_be_sent(board: Any, sim: SimBoard, tmp_path: Path) 
 # ---- leases ---------------------------------------------------------------------------------------
 
 
+def test_a_lease_that_is_not_held_cannot_be_broken(board: Any) -> None:
+    with pytest.raises(RequestNotFound, match="number 12345"):
+        board.break_lease(12345)
+
+
 def test_within_a_lease_its_holders_own_calls_pass_and_others_do_not(board: Any, other: Any) -> None:
     with board.lease("region:prr0", seconds=60, holder="the test") as lease_:
         assert lease_.scope == "region:prr0"

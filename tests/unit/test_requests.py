@@ -40,6 +40,7 @@ ALL: list[Any] = [
     rq.ReadData("camera", 1.5),
     rq.ReadData("taps", offset=4, length=8),
     rq.WriteData("taps", b"1234", "l", 4),
+    rq.BreakLease(3),
     rq.Upload("a", 10, 4, b"part"),
     rq.Upload("a", discard=True),
     rq.WriteData("s", upload="a"),

@@ -37,8 +37,18 @@ from cm.client.guard import Guarded
 from cm.client.progress import OnProgress, Shown
 from cm.client.sockets import Sockets, closed
 from cm.client.zmq_frames import Wanted
+from cm.messages import requests as rq
 from cm.messages.requests import ConfigureStream, DefineMemory
-from cm.messages.status import ClientStatus, ConfigEntry, ConfigInfo, FrameInfo, PlanInfo, Status, StreamStatus
+from cm.messages.status import (
+    ClientStatus,
+    ConfigEntry,
+    ConfigInfo,
+    FrameInfo,
+    LeaseInfo,
+    PlanInfo,
+    Status,
+    StreamStatus,
+)
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
@@ -120,6 +130,10 @@ class Board(Guarded):
     async def status(self) -> Status:
         """The state of the PL now."""
         return await self.ask(calls.status())
+
+    async def break_lease(self, number: int) -> LeaseInfo:
+        """End another's lease, by its number in `status.leases`; it takes the rights of an administrator."""
+        return await self.ask(calls.lease(rq.BreakLease(number)))
 
     async def clients(self) -> tuple[ClientStatus, ...]:
         """What each client takes of the manager: connections, leases, slots, bytes, the loop's time."""

@@ -188,7 +188,7 @@ def interrupt(name: str) -> Call[Irq]:
     return Call(rq.ReadIrq(name), lambda r: _body(r, Irq))
 
 
-def lease(request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease) -> Call[LeaseInfo]:
+def lease(request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLease) -> Call[LeaseInfo]:
     """Take, renew or give back a lease."""
     return Call(request, lambda r: _body(r, LeaseInfo))
 

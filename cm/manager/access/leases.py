@@ -9,28 +9,25 @@ from __future__ import annotations
 
 import secrets
 import threading
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
+from itertools import count
 
-from cm.errors import InvalidRequest, NotFound
+from cm.errors import Busy, InvalidRequest, NotFound
 from cm.manager.errors import HeldBy
 from cm.manager.ports import TimeSource
-from cm.messages.requests import (
-    ConfigureStream,
-    ReleaseLease,
-    RenewLease,
-    Request,
-    TakeLease,
-    WriteData,
-    WriteReg,
-)
-from cm.messages.status import LeaseInfo
-from cm.schema.model import Config, Memory, Mode, Module
+from cm.messages.requests import BreakLease, ReleaseLease, RenewLease, TakeLease
+from cm.messages.status import LeaseInfo, LeaseStatus
+from cm.schema.model import Config
 
 MAX_SECONDS = 3600.0
-_NAMED = ("region", "registers", "memories")
-_KINDS = ("board", "config", *_NAMED)
+NAMED = ("region", "registers", "memories")
+_KINDS = ("board", "config", *NAMED)
+
+
+class TooManyLeases(Busy):
+    """A client, or all together, holds as many leases as may be held."""
+
+    code = "too_many_leases"
 
 
 class UnknownLease(NotFound):
@@ -43,24 +40,34 @@ class UnknownLease(NotFound):
 class _Lease:
     info: LeaseInfo
     until: float
+    number: int
+    client: str
+    pid: int
 
 
 class Leases:
     """All leases that are held now."""
 
-    def __init__(self, time: TimeSource) -> None:
+    def __init__(self, time: TimeSource, most: int = 256, each: int = 32) -> None:
+        """`most` may be held at once, `each` by one client."""
         self._time = time
+        self._most, self._each = most, each
+        self._numbers = count(1)
         self._lock = threading.Lock()  # requests and the worker of changes both ask
         self._held: dict[str, _Lease] = {}
 
-    def request(self, request: TakeLease | RenewLease | ReleaseLease) -> LeaseInfo:
-        """Take, renew or give back. Raises HeldBy, UnknownLease, InvalidRequest."""
+    def request(self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = "") -> LeaseInfo:
+        """Take, renew, give back or break. Raises HeldBy, UnknownLease, TooManyLeases, InvalidRequest."""
         with self._lock:
             self._expire()
             if isinstance(request, ReleaseLease):
                 return self._take(request.id, remove=True).info
+            if isinstance(request, BreakLease):
+                return self._broken(request.number)
             seconds = _checked_seconds(request.seconds)
-            return self._renew(request.id, seconds) if isinstance(request, RenewLease) else self._new(request, seconds)
+            if isinstance(request, RenewLease):
+                return self._renew(request.id, seconds)
+            return self._new(request, seconds, client)
 
     def check(self, scopes: tuple[str, ...], lease: str = "") -> None:
         """Raise HeldBy where another's lease forbids any of these scopes; `lease`: ids of one's own, between commas."""
@@ -89,25 +96,47 @@ class Leases:
             self._expire()
             return tuple(lease.info for lease in self._held.values())
 
+    def told(self) -> tuple[LeaseStatus, ...]:
+        """The same, as all may know them."""
+        with self._lock:
+            self._expire()
+            return tuple(
+                LeaseStatus(x.number, x.info.scope, x.info.exclusive, x.info.holder, x.client, x.pid, self._left(x))
+                for x in self._held.values()
+            )
+
     def drop(self, lease: str) -> bool:
         """End a lease whose holder has died."""
         with self._lock:
             return self._held.pop(lease, None) is not None
 
-    def _new(self, request: TakeLease, seconds: float) -> LeaseInfo:
+    def _broken(self, number: int) -> LeaseInfo:
+        for key, held in self._held.items():
+            if held.number == number:
+                return self._take(key, remove=True).info
+        raise UnknownLease(f"no lease has the number {number}; cm lease list")
+
+    def _new(self, request: TakeLease, seconds: float, client: str) -> LeaseInfo:
         _checked_scope(request.scope)
+        own = sum(held.client == client for held in self._held.values())
+        if own >= self._each or len(self._held) >= self._most:
+            raise TooManyLeases(
+                f"{client or 'this client'} holds {own} leases, all together {len(self._held)}; "
+                f"{self._each} and {self._most} may be held (limits.leases_each, limits.leases)"
+            )
         for held in self._held.values():
             alone = request.exclusive or held.info.exclusive
             if alone and _overlap(held.info.scope, request.scope):
                 raise HeldBy(_held_by(held.info, self._left(held)))
-        info = LeaseInfo(secrets.token_hex(8), request.scope, request.exclusive, seconds, request.holder or "somebody")
-        self._held[info.id] = _Lease(info, self._time.monotonic() + seconds)
+        info = LeaseInfo(secrets.token_hex(8), request.scope, request.exclusive, seconds, _named(request.holder))
+        until = self._time.monotonic() + seconds
+        self._held[info.id] = _Lease(info, until, next(self._numbers), client, request.pid)
         return info
 
     def _renew(self, lease: str, seconds: float) -> LeaseInfo:
         held = self._take(lease, remove=False)
         info = replace(held.info, seconds=seconds)
-        self._held[lease] = _Lease(info, self._time.monotonic() + seconds)
+        self._held[lease] = replace(held, info=info, until=self._time.monotonic() + seconds)
         return info
 
     def _take(self, lease: str, remove: bool) -> _Lease:
@@ -146,44 +175,6 @@ def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str
     )
 
 
-def scopes_written(request: Request, config: Config | None, mode: str | None, memory: Memory | None) -> Iterator[str]:
-    """What a request writes, as `leases_concerned` names it; `memory`: that of the name in it."""
-    if isinstance(request, WriteReg):
-        visible = config.visible_registers(mode) if config else {}
-        for name in {write.name.partition(".")[0] for write in request.writes}:
-            yield f"registers:{name}"
-            yield f"region:{visible[name].region if name in visible else None}"
-    elif isinstance(request, (WriteData, ConfigureStream)):
-        what = memory or (config.streams.get(request.stream) if config else None)
-        yield f"memories:{request.stream}"
-        yield f"region:{what.region if what else None}"
-
-
-def check_scope_names_something(scope: str, configs: Iterable[Config], memories: Iterable[str]) -> None:
-    """Raise NotFound where no served configuration has what a scope names: such a lease would keep no client off.
-
-    `memories`: those that were defined at run time.
-    """
-    kind, _, name = scope.partition(":")
-    if kind not in _NAMED or not name:
-        return
-    known = set(memories) if kind == "memories" else set()
-    for config in configs:
-        known |= _named(kind, config)
-    if name not in known:
-        close = get_close_matches(name, known, 1)
-        there = f"did you mean {close[0]!r}?" if close else f"there are {', '.join(sorted(known)) or 'none'}"
-        raise NotFound(f"scope {scope!r}: no configuration has {name!r}; {there}")
-
-
-def _named(kind: str, config: Config) -> set[str]:
-    """What one configuration has of a kind, in whatever mode."""
-    if kind == "region":
-        return set(config.regions)
-    views: list[Config | Mode | Module] = [config, *config.modes.values(), *config.modules.values()]
-    return {name for view in views for name in (view.registers if kind == "registers" else view.memories)}
-
-
 def _checked_seconds(seconds: float) -> float:
     """How long a lease is held; 30 s where nothing is said. Raises InvalidRequest."""
     seconds = seconds or 30.0
@@ -194,7 +185,7 @@ def _checked_seconds(seconds: float) -> float:
 
 def _checked_scope(scope: str) -> None:
     kind, colon, name = scope.partition(":")
-    if kind not in _KINDS or (kind in _NAMED) != bool(colon and name):
+    if kind not in _KINDS or (kind in NAMED) != bool(colon and name):
         raise InvalidRequest(f"scope {scope!r}: it is one of board, config, region:NAME, registers:NAME, memories:NAME")
 
 
@@ -205,3 +196,8 @@ def _overlap(a: str, b: str) -> bool:
 def _held_by(info: LeaseInfo, left: float) -> str:
     how = "alone" if info.exclusive else "shared"
     return f"{info.scope} is held by {info.holder} ({how}), for {left:.0f} s more unless renewed"
+
+
+def _named(holder: str) -> str:
+    """A holder's name as it may stand in a log or on a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in holder) or "somebody"

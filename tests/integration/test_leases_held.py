@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Leases as all may see them: who holds what, how many, and how one is broken."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import zmq
+from flood import descriptors
+from manager_process import Manager, served
+
+from cm.cli.main import main
+from cm.client.errors import RequestBusy, RequestNotFound
+from cm.messages.status import Reply
+from cm.wire import cm_pb2 as pb
+from cm.wire.encode import decode_reply
+
+
+@pytest.fixture(scope="module")
+def manager() -> Iterator[Manager]:
+    with served() as (made, _):
+        with made.connected() as board:
+            board.load("camera", "default")
+        yield made
+
+
+def lease(context: zmq.Context[Any], manager: Manager, **fields: Any) -> Reply:
+    with context.socket(zmq.REQ) as socket:
+        socket.linger = 0
+        socket.connect(f"ipc://{manager.runtime}/req")
+        socket.send_multipart([b"cm_lease", pb.Lease(**fields).SerializeToString()])
+        assert socket.poll(60_000)
+        return decode_reply(socket.recv_multipart())
+
+
+def code(reply: Reply) -> str:
+    return reply.error.code if reply.error else ""
+
+
+def test_an_empty_lease_takes_nothing(manager: Manager, context: zmq.Context[Any]) -> None:
+    assert code(lease(context, manager)) == "invalid_request"
+    with manager.connected() as board:
+        assert board.status.leases == ()
+
+
+@pytest.mark.parametrize("pid", [1 << 31, (1 << 32) - 1, (1 << 22) + 1])
+def test_a_pid_that_no_process_has_takes_nothing(manager: Manager, context: zmq.Context[Any], pid: int) -> None:
+    assert code(lease(context, manager, scope="board", seconds=3600, pid=pid)) == "invalid_request"
+    with manager.connected() as board:
+        assert board.status.leases == ()
+
+
+def test_a_client_holds_so_many_and_their_descriptors_come_back(manager: Manager, context: zmq.Context[Any]) -> None:
+    assert manager.process is not None
+    before = descriptors(manager.process.pid)
+    taken = [
+        lease(context, manager, scope="registers:focus", seconds=3600, pid=os.getpid(), holder="me") for _ in range(500)
+    ]
+    assert [code(reply) for reply in taken] == [""] * 32 + ["too_many_leases"] * 468
+    assert descriptors(manager.process.pid) <= before + 32 + 16
+    for reply in taken[:32]:
+        assert code(lease(context, manager, id=reply.body.id, release=True)) == ""  # type: ignore[union-attr]
+    assert descriptors(manager.process.pid) <= before + 16
+    with manager.connected() as board:
+        assert board.status.leases == ()
+
+
+def test_leases_are_listed_without_their_ids_and_broken_by_number(
+    manager: Manager, capsys: pytest.CaptureFixture[str]
+) -> None:
+    where = ["--runtime-dir", str(manager.runtime)]
+    with manager.connected() as holder, manager.connected() as other, pytest.raises(RequestNotFound):  # noqa: PT012, SIM117
+        with holder.lease("board", holder="a\x1b[31mcamera") as held:
+            (told,) = other.status.leases
+            assert (told.scope, told.exclusive, told.holder, told.pid) == ("board", True, "a?[31mcamera", os.getpid())
+            assert told.client.startswith(f"pid {os.getpid()} (")
+            assert 0 < told.seconds <= 30
+            assert held.id not in repr(other.status)
+            assert [client.leases for client in other.clients() if client.name == told.client] == [1]
+            with pytest.raises(RequestBusy, match="camera"):
+                other.load("camera", "edge_detection")
+            assert main(["lease", "list", *where]) == 0
+            assert "a?[31mcamera" in capsys.readouterr().out
+            assert main(["lease", "list", "--json", *where]) == 0
+            assert json.loads(capsys.readouterr().out)[0]["number"] == told.number
+            assert main(["lease", "break", str(told.number), *where]) == 0
+            assert "held no more" in capsys.readouterr().out
+            other.load("camera", "edge_detection")
+            assert main(["lease", "break", str(told.number), *where]) != 0
+        # giving it back fails: it was broken
