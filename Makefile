@@ -159,8 +159,9 @@ release-check: $(LINT_STAMP) ## changelog, versions, licences, links, the same b
 	@mkdir -p $(RELEASE)
 	@$(BIN)/python release/sbom.py $(RELEASE)/fpga-cm.cdx.json
 
-layer-bitbake: ## the layer under BitBake, offline: OECORE=DIR with clones of openembedded-core, bitbake, meta-openembedded
-	@status=0; OECORE="$(OECORE)" tests/bitbake/run.sh $(SERIES) || status=$$?; [ $$status != 77 ] || exit 0; exit $$status
+layer-bitbake: $(STAMP) ## the layer under BitBake, offline, to finished packages: OECORE=DIR with clones of openembedded-core, bitbake, meta-openembedded (CHECK_LAYER=1)
+	@release/layer.sh $(BIN)/python >/dev/null
+	@status=0; PYTHON=$(BIN)/python CHECK_LAYER=$(CHECK_LAYER) OECORE="$(OECORE)" tests/bitbake/run.sh $(SERIES) || status=$$?; [ $$status != 77 ] || exit 0; exit $$status
 
 layer: $(STAMP) ## the sources into the Yocto layer, and the layer as an archive into build/release
 	@release/layer.sh $(BIN)/python

@@ -33,9 +33,22 @@ SITE = """import os, sysconfig
 folder = os.environ.get("CM_PYTHON_DIR")
 if folder:
     site = f"/usr/lib/{folder}/site-packages"
-    sysconfig._INSTALL_SCHEMES["posix_prefix"].update(purelib=site, platlib=site, scripts="/usr/bin")
-    sysconfig.get_default_scheme = lambda: "posix_prefix"
+    sysconfig._INSTALL_SCHEMES["posix_local"].update(purelib=site, platlib=site, scripts="/usr/bin", data="/usr")
 """
+# The class useradd gives them a root; Debian's own refuse to work in one without being root.
+USERS = {
+    "groupadd": """#!/bin/sh
+while [ $# -gt 1 ]; do [ "$1" != --root ] || etc=$2/etc; shift; done
+grep -q "^$1:" "$etc/group" || echo "$1:x:$((800 + $(wc -l <"$etc/group"))):" >>"$etc/group"
+""",
+    "useradd": """#!/bin/sh
+all="$*"
+while [ $# -gt 1 ]; do [ "$1" != --root ] || root=$2; shift; done
+groupadd --root "$root" "$1"
+number=$(grep "^$1:" "$root/etc/group" | cut -d : -f 3)
+grep -q "^$1:" "$root/etc/passwd" || echo "$1:x:$number:$number:$all:/:/sbin/nologin" >>"$root/etc/passwd"
+""",
+}
 
 
 def headers_of_the_kernel(cache: Cache, place: Path) -> None:
@@ -66,8 +79,10 @@ def tools_of_the_host(tools: Path, core: Path) -> None:
     patch = ["patch", "-s", "-p2", "-d", str(tools / "modules"), "-i", str(core / INSTALLER)]
     subprocess.run(patch, check=True)
     (tools / "modules/sitecustomize.py").write_text(SITE)
-    (tools / "nativepython3").write_text(PYTHON.format(tools=tools, root=ROOT))
-    (tools / "nativepython3").chmod(0o755)
+    scripts = {"nativepython3": PYTHON.format(tools=tools, root=ROOT), **USERS}
+    for name, text in scripts.items():
+        (tools / name).write_text(text)
+        (tools / name).chmod(0o755)
     subprocess.run(["gcc", "-o", tools / "dwarfsrcfiles", core / SOURCES, "-ldw", "-lelf"], check=True)
 
 

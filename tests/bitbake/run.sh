@@ -1,9 +1,11 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 #
-# The layer before BitBake itself, offline: all its recipes parsed, and the environment of each made, for every series.
+# The layer before BitBake itself, offline: all its recipes parsed, the environment of each made, and on scarthgap every
+# recipe that makes packages taken through packaging and its checks, for arm64, with Debian's tools (stubs/).
 #
 #   OECORE=DIR tests/bitbake/run.sh [scarthgap|wrynose]…
+#   CHECK_LAYER=1                     yocto-check-layer too, more than a quarter of an hour
 #
 # DIR holds git repositories (with all branches) openembedded-core, bitbake and meta-openembedded. BitBake refuses to be
 # root: as root it is run as $OEUSER (nobody). Recipes of the other layers are masked, so that a parse takes seconds;
@@ -15,9 +17,11 @@ skip() { echo "SKIPPED: the layer under BitBake: $*" >&2; exit 77; }
 for name in openembedded-core bitbake meta-openembedded; do
 	[ -e "$OECORE/$name" ] || skip "$OECORE/$name is missing"
 done
-for tool in chrpath diffstat gawk lz4c zstd cpio file git; do
-	command -v $tool >/dev/null || skip "$tool is missing (Debian: chrpath diffstat gawk lz4 zstd cpio file)"
+for tool in chrpath diffstat gawk lz4c zstd cpio file git pseudo rpm dtc protoc patch aarch64-linux-gnu-g++; do
+	command -v $tool >/dev/null || skip "$tool is missing (Debian: chrpath diffstat gawk lz4 zstd cpio file pseudo rpm" \
+		"device-tree-compiler protobuf-compiler patch g++-aarch64-linux-gnu python3-build python3-installer libdw-dev)"
 done
+[ -e yocto/meta-cm/recipes-cm/fpga-cm/files/fpga_cm-*.tar.gz ] || skip "the layer has no sources (make layer)"
 locale -a | grep -qi 'en_US.utf-\?8' || skip "BitBake wants the locale en_US.UTF-8"
 [ $# -gt 0 ] || set -- scarthgap wrynose
 
@@ -27,6 +31,8 @@ chmod 755 "$work"
 mkdir -p "$work/home"
 printf '[safe]\n\tdirectory = *\n' >"$work/home/.gitconfig"
 cp -r yocto/meta-cm "$work/meta-cm"
+cp -r tests/bitbake/stubs "$work/stubs"
+repository=$PWD
 user=${OEUSER:-nobody}
 
 bitbake_of() {
@@ -43,7 +49,7 @@ in_build() { # series command…
 	shift
 	as=
 	[ "$(id -u)" != 0 ] || as="runuser -u $user --"
-	$as env -i HOME="$work/home" USER="$user" LANG=en_US.UTF-8 TERM=dumb PATH="$PATH" BITBAKEDIR="$work/$series/bitbake" \
+	$as env -i HOME="$work/home" USER="$user" LANG=en_US.UTF-8 TERM=dumb PATH="$work/prepared/tools:/usr/bin:/bin:/usr/sbin:/sbin" BITBAKEDIR="$work/$series/bitbake" \
 		bash -c "cd $work/$series && . oe-core/oe-init-build-env build >/dev/null && $*"
 }
 
@@ -68,6 +74,48 @@ configure() { # series
 	[ "$(id -u)" != 0 ] || chown -R "$user" "$work"
 }
 
+# what BitBake would have built before our recipes; a copy of the package, for a check that runs on the builder
+prepare() { # series
+	echo "preparing Debian's headers and tools"
+	"${PYTHON:-python3}" tests/bitbake/prepare.py "$work/prepared" "$work/$1/oe-core" || skip "what packaging needs cannot be had here"
+	mkdir -p "$work/stubs/recipes/camera/files"
+	cp "$work/prepared/camera.tar.gz" "$work/stubs/recipes/camera/files/"
+	place=$work/$1
+	cat >"$place/build/conf/bblayers.conf" <<-EOF
+		BBPATH = "\${TOPDIR}"
+		BBFILES ?= ""
+		BBLAYERS = "$place/oe-core/meta $place/meta-oe/meta-oe $place/meta-oe/meta-python $work/meta-cm $work/stubs"
+	EOF
+	sed -i '/^ASSUME_PROVIDED += "^/d' "$place/build/conf/local.conf" # stubs/packaging.conf provides less
+	sed -e "s|@KERNEL@|$work/prepared/kernel|; s|@PSEUDO@|$(dirname "$(find /usr/lib -name libpseudo.so | head -1)")|" \
+		-e "s|@PYTHON@|$(echo "$work"/prepared/tools/include/python3.*)|; s|@HEADERS@|$work/prepared/tools/include|" \
+		"$work/stubs/packaging.conf" >>"$place/build/conf/local.conf"
+	chmod -R a+rX "$work/prepared" "$work/stubs"
+	[ "$(id -u)" != 0 ] || chown -R "$user" "$place" "$work/prepared" "$work/stubs"
+}
+
+package() { # series: all our recipes into packages, checked by package_qa
+	recipes="cm-kmod cm-overlays python3-fpga-cm packagegroup-cm cm-config-camera"
+	echo "packaging $recipes"
+	if in_build "$1" "bitbake -c package_qa $recipes && bitbake -c package_write_deb $recipes" >"$work/log" 2>&1; then
+		grep "Tasks Summary" "$work/log"
+		find "$work/$1"/build/tmp* -path '*/deploy-debs/*' -name '*.deb' -printf '%f\n' | sort -u
+	else
+		grep -E "^(ERROR|WARNING)|Tasks Summary|error:" "$work/log" | head -40
+		cp "$work/log" "${TMPDIR:-/tmp}/bitbake-$1.log"
+		status=1
+	fi
+	grep "^WARNING" "$work/log" | sort -u || true
+}
+
+check_layer() { # series
+	echo "yocto-check-layer"
+	layers="--dependency ../oe-core/meta ../meta-oe/meta-oe ../meta-oe/meta-python --no-auto-dependency"
+	sed -i '/^BBMASK/d; /^ASSUME_PROVIDED/d' "$work/$1/build/conf/local.conf"
+	in_build "$1" "yocto-check-layer $work/meta-cm $layers" >"$work/log" 2>&1 || status=1
+	grep -E "INFO: (test_|Starting|Ran|OK|FAILED|Summary|cm )|ERROR|FAIL" "$work/log" | tail -40
+}
+
 status=0
 for series; do
 	mkdir -p "$work/$series"
@@ -88,5 +136,10 @@ for series; do
 			status=1
 		fi
 	done
+	[ -z "${CHECK_LAYER:-}" ] || check_layer "$series"
+	if [ "$series" = scarthgap ] && [ -z "${CHECK_LAYER:-}" ]; then
+		prepare "$series"
+		package "$series"
+	fi
 done
 exit $status

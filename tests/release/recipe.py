@@ -28,9 +28,8 @@ SPLIT = {
     "zipfile": "compression",
 }  # fmt: skip
 OTHERS = {
-    "aiohttp": "python3-aiohttp", "_cffi_backend": "python3-cffi", "fastjsonschema": "python3-fastjsonschema",
-    "google": "python3-protobuf",
-    "jinja2": "python3-jinja2", "numpy": "python3-numpy", "yaml": "python3-pyyaml",
+    "_cffi_backend": "python3-cffi", "aiohttp": "python3-aiohttp", "fastjsonschema": "python3-fastjsonschema",
+    "google": "python3-protobuf", "jinja2": "python3-jinja2", "numpy": "python3-numpy", "yaml": "python3-pyyaml",
     "zmq": "python3-pyzmq",
 }  # fmt: skip
 # In no layer of meta-openembedded, or of use to few: `cm` says what is missing where they are needed.

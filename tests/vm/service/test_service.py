@@ -28,3 +28,19 @@ def test_the_wheel_installs_with_the_boards_own_packages_and_works(board: Board)
     assert "camera" in board.do(
         "PYTHONPATH=wheel python3 -m cm check /usr/lib/firmware/cm/camera/camera.yaml; echo camera"
     )
+
+
+def test_without_systemd_the_script_starts_reloads_and_stops_it(board: Board) -> None:
+    script = "sh /opt/cm/sysv"
+    board.do("systemctl stop cm")
+    try:
+        assert board.run(f"{script} status").status == 3
+        board.do(f"{script} start")
+        board.until(lambda: board.run("cm configs", "alice").status == 0)
+        assert "is running" in board.do(f"{script} status")
+        board.do(f"{script} reload")
+        assert "camera" in board.do("cm configs", "alice")
+        board.do(f"{script} stop")
+        assert board.run(f"{script} status").status == 3
+    finally:
+        board.do("systemctl start cm")

@@ -60,16 +60,16 @@ class Booted:
         end = "\n".join(self.console.read_text(errors="replace").splitlines()[-20:])
         raise VmError(f"the board did not start, see {self.console}:\n{end}")
 
-    def run(self, command: str, user: str = "root", given: str = "") -> Done:
-        """A shell's command line, as a user who has just logged in."""
+    def run(self, command: str, user: str = "root", given: str = "", patience_s: float = 0) -> Done:
+        """A shell's command line, as a user who has just logged in; `patience_s` is for what takes very long."""
         if self._agent is None:
             raise VmError("the board is switched off")
         line = ["/bin/sh", "-c", command] if user == "root" else ["/sbin/runuser", "-l", user, "-c", command]
-        return self._agent.run(line, COMMAND_S * self.machine.slow, given)
+        return self._agent.run(line, patience_s or COMMAND_S * self.machine.slow, given)
 
-    def do(self, command: str, user: str = "root", given: str = "") -> str:
+    def do(self, command: str, user: str = "root", given: str = "", patience_s: float = 0) -> str:
         """The same where an error is a failure; what the command wrote to its standard output."""
-        done = self.run(command, user, given)
+        done = self.run(command, user, given, patience_s)
         if done.status:
             raise VmError(f"{user}: {command}: status {done.status}\n{done.said}")
         return done.out

@@ -23,6 +23,7 @@ BOARD = REPOSITORY / "tests/vm/guest/installed"  # what stands in for the PL, an
 SHARED = REPOSITORY / "tests/vm/guest/board.sh"
 SOURCES = ("cm", "csrc", "kmod", "debian", "release", "system", "setup.py", "pyproject.toml", "MANIFEST.in")
 WHEELS = {"arm64": "aarch64", "armhf": "armv7l"}
+COMPILING_S = 3600.0  # an emulated processor compiles for minutes
 MOUNT = "mount -o ro /dev/disk/by-id/virtio-cm-payload /opt/cm"
 
 
@@ -58,6 +59,7 @@ def disk(files: list[Path], place: Path) -> Path:
     (root / "release/camera.tar.gz").write_bytes(archive())
     _newer(next(path for path in files if path.name.startswith("fpga-cm_")), root)
     (root / "second.tar.gz").write_bytes(archive("second"))
+    shutil.copy2(REPOSITORY / "system/sysv/cm", root / "sysv")
     shutil.copytree(BOARD, root / "board")
     shutil.copy2(SHARED, root / "board")
     image = place / "disk.ext4"
@@ -92,7 +94,7 @@ def _install(cache: Cache, tier: Tier, plain: System, place: Path) -> None:
     board.boot()
     try:
         board.do(MOUNT)
-        say(board.do("cd /opt/cm/release && apt-get install -y ./fpga-cm-dkms_*.deb").splitlines()[-1])
+        board.do("cd /opt/cm/release && apt-get install -y ./fpga-cm-dkms_*.deb", patience_s=COMPILING_S)
         status = board.do("dkms status")
         if "installed" not in status:
             raise VmError(f"DKMS did not build the modules: {status}")
