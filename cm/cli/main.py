@@ -35,6 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()  # a reader that is gone shows here, not at the interpreter's end
     except CmError as error:
         return _fail(str(error), error.code, as_json)
+    except ModuleNotFoundError as error:
+        part = (error.name or "").split(".")
+        if part[0] != "cm" or len(part) < 2:
+            raise
+        return _fail(_absent(part[1]), "not_installed", as_json)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except BrokenPipeError:
@@ -43,6 +48,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         return _fail(_sentence(error), "io", as_json)
     return status
+
+
+def _absent(part: str) -> str:
+    """Distributions split the package; the simulated board brings more than the folder of its name."""
+    name = "sim" if part in ("data", "demo", "rtl") else part
+    return f"cm.{part} is not installed here: on Debian it is in fpga-cm-{name}, on Yocto in python3-fpga-cm-{name}"
 
 
 def _print_anything() -> None:

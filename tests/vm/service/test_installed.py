@@ -7,6 +7,13 @@ import re
 
 from board import RELEASE, Board
 
+SIMULATED = """
+cm serve --sim --runtime-dir $HOME/sim --state-dir $HOME/state 2>log &
+for i in $(seq 600); do grep -q 'ready at' log && break; sleep 0.2; done
+cm status --runtime-dir $HOME/sim || cat log
+kill %1; wait
+"""
+
 
 def test_the_service_runs_as_its_own_user_with_one_capability(board: Board) -> None:
     assert board.unit("ActiveState") == "active"
@@ -26,14 +33,15 @@ def test_the_kernel_modules_are_those_that_dkms_built_on_the_board(board: Board)
 
 
 def test_device_nodes_are_the_groups(board: Board) -> None:
-    nodes = board.do("stat -c '%G %a %n' /dev/uio* /dev/cm_dma/* /dev/cm_icap* /dev/dma_heap/*").splitlines()
+    nodes = board.do("stat -c '%G %a %n' /dev/uio* /dev/cm_dma/* /dev/cm_icap*").splitlines()
     assert len(nodes) >= 6
     assert {tuple(line.split()[:2]) for line in nodes} == {("fpga", "660")}, nodes
 
 
 def test_a_package_manager_finds_nothing_amiss(board: Board) -> None:
     assert board.do("dpkg --audit") == ""
-    assert board.do("dpkg --verify fpga-cm") == ""
+    amiss = board.do("dpkg --verify fpga-cm").splitlines()  # but for what this board wants to be without
+    assert [line for line in amiss if not line.split()[-1].startswith(("/usr/share/doc/", "/usr/share/man/"))] == []
 
 
 def test_the_settings_that_were_installed_are_right(board: Board) -> None:
@@ -45,8 +53,4 @@ def test_the_simulated_board_is_a_package_of_its_own(board: Board) -> None:
     assert refused.status != 0
     assert "fpga-cm-sim" in refused.said
     board.do(f"apt-get install -y {RELEASE}/fpga-cm-sim_*.deb")
-    script = (
-        "cm serve --sim --runtime-dir $HOME/sim 2>log & for i in $(seq 300); do grep -q 'ready at' log && break; "
-        "sleep 0.2; done; cm status --runtime-dir $HOME/sim; kill %1; wait %1"
-    )
-    assert "nothing is loaded" in board.do(f"bash -c {script!r}".replace("'$HOME", "'$HOME"), "bob")
+    assert "nothing loaded" in board.do("bash -s", "bob", given=SIMULATED)

@@ -22,7 +22,7 @@ def test_a_member_of_the_group_loads_the_camera_and_sees_a_frame(board: Board) -
 def test_one_who_is_not_in_the_group_is_told_so(board: Board) -> None:
     refused = board.run("cm status", "bob")
     assert refused.status == 1
-    assert "group fpga" in refused.err
+    assert "members of fpga" in refused.err
     assert "Traceback" not in refused.err
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import random
 import socket
 import subprocess
 import sys
@@ -23,7 +24,7 @@ PATIENCE_S = 10  # for one step, as on the board
 
 def free_ports(count: int = 3) -> int:
     """The first of so many neighbouring ports that nobody has now."""
-    for first in range(20000, 32000, 16):
+    for first in random.sample(range(20000, 32000, 16), 64):  # others look for some at the same time
         if all(_free(first + index) for index in range(count)):
             return first
     raise VmError(f"no {count} neighbouring TCP ports are free on this host")
