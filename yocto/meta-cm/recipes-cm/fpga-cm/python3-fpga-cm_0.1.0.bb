@@ -71,6 +71,7 @@ CM_NEEDS_CLIENT = "python3-asyncio \
                    python3-json \
                    python3-logging \
                    python3-mmap \
+                   python3-netclient \
                    python3-numpy \
                    python3-protobuf \
                    python3-pyzmq \
