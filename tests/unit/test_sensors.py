@@ -66,6 +66,13 @@ def test_differences_between_channels_and_limits_are_no_sensors(tmp_path: Path) 
     assert read_sensors(iio(tmp_path, name="adc", **limit)) == ()
 
 
+def test_a_disk_of_qemus_is_as_warm_as_its_model_says(tmp_path: Path) -> None:
+    """The files of Linux 6.1 (Debian, arm64, nvme with NVME_HWMON); QEMU's model says 323 K in its SMART log."""
+    files = {"temp1_crit": "99850", "temp1_alarm": "0", "temp1_input": "49850", "temp1_min": "-273150"}
+    root = hwmon(tmp_path, name="nvme", uevent="OF_NAME=pcie", temp1_label="Composite", temp1_max="69850", **files)
+    assert read_sensors(root) == (Reading("nvme", "Composite", "temperature", pytest.approx(323 - 273.15)),)
+
+
 def test_hwmon_counts_in_thousandths_and_power_in_millionths(tmp_path: Path) -> None:
     root = hwmon(
         tmp_path, name="ina226", in1_input="12032", curr1_input="412", power1_input="4950000", temp1_input="31500"
