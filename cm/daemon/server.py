@@ -76,7 +76,8 @@ class Server:
         self._authenticator = Authenticator(self._context, gate.enter)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
-        self._streams = Streams(self._loop, self._devices, self._publisher, leases, self._note_error)
+        told = self._publisher, leases, self._note_error, options.limits.slots_each
+        self._streams = Streams(self._loop, self._devices, *told)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
         local = self._streams.open_local, *self._streams.memories, self._sessions.check_open, options.group

@@ -52,7 +52,9 @@ class StreamDriver:
         audience: Audience,
         policy: StreamPolicy,
         on_error: Callable[[ErrorInfo], None],
+        slots_each: int,
     ) -> None:
+        self._slots_each = slots_each
         self._loop = loop
         self._devices = devices
         self._audience = audience
@@ -158,7 +160,7 @@ class StreamDriver:
 
     def _opened(self, stream: Stream) -> OpenStream:
         try:
-            opened = OpenStream(self.plane, self._devices.dma(stream.channel), stream)
+            opened = OpenStream(self.plane, self._devices.dma(stream.channel), stream, self._slots_each)
         except DeviceTimeout:
             with suppress(OSError):  # then the next client that opens it finds out anew
                 self._stalled.probe(stream)

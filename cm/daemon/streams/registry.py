@@ -14,6 +14,7 @@ from cm.daemon.streams.compression import check_compression
 from cm.daemon.streams.driver import Audience, StreamDriver
 from cm.daemon.streams.policy import StreamEvent, StreamPhase, StreamPolicy
 from cm.daemon.streams.settings import changed, setup
+from cm.daemon.streams.shares import EACH
 from cm.daemon.streams.stream import Done
 from cm.errors import Busy
 from cm.manager.access.leases import Leases
@@ -36,13 +37,14 @@ class Streams:
         audience: Audience,
         leases: Leases,
         on_error: Callable[[ErrorInfo], None],
+        slots_each: int = EACH,
     ) -> None:
         self._loop = loop
         self._devices = devices
         self._audience = audience
         self._leases = leases
         self._policy = StreamPolicy()
-        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error)
+        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, slots_each)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
 

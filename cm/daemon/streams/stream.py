@@ -15,24 +15,18 @@ from dataclasses import dataclass, replace
 from cm.daemon.streams.figures import median, rate, transfer_error
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.settings import frame_bytes, setup
+from cm.daemon.streams.shares import EACH, RESERVE, NoSlots, share
 from cm.daemon.streams.sharing import for_readers, for_writers
 from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane
-from cm.errors import Busy, CmError
+from cm.errors import CmError
 from cm.manager.reporting.status import stream_status
 from cm.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.metrics.counts import Moved
 from cm.schema.model import Direction, Stream
 from cm.wire.plane_packets import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
 
-_RESERVE = 2  # slots that readers can never hold: the hardware fills one while the next waits
 DEPTH = 4  # frames that a local client may hold if it does not say
-
-
-class NoSlots(Busy):
-    """There is no DMA memory for one more reader or writer."""
-
-    code = "no_slots"
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +43,9 @@ Done = Callable[[Frame | CmError], None]
 class OpenStream:
     """An open stream."""
 
-    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream) -> None:
-        """Take over an open channel; it is closed if this raises."""
+    def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, each: int = EACH) -> None:
+        """Take over an open channel; it is closed if this raises. `each`: slots that one process may hold."""
+        self._each = each
         self._plane = plane
         self._dma = dma
         self.stream = stream
@@ -94,7 +89,7 @@ class OpenStream:
 
     def _make_room(self, depth: int) -> None:
         """So many slots that readers who hold all they may still leave some to the hardware."""
-        wanted = sum(self._depths.values()) + depth + (0 if self.writes else _RESERVE)
+        wanted = sum(self._depths.values()) + depth + (0 if self.writes else RESERVE)
         if self.stream.backpressure and not self.writes:
             return
         name = self.stream.name
@@ -112,7 +107,11 @@ class OpenStream:
 
     def attach(self, client: int, depth: int, peer: Peer | None = None) -> bool:
         """Let a client of the plane read or write; False if it has gone. Raises NoSlots."""
-        depth = max(1, min(depth or DEPTH, SLOTS_MAX - _RESERVE))
+        depth = max(1, min(depth or DEPTH, SLOTS_MAX - RESERVE))
+        if peer is not None:
+            ours = Peer.ourselves()
+            held = [(self._peers[at], slots) for at, slots in self._depths.items() if self._peers[at] != ours]
+            depth = share(self.stream.name, depth, peer, held, self._each)
         self._make_room(depth)
         if not self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth))):
             return False
