@@ -4,7 +4,7 @@
 board_up
 PYTHONPATH="$here:$PYTHONPATH" python3 -c 'import boardfile; boardfile.write_bitstreams()'
 system=/run/camera.yaml
-if [ -d "$overlays" ]; then cp "$here/system/camera.yaml" "$system"; else sed '/overlays:/d' "$here/system/camera.yaml" >"$system"; fi
+if [ -d "$overlays/static" ]; then cp "$here/system/camera.yaml" "$system"; else sed '/overlays:/d' "$here/system/camera.yaml" >"$system"; fi
 printf '#!/bin/sh\nexec python3 -m cm.cli.main "$@"\n' >/usr/bin/cm
 chmod +x /usr/bin/cm
 # The ports reach only the user's own machine: QEMU forwards them from its loopback.
