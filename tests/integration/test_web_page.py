@@ -167,6 +167,18 @@ def test_a_change_that_fails_says_why_and_stays_in_the_list(page: Any, camera: t
     shoot(page, "failed")
 
 
+def test_what_others_hold_is_shown_and_keeps_the_page_off(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    with camera[0].connected() as board, board.lease("region:prr0", holder="calibration"):
+        page.wait_for_selector("#leases code")
+        assert page.text_content("#leases code") == "region:prr0"
+        assert "calibration" in page.text_content("#leases")
+        page.click("li[data-mode=colorise] .go")
+        page.wait_for_selector("#banner:not([hidden])")
+        assert "held by calibration" in page.text_content("#banner")
+        shoot(page, "lease")
+    seen(page, "!document.querySelector('#leases code')")
+
+
 def test_a_manager_that_goes_is_told_and_found_again(browser: Any) -> None:
     with served() as (manager, _), web_server(manager.runtime, "--control") as server, page_of(browser, server) as page:
         page.wait_for_selector(".go:not(:disabled)")

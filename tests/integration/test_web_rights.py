@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
-from manager_process import CAMERA, short_folder
+from manager_process import CAMERA, short_folder, until
 from test_rights_tcp import Guarded
 from test_web_server import page
 from web_support import WebServer, web_server
@@ -24,7 +24,7 @@ def guarded() -> Iterator[Guarded]:
             made.key(name, role)
         made.reload()
         for name in ("looker", "driver"):
-            assert made.lets_in(name)
+            until(lambda name=name: made.lets_in(name), 60)  # read again in the daemon's own time
         yield made
         made.manager.stop()
 
