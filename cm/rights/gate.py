@@ -90,6 +90,7 @@ class Gate:
         no safe way to refuse one of them to one subscriber (docs/security.md).
         """
         transport, _, publishes = domain.partition(" ")
+        address = address.removeprefix("::ffff:")  # IPv4 at a socket of both
         who = introduced(transport, address, mechanism, key)
         rights = self.rights(who.id)
         if rights.role == Role.NONE or (publishes and rights.everywhere < Role.OBSERVE):
@@ -98,7 +99,7 @@ class Gate:
             self.audit.note(who.account, f"enter {publishes}", lambda: said, logging.WARNING)
             return None
         if self._origins is not None and who.address:
-            self._origins.setdefault(who.address.removeprefix("::ffff:"), set()).add(who)
+            self._origins.setdefault(who.address, set()).add(who)
             if sum(map(len, self._origins.values())) > _KEPT:
                 self._origins = None
         return who.id
