@@ -5,13 +5,20 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import logging
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 from cm.device import Root
+from cm.sim.errors import SimError
 from cm.sim.process.child import Board
 
 _START_TIMEOUT = 300.0  # seconds: the first time, a design's HDL is compiled
+_LOG = logging.getLogger("cm")
+_LOOK = 0.5  # seconds between two looks whether it runs
+_PATIENCE = 1.0  # seconds that it stays down: Ctrl-C ends both at once
+_STARTS = 100  # of a board that ends again and again
 _LINGER = "30"  # seconds that a board without a manager keeps its state
 
 
@@ -26,10 +33,44 @@ def simulated_board(
     """
     runtime.mkdir(mode=0o750, parents=True, exist_ok=True)
     _refuse_where_served(runtime)
-    with Board(
-        configs, root=root, arguments=["--linger", _LINGER, *arguments], program=program, timeout=_START_TIMEOUT
-    ) as board:
+    with (
+        Board(
+            configs, root=root, arguments=["--linger", _LINGER, *arguments], program=program, timeout=_START_TIMEOUT
+        ) as board,
+        _kept_running(board),
+    ):
         yield Root.of(board.root)
+
+
+@contextlib.contextmanager
+def _kept_running(board: Board) -> Iterator[None]:
+    """Start a board again that ends while the context lasts; the manager finds out what it holds then."""
+    over = threading.Event()
+    keeper = threading.Thread(target=_keep, args=(board, over), name="cm-board-keeper", daemon=True)
+    keeper.start()
+    try:
+        yield
+    finally:
+        over.set()
+        keeper.join()
+
+
+def _keep(board: Board, over: threading.Event) -> None:
+    for start in range(_STARTS + 1):
+        while board.alive:
+            if over.wait(_LOOK):
+                return
+        if start == _STARTS:
+            break
+        if over.wait(_PATIENCE):
+            return
+        _LOG.error("the simulated board has ended; it is started again, and holds nothing")
+        try:
+            board.restart()
+        except SimError as error:
+            _LOG.error("the simulated board cannot be started again: %s", error)
+            return
+    _LOG.error("the simulated board has ended %d times; it is not started again", _STARTS + 1)
 
 
 def _refuse_where_served(runtime: Path) -> None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from manager_process import Manager, environment, until
@@ -115,6 +116,29 @@ def test_serve_sim_takes_over_the_board_that_a_killed_manager_left(runtime) -> N
         assert board.mode == "edge_detection"
     assert second.stop() == 0
     assert not (runtime / "run" / "board").exists()
+
+
+def test_serve_sim_starts_a_board_again_that_was_killed(runtime) -> None:  # type: ignore[no-untyped-def]
+    served = Manager(runtime / "run", "--sim").start()
+    try:
+        assert served.process is not None
+        tasks = Path(f"/proc/{served.process.pid}/task")
+        with served.connected() as board:
+            until(lambda: board.mode == "default")
+            for pid in {pid for task in tasks.iterdir() for pid in (task / "children").read_text("ascii").split()}:
+                os.kill(int(pid), signal.SIGKILL)
+            until(lambda: board.status.last_error is not None, 60)
+            until(lambda: _works(board), 60)
+    finally:
+        assert served.stop() == 0
+
+
+def _works(board: cm.Board) -> bool:
+    try:
+        board.load("camera", "edge_detection")
+        return board.read("camera", timeout=5).shape == (480, 640)
+    except CmError:
+        return False
 
 
 def test_a_stopped_manager_leaves_nothing_but_its_state(runtime) -> None:  # type: ignore[no-untyped-def]
