@@ -68,16 +68,6 @@ def plain(node: Node) -> Any:
     return {key: plain(entry.node) for key, entry in node.entries.items()}
 
 
-def kind(node: Node) -> str:
-    """What `node` is, in words."""
-    if isinstance(node, Items):
-        return "a list"
-    if isinstance(node, Table):
-        return "a map"
-    names = {str: "text", bool: "true or false", int: "an integer", float: "a number", type(None): "nothing"}
-    return names[type(node.value)]
-
-
 def locate(root: Node, path: Sequence[str | int]) -> Mark:
     """Position of the key at `path`, or of the nearest thing above it that is in the file."""
     node, mark = root, root.mark

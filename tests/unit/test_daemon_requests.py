@@ -156,6 +156,8 @@ def test_a_configuration_that_is_provisioned_is_described_and_stays(camera: Daem
     assert camera.status.config_name == "camera"
     assert {"camera", "extra"} <= set(camera.done(rq.ListConfigs()).names)
     assert list((camera.folder / "state").rglob("given.bit"))
+    entries = {entry.name: entry.origin for entry in camera.done(rq.ListConfigs()).entries}
+    assert (entries["camera"], entries["extra"]) == ("administrator", "client")
 
 
 def test_a_configuration_is_provisioned_and_entered_in_one(camera: Daemon) -> None:
@@ -257,6 +259,10 @@ def test_a_memory_is_written_and_read_by_bytes(camera: Daemon) -> None:
     camera.done(rq.WriteData("scratchpad", bytes(range(64)), offset=16))
     reply = camera.ask(rq.ReadData("scratchpad", offset=20, length=8))
     assert bytes(reply.payload[0]) == bytes(range(4, 12))
+    assert (reply.body.stream, reply.body.offset, reply.body.length) == ("scratchpad", 20, 8)
+    assert (reply.body.shape, reply.body.dtype) == ((2,), "uint32")
+    whole = camera.done(rq.ReadData("scratchpad"))
+    assert (whole.shape, whole.dtype, whole.mode) == ((16, 32), "uint32", "default")
     info = camera.done(rq.DescribeData("scratchpad"))
     assert (info.name, info.size, info.dtype) == ("scratchpad", 0x800, "uint32")
     assert camera.refused(rq.ReadData("scratchpad", offset=0x800, length=4))[0] == "out_of_range"
