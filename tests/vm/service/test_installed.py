@@ -53,4 +53,4 @@ def test_the_simulated_board_is_a_package_of_its_own(board: Board) -> None:
     assert refused.status != 0
     assert "fpga-cm-sim" in refused.said
     board.do(f"apt-get install -y {RELEASE}/fpga-cm-sim_*.deb")
-    assert "nothing loaded" in board.do("bash -s", "bob", given=SIMULATED)
+    assert "camera/default" in board.do("bash -s", "bob", given=SIMULATED)

@@ -82,6 +82,7 @@ class Booted:
             self._process.kill()
             self._process.wait()
         self._agent = self._process = None
+        (self._sockets / "agent").unlink(missing_ok=True)  # the next QEMU makes its own
 
     def close(self) -> None:
         """Switch it off for good."""
