@@ -117,6 +117,18 @@ class Metrics:
         kinds = [({"scope": scope, "how": how}, float(count)) for (scope, how), count in sorted(held.items())]
         yield single("cm_leases", "gauge", "Leases that are held.", held.total())
         yield many("cm_leases_by_scope", "gauge", "The same, by what they cover.", kinds)
+        clients = {client.name: client for client in self._s.connections.budgets.snapshot()}
+        taken: dict[str, tuple[str, Mapping[str, float]]] = {
+            "connections": ("Connections over ZeroMQ.", {n: c.connections for n, c in clients.items()}),
+            "waiting_bytes": (
+                "Bytes of requests that wait, and of replies that were not read.",
+                {n: c.waiting_bytes for n, c in clients.items()},
+            ),
+            "upload_bytes": ("Bytes sent in parts and not used yet.", {n: c.upload_bytes for n, c in clients.items()}),
+            "loop_seconds": ("The loop's time for its requests.", {n: c.loop_seconds for n, c in clients.items()}),
+        }
+        for name, (text, values) in taken.items():
+            yield by_label(f"cm_client_{name}", "gauge", text, "client", values)
         counts = self._s.interrupts.counts
         yield by_label(
             "cm_interrupts_total", "counter", "Interrupts since the configuration was loaded.", "interrupt", counts
