@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -360,3 +362,19 @@ def test_nothing_loaded_is_said(tmp_path: Path) -> None:
         assert fresh.status.config_name == ""
         assert fresh.refused(ReadReg(("focus",)))[0] == "nothing_loaded"
         assert fresh.refused(rq.ReadData("camera"))[0] == "nothing_loaded"
+
+
+def test_the_page_of_metrics_counts_what_was_asked_and_changed() -> None:
+    with daemon(metrics="0") as made:
+        made.load("default")
+        made.load("edge_detection")
+        assert made.refused(ReadReg(("nothing",)))[0] == "unknown_register"
+        address = json.loads((made.folder / "run" / "endpoints.json").read_text())["metrics"]
+        with urllib.request.urlopen(address if "://" in address else f"http://{address}/metrics", timeout=60) as page:
+            text = page.read().decode()
+    lines = dict(line.rpartition(" ")[::2] for line in text.splitlines() if not line.startswith("#"))
+    assert float(lines["cm_requests_total"]) >= 3
+    assert lines['cm_request_errors_total{code="unknown_register"}'] == "1"
+    assert (lines["cm_busy"], lines["cm_failed"], lines["cm_last_change"]) == ("0", "0", "2")
+    changes = {name: value for name, value in lines.items() if name.startswith("cm_changes_total")}
+    assert sum(map(float, changes.values())) == 2, changes
