@@ -36,11 +36,10 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
 
 def copy(board: cm.Board, source: int, target: int, words: int) -> int:
     """Start it, wait for its interrupt; its state."""
-    before = board.interrupts["done"].count
     board.registers.write({"source": source, "target": target, "words": words})
-    board.registers["start"] = 1
-    while board.interrupts["done"].count == before:
-        board.interrupts["done"].wait(30.0)
+    with board.interrupts["done"].events(60.0) as done:
+        board.registers["start"] = 1
+        next(done)
     return int(board.registers["state"])
 
 
