@@ -87,7 +87,7 @@ web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromi
 	$(BIN)/python docs/web_picture.py
 
 soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, and a minute of killed readers
-	$(PYTEST) tests/soak --changes=10000 --stress=60 $(PYTEST_ARGS)
+	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
 
 fuzz: $(STAMP) ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…)
 	$(call install,fuzz)
