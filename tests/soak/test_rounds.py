@@ -45,6 +45,7 @@ def client_of(manager: Manager) -> subprocess.Popen[bytes]:
     return made
 
 
+@pytest.mark.timeout(3600)
 def test_whatever_is_killed_or_stopped_the_board_works_afterwards(request: pytest.FixtureRequest) -> None:
     rounds = request.config.getoption("--rounds")
     draw = random.Random(13)
