@@ -68,6 +68,7 @@ test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Ica
 	$(call install,rtl)
 	$(PYTEST) tests/rtl $(PYTEST_ARGS)
 	$(PYTEST) tests/device --board=rtl $(PYTEST_ARGS)
+	$(BIN)/cm demo --rtl --out build/demo-rtl
 
 test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
