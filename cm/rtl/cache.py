@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 import shutil
@@ -34,8 +33,6 @@ def made(folder: Path, name: str, make: Callable[[Path, Path], None]) -> Path:
     """
     found = folder / name
     if found.exists():
-        with contextlib.suppress(OSError):
-            os.utime(found)  # so that the oldest can be told
         return found
     folder.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=".making-", dir=folder))
