@@ -9,7 +9,9 @@ So the child drops that entry itself, before its first import.
 from __future__ import annotations
 
 import os
+import select
 import site
+import subprocess
 import sys
 from pathlib import Path
 
@@ -41,3 +43,19 @@ def environment() -> dict[str, str]:
         return dict(os.environ)
     paths = [folder, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
     return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+
+
+def said_until(process: subprocess.Popen[bytes], words: bytes, timeout: float) -> tuple[bool, bytes]:
+    """Whether a child said something on its standard error, a pipe, and what it said; False at its end too.
+
+    `timeout`: seconds of silence that are too long.
+    """
+    assert process.stderr is not None
+    said = b""
+    while words not in said:
+        ready, _, _ = select.select([process.stderr], [], [], timeout)
+        piece = os.read(process.stderr.fileno(), 4096) if ready else b""
+        if not piece:
+            return False, said
+        said += piece
+    return True, said

@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import select
 import signal
 import subprocess
 import tempfile
@@ -80,14 +78,9 @@ def _manager(runtime: Path, images: Path | None, kind: str) -> Iterator[None]:
 
 
 def _await_ready(process: subprocess.Popen[bytes]) -> None:
-    assert process.stderr is not None
-    said = b""
-    while b"ready at" not in said:
-        ready, _, _ = select.select([process.stderr], [], [], _START_TIMEOUT)
-        piece = os.read(process.stderr.fileno(), 4096) if ready else b""
-        if not piece:
-            raise DemoFailed(f"the configuration manager did not start: {said.decode(errors='replace').strip()}")
-        said += piece
+    ready, said = child.said_until(process, b"ready at", _START_TIMEOUT)
+    if not ready:
+        raise DemoFailed(f"the configuration manager did not start: {said.decode(errors='replace').strip()}")
 
 
 def _application(runtime: Path, frames: Path) -> None:

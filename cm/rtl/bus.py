@@ -10,9 +10,9 @@ from cm.rtl.errors import RtlError
 from cm.rtl.messages import Op
 from cm.sim.errors import NodeError
 from cm.sim.faults import Faults
+from cm.sim.hardware.bus import check_access, check_block
 from cm.sim.hardware.cells import Window
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.transport.protocol import BLOCK_MAX
 
 _WHY = {
     errno.EFAULT: "no slave has that address (DECERR)",
@@ -31,14 +31,14 @@ class RtlBus:
 
     def read(self, window: Window, offset: int, width: int) -> int:
         """The value of `width` bits at an offset; 64 bits are two accesses. `NodeError`: as the bus answers."""
-        _check(window, offset, width // 8, (8, 16, 32, 64), width)
+        check_access(window, offset, width)
         at, length = offset & ~3, 8 if width == 64 else 4
         value = int.from_bytes(self._read(window, at, length), "little")
         return value >> 8 * (offset - at) & ((1 << width) - 1)
 
     def write(self, window: Window, offset: int, width: int, value: int) -> None:
         """Write `width` bits at an offset; 64 bits are two accesses."""
-        _check(window, offset, width // 8, (8, 16, 32, 64), width)
+        check_access(window, offset, width)
         if self._stuck(window, offset):
             return
         at, length = offset & ~3, 8 if width == 64 else 4
@@ -48,12 +48,12 @@ class RtlBus:
 
     def read_block(self, window: Window, offset: int, length: int) -> bytes:
         """The bytes that accesses of 32 bits, one after the other, return."""
-        _check_block(window, offset, length)
+        check_block(window, offset, length)
         return self._read(window, offset, length)
 
     def write_block(self, window: Window, offset: int, data: bytes) -> None:
         """Accesses of 32 bits, one after the other."""
-        _check_block(window, offset, len(data))
+        check_block(window, offset, len(data))
         self._write(window, offset, data, 0xF)
 
     def _read(self, window: Window, offset: int, length: int) -> bytes:
@@ -89,15 +89,3 @@ class RtlBus:
                 bit = int.from_bytes(data[at : at + 4], "little") >> decoupler.bit & 1
                 region.decoupled = bool(bit) == decoupler.active_high
                 self._running.mark(f"{region.name}: {'cut off' if region.decoupled else 'connected'}")
-
-
-def _check(window: Window, offset: int, length: int, widths: tuple[int, ...], width: int) -> None:
-    if width not in widths:
-        raise NodeError(errno.EINVAL, f"width {width} is none of {', '.join(map(str, widths))}")
-    if offset % length or offset + length > window.spec.size:
-        raise NodeError(errno.EINVAL, f"offset {offset:#x} is misaligned or outside the window")
-
-
-def _check_block(window: Window, offset: int, length: int) -> None:
-    if not 0 < length <= BLOCK_MAX or offset % 4 or length % 4 or offset + length > window.spec.size:
-        raise NodeError(errno.EINVAL, f"{length} bytes at {offset:#x} are misaligned or outside the window")

@@ -48,24 +48,20 @@ class End:
     def __init__(self, running: RunningDesign, stream: int) -> None:
         self._running, self._stream = running, stream
         self._offset = (1 + stream) * SLOT
-        self.busy = False
 
     def send(self, data: Bytes) -> bool:
         """Begin to send a packet; False where the logic is gone."""
         length = len(data)
         target = np.frombuffer(self._running.process.arena, np.uint8, length, self._offset)
         np.copyto(target, data)
-        self.busy = self._ask(Op.SEND, length)
-        return self.busy
+        return self._ask(Op.SEND, length)
 
     def receive(self, room: int) -> bool:
         """Have room for a packet; False where the logic is gone."""
-        self.busy = self._ask(Op.RECEIVE, room)
-        return self.busy
+        return self._ask(Op.RECEIVE, room)
 
     def cancel(self) -> None:
         """Whatever is under way ends here."""
-        self.busy = False
         self._ask(Op.CANCEL, 0)
 
     def data(self, length: int) -> Bytes:
@@ -98,7 +94,7 @@ class Intake:
 
     def _received(self, length: int, overflow: bool) -> None:
         channel, into = self._channel, self._into
-        self._into, self._end.busy = None, False
+        self._into = None
         if into is None or not channel.queue or channel.queue[0] is not into:
             return
         if self._faults.take("dma_error", channel.spec.name):
@@ -160,7 +156,7 @@ class OutletLink(Link):
 
     def _left(self) -> None:
         channel, sent = self._channel, self._sending
-        self._sending, self._end.busy = None, False
+        self._sending = None
         if sent is not None and channel.queue and channel.queue[0] is sent:
             channel.complete(sent.period)
         self.kick()
@@ -178,19 +174,20 @@ class RtlCameraLink(CameraLink):
     ) -> None:  # fmt: skip
         super().__init__(loop, faults, interrupts, path, sink, reel, rate)
         self._intake, self._sensor = intake, End(running, stream)
+        self._exposes = False  # a picture is on its way into the logic
         running.on_sent[stream] = self._exposed
 
     def _move(self) -> None:
         if self._hangs(self._sink):
             return
         self._intake.move()
-        if not self._sink.queue or self._credit == 0 or self._sensor.busy or not self._pace(self._rate):
+        if not self._sink.queue or self._credit == 0 or self._exposes or not self._pace(self._rate):
             return
         if self._credit is not None:
             self._credit -= 1
         picture = self._reel.take(self._shape(), self._path.register("focus", 1), self._path.register("zoom", 1))
-        self._sensor.send(picture.reshape(-1))
+        self._exposes = self._sensor.send(picture.reshape(-1))
 
     def _exposed(self) -> None:
-        self._sensor.busy = False
+        self._exposes = False
         self.kick()

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -53,7 +54,7 @@ def rtl_board(request: pytest.FixtureRequest) -> Iterator[Board]:
     given = str(request.config.getini("cm_build"))
     build = str(request.config.rootpath / given) if given else str(example_build())
     try:
-        prepare(_path(build))
+        prepare(Path(build))
     except ToolMissing as missing:
         pytest.skip(f"the RTL {missing}")
     yield from _ready(request, "rtl", (), build)
@@ -84,9 +85,3 @@ def _ready(request: pytest.FixtureRequest, kind: str, configs: tuple[str, ...], 
     served.begin(str(request.config.getini("cm_load")))
     with connect(str(served.runtime)) as connected:
         yield connected
-
-
-def _path(text: str) -> Any:
-    from pathlib import Path
-
-    return Path(text)

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import os
-import select
 import shutil
 import signal
 import subprocess
@@ -86,11 +84,6 @@ class Served:
         return names[0]
 
     def _await_ready(self) -> None:
-        assert self._process.stderr is not None
-        said = b""
-        while b"ready at" not in said:
-            ready, _, _ = select.select([self._process.stderr], [], [], START_TIMEOUT)
-            piece = os.read(self._process.stderr.fileno(), 4096) if ready else b""
-            if not piece:
-                raise NotServed(f"the manager did not start: {said.decode(errors='replace').strip()}")
-            said += piece
+        ready, said = child.said_until(self._process, b"ready at", START_TIMEOUT)
+        if not ready:
+            raise NotServed(f"the manager did not start: {said.decode(errors='replace').strip()}")

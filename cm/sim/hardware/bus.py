@@ -40,7 +40,7 @@ class Bus:
         All ones while the region is loaded or decoupled, 0xDEADBEEF where no module is loaded,
         0 from a write-only register.
         """
-        length = _check(window, offset, width)
+        length = check_access(window, offset, width)
         value = 0
         for at, part in _pieces(window, offset, length):
             value |= _read_piece(window, at, part) << 8 * (at - offset)
@@ -48,7 +48,7 @@ class Bus:
 
     def write(self, window: Window, offset: int, width: int, value: int) -> None:
         """Write at an offset; lost where the register is read-only or no module answers."""
-        length = _check(window, offset, width)
+        length = check_access(window, offset, width)
         for at, part in _pieces(window, offset, length):
             bits = value >> 8 * (at - offset) & ((1 << 8 * part) - 1)
             self._write_piece(window, at, part, bits)
@@ -58,7 +58,7 @@ class Bus:
 
     def read_block(self, window: Window, offset: int, length: int) -> bytes:
         """The bytes that accesses of 32 bits, one after the other, return."""
-        _check_block(window, offset, length)
+        check_block(window, offset, length)
         alike, area = _alike(window, offset, length)
         if alike and (area is None or (answers(area) and area.access is not Access.WO)):
             return window.memory[offset : offset + length]
@@ -66,7 +66,7 @@ class Bus:
 
     def write_block(self, window: Window, offset: int, data: bytes) -> None:
         """Accesses of 32 bits, one after the other."""
-        _check_block(window, offset, len(data))
+        check_block(window, offset, len(data))
         alike, area = _alike(window, offset, len(data))
         if not alike:
             for at in range(0, len(data), 4):
@@ -121,7 +121,8 @@ class _DecouplerBit:
             self._fabric.set_decoupled(self._region, cut)
 
 
-def _check(window: Window, offset: int, width: int) -> int:
+def check_access(window: Window, offset: int, width: int) -> int:
+    """Bytes of an access of `width` bits; NodeError (EINVAL) where no bus makes it."""
     if width not in _WIDTHS:
         raise NodeError(errno.EINVAL, f"width {width} is none of 8, 16, 32, 64")
     if offset % (width // 8) or offset + width // 8 > window.spec.size:
@@ -129,7 +130,8 @@ def _check(window: Window, offset: int, width: int) -> int:
     return width // 8
 
 
-def _check_block(window: Window, offset: int, length: int) -> None:
+def check_block(window: Window, offset: int, length: int) -> None:
+    """NodeError (EINVAL) unless these bytes are whole words inside the window, and not too many."""
     if not 0 < length <= BLOCK_MAX or offset % 4 or length % 4 or offset + length > window.spec.size:
         raise NodeError(errno.EINVAL, f"{length} bytes at {offset:#x} are misaligned or outside the window")
 
