@@ -90,9 +90,9 @@ web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromi
 soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, and a minute of killed readers
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
 
-fuzz: $(STAMP) ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…)
+fuzz: $(STAMP) ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)
 	$(call install,fuzz)
-	nice $(BIN)/python tests/fuzz/fuzz.py $(TARGETS) --minutes $(MINUTES) --jobs $(JOBS)
+	nice $(BIN)/python tests/fuzz/fuzz.py $(TARGETS) --minutes $(MINUTES) --jobs $(JOBS) $(if $(filter command,$(origin SEED)),--seed $(SEED))
 
 mutation: $(STAMP) ## whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
 	$(call install,mutation)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from cm.bitstream.container import BitHeader, Container, Image, Source, open_image, pack_bit
-from cm.bitstream.errors import BadContainer
+from cm.bitstream.errors import BadContainer, BitstreamError
 from cm.native import bitstream as native
 
 
@@ -24,17 +24,29 @@ def to_dma_words(source: Source | Image) -> bytes:
     return _ordered(image, swapped=True)
 
 
+def _recognisable(data: bytes, form: Container) -> bytes:
+    """Refuse words that nothing but a header tells from another container: a `.bin` has none."""
+    try:
+        found = open_image(data).container
+    except BitstreamError as error:
+        raise BadContainer(f"the words begin as no {form.value} may: it would be refused ({error})") from error
+    if found is not form:
+        raise BadContainer(f"the words begin like those of a {found.value}: as a {form.value} they would be read so")
+    return data
+
+
 def convert(source: Source, form: Container, header: BitHeader | None = None) -> bytes:
     """Return the bitstream in another container.
 
-    A `.bit` needs `header` where the source has none. Between `.bit`, swapped and straight `.bin`
-    the way there and back gives the same bytes. Boot images are read, not written.
+    A `.bit` needs `header` where the source has none; words that a `.bin` could not be told by are refused.
+    Between `.bit`, swapped and straight `.bin` the way there and back gives the same bytes. Boot images are
+    read, not written.
     """
     image = open_image(source)
     if form is Container.BOOTGEN:
         raise BadContainer("boot images are read, not written: use bootgen with the .bit")
     if form is not Container.BIT:
-        return _ordered(image, swapped=form is Container.BIN_SWAPPED)
+        return _recognisable(_ordered(image, swapped=form is Container.BIN_SWAPPED), form)
     found = header or image.header
     if found is None:
         raise BadContainer("a .bit needs a header (design, part, date, time), and a .bin has none: give one")

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Coverage-guided fuzzing of every reader of bytes from outside (`make fuzz`; needs atheris).
 
-    python tests/fuzz/fuzz.py [TARGET…] [--minutes M] [--jobs N] [--keep]
+    python tests/fuzz/fuzz.py [TARGET…] [--minutes M] [--jobs N] [--seed S] [--keep]
 
 Each target runs in a process of its own, from its seeds, the kept corpus and what earlier runs found in
 `build/fuzz/<target>`. An input that takes 20 s or 2 GiB, or that raises what the target does not expect, is a
 finding: it is left in `build/fuzz`, named at the end, and the exit status is 1. `--keep` adds what
-reaches new code to the kept corpus, in the fewest files (`-merge=1`).
+reaches new code to the kept corpus, in the fewest files (`-merge=1`). `--seed` makes the same inputs in the same
+order, from an empty `build/fuzz`: what a short run with it finds is the change's doing, not chance.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import concurrent.futures
 import importlib
+import os
 import shlex
 import subprocess
 import sys
@@ -56,10 +58,11 @@ def run_one(name: str, flags: list[str]) -> None:
 def _child(name: str, *flags: str) -> subprocess.CompletedProcess[bytes]:
     command = [sys.executable, str(Path(__file__).resolve()), "--one", name, *flags]
     with (WORK / f"{name}.log").open("ab") as log:
-        return subprocess.run(command, cwd=WORK, stdout=log, stderr=subprocess.STDOUT, check=False)
+        fixed = {**os.environ, "PYTHONHASHSEED": "0"}  # the order of sets is part of what a seed repeats
+        return subprocess.run(command, cwd=WORK, stdout=log, stderr=subprocess.STDOUT, check=False, env=fixed)
 
 
-def fuzz(name: str, seconds: int) -> str:
+def fuzz(name: str, seconds: int, seed: int) -> str:
     """Fuzz in a child; what is to be said of it."""
     WORK.mkdir(parents=True, exist_ok=True)
     (WORK / f"{name}.log").unlink(missing_ok=True)
@@ -71,6 +74,7 @@ def fuzz(name: str, seconds: int) -> str:
         f"-timeout={SECONDS}",
         f"-rss_limit_mb={MIB}",
         f"-artifact_prefix={name}-",
+        f"-seed={seed}",
         "-print_final_stats=1",
         str(WORK / name),
         *([str(kept)] if kept.is_dir() else []),
@@ -98,11 +102,12 @@ def main() -> int:
     parser.add_argument("targets", nargs="*", metavar="TARGET", choices=[*names(), []], help=", ".join(names()))
     parser.add_argument("--minutes", type=float, default=10.0, help="for each target")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0, help="of the inputs' order; 0, the default: chance")
     parser.add_argument("--keep", action="store_true")
     args = parser.parse_args()
     wanted = args.targets or names()
     with concurrent.futures.ThreadPoolExecutor(args.jobs) as pool:
-        told = list(pool.map(lambda name: fuzz(name, max(1, round(60 * args.minutes))), wanted))
+        told = list(pool.map(lambda name: fuzz(name, max(1, round(60 * args.minutes)), args.seed), wanted))
     if args.keep:
         for name in wanted:
             keep(name)
