@@ -63,6 +63,7 @@ def connect(
     runtime_dir: str | os.PathLike[str] | None = None,
     timeout: float = 5.0,
     keys: str | os.PathLike[str] | Keys | None = None,
+    guest: str = "",
 ) -> Board:
     """Connect to a configuration manager and check that it answers.
 
@@ -71,10 +72,11 @@ def connect(
         runtime_dir: the runtime folder, spelt out.
         timeout: seconds to wait for answers to all but `load`.
         keys: a client's key file (``cm keygen``), or the keys; default over TCP: the file `$CM_KEYS`, if that is set.
+        guest: in whose name all is asked, by a bridge that may speak for it (docs/security.md, Bridges).
 
     Raises NotFound where no manager serves, NoAnswer where none answers.
     """
-    board = Board(endpoint, runtime_dir=runtime_dir, timeout=timeout, keys=keys)
+    board = Board(endpoint, runtime_dir=runtime_dir, timeout=timeout, keys=keys, guest=guest)
     try:
         _ = board.status
     except BaseException:
@@ -101,11 +103,12 @@ class Board(Guarded):
         runtime_dir: str | os.PathLike[str] | None = None,
         timeout: float = 5.0,
         keys: str | os.PathLike[str] | Keys | None = None,
+        guest: str = "",
     ) -> None:
-        self._place = place.find(endpoint, runtime_dir, keys)
+        self._place = place.find(endpoint, runtime_dir, keys, guest)
         self._sockets = Sockets(zmq.Context(), self._place.endpoints, self._place.keys)
         self._close = weakref.finalize(self, self._sockets.close)
-        self._link = Link(self._sockets, timeout)
+        self._link = Link(self._sockets, timeout, guest)
         self._leases = HeldLeases()
         self._users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
         object.__setattr__(self, "registers", Registers(self))
@@ -135,8 +138,15 @@ class Board(Guarded):
         return self._link.run(flow)
 
     def subscribe(self, *topics: bytes, depth: int = 0) -> Subscription:
-        """Listen to topics; `depth` messages wait (0: ZeroMQ's own number). The caller closes it."""
+        """Listen to topics; `depth` messages wait (0: ZeroMQ's own number). The caller closes it.
+
+        Raises InvalidRequest for a guest of a bridge: what is published is handed to the bridge.
+        """
+        self._place.check_subscription()
         return Subscription(self._sockets, topics, depth)
+
+    def _changes(self) -> Subscription:
+        return Subscription(self._sockets, StatusEvents.topics)
 
     # ---- status -----------------------------------------------------------------------
 
@@ -195,7 +205,7 @@ class Board(Guarded):
         """
         call = self._leases.carried(calls.load(config, mode, wait=True, queue=queue, force=force, lease=lease))
         with Shown(progress, config, mode) as shown:
-            subscription = self.subscribe(*StatusEvents.topics) if shown.tell else None
+            subscription = self._changes() if shown.tell else None
             try:
                 return self.run(change.loading(call, timeout, subscription, shown.tell))
             finally:
@@ -206,7 +216,7 @@ class Board(Guarded):
         self, config: str = "", mode: str = "", *, queue: bool = True, force: bool = False, lease: str = ""
     ) -> ChangeHandle:
         """Ask for a mode and return at once; the handle says when the board is there."""
-        subscription = self.subscribe(*StatusEvents.topics)
+        subscription = self._changes()
         try:
             info = self.ask(calls.load(config, mode, wait=False, queue=queue, force=force, lease=lease))
         except BaseException:
@@ -245,9 +255,9 @@ class Board(Guarded):
     ) -> BoardLease:
         """Hold ``board``, ``config``, ``region:NAME``, ``registers:NAME`` or ``memories:NAME`` as a context manager.
 
-        Within it this board's own calls pass. `holder` is what others are told (default: this process).
+        Within it this board's own calls pass. `holder` is what others are told (default: this process, or the guest).
         """
-        return BoardLease(self, self._leases, leases.wanted(scope, exclusive, seconds, holder, self._place.local))
+        return BoardLease(self, self._leases, leases.wanted(scope, exclusive, seconds, holder, self._place))
 
     # ---- data -----------------------------------------------------------------------------
 
@@ -270,18 +280,19 @@ class Board(Guarded):
         package lz4 at both ends), `newest` asks for each frame when it is read, and `depth` of them (0: 4) wait
         here, beside those at the manager. `timeout` in seconds, None waits
         for ever. `lease`: the id of one's own, where a stream with back-pressure lies in a region that is held.
-        `copy`: over ZeroMQ here too, so that frames are ours alone (docs/security.md).
+        `copy`: over ZeroMQ here too, so that frames are ours alone (docs/security.md). Guests of a bridge ask for
+        each frame (`newest`), in their own name.
         """
         if self._place.data is not None and not copy:
             wanted = Open(name, depth=depth, lease=self._leases.named(lease))
             return self._using(LocalStream(self._place.data, wanted, timeout, newest, owner=self))
-        published = Wanted(name, timeout, newest, compression, depth)
-        if newest:
+        published = Wanted(name, timeout, newest or bool(self._place.guest), compression, depth)
+        if published.newest:
             return NewestStream(self, published, self._new_link)
         return RemoteStream(self, published)
 
     def _new_link(self) -> Link:
-        return Link(self._sockets, self.timeout)
+        return Link(self._sockets, self.timeout, self._place.guest)
 
     def _check_open(self) -> None:
         if self._sockets.closed:

@@ -61,10 +61,10 @@ class Subscription:
 class Link:
     """One connection for requests; threads take turns."""
 
-    def __init__(self, sockets: Sockets, timeout: float) -> None:
+    def __init__(self, sockets: Sockets, timeout: float, guest: str = "") -> None:
         self.timeout = timeout  # seconds, of what is asked with no time-out of its own
         self._sockets = sockets
-        self._requests = Requests(sockets.endpoints.req)
+        self._requests = Requests(sockets.endpoints.req, guest)
         self._lock = threading.Lock()
         self._socket: Socket
         self._open()
@@ -126,7 +126,8 @@ class Link:
             if self._socket in ready:
                 frames = multipart.receive(self._socket)
                 if frames[0] == number:  # others answer requests that timed out
-                    return [*map(bytes, frames[2:4]), *frames[4:]]  # payloads stay where libzmq put them
+                    body = self._requests.body(frames)
+                    return [*map(bytes, body[:2]), *body[2:]]  # payloads stay where libzmq put them
             elif self._monitor in ready:
                 self._look()
                 if self._handshake.lost:

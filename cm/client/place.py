@@ -13,14 +13,20 @@ from cm.errors import InvalidRequest
 from cm.wire import plane_packets as packets
 from cm.wire.topics import Endpoints
 
+_NAME = 64  # characters of a guest's name
+
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Endpoints, keys, and the folder of the data socket, which only the manager's own machine has."""
+    """Endpoints, keys, and the folder of the data socket, which only the manager's own machine has.
+
+    `guest`: in whose name a bridge asks; there is no data socket for one, since it is the bridge that it knows.
+    """
 
     endpoints: Endpoints
     keys: Keys | None
     data: Path | None
+    guest: str = ""
 
     @property
     def local(self) -> bool:
@@ -29,25 +35,40 @@ class Place:
 
     def data_folder(self, what: str) -> Path:
         """The folder of the data socket. Raises InvalidRequest where there is none."""
+        if self.guest:
+            raise InvalidRequest(f"{what} needs the manager's data socket, which knows no guests of a bridge")
         if self.data is None:
             raise InvalidRequest(f"{what} needs the manager's data socket, which only its own machine has")
         return self.data
 
+    def check_subscription(self) -> None:
+        """Raise InvalidRequest where a bridge would listen with its own rights in the name of a guest."""
+        if self.guest:
+            raise InvalidRequest(
+                f"what is published is handed to the bridge, not to {self.guest!r}: subscribe without a guest, "
+                "and hold back what is not for it"
+            )
+
 
 def find(
-    endpoint: str | None, runtime_dir: str | os.PathLike[str] | None, keys: str | os.PathLike[str] | Keys | None
+    endpoint: str | None,
+    runtime_dir: str | os.PathLike[str] | None,
+    keys: str | os.PathLike[str] | Keys | None,
+    guest: str = "",
 ) -> Place:
     """As `connect` takes them; what is not given may stand in `$CM_CONNECT` and `$CM_KEYS`.
 
     Raises InvalidRequest, NotFound.
     """
+    if len(guest) > _NAME or not guest.isprintable():
+        raise InvalidRequest(f"guest={guest!r}: a name of at most {_NAME} characters, all printable")
     if endpoint is None and runtime_dir is None:
         endpoint = os.environ.get("CM_CONNECT") or None
     endpoints = resolve(endpoint, runtime_dir)
     folder = Path(endpoints.req.removeprefix("ipc://")).parent
     local = endpoints.req.startswith("ipc://")
     # Elsewhere than on Linux a folder can only be that of sockets that are forwarded, and frames come over ZeroMQ.
-    data = folder if local and sys.platform == "linux" and (folder / packets.SOCKET).exists() else None
+    data = folder if local and not guest and sys.platform == "linux" and (folder / packets.SOCKET).exists() else None
     if keys is None and not local:
         keys = os.environ.get("CM_KEYS") or None
-    return Place(endpoints, keys if keys is None or isinstance(keys, Keys) else load_keys(keys), data)
+    return Place(endpoints, keys if keys is None or isinstance(keys, Keys) else load_keys(keys), data, guest)

@@ -20,7 +20,8 @@ import cm
 import cm.aio
 from cm.cli.keys import read_key_file, write_key_file
 from cm.cli.main import main
-from cm.errors import CmError, Forbidden
+from cm.client.stream import NewestStream
+from cm.errors import CmError, Forbidden, InvalidRequest
 from cm.sim import Board as SimBoard
 from cm.wire.cm_pb2 import RegWrite, Reply, WriteReg
 from cm.wire.topics import tcp_endpoints
@@ -190,6 +191,54 @@ def test_a_bridge_asks_in_the_name_of_its_guests_with_their_rights(guarded: Guar
         assert (refused.code, refused.message.startswith("web:eve through curve:")) == ("forbidden", True)
         assert told(b"for=root").error.code == "forbidden"
         assert told(b"for=").error.code == "forbidden"
+
+
+def test_both_clients_ask_in_the_name_of_a_guest(guarded: Guarded) -> None:
+    path = guarded.key("bridge", "gateway")
+    until(lambda: guarded.lets_in("bridge"))
+
+    def connect(guest: str) -> cm.Board:
+        return cm.connect(guarded.address, keys=path, timeout=20, guest=guest)
+
+    with connect("web:ada") as ada, connect("web:eve") as eve:
+        ada.registers["focus"] = 4
+        assert eve.registers["focus"] == 4
+        with pytest.raises(Forbidden, match=r"web:eve through curve:.* has no right to cm_write_reg"):
+            eve.registers["focus"] = 5
+        assert [ada.load("camera", "default") >= 0, ada.load_async("camera", "default").wait(30) >= 0] == [True, True]
+        with ada.stream("camera", timeout=30) as frames:
+            assert frames.read().shape == frames.read().shape
+        with ada.lease("config", seconds=30):
+            assert [lease.holder for lease in ada.status.leases] == ["web:ada"]
+        with pytest.raises(InvalidRequest, match="handed to the bridge, not to 'web:ada'"):
+            ada.watch()
+    with pytest.raises(Forbidden, match="has no right to cm_status"):
+        connect("root")
+    with pytest.raises(InvalidRequest, match="64 characters"):
+        connect("x" * 65)
+
+    async def twin() -> None:
+        async with cm.aio.connect(guarded.address, keys=path, timeout=20, guest="web:eve") as eve:
+            assert "focus" in await eve.registers.read("focus")
+            with pytest.raises(Forbidden, match="web:eve through curve"):
+                await eve.registers.write({"focus": 5})
+            with pytest.raises(InvalidRequest, match="handed to the bridge"):
+                eve.watch()
+            async with eve.stream("camera", timeout=30) as frames:
+                assert (await frames.read()).shape
+
+    asyncio.run(twin())
+
+
+def test_a_bridge_on_the_managers_machine_opens_no_data_socket_for_a_guest(guarded: Guarded) -> None:
+    """That would be with the bridge's own rights."""
+    with cm.connect(runtime_dir=guarded.manager.runtime, timeout=20, guest="web:ada") as ada:
+        assert ada.status.mode == "default"
+        with ada.stream("camera", timeout=30) as frames:
+            assert isinstance(frames, NewestStream)
+            assert frames.read().shape
+        with pytest.raises(InvalidRequest, match="knows no guests"):
+            ada.allocate(16)
 
 
 def test_a_key_that_is_taken_away_ends_its_sessions_while_others_go_on(guarded: Guarded) -> None:

@@ -61,10 +61,10 @@ class Subscription:
 class Link:
     """One connection for requests, made by `open` in the event loop that uses it."""
 
-    def __init__(self, sockets: Sockets, timeout: float) -> None:
+    def __init__(self, sockets: Sockets, timeout: float, guest: str = "") -> None:
         self.timeout = timeout  # seconds, of what is asked with no time-out of its own
         self._sockets = sockets
-        self._requests = Requests(sockets.endpoints.req)
+        self._requests = Requests(sockets.endpoints.req, guest)
         self._pending: dict[bytes, asyncio.Future[list[bytes]]] = {}
         self._socket: zmq.asyncio.Socket | None = None
         self._monitor: zmq.asyncio.Socket | None = None
@@ -85,7 +85,7 @@ class Link:
             frames = await self._socket.recv_multipart()
             waiting = self._pending.pop(frames[0], None)
             if waiting is not None and not waiting.done():
-                waiting.set_result(frames[2:])
+                waiting.set_result(list(self._requests.body(frames)))
 
     async def _look(self) -> None:
         """A manager that goes away, or does not let us in, is told to all who wait."""

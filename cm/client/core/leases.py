@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from cm.client.core.calls import Call
+from cm.client.place import Place
 from cm.messages.requests import ReleaseLease, RenewLease, TakeLease
 
 _T = TypeVar("_T")
@@ -39,8 +40,9 @@ class HeldLeases:
         return replace(call, request=replace(request, lease=self.named("")))
 
 
-def wanted(scope: str, exclusive: bool, seconds: float, holder: str, local: bool) -> TakeLease:
+def wanted(scope: str, exclusive: bool, seconds: float, holder: str, place: Place) -> TakeLease:
     """The request for a new one. On the manager's machine it ends with this process."""
+    local, holder = place.local, holder or place.guest
     pid = os.getpid() if local else 0  # a number of another machine would name another process here
     return TakeLease(scope, exclusive, seconds, holder=holder or f"pid {os.getpid()}", pid=pid)
 

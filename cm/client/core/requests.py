@@ -10,21 +10,31 @@ from typing import Any, TypeVar
 from cm.client.core.calls import Call
 from cm.client.errors import ConnectionLost, NoAnswer
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.envelope import GUEST
 
 _T = TypeVar("_T")
 
 
 class Requests:
-    """Those of one connection, which never mistakes the late reply of one for that of another."""
+    """Those of one connection, which never mistakes the late reply of one for that of another.
 
-    def __init__(self, address: str) -> None:
+    `guest`: in whose name they are asked, by a bridge; empty for its own.
+    """
+
+    def __init__(self, address: str, guest: str = "") -> None:
         self.address = address
         self._numbers = itertools.count(1)
+        self._between = (GUEST + guest.encode(), b"") if guest else (b"",)  # the number and the command
+        self._envelope = 1 + len(self._between)
 
     def begin(self, call: Call[Any]) -> tuple[bytes, tuple[Any, ...]]:
         """The number of a new request, and the frames that carry it."""
         number = b"%d" % next(self._numbers)
-        return number, (number, b"", *encode_request(call.request))
+        return number, (number, *self._between, *encode_request(call.request))
+
+    def body(self, frames: Sequence[_T]) -> Sequence[_T]:
+        """What came in reply, without what came back of the request."""
+        return frames[self._envelope :]
 
     def no_answer(self, limit: float | None) -> NoAnswer:
         """Nothing came within `limit` seconds."""
