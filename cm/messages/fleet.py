@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What boards of a fleet, and the bridges before them, tell each other beside what managers say, as frozen data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+from cm.messages.status import ErrorInfo, Status
+
+
+class Policy(str, Enum):
+    """How many boards have to be in the new mode for the change to stay."""
+
+    ALL = "all"
+    QUORUM = "quorum"
+    BEST_EFFORT = "best_effort"
+
+    def holds(self, members: int, there: int) -> bool:
+        """Whether `there` of `members` boards are enough."""
+        if self is Policy.ALL:
+            return there == members
+        return there * 2 > members if self is Policy.QUORUM else there > 0
+
+
+class Decision(str, Enum):
+    """What becomes of a change; it is made once, and written down at the seat before it is told."""
+
+    KEEP = "keep"
+    REVERT = "revert"
+
+
+@dataclass(frozen=True, slots=True)
+class ClockSync:
+    """How well a board's clock is set: its reading is off the reference by `error_ns` at most (0: not known)."""
+
+    source: str = ""
+    synchronised: bool = False
+    error_ns: int = 0
+    reference: str = ""
+    now_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FleetStep:
+    """A step of a change of many boards, as a coordinator asks for it; `seconds` until who heard nothing asks."""
+
+    id: str
+    config_name: str = ""
+    mode: str = ""
+    seat: str = ""
+    members: tuple[str, ...] = ()
+    policy: Policy = Policy.ALL
+    seconds: float = 30.0
+    keep: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRecord:
+    """What a board has written down of a change: from where, to where, how far, and what was decided."""
+
+    id: str
+    state: str
+    config_name: str = ""
+    mode: str = ""
+    old_config_name: str = ""
+    old_mode: str = ""
+    seat: str = ""
+    decision: Decision | None = None
+    error: ErrorInfo | None = None
+    plan_seconds: float = 0.0
+    plan_bytes: int = 0
+    seconds: float = 0.0
+    caller: str = ""
+    members: tuple[str, ...] = ()
+    policy: Policy = Policy.ALL
+    deadline: float = 0.0  # CLOCK_REALTIME, seconds
+
+
+@dataclass(frozen=True, slots=True)
+class FetchBundle:
+    """An archive that a board is to fetch: its sha256 and those of its parts, each of `part_length` but the last."""
+
+    sha256: str
+    length: int
+    parts: tuple[str, ...]
+    part_length: int
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BundleState:
+    """How much of an archive a board has, and the configuration that it became."""
+
+    sha256: str
+    length: int
+    have: int
+    config_name: str = ""
+    signer: str = ""
+    error: ErrorInfo | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BoardStatus:
+    """A board's status with what its bridge knows beside it."""
+
+    status: Status
+    labels: tuple[str, ...] = ()
+    clock: ClockSync = field(default_factory=ClockSync)
+    fleet: FleetRecord | None = None

@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of fleets ↔ frozen data. Of a manager's own messages a bridge changes no byte: it adds fields behind."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+from google.protobuf.message import DecodeError, Message
+
+from cm.errors import InvalidRequest
+from cm.messages import fleet as fl
+from cm.messages.status import ErrorInfo
+from cm.wire import bodies
+from cm.wire import cm_pb2 as pb
+
+_M = TypeVar("_M", bound=Message)
+
+
+def parsed(kind: type[_M], data: bytes) -> _M:
+    """A message of this kind. Raises InvalidRequest."""
+    try:
+        return kind.FromString(data)
+    except DecodeError as problem:
+        raise InvalidRequest(f"the payload is no {kind.__name__} message ({problem})") from problem
+
+
+def extras(labels: tuple[str, ...], clock: fl.ClockSync, record: fl.FleetRecord | None) -> bytes:
+    """What is put behind a serialised Status: protobuf reads messages one behind the other as one."""
+    message = pb.Status(labels=labels, clock=_clock_to_pb(clock))
+    if record is not None:
+        message.fleet.CopyFrom(record_to_pb(record))
+    return message.SerializeToString()
+
+
+def board_status(data: bytes) -> fl.BoardStatus:
+    """A Status with what a bridge added. Raises InvalidRequest."""
+    message = parsed(pb.Status, data)
+    record = record_from_pb(message.fleet) if message.HasField("fleet") else None
+    return fl.BoardStatus(bodies.status_from_pb(message), tuple(message.labels), _clock_from_pb(message.clock), record)
+
+
+def status_of_reply(data: bytes) -> bytes:
+    """The Status in a manager's Reply, serialised. Raises InvalidRequest for another reply."""
+    reply = parsed(pb.Reply, data)
+    if not reply.HasField("status"):
+        raise InvalidRequest(f"the manager told no status: {reply.error.message}")
+    return reply.status.SerializeToString()
+
+
+def _clock_to_pb(clock: fl.ClockSync) -> pb.ClockSync:
+    return pb.ClockSync(
+        source=clock.source,
+        synchronised=clock.synchronised,
+        error_ns=clock.error_ns,
+        reference=clock.reference,
+        now_ns=clock.now_ns,
+    )
+
+
+def _clock_from_pb(m: pb.ClockSync) -> fl.ClockSync:
+    return fl.ClockSync(m.source, m.synchronised, m.error_ns, m.reference, m.now_ns)
+
+
+def encode_step(step: fl.FleetStep) -> bytes:
+    """As it is the payload of a command under ``do/``."""
+    message = pb.FleetStep(
+        id=step.id,
+        config_name=step.config_name,
+        mode=step.mode,
+        seat=step.seat,
+        members=step.members,
+        policy=step.policy.value,
+        seconds=step.seconds,
+        keep=step.keep,
+    )
+    return message.SerializeToString()
+
+
+def decode_step(data: bytes) -> fl.FleetStep:
+    """Raises InvalidRequest for what is no step, or has no id."""
+    m = parsed(pb.FleetStep, data)
+    if not m.id or not m.id.isascii() or not m.id.isprintable() or len(m.id) > 64 or "/" in m.id:
+        raise InvalidRequest(f"a change of a fleet has an id of 1 to 64 printable characters without /, not {m.id!r}")
+    return fl.FleetStep(m.id, m.config_name, m.mode, m.seat, tuple(m.members), _policy(m.policy), m.seconds, m.keep)
+
+
+def _policy(text: str) -> fl.Policy:
+    try:
+        return fl.Policy(text or "all")
+    except ValueError:
+        known = ", ".join(p.value for p in fl.Policy)
+        raise InvalidRequest(f"policy {text!r}: one of {known} is wanted") from None
+
+
+def record_to_pb(r: fl.FleetRecord) -> pb.FleetRecord:
+    """A record as a message."""
+    message = pb.FleetRecord(
+        id=r.id,
+        state=r.state,
+        config_name=r.config_name,
+        mode=r.mode,
+        old_config_name=r.old_config_name,
+        old_mode=r.old_mode,
+        seat=r.seat,
+        decision=r.decision.value if r.decision else "",
+        plan_seconds=r.plan_seconds,
+        plan_bytes=r.plan_bytes,
+        seconds=r.seconds,
+        caller=r.caller,
+        members=r.members,
+        policy=r.policy.value,
+        deadline=r.deadline,
+    )
+    if r.error is not None:
+        message.error.CopyFrom(bodies.error_to_pb(r.error))
+    return message
+
+
+def record_from_pb(m: pb.FleetRecord) -> fl.FleetRecord:
+    """A message as a record."""
+    return fl.FleetRecord(
+        id=m.id,
+        state=m.state,
+        config_name=m.config_name,
+        mode=m.mode,
+        old_config_name=m.old_config_name,
+        old_mode=m.old_mode,
+        seat=m.seat,
+        decision=fl.Decision(m.decision) if m.decision else None,
+        error=bodies.error_from_pb(m.error) if m.HasField("error") else None,
+        plan_seconds=m.plan_seconds,
+        plan_bytes=m.plan_bytes,
+        seconds=m.seconds,
+        caller=m.caller,
+        members=tuple(m.members),
+        policy=_policy(m.policy),
+        deadline=m.deadline,
+    )
+
+
+def encode_record(record: fl.FleetRecord) -> bytes:
+    """As it lies on a board's disk."""
+    return record_to_pb(record).SerializeToString()
+
+
+def decode_record(data: bytes) -> fl.FleetRecord:
+    """Raises InvalidRequest."""
+    return record_from_pb(parsed(pb.FleetRecord, data))
+
+
+def encode_fetch(fetch: fl.FetchBundle) -> bytes:
+    """As it is the payload of ``do/bundle``."""
+    message = pb.FetchBundle(
+        sha256=fetch.sha256, length=fetch.length, parts=fetch.parts, part_length=fetch.part_length, name=fetch.name
+    )
+    return message.SerializeToString()
+
+
+def decode_fetch(data: bytes) -> fl.FetchBundle:
+    """Raises InvalidRequest for what cannot be."""
+    m = parsed(pb.FetchBundle, data)
+    wanted = -(-m.length // m.part_length) if m.part_length else 0
+    hashes = (m.sha256, *m.parts)
+    if not m.length or len(m.parts) != wanted or not all(_is_sha256(text) for text in hashes):
+        raise InvalidRequest(
+            f"a bundle of {m.length} bytes in parts of {m.part_length} has {wanted} parts, each with its sha256 "
+            f"(64 hexadecimal digits); {len(m.parts)} are named"
+        )
+    return fl.FetchBundle(m.sha256, m.length, tuple(m.parts), m.part_length, m.name)
+
+
+def _is_sha256(text: str) -> bool:
+    return len(text) == 64 and all(c in "0123456789abcdef" for c in text)
+
+
+def _bundle_to_pb(b: fl.BundleState) -> pb.BundleState:
+    message = pb.BundleState(sha256=b.sha256, length=b.length, have=b.have, config_name=b.config_name, signer=b.signer)
+    if b.error is not None:
+        message.error.CopyFrom(bodies.error_to_pb(b.error))
+    return message
+
+
+def _bundle_from_pb(m: pb.BundleState) -> fl.BundleState:
+    error = bodies.error_from_pb(m.error) if m.HasField("error") else None
+    return fl.BundleState(m.sha256, m.length, m.have, m.config_name, m.signer, error)
+
+
+def encode_answer(body: fl.FleetRecord | fl.BundleState | ErrorInfo) -> bytes:
+    """What a bridge itself answers with: a Reply, as a manager's."""
+    if isinstance(body, ErrorInfo):
+        message = pb.Reply(ok=False, error=bodies.error_to_pb(body))
+    elif isinstance(body, fl.FleetRecord):
+        message = pb.Reply(ok=True, fleet=record_to_pb(body))
+    else:
+        message = pb.Reply(ok=True, bundle=_bundle_to_pb(body))
+    return message.SerializeToString()
+
+
+def decode_answer(data: bytes) -> fl.FleetRecord | fl.BundleState | ErrorInfo:
+    """The other way round. Raises InvalidRequest for a Reply with another body."""
+    reply: Any = parsed(pb.Reply, data)
+    if not reply.ok:
+        return bodies.error_from_pb(reply.error)
+    if reply.HasField("fleet"):
+        return record_from_pb(reply.fleet)
+    if reply.HasField("bundle"):
+        return _bundle_from_pb(reply.bundle)
+    raise InvalidRequest(f"the bridge answered with {reply.WhichOneof('body')}, not with a record or a bundle")

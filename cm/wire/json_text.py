@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages as JSON (protobuf's own mapping, with the names of cm.proto) for who has no protobuf."""
+
+from __future__ import annotations
+
+from google.protobuf import json_format
+from google.protobuf.message import DecodeError, Message
+
+from cm.errors import InvalidRequest
+from cm.wire import cm_pb2 as pb
+
+
+def kinds() -> frozenset[str]:
+    """Names of all messages of cm.proto."""
+    return frozenset(pb.DESCRIPTOR.message_types_by_name)
+
+
+def _class_of(kind: str) -> type[Message]:
+    found: type[Message] = getattr(pb, kind)
+    return found
+
+
+def to_json(kind: str, data: bytes) -> str:
+    """A serialised message of the named kind, such as "Status", as JSON. Raises InvalidRequest."""
+    try:
+        message = _class_of(kind).FromString(data)
+    except DecodeError as problem:
+        raise InvalidRequest(f"the payload is no {kind} message ({problem})") from problem
+    return json_format.MessageToJson(message, preserving_proto_field_name=True, indent=None)
+
+
+def from_json(kind: str, text: str | bytes) -> bytes:
+    """JSON as a serialised message. Raises InvalidRequest that says which field is wrong."""
+    message = _class_of(kind)()
+    try:
+        json_format.Parse(text, message)
+    except (json_format.ParseError, UnicodeDecodeError) as problem:
+        raise InvalidRequest(f"{kind} as JSON: {problem}") from problem
+    return message.SerializeToString()
