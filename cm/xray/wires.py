@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wires: which of neighbouring tiles are one node, and the pips that join nodes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+from cm.xray.database import Database
+from cm.xray.tiles import Tile
+
+Wire = tuple[str, str]  # tile, name of the wire in it
+
+
+class Pip(NamedTuple):
+    """A switch of a kind of tile from wire `source` to wire `destination`.
+
+    Its feature is `DESTINATION.SOURCE`. A pseudo pip is a way through a site, set by the site's features.
+    """
+
+    source: str
+    destination: str
+    both_ways: bool
+    pseudo: bool
+
+    @property
+    def feature(self) -> str:
+        """Its name in FASM, without the tile."""
+        return f"{self.destination}.{self.source}"
+
+
+@dataclass(frozen=True, slots=True)
+class SitePins:
+    """A site of a kind of tile: its type (``SLICEM``), prefix (``SLICE``), place in the tile, and wire by pin."""
+
+    type: str
+    prefix: str
+    x: int
+    y: int
+    pins: Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A kind of tile: its wires, its pips by feature, its sites."""
+
+    wires: frozenset[str]
+    pips: Mapping[str, Pip]
+    sites: tuple[SitePins, ...]
+
+
+class Wires:
+    """The wires of a part. What was asked once is kept."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self._kinds: dict[str, Kind] = {}
+        self._nodes: dict[Wire, frozenset[Wire]] = {}
+
+    def kind(self, name: str) -> Kind:
+        """A kind of tile, such as ``INT_L``. Raises XrayError."""
+        if name not in self._kinds:
+            found = self._database.json(f"tile_type_{name}.json")
+            pips = (
+                Pip(pip["src_wire"], pip["dst_wire"], pip["is_directional"] == "0", pip["is_pseudo"] == "1")
+                for pip in found["pips"].values()
+            )
+            sites = tuple(
+                SitePins(
+                    site["type"],
+                    site["prefix"],
+                    site["x_coord"],
+                    site["y_coord"],
+                    {pin: detail["wire"] for pin, detail in site["site_pins"].items() if detail},
+                )
+                for site in found["sites"]
+            )
+            self._kinds[name] = Kind(frozenset(found["wires"]), {pip.feature: pip for pip in pips}, sites)
+        return self._kinds[name]
+
+    def node(self, tile: str, wire: str) -> frozenset[Wire]:
+        """All wires, in any tile, that are the same piece of metal as this one; itself among them."""
+        start = (tile, wire)
+        if start not in self._nodes:
+            found = self._reach(start)
+            self._nodes.update(dict.fromkeys(found, found))
+        return self._nodes[start]
+
+    def _reach(self, start: Wire) -> frozenset[Wire]:
+        found, todo = {start}, [start]
+        while todo:
+            tile, wire = todo.pop()
+            here = self._database.tiles[tile]
+            for neighbour in self._neighbours(here, wire):
+                if neighbour not in found:
+                    found.add(neighbour)
+                    todo.append(neighbour)
+        return frozenset(found)
+
+    def _neighbours(self, tile: Tile, wire: str) -> list[Wire]:
+        found = []
+        for dx, dy, kind, other in self._joints.get((tile.kind, wire), ()):
+            there = self._database.tile_at.get((tile.x + dx, tile.y + dy))
+            if there is not None and there.kind == kind:
+                found.append((there.name, other))
+        return found
+
+    @cached_property
+    def _joints(self) -> Mapping[tuple[str, str], list[tuple[int, int, str, str]]]:
+        """For a wire of a kind of tile: (dx, dy, kind there, wire there) of each that it may be joined to."""
+        joints: dict[tuple[str, str], list[tuple[int, int, str, str]]] = {}
+        for entry in self._database.json(f"{self._database.fabric}/tileconn.json"):
+            (one, two), (dx, dy) = entry["tile_types"], entry["grid_deltas"]
+            for wire_one, wire_two in entry["wire_pairs"]:
+                joints.setdefault((one, wire_one), []).append((dx, dy, two, wire_two))
+                joints.setdefault((two, wire_two), []).append((-dx, -dy, one, wire_one))
+        return joints
