@@ -56,7 +56,7 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "schema": (
         "Runtime schemas",
         "Loading and checking them. [The format](../schema.md).",
-        ("cm.schema", "cm.schema.model"),
+        ("cm.schema", "cm.schema.model", "cm.schema.pictures"),
     ),
     "bitstream": (
         "Bitstreams",

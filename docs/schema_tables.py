@@ -28,6 +28,7 @@ SECTIONS = {
     "field": "registers.NAME.fields.NAME",
     "memory": "memories.NAME",
     "stream": "streams.NAME",
+    "camera_info": "streams.NAME.camera_info",
     "interrupt": "interrupts.NAME",
     "clock": "clocks.NAME",
     "overlay": "overlays[]",

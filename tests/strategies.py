@@ -30,6 +30,7 @@ from cm.schema.model import (
     Register,
     Stream,
 )
+from cm.schema.pictures import CameraInfo
 
 DTYPES = ("bool", "int8", "uint8", "int16", "uint16", "float32", "complex128")
 
@@ -179,7 +180,29 @@ def streams(draw: st.DrawFn, name: str, known: list[str]) -> Stream:
         limit=draw(maybe(st.floats(0.1, 1e6))),
         backpressure=draw(st.booleans()),
         stride=draw(maybe(st.integers(1, 1 << 20))),
+        frame_id=draw(maybe(st.sampled_from(("base_link", "front/camera")))),
+        camera_info=draw(maybe(cameras())),
         doc=draw(docs),
+    )
+
+
+@st.composite
+def cameras(draw: st.DrawFn) -> CameraInfo:
+    """A calibration."""
+    numbers = st.integers(-(10**6), 10**6).map(lambda thousandths: thousandths / 1000)
+
+    def matrix(length: int) -> tuple[float, ...]:
+        return tuple(draw(st.lists(numbers, min_size=length, max_size=length)))
+
+    return CameraInfo(
+        width=draw(st.integers(1, 65535)),
+        height=draw(st.integers(1, 65535)),
+        k=matrix(9),
+        distortion_model=draw(st.sampled_from(("plumb_bob", "rational_polynomial", "equidistant"))),
+        d=draw(st.sampled_from((0, 4, 5, 8)).map(matrix)),
+        r=matrix(9),
+        p=draw(st.sampled_from((0, 12)).map(matrix)),
+        name=draw(st.sampled_from(("", "front"))),
     )
 
 

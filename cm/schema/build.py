@@ -34,6 +34,7 @@ from cm.schema.model import (
     StaticIdentity,
     Stream,
 )
+from cm.schema.pictures import camera_info
 from cm.schema.problems import KeyPath, did_you_mean
 
 _DIRECTIONS = {"write": "mm2s", "tx": "mm2s", "read": "s2mm", "rx": "s2mm"}
@@ -229,6 +230,8 @@ def _stream_values(values: dict[str, Any]) -> dict[str, Any]:
     for name, kind in (("slots", int), ("stride", int), ("rate", float), ("limit", float)):
         if name in changes:
             changes[name] = kind(changes[name])
+    if "camera_info" in changes:
+        changes["camera_info"] = camera_info(changes["camera_info"])
     return changes
 
 

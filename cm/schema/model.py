@@ -14,6 +14,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeVar
 
+from cm.schema.pictures import CameraInfo
+
 _K = TypeVar("_K")
 _V = TypeVar("_V")
 
@@ -293,6 +295,9 @@ class Stream:
     backpressure: bool = False  # readers lose nothing: the hardware waits for the slowest
     stride: int | None = None  # bytes from line to line in memory (VDMA); None: lines follow each other
     limit: float | None = None  # frames handed on per second at most; None: all
+    encoding: str | None = None  # of a pixel, by ROS's names; None: what shape and dtype say
+    frame_id: str | None = None  # the coordinates that the data are in; None: the stream's name
+    camera_info: CameraInfo | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import fields
 
 from cm.schema.context import IMAGE_KEYS, STATIC, Context
-from cm.schema.model import Config, ConfigType, Decoupler, GpioLine, Mode, Overlay, Region, StaticIdentity, Stream
+from cm.schema.model import (
+    ITEM_BYTES,
+    Config,
+    ConfigType,
+    Decoupler,
+    GpioLine,
+    Mode,
+    Overlay,
+    Region,
+    StaticIdentity,
+    Stream,
+)
+from cm.schema.pictures import implied_encoding, misfit
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.rules_interrupts import check_interrupts
 from cm.schema.rules_memories import check_memories
@@ -192,3 +204,15 @@ def _check_streams(
         if other != name:
             message = f"streams {other} and {name} are both on channel {stream.channel}"
             context.report((*path, name), "channel_conflict", message, "one stream per channel")
+        _check_picture(stream, (*path, name), context)
+
+
+def _check_picture(stream: Stream, path: KeyPath, context: Context) -> None:
+    """Pixels of the encoding are as long as those of the frames."""
+    if stream.encoding is None:
+        return
+    problem = misfit(stream.encoding, stream.shape, ITEM_BYTES[stream.dtype])
+    if problem:
+        implied = implied_encoding(stream.shape, stream.dtype)
+        hint = f"{implied} would be" if implied else "shape: [rows, columns] or [rows, columns, channels]"
+        context.report((*path, "encoding"), "encoding_mismatch", problem, hint)

@@ -12,6 +12,7 @@ from typing import Any
 from cm.schema.build import default_region, only_region
 from cm.schema.context import IMAGE_KEYS, STATIC
 from cm.schema.model import BitField, Config, Decoupler, Memory, Mode, Module, Overlay, Region, Register, Stream
+from cm.schema.pictures import CameraInfo, camera_file
 from cm.schema.text import Hex, to_yaml
 
 _NAMES = {"minimum": "min", "maximum": "max"}
@@ -128,6 +129,7 @@ def _stream(stream: Stream, config: Config, base: Stream | None = None) -> dict[
         if field.name == "region":
             value = value or STATIC
         value = list(value) if isinstance(value, tuple) else value
+        value = camera_file(value) if isinstance(value, CameraInfo) else value
         data[field.name] = value.value if isinstance(value, Enum) else value
     return data
 

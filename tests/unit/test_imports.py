@@ -63,6 +63,7 @@ MAY = {
     "importers": BASE | {"fdt", "native", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim", "xray"},
     "rtl": BASE | {"build", "loop", "schema", "sim"},
+    "bridge": BASE | {"client", "messages", "schema", "wire"},
     "conformance": BASE | {"client", "messages", "wire"},
     "testing": BASE | {"child", "client", "rtl", "sim"},
 }
@@ -81,6 +82,7 @@ LIBRARIES = {
     "numpy": {
         "bench",
         "bitstream",
+        "bridge",
         "build",
         "cli",
         "client",
