@@ -133,7 +133,7 @@ class Link:
                 if self._handshake.lost:
                     raise self._requests.lost()
             elif not ready and deadline.left == 0:
-                raise self._requests.no_answer(timeout)
+                raise self._handshake.suspected or self._requests.no_answer(timeout)
 
     def _send(self, frames: Sequence[Any]) -> None:
         """A socket that was not let in has nowhere to send to, and would wait for ever."""

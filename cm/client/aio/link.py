@@ -131,7 +131,8 @@ class Link:
         try:
             reply = await asyncio.wait_for(waiting, timeout)
         except asyncio.TimeoutError:
-            raise self._requests.no_answer(timeout) from None
+            suspected = self._handshake.suspected if self._handshake else None
+            raise suspected or self._requests.no_answer(timeout) from None
         finally:
             self._pending.pop(number, None)
             sending.cancel()

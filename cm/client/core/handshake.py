@@ -14,7 +14,7 @@ EVENTS = (
     | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
     | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 )
-_ATTEMPTS = 3  # handshakes that fail without a reason, until it is no accident
+_ATTEMPTS = 3  # handshakes that fail without a reason, until that is worth telling
 
 
 class Handshake:
@@ -25,23 +25,26 @@ class Handshake:
         self._keys = keys
         self._failures = 0
         self.refused: NotAdmitted | None = None  # once it is known; the socket does not connect any more
+        self.suspected: NotAdmitted | None = None  # told at a time-out, for it may yet end well: the socket tries on
         self.lost = False  # whether a connection that was there has ended, since this was set to False
 
     def take(self, event: int, value: int) -> None:
         """An event and its value."""
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._failures = 0
+            self.suspected = None
         elif event == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             self.refused = NotAdmitted(self._unknown())
         elif event == zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL:
             if value == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
                 self.refused = NotAdmitted(self._mismatch())
         elif event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL:
+            # another key of the manager looks so, and so does a forwarder in front of one that is not up yet
             self._failures += 1
             if self._keys and self._failures >= _ATTEMPTS:
-                self.refused = NotAdmitted(
-                    f"the manager at {self._address} ends every handshake: it has another key than the key file's "
-                    "'server-public', or takes no more connections"
+                self.suspected = NotAdmitted(
+                    f"every handshake with the manager at {self._address} is ended: it has another key than the key "
+                    "file's 'server-public', takes no more connections, or is not up behind what forwards its port"
                 )
         elif not self._failures:
             self.lost = True
