@@ -33,6 +33,8 @@ def test_without_systemd_the_script_starts_reloads_and_stops_it(board: Board) ->
         board.do(f"{script} start")
         board.until(lambda: board.run("cm configs", "alice").status == 0)
         assert "is running" in board.do(f"{script} status")
+        rights = board.do("id -u cm; grep -E '^(Uid|CapEff)' /proc/$(cat /run/cm.pid)/status").split()
+        assert rights[1:] == ["Uid:", *rights[:1] * 4, "CapEff:", "0000000000000002"]
         board.do(f"{script} reload")
         assert "camera" in board.do("cm configs", "alice")
         board.do(f"{script} stop")

@@ -88,6 +88,7 @@ CM_NEEDS_DAEMON = "python3-compression \
                    python3-xml"
 RDEPENDS:${PN}-client:append:class-target = " ${CM_NEEDS_CLIENT}"
 RDEPENDS:${PN}:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) ${CM_NEEDS_DAEMON}"
+RDEPENDS:${PN}:append:class-target = "${@bb.utils.contains('DISTRO_FEATURES', 'systemd', '', ' util-linux-setpriv', d)}"
 RDEPENDS:${PN}-sim:append:class-target = " ${PN} (= ${EXTENDPKGV})"
 RDEPENDS:${PN}-build:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3-jinja2"
 RDEPENDS:${PN}-bench:append:class-target = " ${PN}-sim (= ${EXTENDPKGV})"
