@@ -60,14 +60,14 @@ class Budget:
     """One client's."""
 
     __slots__ = (
-        "_all", "_bounds", "_replies", "busy_ns", "connections", "name", "pending", "place", "refused",
+        "_all", "_replies", "bounds", "busy_ns", "connections", "name", "pending", "place", "refused",
         "replies_bytes", "requests", "upload_bytes", "waiting_bytes",
     )  # fmt: skip
 
     def __init__(self, name: str, bounds: Bounds, of_all: AllClients) -> None:
         self.name = name
         self._all = of_all
-        self._bounds = bounds
+        self.bounds = bounds
         self.connections = 0
         self.place = ""  # where its connections come from
         self.requests = 0
@@ -83,7 +83,7 @@ class Budget:
         """A request is under way that holds `size` bytes. Raises TooMuchWaiting; else `end` follows."""
         if self.pending >= PENDING:
             raise TooMuchWaiting(f"{PENDING} requests of {self.name} are under way; ask again when one has ended")
-        most = self._bounds.waiting_bytes
+        most = self.bounds.waiting_bytes
         if size and _is_full(self.waiting_bytes, size, most, self._all.waiting_bytes):
             raise TooMuchWaiting(
                 f"{self.waiting_bytes} bytes of {self.name} wait, {self._all.waiting_bytes()} of all; "
@@ -94,7 +94,7 @@ class Budget:
 
     def has_room(self, reply: int) -> bool:
         """Whether so many bytes may be made for it now: whether it reads what it asked for."""
-        return not _is_full(self.leaving_bytes, reply, self._bounds.replies_bytes, self._all.leaving_bytes)
+        return not _is_full(self.leaving_bytes, reply, self.bounds.replies_bytes, self._all.leaving_bytes)
 
     def check_room(self) -> None:
         """Raise RepliesUnread where it has not read so much that it gets no more."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Protocol
 
@@ -48,6 +48,12 @@ class Budgets:
         self._peers = peers
         self._named: dict[str, Budget] = {}
         self._known: dict[str, Budget] = {}  # by connection
+
+    def renew(self, bounds: Bounds) -> None:
+        """Other bounds from now on; what waits stays."""
+        self._bounds = bounds
+        for budget in self:
+            budget.bounds = bounds
 
     def __iter__(self) -> Iterator[Budget]:
         return iter(self._named.values())
@@ -104,18 +110,26 @@ class Budgets:
 
 
 def with_holdings(
-    clients: Iterable[ClientStatus], leases: Iterable[LeaseStatus], streams: Iterable[StreamStatus]
+    clients: Iterable[ClientStatus],
+    leases: Iterable[LeaseStatus],
+    streams: Iterable[StreamStatus],
+    memory: Mapping[str, int],
 ) -> tuple[ClientStatus, ...]:
-    """Clients with the leases and the slots of streams that they hold."""
+    """Clients with the leases, the slots of streams and the bytes of `memory` that they hold."""
     held = Counter(lease.client for lease in leases)
     slots = Counter[str]()
     for stream in streams:
         for reader in stream.clients:
             slots[f"pid {reader.pid} ({reader.name})"] += reader.depth
     known = {client.name: client for client in clients}
-    for name in (held | slots).keys() - known.keys():
+    for name in ((held | slots).keys() | memory.keys()) - known.keys():
         known[name] = ClientStatus(name)
-    return tuple([replace(known[name], leases=held[name], slots=slots[name]) for name in sorted(known)])
+    return tuple(
+        [
+            replace(known[name], leases=held[name], slots=slots[name], memory_bytes=memory.get(name, 0))
+            for name in sorted(known)
+        ]
+    )
 
 
 def _told(budget: Budget) -> ClientStatus:

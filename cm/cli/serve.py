@@ -20,6 +20,7 @@ from cm.cli.serve_options import (
     default_state_dir,
     group_of,
     limits_of,
+    quota_of,
     read_again,
     secure_as,
     security_of,
@@ -167,7 +168,6 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
     paths = args.config or (_simulated_schemas(args, runtime) if args.sim else [])
     board = _simulated_root(args, runtime, paths, stack) if args.sim else None
     # While the simulator starts, in a process of its own, this one gets on with its imports.
-    from cm.daemon.host.sent import Quota
     from cm.daemon.options import Options
     from cm.device import Root
     from cm.manager.manager import Settings as ManagerSettings
@@ -201,7 +201,7 @@ def _options(args: argparse.Namespace, settings: Settings | None, stack: ExitSta
         firmware_dir=said.firmware_dir,
         limits=limits_of(said),
         example=example,
-        quota=Quota(said.limits.provisioned_each_mib << 20, said.limits.provisioned_mib << 20),
+        quota=quota_of(said),
         unsigned=said.policy.signatures != "require",
         reload=partial(read_again, args, paths, settings),
         changed=partial(stamps, args, settings),

@@ -21,6 +21,7 @@ from cm.wire.topics import split_tcp
 if TYPE_CHECKING:
     from cm.daemon.endpoints import Security
     from cm.daemon.host.reload import Reloaded
+    from cm.daemon.host.sent import Quota
     from cm.daemon.limits import Limits
     from cm.rights.model import Access
     from cm.schema.model import Config
@@ -175,7 +176,8 @@ def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings 
     listen, keys, insecure = secure_as(args, settings)
     security_of(listen, keys, insecure)
     access, notes = access_of(settings, keys)
-    return Reloaded(configs, access, (*notes, *left_out, *_needs_restart(began, settings)), not left_out)
+    said, notes = settings or Defaults(), (*notes, *left_out, *_needs_restart(began, settings))
+    return Reloaded(configs, access, limits_of(said), quota_of(said), notes, not left_out)
 
 
 def stamps(args: argparse.Namespace, began: Settings | None) -> Stamps:
@@ -205,9 +207,19 @@ def _needs_restart(began: Settings | None, now: Settings | None) -> tuple[str, .
     names = [
         name
         for name in began.__slots__
-        if name not in ("configs", "access") and getattr(began, name) != getattr(now, name)
+        if name not in ("configs", "access", "limits") and getattr(began, name) != getattr(now, name)
     ]
+    if began.limits.message_mib != now.limits.message_mib:  # which sockets are told before they are bound
+        names.append("limits.message_mib")
     return tuple(f"settings: {name} has changed; it counts after a restart" for name in names)
+
+
+def quota_of(settings: Settings) -> Quota:
+    """How much configurations of clients may take."""
+    from cm.daemon.host.sent import Quota
+
+    said = settings.limits
+    return Quota(said.provisioned_each_mib << 20, said.provisioned_mib << 20)
 
 
 def limits_of(settings: Settings) -> Limits:
@@ -226,4 +238,6 @@ def limits_of(settings: Settings) -> Limits:
         leases=said.leases,
         leases_each=said.leases_each,
         slots_each=said.slots_each,
+        memory_bytes=said.memory_mib * MIB,
+        memory_each_bytes=said.memory_each_mib * MIB,
     )

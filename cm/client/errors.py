@@ -77,11 +77,11 @@ class TransferFailed(CmError):
 
 _BUSY = (
     "busy", "region_busy", "held_by", "stream_stopped", "no_slots", "too_much_waiting", "replies_unread",
-    "too_many_leases", "quota",
+    "too_many_leases", "too_much_uploaded", "lease_unwatched", "quota",
 )  # fmt: skip
 _INVALID = (
     "invalid_request", "access", "out_of_range", "schema", "unsupported", "too_long", "too_many", "name_too_long",
-    "number_too_long", "config_reserved",
+    "number_too_long", "config_reserved", "bad_overlay",
 )  # fmt: skip
 _KINDS: dict[str, type[RequestFailed]] = {
     **dict.fromkeys(_BUSY, RequestBusy),
@@ -98,6 +98,7 @@ _KINDS: dict[str, type[RequestFailed]] = {
             "unknown_memory",
             "unknown_interrupt",
             "unknown_lease",
+            "unknown_upload",
             "file_missing",
         ),
         RequestNotFound,

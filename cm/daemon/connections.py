@@ -11,6 +11,7 @@ import logging
 import resource
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from cm.budgets.budget import Bounds
@@ -70,7 +71,14 @@ class Connections:
         each = Bounds(limits.waiting_bytes, limits.replies_bytes)
         self.budgets = budgets = Budgets(each, who, guard.taken, guard.peers)
         self.uploads = Uploads(folder, limits.upload_bytes, limits.uploads_bytes, budgets.upload_bytes)
+        self._message_bytes = limits.message_bytes
         self._told = guard.counts().refused
+
+    def renew(self, limits: Limits) -> None:
+        """Other bounds from now on; who has more than that keeps it. Messages are as long as at the start."""
+        guard.limit(bounds(replace(limits, message_bytes=self._message_bytes)))
+        self.budgets.renew(Bounds(limits.waiting_bytes, limits.replies_bytes))
+        self.uploads.renew(limits.upload_bytes, limits.uploads_bytes)
 
     def close(self) -> None:
         """Forget what was sent in parts."""

@@ -152,12 +152,10 @@ class Handlers:
 
     def _read_status(self, request: rq.ReadStatus, respond: Respond) -> None:
         status = self._s.status()
-        taken = (
-            with_holdings(self._s.connections.budgets.snapshot(), status.leases, status.streams)
-            if request.clients
-            else ()
-        )
-        respond(Reply(replace(status, clients=taken) if taken else status))
+        if request.clients:
+            held = status.leases, status.streams, self._s.streams.allocated()
+            status = replace(status, clients=with_holdings(self._s.connections.budgets.snapshot(), *held))
+        respond(Reply(status))
         self._s.manager.status_read()
 
     def _read_config(self, request: rq.ReadConfig, respond: Respond) -> None:

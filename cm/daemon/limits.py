@@ -15,7 +15,7 @@ class Limits:
     A client is a process of this machine, or an address beyond it. `message_bytes`: of one ZeroMQ message.
     `waiting_bytes`: of one client's requests that wait. `replies_bytes`: of replies that it has not read.
     `upload_bytes`, `uploads_bytes`: sent in parts and not used yet, of one client and of all. `slots_each`: of one
-    stream.
+    stream. `memory_bytes`, `memory_each_bytes`: for masters in the PL, of all and of one client.
     """
 
     connections: int = 1024
@@ -28,3 +28,5 @@ class Limits:
     leases: int = 256
     leases_each: int = 32
     slots_each: int = 64
+    memory_bytes: int = 256 * MIB
+    memory_each_bytes: int = 192 * MIB

@@ -125,6 +125,8 @@ class Metrics:
                 {n: c.waiting_bytes for n, c in clients.items()},
             ),
             "upload_bytes": ("Bytes sent in parts and not used yet.", {n: c.upload_bytes for n, c in clients.items()}),
+            "waiting": ("Requests that wait for their turn.", {n: c.waiting for n, c in clients.items()}),
+            "memory_bytes": ("Bytes of memory for masters in the PL.", self._s.streams.allocated()),
             "loop_seconds": ("The loop's time for its requests.", {n: c.loop_seconds for n, c in clients.items()}),
         }
         for name, (text, values) in taken.items():

@@ -22,7 +22,7 @@ from cm.daemon.handlers import Handlers, Services
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.host.files import BoardFiles, Footprints
 from cm.daemon.host.provision import Provisioner
-from cm.daemon.host.reload import Reloader, Surroundings
+from cm.daemon.host.reload import Reloader, Surroundings, renewal
 from cm.daemon.host.systemd import ServiceManager
 from cm.daemon.interrupts import InterruptWatch
 from cm.daemon.lease_watch import LeaseWatch
@@ -76,7 +76,7 @@ class Server:
         self._authenticator = Authenticator(self._context, gate.enter)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
-        told = self._publisher, leases, self._note_error, options.limits.slots_each
+        told = self._publisher, leases, self._note_error, options.limits
         self._streams = Streams(self._loop, self._devices, *told)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
@@ -111,8 +111,10 @@ class Server:
         loop, o = self._loop, self._options
         standing = partial(self._provisioner.standing, example=o.example)
         aside = self._aside, loop.call_threadsafe, standing, self._with_channels
-        surroundings = Surroundings(self._manager, self._sessions.renew, self._service, *aside, o.reload, o.changed)
-        return Reloader(surroundings, o.configs)
+        renew = renewal(
+            self._sessions.renew, (self._connections, self._streams), self._manager.leases, self._provisioner
+        )
+        return Reloader(Surroundings(self._manager, renew, self._service, *aside, o.reload, o.changed), o.configs)
 
     def _make_dispatcher(self) -> Dispatcher:
         handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)

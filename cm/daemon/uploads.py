@@ -60,6 +60,10 @@ class Uploads:
         self._most, self._all_most, self._total = most, all_most, total
         self._there: dict[tuple[str, str], tuple[_Upload, Budget]] = {}
 
+    def renew(self, most: int, all_most: int) -> None:
+        """Other bounds from now on; what lies here stays."""
+        self._most, self._all_most = most, all_most
+
     def take(self, client: Budget, part: rq.Upload) -> UploadInfo:
         """Store a part. Raises InvalidRequest, TooMuchUploaded, UploadFailed."""
         self.forget_old()

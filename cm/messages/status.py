@@ -143,6 +143,9 @@ class ClientStatus:
     loop_seconds: float = 0.0
     requests: int = 0
     refused: int = 0
+    account: str = ""  # whose it is: a user, a key, or an address
+    waiting: int = 0  # requests that came, and wait for their turn
+    memory_bytes: int = 0  # for masters in the PL
 
 
 @dataclass(frozen=True, slots=True)

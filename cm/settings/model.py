@@ -85,6 +85,8 @@ class LimitSettings:
     slots_each: int = 64
     provisioned_mib: int = 1024
     provisioned_each_mib: int = 512
+    memory_mib: int = 256
+    memory_each_mib: int = 192
 
 
 @dataclass(frozen=True, slots=True)

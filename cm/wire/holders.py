@@ -34,6 +34,9 @@ def client_to_pb(x: st.ClientStatus) -> pb.ClientState:
         loop_seconds=x.loop_seconds,
         requests=x.requests,
         refused=x.refused,
+        account=x.account,
+        waiting=x.waiting,
+        memory_bytes=x.memory_bytes,
     )
 
 
@@ -48,4 +51,7 @@ def client_from_pb(m: pb.ClientState) -> st.ClientStatus:
         m.loop_seconds,
         m.requests,
         m.refused,
+        m.account,
+        m.waiting,
+        m.memory_bytes,
     )

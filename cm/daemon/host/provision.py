@@ -52,6 +52,10 @@ class Provisioner:
         self.reserved: frozenset[str] = frozenset()  # names of the administrator's configurations
         self.owned: Mapping[str, Owned] = {}
 
+    def renew(self, quota: Quota) -> None:
+        """Another quota from now on; what was sent stays."""
+        self._quota = quota
+
     def stored(self) -> list[Path]:
         """The schema files of all configurations that were provisioned."""
         return sorted(path for path in self._folder.glob(f"*/{SCHEMA_FILE}") if not path.parent.name.startswith("."))

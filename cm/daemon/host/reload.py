@@ -7,9 +7,14 @@ import logging
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from typing import Protocol
 
+from cm.daemon.host.provision import Provisioner
+from cm.daemon.host.sent import Quota
 from cm.daemon.host.systemd import ServiceManager
+from cm.daemon.limits import Limits
 from cm.errors import CmError
+from cm.manager.access.leases import Leases
 from cm.manager.manager import Manager
 from cm.rights.model import Access
 from cm.schema.model import Config
@@ -19,10 +24,12 @@ _LOG = logging.getLogger("cm")
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """What was read: configurations by name, who may do what, and what needs a restart to take effect."""
+    """What was read: configurations by name, who may do what and take how much, and what takes a restart."""
 
     configs: Mapping[str, Config]
     access: Access
+    limits: Limits = Limits()  # noqa: RUF009 (frozen)
+    quota: Quota = Quota()  # noqa: RUF009 (frozen)
     notes: tuple[str, ...] = ()
     whole: bool = True  # whether every schema on the search path was good
 
@@ -32,7 +39,7 @@ class Surroundings:
     """What a reloader works with. `read` runs aside; None: there is nothing to read again."""
 
     manager: Manager
-    renew: Callable[[Access], None]
+    renew: Callable[[Reloaded], None]  # what is bounded by settings
     service: ServiceManager
     aside: Executor
     in_loop: Callable[[Callable[[], None]], None]
@@ -40,6 +47,28 @@ class Surroundings:
     complete: Callable[[Config], Config]
     read: Callable[[], Reloaded] | None
     stamps: Callable[[], object] | None = None
+
+
+class Renewed(Protocol):
+    """What other bounds can be given to."""
+
+    def renew(self, limits: Limits, /) -> None:
+        """From now on; what is taken beyond them stays."""
+
+
+def renewal(
+    access: Callable[[Access], None], bounded: tuple[Renewed, ...], leases: Leases, provisioner: Provisioner
+) -> Callable[[Reloaded], None]:
+    """Hands what was read to all that is bounded by it, in the loop's thread."""
+
+    def renew(found: Reloaded) -> None:
+        access(found.access)
+        for one in bounded:
+            one.renew(found.limits)
+        leases.renew(found.limits.leases, found.limits.leases_each)
+        provisioner.renew(found.quota)
+
+    return renew
 
 
 class Reloader:
@@ -85,7 +114,7 @@ class Reloader:
         self._s.in_loop(lambda: self._apply(found, standing))
 
     def _apply(self, found: Reloaded, standing: Mapping[str, Config]) -> None:
-        self._s.renew(found.access)
+        self._s.renew(found)
         # One that is damaged has no name, so that nothing that was known is taken for removed meanwhile.
         hidden = self._ours - found.configs.keys()
         gone = hidden - standing.keys() if found.whole else frozenset()

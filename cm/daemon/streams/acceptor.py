@@ -13,6 +13,7 @@ from cm.daemon.folders import share
 from cm.daemon.loop import Loop
 from cm.daemon.streams.allocations import Allocations
 from cm.daemon.streams.echo import Echoes
+from cm.daemon.streams.peer import Peer
 from cm.errors import CmError
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Open, decode_open, encode_refused
@@ -84,9 +85,9 @@ class Acceptor:
     def _admit(self, connection: socket.socket, wanted: Open) -> None:
         self._check(connection, wanted)
         if wanted.echo:
-            self._echoes.open(os.dup(connection.fileno()), wanted)
+            self._echoes.open(os.dup(connection.fileno()), wanted, Peer.of(connection))
         elif wanted.allocate:
-            self._allocations.open(os.dup(connection.fileno()), wanted)
+            self._allocations.open(os.dup(connection.fileno()), wanted, Peer.of(connection))
         else:
             self._enter(connection, wanted)
 

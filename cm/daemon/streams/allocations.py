@@ -7,11 +7,11 @@ import os
 from collections.abc import Callable
 
 from cm.daemon.host.memory import DeviceMemory
+from cm.daemon.streams.memory_budget import MemoryBudget
+from cm.daemon.streams.peer import Peer
 from cm.device.data_plane import Plane, StreamSetup
-from cm.errors import Busy, InvalidRequest
+from cm.errors import InvalidRequest
 from cm.wire.plane_packets import ADDRESS, Descriptor, Geometry, Open, encode_geometry
-
-MAX_BYTES = 256 << 20  # of all clients together
 
 
 class Allocations:
@@ -20,14 +20,15 @@ class Allocations:
     def __init__(self, plane: Plane, take: Callable[[int], DeviceMemory]) -> None:
         self._plane = plane
         self._take = take
+        self.budget = MemoryBudget("memory for masters in the PL")
         self._open: dict[int, tuple[int, DeviceMemory]] = {}  # client → stream, memory
 
-    def open(self, connection: int, wanted: Open) -> None:
-        """Give a connection memory. Raises InvalidRequest, Busy, DeviceError."""
+    def open(self, connection: int, wanted: Open, peer: Peer) -> None:
+        """Give the connection of a process memory. Raises InvalidRequest, Busy, DeviceError."""
         try:
-            memory = self._take(self._checked(wanted.length))
+            memory = self._take(self._checked(wanted.length, peer))
             try:
-                self._hand_over(connection, memory, wanted.length)
+                self._hand_over(connection, memory, wanted.length, peer)
             except BaseException:
                 memory.free()
                 raise
@@ -35,19 +36,18 @@ class Allocations:
             os.close(connection)
             raise
 
-    def _checked(self, length: int) -> int:
-        used = sum(memory.length for _, memory in self._open.values())
+    def _checked(self, length: int, peer: Peer) -> int:
         if length <= 0:
             raise InvalidRequest("memory has at least one byte")
-        if used + length > MAX_BYTES:
-            raise Busy(f"memory for masters in the PL is {MAX_BYTES >> 20} MiB together; {used} bytes are taken")
+        self.budget.check(peer, length)
         return length
 
-    def _hand_over(self, connection: int, memory: DeviceMemory, length: int) -> None:
+    def _hand_over(self, connection: int, memory: DeviceMemory, length: int, peer: Peer) -> None:
         stream = self._plane.start(None, StreamSetup(write=True, length=memory.length))
         self._plane.add_slot(stream, memory.fd)
         client = self._plane.adopt(connection)
         self._open[client] = (stream, memory)
+        self.budget.took(client, peer, memory.length)
         geometry = Geometry(
             memory.length, length, coherent=memory.coherent, writable=True, depth=1, shape=(length,), stream="memory"
         )
@@ -58,5 +58,6 @@ class Allocations:
         """A client of the plane has gone; nothing if it had no memory."""
         stream, memory = self._open.pop(client, (0, None))
         if memory is not None:
+            self.budget.gone(client)
             self._plane.stop(stream)
             memory.free()

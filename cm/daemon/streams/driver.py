@@ -71,6 +71,12 @@ class StreamDriver:
         self._stalled = StalledChannels(devices.probe_dma)
         loop.add(self.plane.fileno(), self._plane_event)
 
+    def renew(self, slots_each: int) -> None:
+        """So many slots of a stream are for one process from now on."""
+        self._slots_each = slots_each
+        for opened in self.open.values():
+            opened.each = slots_each
+
     def refresh(self) -> None:
         """Open what is wanted, close what is not wanted any more."""
         for name in self._stalled.answered() if self._policy.stalled() else ():

@@ -6,11 +6,12 @@ from __future__ import annotations
 import mmap
 import os
 
+from cm.daemon.streams.memory_budget import MemoryBudget
+from cm.daemon.streams.peer import Peer
 from cm.device.data_plane import Plane, StreamSetup
-from cm.errors import Busy, InvalidRequest
+from cm.errors import InvalidRequest
 from cm.wire.plane_packets import Geometry, Open, encode_geometry
 
-_MAX_BYTES = 256 << 20  # of all echoes together
 _MAX_DEPTH = 16
 
 
@@ -19,24 +20,23 @@ class Echoes:
 
     def __init__(self, plane: Plane) -> None:
         self._plane = plane
-        self._open: dict[int, tuple[int, list[int], int]] = {}  # client → stream, descriptors, bytes
+        self.budget = MemoryBudget("memory of echoes")
+        self._open: dict[int, tuple[int, list[int]]] = {}  # client → stream, descriptors
 
-    def open(self, connection: int, wanted: Open) -> None:
-        """Give a connection memory. Raises InvalidRequest, Busy."""
+    def open(self, connection: int, wanted: Open, peer: Peer) -> None:
+        """Give the connection of a process memory. Raises InvalidRequest, Busy."""
         depth = min(wanted.depth or 2, _MAX_DEPTH)
         length = -(-wanted.length // mmap.PAGESIZE) * mmap.PAGESIZE
-        used = sum(size for _, _, size in self._open.values())
         try:
             if length <= 0:
                 raise InvalidRequest("an echo needs a length of at least one byte")
-            if used + depth * length > _MAX_BYTES:
-                raise Busy(f"echoes may have {_MAX_BYTES >> 20} MiB together; this one wants {depth} times {length}")
-            self._make(connection, wanted.length, length, depth)
+            self.budget.check(peer, depth * length)
+            self.budget.took(self._make(connection, wanted.length, length, depth), peer, depth * length)
         except BaseException:
             os.close(connection)
             raise
 
-    def _make(self, connection: int, frame: int, length: int, depth: int) -> None:
+    def _make(self, connection: int, frame: int, length: int, depth: int) -> int:
         fds: list[int] = []
         stream = self._plane.start(None, StreamSetup(write=True, length=length))
         try:
@@ -48,13 +48,15 @@ class Echoes:
             self._free(stream, fds)
             raise
         client = self._plane.adopt(connection)
-        self._open[client] = (stream, fds, depth * length)
+        self._open[client] = (stream, fds)
         geometry = Geometry(length, frame, writable=True, depth=depth, shape=(frame,), stream="echo")
         self._plane.attach(client, stream, depth, encode_geometry(geometry))
+        return client
 
     def gone(self, client: int) -> None:
         """A client of the plane has gone; nothing if it had no echo."""
-        stream, fds, _ = self._open.pop(client, (0, [], 0))
+        self.budget.gone(client)
+        stream, fds = self._open.pop(client, (0, []))
         if stream:
             self._free(stream, fds)
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 import logging
 import socket
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
 from cm.daemon.host.devices import BoardDevices
+from cm.daemon.limits import Limits
 from cm.daemon.loop import Loop
 from cm.daemon.streams.compression import check_compression
 from cm.daemon.streams.driver import Audience, StreamDriver
 from cm.daemon.streams.policy import StreamEvent, StreamPhase, StreamPolicy
 from cm.daemon.streams.settings import changed, setup
-from cm.daemon.streams.shares import EACH
 from cm.daemon.streams.stream import Done
 from cm.errors import Busy
 from cm.manager.access.leases import Leases
@@ -37,16 +38,23 @@ class Streams:
         audience: Audience,
         leases: Leases,
         on_error: Callable[[ErrorInfo], None],
-        slots_each: int = EACH,
+        limits: Limits = Limits(),  # noqa: B008 (frozen)
     ) -> None:
         self._loop = loop
         self._devices = devices
         self._audience = audience
         self._leases = leases
         self._policy = StreamPolicy()
-        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, slots_each)
+        self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, limits.slots_each)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
+        self.renew(limits)
+
+    def renew(self, limits: Limits) -> None:
+        """Other bounds from now on; clients keep what they have."""
+        self._driver.renew(limits.slots_each)
+        for memory in self.memories:
+            memory.budget.renew(limits.memory_each_bytes, limits.memory_bytes)
 
     # ---- DataPlane: called by the worker ----------------------------------------------
 
@@ -169,6 +177,11 @@ class Streams:
             status = replace(status, last_error=failure)
         overruns = self._audience.overruns(name)
         return replace(status, overruns=overruns) if overruns else status  # not for nothing: it is half the work
+
+    def allocated(self) -> Counter[str]:
+        """Bytes of memory for masters in the PL, by who has them."""
+        held = self._driver.allocations.budget.held()
+        return Counter({f"pid {peer.pid} ({peer.name})": size for peer, size in held.items()})
 
     @property
     def any_open(self) -> bool:

@@ -45,7 +45,7 @@ class OpenStream:
 
     def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, each: int = EACH) -> None:
         """Take over an open channel; it is closed if this raises. `each`: slots that one process may hold."""
-        self._each = each
+        self.each = each
         self._plane = plane
         self._dma = dma
         self.stream = stream
@@ -111,7 +111,7 @@ class OpenStream:
         if peer is not None:
             ours = Peer.ourselves()
             held = [(self._peers[at], slots) for at, slots in self._depths.items() if self._peers[at] != ours]
-            depth = share(self.stream.name, depth, peer, held, self._each)
+            depth = share(self.stream.name, depth, peer, held, self.each)
         self._make_room(depth)
         if not self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth))):
             return False

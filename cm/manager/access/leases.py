@@ -56,6 +56,11 @@ class Leases:
         self._lock = threading.Lock()  # requests and the worker of changes both ask
         self._held: dict[str, _Lease] = {}
 
+    def renew(self, most: int, each: int) -> None:
+        """Other bounds from now on; what is held stays."""
+        with self._lock:
+            self._most, self._each = most, each
+
     def request(self, request: TakeLease | RenewLease | ReleaseLease | BreakLease, client: str = "") -> LeaseInfo:
         """Take, renew, give back or break. Raises HeldBy, UnknownLease, TooManyLeases, InvalidRequest."""
         with self._lock:
