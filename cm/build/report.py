@@ -9,6 +9,7 @@ from typing import Any
 from cm.build.boundary.analyse import Analysis
 from cm.build.boundary.model import Adaptation, Boundary, Fit, Role
 from cm.build.hdl.model import Mode, ModuleInfo
+from cm.build.plan.engines import EngineKind
 from cm.build.plan.system import RegionPlan, StreamBus, System
 from cm.build.project.model import Project
 
@@ -163,4 +164,7 @@ def _stream(bus: StreamBus) -> str:
     if bus.dma is None:
         return _TOP
     width = f", {8 * bus.bytes} to {bus.dma.width} bits" if bus.converted else ""
-    return f" → DMA, stream {bus.name} ({bus.dma.direction.value}){width}"
+    dma = bus.dma
+    kind = {EngineKind.DMA: "DMA", EngineKind.MCDMA: "MCDMA", EngineKind.VDMA: "VDMA"}[dma.kind]
+    engine = f" {dma.engine}" if dma.engine != bus.name else ""
+    return f" → {kind}{engine}, stream {bus.name} ({dma.direction.value}){width}"

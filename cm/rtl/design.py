@@ -21,6 +21,7 @@ from cm.build.plan.system import Implementation, RegionPlan, StreamBus, System, 
 from cm.build.render import Renderer
 from cm.build.runtime.answers import Answers
 from cm.rtl.compile import Unit
+from cm.rtl.engines import add_engines, prefix_of
 from cm.rtl.errors import RtlError
 from cm.schema.model import Direction
 
@@ -38,11 +39,7 @@ class StreamEnd:
     sends: bool
     clock: str
     channel: str | None
-
-    @property
-    def prefix(self) -> str:
-        """Of its ports."""
-        return f"axis_{self.name}"
+    prefix: str  # of its ports
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +116,7 @@ def simulated_static(system: System) -> Netlist:
                 continue  # goes to a pin of the device, which nothing here stands for
             net.wires[:] = [other for other in net.wires if other.name != wire]
             net.ports.append(Signal(wire, width, _IN if direction is _OUT else _OUT))
+    add_engines(net, system)
     net.unused.append(net.port("cm_event", _IN, 8 * EVENT_BYTES))
     return net
 
@@ -176,7 +174,8 @@ def _stream(region: RegionPlan, bus: StreamBus) -> StreamEnd:
     channel = bus.spec.stream or bus.name if bus.dma else None
     if bus.dma and (bus.dma.direction is Direction.MM2S) != sends:
         raise RtlError(f"{region.name}.{bus.interface.name}: its DMA engine goes the other way")
-    return StreamEnd(bus.name, region.name, sends, clock, channel)
+    prefix = prefix_of(bus.dma) if bus.dma else f"axis_{bus.name}"
+    return StreamEnd(bus.name, region.name, sends, clock, channel, prefix)
 
 
 def _outputs(static: Netlist, system: System) -> Iterator[Output]:

@@ -47,7 +47,12 @@ proc vivado::set_property {given plain} {
     if {[llength $objects] == 0} { refuse "\[Common 17-55\] 'set_property' expects at least one object." }
     foreach object $objects {
         if {![regexp {^\w+:} $object]} { refuse "'set_property': '$object' is no object" }
-        foreach {key value} $pairs { dict set ::vivado config $object $key $value }
+        foreach {key value} $pairs {
+            if {[is bd_cell $object] && $key in [read_only [dict get $::vivado cells [name_of $object]]]} {
+                refuse "\[BD 41-737\] Cannot set the parameter [string range $key 7 end] on /[name_of $object]. It is read-only."
+            }
+            dict set ::vivado config $object $key $value
+        }
     }
 }
 proc vivado::get_property {given plain} {
@@ -124,7 +129,7 @@ proc vivado::validate_bd_design {given plain} {
     dict for {cell ip} [state cells] {
         foreach entry [ip_pins $ip] {
             set pin [lindex $entry 0]
-            if {[regexp {^(s_axi_lite_aclk|m_axi_\w+_aclk|slowest_sync_clk|aclk|maxi\w+|M_AXI_GP0_ACLK)$} $pin] && [has_pin $cell/$pin] && ![dict exists $::vivado nets bd_pin:$cell/$pin]} {
+            if {[regexp {^(s_axi_lite_aclk|s_axi_aclk|[ms]_axis_\w+_aclk|m_axi_\w+_aclk|slowest_sync_clk|aclk|maxi\w+|M_AXI_GP0_ACLK)$} $pin] && [has_pin $cell/$pin] && ![dict exists $::vivado nets bd_pin:$cell/$pin]} {
                 refuse "\[BD 41-758\] The following clock pins are not connected to a valid clock source: /$cell/$pin"
             }
         }

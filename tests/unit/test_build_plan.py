@@ -183,7 +183,7 @@ def test_a_region_without_decoupling_is_told_in_the_schema(tmp_path: Path) -> No
     ("region", "words"),
     [
         ("{interfaces: {m_axs: {connect: dma}}}", "did you mean m_axis"),
-        ("{interfaces: {m_axis: {connect: memory}}}", "dma or external or none"),
+        ("{interfaces: {m_axis: {connect: memory}}}", "dma or vdma or external or none"),
     ],
 )
 def test_a_connection_that_cannot_be_is_refused(region: str, words: str, tmp_path: Path) -> None:
@@ -196,12 +196,12 @@ def test_an_icap_clock_that_is_too_fast_is_refused(tmp_path: Path) -> None:
         design(tmp_path, MINIMAL + "clocks: {fclk0: {rate: 150000000}}\n")
 
 
-def test_more_streams_than_interrupt_lines_are_refused(tmp_path: Path) -> None:
-    regions = ", ".join(f"r{index}: {{}}" for index in range(8))
+def test_more_masters_than_the_ports_to_memory_take_are_refused(tmp_path: Path) -> None:
+    regions = ", ".join(f"r{index}: {{}}" for index in range(17))
     text = MINIMAL.replace("  prr0: {pblock: auto}", f"  {{{regions}}}")
-    names = ", ".join(f"r{index}" for index in range(8))
-    with pytest.raises(BuildError, match="18 interrupt lines are needed"):
-        design(tmp_path, text + f"    regions: [{names}]\n")
+    names = ", ".join(f"r{index}" for index in range(17))
+    with pytest.raises(BuildError, match=r"70 masters to memory .* let streams share an engine"):
+        files(design(tmp_path, text + f"    regions: [{names}]\n"))
 
 
 def test_modules_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:

@@ -117,9 +117,9 @@ def check_addresses(system: System, design: hwh.Hwh) -> None:
     """BuildError where the block design has a DMA engine elsewhere than planned: the files are of another build."""
     found = {design.modules[w.instance].name: w.base for w in hwh.windows(design) if w.instance in design.modules}
     wrong = [
-        f"dma_{dma.name} is at {found[f'dma_{dma.name}']:#x}, planned at {dma.window.base:#x}"
-        for dma in system.dmas
-        if found.get(f"dma_{dma.name}", dma.window.base) != dma.window.base
+        f"dma_{engine.name} is at {found[f'dma_{engine.name}']:#x}, planned at {engine.window.base:#x}"
+        for engine in system.engines
+        if found.get(f"dma_{engine.name}", engine.window.base) != engine.window.base
     ]
     if wrong:
         raise BuildError("the .hwh is not of this build schema: " + "; ".join(wrong))

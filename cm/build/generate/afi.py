@@ -32,7 +32,7 @@ class Node:
 
 def nodes(system: System) -> list[Node]:
     """The nodes for the ports that a system uses."""
-    ports = memory_ports(system)
+    ports = [port for port, _ in memory_ports(system)]
     if system.platform.ultrascale:
         pairs = [(2 * port.afi + channel, 0) for port in ports for channel in (0, 1)]
         listed = ", ".join(f"<{register} {value:#x}>" for register, value in [*pairs, (_AFI_FS, _AFI_FS_128)])

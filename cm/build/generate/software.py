@@ -8,12 +8,15 @@ from typing import Any
 
 from cm.bitstream import device_by_name
 from cm.build.generate import afi
+from cm.build.plan.dma_cells import FRAME_STORES, clock_pins
+from cm.build.plan.engines import Dma, Engine, EngineKind
 from cm.build.plan.system import Implementation, RegionPlan, System, used_clocks
 from cm.build.runtime.answers import Answers
 from cm.build.runtime.schema import REGION_BLOCK, REGION_STRIDE, runtime_config
 from cm.build.runtime.text import runtime_text
-from cm.schema.model import Config, LoaderKind, Register
+from cm.schema.model import Config, Direction, LoaderKind, Register
 
+CHANNELS = 32  # of a node of fpga-cm,dma-client
 Entry = tuple[str, str, Mapping[str, Any]]
 
 
@@ -99,6 +102,26 @@ class _DeviceTree:
     def block(self, index: int) -> int:
         """Address of a region's control registers."""
         return self._system.control.base + REGION_BLOCK + REGION_STRIDE * index
+
+    def dma_clocks(self, engine: Engine) -> list[str]:
+        """Clock names of an engine's node: those of the pins, but an MCDMA's one stands for three to the driver."""
+        if engine.kind is EngineKind.MCDMA:
+            return ["s_axi_lite_aclk", "m_axi_sg_aclk", *(f"m_axi_{way.value}_aclk" for way in engine.directions)]
+        return list(clock_pins(engine))
+
+    frame_stores = FRAME_STORES
+
+    def channel_offset(self, engine: Engine, way: Direction) -> int:
+        """Where the registers of a direction begin (PG021, PG020; PG288 by xmcdma_hw.h)."""
+        if way is Direction.MM2S:
+            return 0
+        return 0x500 if engine.kind is EngineKind.MCDMA else 0x30
+
+    @property
+    def streams(self) -> list[tuple[Dma, ...]]:
+        """Channels of streams, as many to a node as its binding allows."""
+        found = [dma for dma in self._system.dmas if dma is not self._system.icap]
+        return [tuple(found[start : start + CHANNELS]) for start in range(0, len(found), CHANNELS)]
 
     def firmware(self, one: Implementation) -> bool:
         """Whether the kernel loads the bitstream when the overlay is applied."""

@@ -10,8 +10,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from cm.build.errors import BuildError
-from cm.build.plan.system import CONTROL_SIZE, DMA_SIZE, Window
+from cm.build.plan.window import Window
 
+CONTROL_SIZE = 0x1000
+DMA_SIZE = 0x10000
 DOMAIN_SIZE = 0x0100_0000
 DMA_OFFSET = 0x0400_0000
 WIDE_OFFSET = 0x0800_0000
@@ -36,9 +38,9 @@ class Allocator:
         """An AXI4-Lite window reached on `clock`."""
         return self._in_domain(name, size, clock)
 
-    def dma(self, name: str) -> Window:
+    def dma(self, name: str, doc: str) -> Window:
         """The registers of a DMA engine."""
-        window = Window(f"dma_{name}", self._dma, DMA_SIZE, "AXI DMA (PG021)")
+        window = Window(f"dma_{name}", self._dma, DMA_SIZE, doc)
         self._dma = window.end
         if self._dma > self._base + WIDE_OFFSET:
             raise BuildError("more DMA engines than addresses are set aside for")

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from cm.build.errors import BuildError
 from cm.build.hdl.model import Interface
+from cm.build.plan.dma_cells import DmaCell, dma_cell
 from cm.build.plan.ports import HPM_WIDTH, MAX_SLAVES, WIDTH, MemoryPort, memory_ports
-from cm.build.plan.system import Dma, System, Window, used_clocks
-from cm.schema.model import Direction
+from cm.build.plan.system import System, used_clocks
+from cm.build.plan.window import Window
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,24 +23,6 @@ class ClockPin:
     pin: str
     rate: int
     buses: tuple[str, ...] = ()  # interface ports of the block design that run on it
-
-
-@dataclass(frozen=True, slots=True)
-class DmaCell:
-    """A DMA engine's cell."""
-
-    name: str
-    cell: str
-    doc: str
-    mode: str
-    stream_pin: str
-    memory_pin: str
-    clock: str
-    clock_pin: str
-    clock_pins: tuple[str, ...]
-    settings: tuple[tuple[str, object], ...]
-    port_settings: tuple[tuple[str, object], ...]
-    interrupt_pin: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +55,14 @@ class InterruptBundle:
 
 
 @dataclass(frozen=True, slots=True)
+class Branch:
+    """An interconnect behind a port of the control interconnect."""
+
+    cell: str
+    masters: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Segment:
     """An address range of the control master."""
 
@@ -82,13 +73,13 @@ class Segment:
 def context(system: System) -> dict[str, object]:
     """Variables of ``block_design.tcl.j2``."""
     clocks = _clocks(system)
-    dmas = [_dma_cell(system, dma, clocks) for dma in system.dmas]
+    pins = {clock.name: clock.pin for clock in clocks}
+    dmas = [dma_cell(system, engine, pins[engine.clock]) for engine in system.engines]
     ports = list(_axi_ports(system))
     memories = list(_memories(system, dmas))
     masters = [f"[get_bd_intf_ports {port.name}]" for port in ports if port.mode == "Master"]
     masters += [f"[get_bd_intf_pins {dma.cell}/S_AXI_LITE]" for dma in dmas]
-    if len(masters) > MAX_SLAVES:
-        raise BuildError(f"{len(masters)} register ports are needed, one interconnect has {MAX_SLAVES}")
+    control, branches = _control(masters)
     return {
         "platform": system.platform,
         "board": system.project.board,
@@ -96,9 +87,11 @@ def context(system: System) -> dict[str, object]:
         "ps_settings": list(_ps_settings(system, clocks, memories)),
         "dmas": dmas,
         "axi_ports": ports,
-        "masters": masters,
+        "masters": control,
+        "branches": branches,
         "memories": memories,
-        "interrupts": list(_interrupts(system, dmas)),
+        "interrupts": list(_interrupts(system)),
+        "joined": list(_joined(system)),
         "segments": list(_segments(system)),
         "user_files": list[Path](system.project.static.block_design),
     }
@@ -111,7 +104,7 @@ def _clocks(system: System) -> list[ClockPin]:
 
 
 def _with_buses(clock: ClockPin, dmas: list[DmaCell], ports: list[AxiPort]) -> ClockPin:
-    buses = [f"axis_{dma.name}" for dma in dmas if dma.clock == clock.name]
+    buses = [port.name for dma in dmas if dma.clock == clock.name for port in dma.ports]
     buses += [port.name for port in ports if port.clock == clock.name]
     return replace(clock, buses=tuple(buses))
 
@@ -120,7 +113,7 @@ def _ps_settings(
     system: System, clocks: list[ClockPin], memories: list[MemoryInterconnect]
 ) -> Iterator[tuple[str, object]]:
     pins = system.platform.clock_pins
-    groups = len(system.dmas) + 1
+    groups = max([dma.line for dma in system.dmas], default=0) + 1
     if system.platform.name == "zynq7000":
         yield "PCW_USE_M_AXI_GP0", 1
         for memory in memories:
@@ -150,42 +143,6 @@ def _ps_settings(
 
 def _megahertz(rate: int) -> str:
     return f"{rate / 1e6:.6f}".rstrip("0").rstrip(".")
-
-
-def _dma_cell(system: System, dma: Dma, clocks: list[ClockPin]) -> DmaCell:
-    sends = dma.direction is Direction.MM2S
-    kind = dma.direction.value
-    settings: list[tuple[str, object]] = [
-        ("c_include_sg", 1),
-        ("c_sg_include_stscntrl_strm", 0),
-        ("c_sg_length_width", dma.length_bits),
-        ("c_addr_width", system.platform.address_bits),
-        ("c_include_mm2s", int(sends)),
-        ("c_include_s2mm", int(not sends)),
-        (f"c_{'m_axis_mm2s' if sends else 's_axis_s2mm'}_tdata_width", dma.width),
-        (f"c_m_axi_{kind}_data_width", max(dma.width, 32)),
-        (f"c_include_{kind}_dre", 0),
-    ]
-    port: list[tuple[str, object]] = []
-    if not sends:
-        buses = [bus for region in system.regions for bus in region.streams if bus.dma is dma]
-        keep = any(bus.converted or "TKEEP" in bus.interface.ports for bus in buses)
-        port = [("TDATA_NUM_BYTES", dma.width // 8), ("HAS_TLAST", 1), ("HAS_TKEEP", int(keep))]
-    pin = next(clock.pin for clock in clocks if clock.name == dma.clock)
-    return DmaCell(
-        name=dma.name,
-        cell=f"dma_{dma.name}",
-        doc=f"{dma.name}: {'memory to stream' if sends else 'stream to memory'}, registers at {dma.window.base:#010x}",
-        mode="Master" if sends else "Slave",
-        stream_pin="M_AXIS_MM2S" if sends else "S_AXIS_S2MM",
-        memory_pin=f"M_AXI_{kind.upper()}",
-        clock=dma.clock,
-        clock_pin=pin,
-        clock_pins=("s_axi_lite_aclk", "m_axi_sg_aclk", f"m_axi_{kind}_aclk"),
-        settings=tuple(settings),
-        port_settings=tuple(port),
-        interrupt_pin=f"[get_bd_pins dma_{dma.name}/{kind}_introut]",
-    )
 
 
 def _axi_ports(system: System) -> Iterator[AxiPort]:
@@ -218,20 +175,42 @@ def _settings(interface: Interface) -> tuple[tuple[str, object], ...]:
     return tuple(settings)
 
 
+def _control(masters: list[str]) -> tuple[list[str], list[Branch]]:
+    """What is at the control interconnect's ports; beyond 16, further interconnects behind its last ones."""
+    if len(masters) <= MAX_SLAVES:
+        return masters, []
+    count = -(-(len(masters) - MAX_SLAVES) // (MAX_SLAVES - 1))
+    if count > MAX_SLAVES:
+        raise BuildError(f"{len(masters)} register ports are more than two levels of interconnects have")
+    direct, rest = masters[: MAX_SLAVES - count], masters[MAX_SLAVES - count :]
+    cells = [f"control_interconnect_{number}" for number in range(1, count + 1)]
+    shares = [tuple(rest[i * MAX_SLAVES : (i + 1) * MAX_SLAVES]) for i in range(count)]
+    branches = [Branch(cell, share) for cell, share in zip(cells, shares, strict=True)]
+    return direct + [f"[get_bd_intf_pins {cell}/S00_AXI]" for cell in cells], branches
+
+
 def _memories(system: System, dmas: list[DmaCell]) -> Iterator[MemoryInterconnect]:
     """Masters to memory, as many as an interconnect takes on each port of the processing system."""
-    sources: list[str] = []
-    for dma in dmas:
-        sources += [f"[get_bd_intf_pins {dma.cell}/M_AXI_SG]", f"[get_bd_intf_pins {dma.cell}/{dma.memory_pin}]"]
+    found = {dma.name: [f"[get_bd_intf_pins {dma.cell}/{pin}]" for pin in dma.memory_pins] for dma in dmas}
+    last = found.pop(system.icap.name) if system.icap else []
+    sources = [source for listed in found.values() for source in listed]
     for region in system.regions:
         sources += [f"[get_bd_intf_ports s_axi_{region.name}_{bus.interface.name}]" for bus in region.memory]
-    for index, port in enumerate(memory_ports(system)):
-        share = sources[index * MAX_SLAVES : (index + 1) * MAX_SLAVES]
+    sources += last
+    for index, (port, count) in enumerate(memory_ports(system)):
+        share, sources = sources[:count], sources[count:]
         yield MemoryInterconnect(f"memory_interconnect_{index}", port, tuple(share))
 
 
-def _interrupts(system: System, dmas: list[DmaCell]) -> Iterator[InterruptBundle]:
-    sources = ["[get_bd_ports irq]", *(dma.interrupt_pin for dma in dmas)]
+def _interrupts(system: System) -> Iterator[InterruptBundle]:
+    """Line 0 is the control registers', the others are channels', or what the static part has joined of several."""
+    crowded = system.crowded
+    cells = {channel.name: f"dma_{engine.name}" for engine in system.engines for channel in engine.channels}
+    by_line = {0: "[get_bd_ports irq]"}
+    for dma in system.dmas:
+        own = f"[get_bd_pins {cells[dma.name]}/{dma.interrupt_pin}]"
+        by_line[dma.line] = f"[get_bd_ports irq_line_{dma.line}]" if dma.line in crowded else own
+    sources = [by_line[line] for line in sorted(by_line)]
     merged: dict[str, list[str]] = {}
     for pin, lines, _ in system.platform.irq_pins:
         share, sources = sources[:lines], sources[lines:]
@@ -239,6 +218,15 @@ def _interrupts(system: System, dmas: list[DmaCell]) -> Iterator[InterruptBundle
             merged.setdefault(pin, []).extend(share)
     for index, (pin, share) in enumerate(merged.items()):
         yield InterruptBundle(f"interrupt_lines_{index}", pin, tuple(share))
+
+
+def _joined(system: System) -> Iterator[tuple[str, str, int]]:
+    """Channels whose interrupt goes through the static part: port of the block design, pin, line."""
+    crowded = system.crowded
+    for engine in system.engines:
+        for channel in engine.channels:
+            if channel.line in crowded:
+                yield f"irq_{channel.name}", f"dma_{engine.name}/{channel.interrupt_pin}", channel.line
 
 
 def _segments(system: System) -> Iterator[Segment]:
@@ -249,5 +237,5 @@ def _segments(system: System) -> Iterator[Segment]:
         for bus in region.registers:
             if bus.full:
                 yield Segment(bus.window, f"[get_bd_addr_segs m_axi_{region.name}_{bus.interface.name}/Reg]")
-    for dma in system.dmas:
-        yield Segment(dma.window, f"[get_bd_addr_segs dma_{dma.name}/S_AXI_LITE/Reg]")
+    for engine in system.engines:
+        yield Segment(engine.window, f"[get_bd_addr_segs dma_{engine.name}/S_AXI_LITE/Reg]")

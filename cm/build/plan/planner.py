@@ -12,9 +12,10 @@ from cm.build.errors import BuildError
 from cm.build.hdl.model import Interface, Mode, PortDirection
 from cm.build.plan.addresses import Allocator
 from cm.build.plan.cover import Cover, cover
+from cm.build.plan.engines import Dma
 from cm.build.plan.frames import frame_problem
+from cm.build.plan.streams import place, stream_bus
 from cm.build.plan.system import (
-    Dma,
     Domain,
     Implementation,
     Line,
@@ -24,6 +25,7 @@ from cm.build.plan.system import (
     StreamBus,
     System,
 )
+from cm.build.plan.window import Window
 from cm.build.platforms import Platform, device_of, platform_of
 from cm.build.project.model import ConnectionSpec, Project, RegionSpec
 from cm.build.project.where import fault
@@ -31,8 +33,8 @@ from cm.schema.model import Direction, LoaderKind
 from cm.schema.problems import KeyPath, did_you_mean
 
 _CONNECTIONS = {
-    ("axis", Mode.SLAVE): ("dma", "external", "none"),
-    ("axis", Mode.MASTER): ("dma", "external", "none"),
+    ("axis", Mode.SLAVE): ("dma", "vdma", "external", "none"),
+    ("axis", Mode.MASTER): ("dma", "vdma", "external", "none"),
     ("axis", Mode.MONITOR): ("none",),
     ("axi4lite", Mode.SLAVE): ("interconnect", "none"),
     ("axi4", Mode.SLAVE): ("interconnect", "none"),
@@ -40,7 +42,6 @@ _CONNECTIONS = {
     ("axi4", Mode.MASTER): ("memory", "none"),
 }
 _OTHER = ("external", "none")
-MAX_STREAM = 1024  # bits of TDATA that an AXI DMA takes
 
 
 def plan_system(project: Project, boundaries: Mapping[str, Boundary]) -> System:
@@ -65,7 +66,6 @@ class _Planner:
         self._project = project
         self._platform: Platform = platform_of(project.part)
         self._addresses = Allocator(self._platform.base, self._platform.size, tuple(project.clocks))
-        self._lines = 1  # line 0 of the PL is the concentrator's
         self._bits = 0
         self._notes: list[str] = []
 
@@ -80,6 +80,7 @@ class _Planner:
             for index, region in enumerate(project.regions.values())
         )
         self._check_lines()
+        regions, icap = place(project, regions, icap, self._addresses, self._platform.irq_count)
         self._check_frames(regions)
         covered = self._cover()
         return System(
@@ -116,18 +117,9 @@ class _Planner:
             message = f"the ICAP runs on {clock} at {rate} Hz; {self._platform.name} allows {limit} Hz"
             hint = "list a slower clock first, or give regions another loader"
             raise fault(self._project.source, ("clocks", clock, "rate"), message, hint)
-        return Dma("icap", Direction.MM2S, self._addresses.dma("icap"), self._line(), clock, 32)
-
-    def _line(self) -> int:
-        self._lines += 1
-        return self._lines - 1
+        return Dma("icap", Direction.MM2S, Window("", 0, 0), -1, clock, 32)
 
     def _check_lines(self) -> None:
-        if self._lines > self._platform.irq_count:
-            raise BuildError(
-                f"{self._lines} interrupt lines are needed (one per DMA and one for all modules), "
-                f"{self._platform.name} has {self._platform.irq_count} from the PL: connect some streams to `external`"
-            )
         if self._bits > 32:
             raise BuildError(f"the modules have {self._bits} interrupts, the concentrator holds 32")
 
@@ -192,7 +184,7 @@ class _Planner:
             message = f"{region.name}.{interface.name} ({kind}) cannot be connected to {connect}"
             key = (*_key(region, interface.name), "connect")
             raise fault(self._project.source, key, message, f"write {' or '.join(allowed)}")
-        if connect == "dma":
+        if connect in ("dma", "vdma"):
             parts.streams.append(self._stream(region, interface, spec))
         elif connect == "interconnect":
             parts.registers.append(self._registers(region, interface))
@@ -205,22 +197,11 @@ class _Planner:
             (parts.external if connect == "external" else parts.unused).extend(ports)
 
     def _stream(self, region: RegionSpec, interface: Interface, spec: ConnectionSpec) -> StreamBus:
-        name = spec.stream or f"{region.name}_{interface.name}"
-        direction = Direction.MM2S if interface.mode is Mode.SLAVE else Direction.S2MM
-        width = interface.data_width
-        if width is None:
-            message = f"{region.name}.{interface.name} has no TDATA of known width: a DMA needs one"
-            raise fault(self._project.source, _key(region, interface.name), message, "write connect: external")
-        if direction is Direction.S2MM and "TLAST" not in interface.ports:
+        if interface.mode is Mode.MASTER and "TLAST" not in interface.ports:
             self._notes.append(
                 f"{region.name}.{interface.name} has no TLAST: its DMA ends a transfer only when the buffer is full"
             )
-        bits = max(8, (spec.max_length or (1 << 26) - 1).bit_length())
-        if width > MAX_STREAM:
-            message = f"{region.name}.{interface.name} has {width} bits, more than the {MAX_STREAM} that a DMA takes"
-            raise fault(self._project.source, _key(region, interface.name), message, "write connect: external")
-        dma = Dma(name, direction, self._addresses.dma(name), self._line(), region.clock, dma_width(width), bits)
-        return StreamBus(interface, name, dma, spec)
+        return stream_bus(self._project, region, interface, spec)
 
     def _registers(self, region: RegionSpec, interface: Interface) -> RegisterBus:
         name = f"{region.name}_{interface.name}"
@@ -310,14 +291,6 @@ def _outer_clocks(spec: RegionSpec, boundary: Boundary) -> Iterator[BoundaryPort
 
 def _key(region: RegionSpec, interface: str) -> KeyPath:
     return ("regions", region.name, "interfaces", interface)
-
-
-def dma_width(bits: int) -> int:
-    """TDATA of the DMA for a stream of `bits` (at most `MAX_STREAM`): the next of 8, 16, 32 … 1024."""
-    width = 8
-    while width < bits:
-        width *= 2
-    return width
 
 
 def identity_of(project: str, region: str, module: str) -> int:

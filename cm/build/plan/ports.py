@@ -32,16 +32,24 @@ class MemoryPort:
         return f"saxigp{self.setting}"
 
 
-def memory_ports(system: System) -> list[MemoryPort]:
-    """As many ports as the masters of a system need, in their order."""
+def memory_ports(system: System) -> list[tuple[MemoryPort, int]]:
+    """Ports with the number of masters on each: the regions' and their engines', and last the configuration port's.
+
+    The ICAP's engine has a port of its own, the last one, where one is left: loads do not wait for streams then. On
+    Zynq-7000 that is HP3, which shares its way into the memory controller with HP2 alone (UG585, chapter 5).
+    """
     platform, coherent = system.platform, system.project.static.coherent
-    masters = 2 * len(system.dmas) + sum(len(region.memory) for region in system.regions)
     slaves = platform.coherent_slaves if coherent else platform.memory_slaves
     clocks = platform.coherent_clocks if coherent else platform.memory_clocks
-    count = -(-masters // MAX_SLAVES)
-    if count > len(slaves):
-        kind = "coherent ports" if coherent else "ports"
-        raise BuildError(f"{masters} masters to memory are more than the processing system's {kind} can take")
     # UltraScale+: S_AXI_GP0 and GP1 are HPC0 and HPC1, GP2 to GP5 HP0 to HP3, and the AFIs are counted alike (UG1085)
     first = 2 if platform.ultrascale and not coherent else 0
-    return [MemoryPort(slaves[i], clocks[i], first + i, first + i, coherent) for i in range(count)]
+    masters = sum(engine.masters for engine in system.engines) + sum(len(region.memory) for region in system.regions)
+    own = system.engines[0].masters if system.icap else 0
+    apart = own if 0 < -(-(masters - own) // MAX_SLAVES) < len(slaves) else 0
+    counts = [min(MAX_SLAVES, masters - apart - done) for done in range(0, masters - apart, MAX_SLAVES)]
+    if len(counts) > len(slaves):
+        kind = "coherent ports" if coherent else "ports"
+        message = f"{masters} masters to memory are more than the processing system's {kind} can take"
+        raise BuildError(f"{message}: let streams share an engine (engine: NAME under the region's interfaces)")
+    used = [*enumerate(counts), *([(len(slaves) - 1, apart)] if apart else [])]
+    return [(MemoryPort(slaves[i], clocks[i], first + i, first + i, coherent), count) for i, count in used]

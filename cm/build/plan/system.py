@@ -12,27 +12,10 @@ from dataclasses import dataclass
 from cm.build.boundary.model import Boundary, BoundaryPort, Role
 from cm.build.hdl.model import Interface
 from cm.build.plan.cover import Cover
+from cm.build.plan.engines import Dma, Engine, engines_of
+from cm.build.plan.window import Window
 from cm.build.platforms import Platform
 from cm.build.project.model import ConnectionSpec, ModuleSpec, Project, RegionSpec
-from cm.schema.model import Direction
-
-CONTROL_SIZE = 0x1000
-DMA_SIZE = 0x10000
-
-
-@dataclass(frozen=True, slots=True)
-class Window:
-    """A range of addresses: `base` physical, `size` a power of two."""
-
-    name: str
-    base: int
-    size: int
-    doc: str = ""
-
-    @property
-    def end(self) -> int:
-        """First address behind it."""
-        return self.base + self.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,19 +25,6 @@ class RegisterBus:
     interface: Interface
     window: Window
     full: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Dma:
-    """An AXI DMA engine (PG021) with one channel; `line` is its interrupt line of the PL."""
-
-    name: str
-    direction: Direction
-    window: Window
-    line: int
-    clock: str
-    width: int  # bits of TDATA on the static side: 8 << n
-    length_bits: int = 26
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,9 +149,20 @@ class System:
 
     @property
     def dmas(self) -> tuple[Dma, ...]:
-        """All DMA engines, the ICAP's first."""
+        """All DMA channels, the ICAP's first."""
         streams = [bus.dma for region in self.regions for bus in region.streams if bus.dma]
         return (*([self.icap] if self.icap else []), *streams)
+
+    @property
+    def engines(self) -> tuple[Engine, ...]:
+        """All DMA engines, the ICAP's first."""
+        return engines_of(self.dmas)
+
+    @property
+    def crowded(self) -> tuple[int, ...]:
+        """Interrupt lines that several DMA channels share: the static part joins their levels."""
+        lines = [dma.line for dma in self.dmas]
+        return tuple(sorted({line for line in lines if lines.count(line) > 1}))
 
     @property
     def lines(self) -> tuple[Line, ...]:

@@ -90,6 +90,7 @@ class ConnectionSpec:
     slots: int = 8
     rate: float | None = None
     max_length: int | None = None
+    engine: str | None = None  # of DMA: streams that name the same one share it
     pins: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # by signal; "" of a single signal
     iostandard: str | None = None
 

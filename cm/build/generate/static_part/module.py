@@ -6,8 +6,10 @@ from __future__ import annotations
 from cm.build.generate.lite import LITE, PER_SLAVE, SHARED, slave_port
 from cm.build.generate.netlist import Netlist, concat, zeros
 from cm.build.generate.static_part.region import add_region
+from cm.build.generate.static_part.shared import add_shared
 from cm.build.hdl.model import PortDirection
-from cm.build.plan.system import Domain, System, Window, used_clocks
+from cm.build.plan.system import Domain, System, used_clocks
+from cm.build.plan.window import Window
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
 
@@ -23,6 +25,7 @@ def static_part(system: System) -> Netlist:
     _control(net, system)
     for region in system.regions:
         add_region(net, system, region)
+    add_shared(net, system)
     if system.icap:
         _icap(net, system)
     return net

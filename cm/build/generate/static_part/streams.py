@@ -11,6 +11,7 @@ from cm.build.generate import axi
 from cm.build.generate.netlist import concat, low_bits, ones, zeros
 from cm.build.generate.static_part.site import Site
 from cm.build.hdl.model import PortDirection
+from cm.build.plan.engines import EngineKind
 from cm.build.plan.system import StreamBus
 
 IN, OUT = PortDirection.IN, PortDirection.OUT
@@ -20,8 +21,7 @@ def add_stream(site: Site, bus: StreamBus) -> None:
     """The decoupler of a stream in either direction, with a converter where the DMA's width is another."""
     interface = bus.interface
     sends = interface.mode.value == "master"
-    kept = ("TDATA", "TKEEP") if bus.dma else axi.STREAM
-    packed = axi.fields(interface, kept)
+    packed = axi.fields(interface, _kept(bus))
     static = _Converted(site, bus, sends) if bus.converted else _Ports(site, bus, sends)
     region, other = ("s", "m") if sends else ("m", "s")
     connections: dict[str, str | None] = {
@@ -43,6 +43,21 @@ def add_stream(site: Site, bus: StreamBus) -> None:
     static.finish()
 
 
+def _kept(bus: StreamBus) -> tuple[str, ...]:
+    """The signals that pass: a DMA engine knows TDATA and TKEEP, a VDMA the first pixel by TUSER too."""
+    if bus.dma is None:
+        return axi.STREAM
+    return ("TDATA", "TKEEP", "TUSER") if bus.dma.kind is EngineKind.VDMA else ("TDATA", "TKEEP")
+
+
+def _end(site: Site, bus: StreamBus, signal: str, direction: PortDirection, width: int) -> str:
+    """A signal of the static side: a port of the static part, or a wire to where streams share an engine's port."""
+    name = f"axis_{bus.name}_{signal}"
+    if bus.dma and bus.dma.shared:
+        return site.net.wire(name, width)
+    return site.net.port(name, direction, width)
+
+
 class _Ports:
     """The static part's ports of a stream; a DMA's are as wide as its data, the bits above are zero."""
 
@@ -53,15 +68,16 @@ class _Ports:
         """The port of TVALID, TREADY or TLAST."""
         forward = OUT if self._sends else IN
         back = IN if self._sends else OUT
-        return self._site.net.port(f"axis_{self._bus.name}_{name}", back if name == "tready" else forward)
+        return _end(self._site, self._bus, name, back if name == "tready" else forward, 1)
 
     def payload(self, field: axi.Field) -> str:
         """The port of a signal, or its bits that the region has."""
         width, dma = field.width, self._bus.dma
         if dma:
-            width = dma.width if field.logical == "TDATA" else dma.width // 8
-        name = f"axis_{self._bus.name}_{field.logical.lower()}"
-        self._site.net.port(name, OUT if self._sends else IN, width)
+            width = {"TDATA": dma.width, "TKEEP": dma.width // 8}.get(field.logical, 1)
+        name = _end(self._site, self._bus, field.logical.lower(), OUT if self._sends else IN, width)
+        if width < field.width:  # a VDMA's TUSER is one bit
+            return self._low(name, width, field)
         if width > field.width:
             rest = f"{name}[{width - 1}:{field.width}]"
             if self._sends:
@@ -70,6 +86,14 @@ class _Ports:
             else:
                 self._site.net.unused.append(rest)
         return low_bits(name, width, field.width)
+
+    def _low(self, name: str, width: int, field: axi.Field) -> str:
+        if not self._sends:
+            return low_bits(name, width, field.width)
+        wide = self._site.net.wire(f"{name}_of_region", field.width)
+        self._site.net.assign(name, low_bits(wide, field.width, width))
+        self._site.net.unused.append(f"{wide}[{field.width - 1}:{width}]")
+        return wide
 
     def finish(self) -> None:
         """Nothing is left to do."""
@@ -115,7 +139,7 @@ class _Converted:
             pins[f"{inside}_{signal}"] = f"{self._name}_{signal}"
             forward = (signal != "tready") == self._sends
             width = {"tdata": dma.width, "tkeep": dma_bytes}.get(signal, 1)
-            pins[f"{outside}_{signal}"] = net.port(f"axis_{bus.name}_{signal}", OUT if forward else IN, width)
+            pins[f"{outside}_{signal}"] = _end(self._site, bus, signal, OUT if forward else IN, width)
         if not self._keep and self._sends:
             pins["s_tkeep"] = ones(bus.bytes)
         elif not self._keep:

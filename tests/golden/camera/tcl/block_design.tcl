@@ -12,6 +12,8 @@ apply_bd_automation -rule xilinx.com:bd_rule:processing_system7 -config {make_ex
 set_property CONFIG.PCW_USE_M_AXI_GP0 {1} $ps
 set_property CONFIG.PCW_USE_S_AXI_HP0 {1} $ps
 set_property CONFIG.PCW_S_AXI_HP0_DATA_WIDTH {64} $ps
+set_property CONFIG.PCW_USE_S_AXI_HP3 {1} $ps
+set_property CONFIG.PCW_S_AXI_HP3_DATA_WIDTH {64} $ps
 set_property CONFIG.PCW_USE_FABRIC_INTERRUPT {1} $ps
 set_property CONFIG.PCW_IRQ_F2P_INTR {1} $ps
 set_property CONFIG.PCW_EN_CLK0_PORT {1} $ps
@@ -98,17 +100,27 @@ connect_bd_intf_net [get_bd_intf_pins control_interconnect/M02_AXI] [get_bd_intf
 
 # memory through S_AXI_HP0
 set memory [cm_ip smartconnect memory_interconnect_0]
-set_property CONFIG.NUM_SI 4 $memory
+set_property CONFIG.NUM_SI 2 $memory
 set_property CONFIG.NUM_MI 1 $memory
 set_property CONFIG.NUM_CLKS 1 $memory
 connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins memory_interconnect_0/aclk]
 connect_bd_net [get_bd_pins reset_fclk0/interconnect_aresetn] [get_bd_pins memory_interconnect_0/aresetn]
 connect_bd_intf_net [get_bd_intf_pins memory_interconnect_0/M00_AXI] [get_bd_intf_pins ps7/S_AXI_HP0]
 connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins ps7/S_AXI_HP0_ACLK]
-connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S00_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_0/S01_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_camera/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S02_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_camera/M_AXI_S2MM] [get_bd_intf_pins memory_interconnect_0/S03_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_camera/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S00_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_camera/M_AXI_S2MM] [get_bd_intf_pins memory_interconnect_0/S01_AXI]
+
+# memory through S_AXI_HP3
+set memory [cm_ip smartconnect memory_interconnect_1]
+set_property CONFIG.NUM_SI 2 $memory
+set_property CONFIG.NUM_MI 1 $memory
+set_property CONFIG.NUM_CLKS 1 $memory
+connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins memory_interconnect_1/aclk]
+connect_bd_net [get_bd_pins reset_fclk0/interconnect_aresetn] [get_bd_pins memory_interconnect_1/aresetn]
+connect_bd_intf_net [get_bd_intf_pins memory_interconnect_1/M00_AXI] [get_bd_intf_pins ps7/S_AXI_HP3]
+connect_bd_net [get_bd_pins ps7/FCLK_CLK0] [get_bd_pins ps7/S_AXI_HP3_ACLK]
+connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_SG] [get_bd_intf_pins memory_interconnect_1/S00_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_1/S01_AXI]
 
 # interrupts: line 0 is the concentrator's, then one per DMA engine
 create_bd_port -dir I -type intr irq

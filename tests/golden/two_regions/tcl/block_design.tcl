@@ -15,6 +15,8 @@ set_property CONFIG.PSU__USE__M_AXI_GP2 {0} $ps
 set_property CONFIG.PSU__MAXIGP0__DATA_WIDTH {128} $ps
 set_property CONFIG.PSU__USE__S_AXI_GP2 {1} $ps
 set_property CONFIG.PSU__SAXIGP2__DATA_WIDTH {128} $ps
+set_property CONFIG.PSU__USE__S_AXI_GP5 {1} $ps
+set_property CONFIG.PSU__SAXIGP5__DATA_WIDTH {128} $ps
 set_property CONFIG.PSU__USE__IRQ0 {1} $ps
 set_property CONFIG.PSU__USE__IRQ1 {0} $ps
 set_property CONFIG.PSU__FPGA_PL0_ENABLE {1} $ps
@@ -187,7 +189,7 @@ connect_bd_intf_net [get_bd_intf_pins control_interconnect/M06_AXI] [get_bd_intf
 
 # memory through S_AXI_HP0_FPD
 set memory [cm_ip smartconnect memory_interconnect_0]
-set_property CONFIG.NUM_SI 10 $memory
+set_property CONFIG.NUM_SI 8 $memory
 set_property CONFIG.NUM_MI 1 $memory
 set_property CONFIG.NUM_CLKS 2 $memory
 connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins memory_interconnect_0/aclk]
@@ -195,16 +197,27 @@ connect_bd_net [get_bd_pins ps8/pl_clk1] [get_bd_pins memory_interconnect_0/aclk
 connect_bd_net [get_bd_pins reset_pl_clk0/interconnect_aresetn] [get_bd_pins memory_interconnect_0/aresetn]
 connect_bd_intf_net [get_bd_intf_pins memory_interconnect_0/M00_AXI] [get_bd_intf_pins ps8/S_AXI_HP0_FPD]
 connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins ps8/saxihp0_fpd_aclk]
-connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S00_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_0/S01_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_to_filter/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S02_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_to_filter/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_0/S03_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_from_filter/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S04_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_from_filter/M_AXI_S2MM] [get_bd_intf_pins memory_interconnect_0/S05_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_to_correction/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S06_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_to_correction/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_0/S07_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_from_correction/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S08_AXI]
-connect_bd_intf_net [get_bd_intf_pins dma_from_correction/M_AXI_S2MM] [get_bd_intf_pins memory_interconnect_0/S09_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_to_filter/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S00_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_to_filter/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_0/S01_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_from_filter/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S02_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_from_filter/M_AXI_S2MM] [get_bd_intf_pins memory_interconnect_0/S03_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_to_correction/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S04_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_to_correction/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_0/S05_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_from_correction/M_AXI_SG] [get_bd_intf_pins memory_interconnect_0/S06_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_from_correction/M_AXI_S2MM] [get_bd_intf_pins memory_interconnect_0/S07_AXI]
+
+# memory through S_AXI_HP3_FPD
+set memory [cm_ip smartconnect memory_interconnect_1]
+set_property CONFIG.NUM_SI 2 $memory
+set_property CONFIG.NUM_MI 1 $memory
+set_property CONFIG.NUM_CLKS 2 $memory
+connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins memory_interconnect_1/aclk]
+connect_bd_net [get_bd_pins ps8/pl_clk1] [get_bd_pins memory_interconnect_1/aclk1]
+connect_bd_net [get_bd_pins reset_pl_clk0/interconnect_aresetn] [get_bd_pins memory_interconnect_1/aresetn]
+connect_bd_intf_net [get_bd_intf_pins memory_interconnect_1/M00_AXI] [get_bd_intf_pins ps8/S_AXI_HP3_FPD]
+connect_bd_net [get_bd_pins ps8/pl_clk0] [get_bd_pins ps8/saxihp3_fpd_aclk]
+connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_SG] [get_bd_intf_pins memory_interconnect_1/S00_AXI]
+connect_bd_intf_net [get_bd_intf_pins dma_icap/M_AXI_MM2S] [get_bd_intf_pins memory_interconnect_1/S01_AXI]
 
 # interrupts: line 0 is the concentrator's, then one per DMA engine
 create_bd_port -dir I -type intr irq

@@ -24,8 +24,10 @@ read_verilog hdl/lib/cm_axi_slave_decoupler.v
 read_verilog hdl/lib/cm_axi_slave_decoupler_read.v
 read_verilog hdl/lib/cm_axi_slave_decoupler_write.v
 read_verilog hdl/lib/cm_axil_interconnect.v
+read_verilog hdl/lib/cm_axis_join.v
 read_verilog hdl/lib/cm_axis_master_decoupler.v
 read_verilog hdl/lib/cm_axis_slave_decoupler.v
+read_verilog hdl/lib/cm_axis_split.v
 read_verilog hdl/lib/cm_axis_width.v
 read_verilog hdl/lib/cm_control.v
 read_verilog hdl/lib/cm_icap.v

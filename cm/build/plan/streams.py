@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Streams of regions → DMA channels and engines: who shares an engine, with registers and interrupt lines.
+
+Interrupts of the PL are few (16). Where channels are more, neighbours share a line: the kernel's driver asks for
+shared interrupts (``IRQF_SHARED``), and looks which of its channels has one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+from cm.build.errors import BuildError
+from cm.build.hdl.model import Interface, Mode
+from cm.build.plan.addresses import Allocator
+from cm.build.plan.engines import MC_CHANNELS, Dma, EngineKind
+from cm.build.plan.system import RegionPlan, StreamBus
+from cm.build.plan.window import Window
+from cm.build.project.model import ConnectionSpec, Project, RegionSpec
+from cm.build.project.where import fault
+from cm.schema.model import Direction
+from cm.schema.problems import KeyPath
+
+MAX_STREAM = 1024  # bits of TDATA that an AXI DMA takes
+LONGEST = (1 << 26) - 1  # bytes that its length register can hold
+_NAMES = {
+    EngineKind.DMA: "AXI DMA (PG021)",
+    EngineKind.MCDMA: "AXI MCDMA (PG288)",
+    EngineKind.VDMA: "AXI VDMA (PG020)",
+}
+_NOWHERE = Window("", 0, 0)
+
+
+def dma_width(bits: int) -> int:
+    """TDATA of the DMA for a stream of `bits` (at most `MAX_STREAM`): the next of 8, 16, 32 … 1024."""
+    width = 8
+    while width < bits:
+        width *= 2
+    return width
+
+
+def stream_bus(project: Project, region: RegionSpec, interface: Interface, spec: ConnectionSpec) -> StreamBus:
+    """The stream of an interface with its channel, which `place` gives registers and an interrupt line."""
+    video = spec.connect == "vdma"
+    name = spec.stream or f"{region.name}_{interface.name}"
+    key: KeyPath = ("regions", region.name, "interfaces", interface.name)
+    who = f"{region.name}.{interface.name}"
+    width = interface.data_width
+    if width is None:
+        message = f"{who} has no TDATA of known width: a DMA needs one"
+        raise fault(project.source, key, message, "write connect: external")
+    if width > MAX_STREAM:
+        message = f"{who} has {width} bits, more than the {MAX_STREAM} that a DMA takes"
+        raise fault(project.source, key, message, "write connect: external")
+    if video:
+        problem = _video_problem(interface, spec, width)
+        if problem:
+            raise fault(project.source, key, f"{who}: {problem[0]}", problem[1])
+    direction = Direction.MM2S if interface.mode is Mode.SLAVE else Direction.S2MM
+    bits = max(8, (spec.max_length or LONGEST).bit_length())
+    kind = EngineKind.VDMA if video else EngineKind.DMA
+    dma = Dma(name, direction, _NOWHERE, -1, region.clock, width if video else dma_width(width), bits, kind=kind)
+    return StreamBus(interface, name, replace(dma, engine=spec.engine or name), spec)
+
+
+def _video_problem(interface: Interface, spec: ConnectionSpec, width: int) -> tuple[str, str] | None:
+    """Why a VDMA cannot serve an interface, and what would be right; else None."""
+    needed = ["TLAST", "TUSER"] if interface.mode is Mode.MASTER else ["TLAST"]
+    missing = [signal for signal in needed if signal not in interface.ports]
+    if missing:
+        hint = "TLAST ends each line, TUSER[0] begins each frame (UG934); connect: dma takes packets as frames"
+        return f"a VDMA needs {' and '.join(missing)}", hint
+    if width % 8:
+        return f"{width} bits are no whole number of bytes, which a VDMA's streams have", "pad the pixels to bytes"
+    if spec.shape is None or len(spec.shape) < 2:
+        return "a VDMA's frames have lines and columns", "write shape: [lines, columns], with dtype"
+    return None
+
+
+def place(
+    project: Project, regions: tuple[RegionPlan, ...], icap: Dma | None, addresses: Allocator, lines: int
+) -> tuple[tuple[RegionPlan, ...], Dma | None]:
+    """The same regions and configuration port with engines, registers and interrupt lines.
+
+    `lines` are those from the PL; line 0 is the control registers' own, which no driver may share.
+    """
+    buses = [(region, bus) for region in regions for bus in region.streams if bus.dma]
+    groups: dict[str, list[tuple[RegionPlan, StreamBus]]] = {}
+    for region, bus in buses:
+        assert bus.dma
+        groups.setdefault(bus.dma.engine, []).append((region, bus))
+    if icap:
+        icap = replace(icap, window=addresses.dma(icap.name, _NAMES[icap.kind]), line=1)
+    placed: dict[str, Dma] = {}
+    for name, members in groups.items():
+        kind = _kind(project, name, members)
+        window = addresses.dma(name, _NAMES[kind])
+        placed |= {dma.name: replace(dma, window=window, kind=kind) for dma in _channels(members, kind)}
+    order = [placed[bus.name] for _, bus in buses]
+    for dma, line in zip(order, _lines(order, 1 + bool(icap), lines), strict=True):
+        placed[dma.name] = replace(dma, line=line)
+    return tuple(_with(region, placed) for region in regions), icap
+
+
+def _with(region: RegionPlan, placed: Mapping[str, Dma]) -> RegionPlan:
+    return replace(region, streams=tuple(replace(b, dma=placed[b.name]) if b.dma else b for b in region.streams))
+
+
+def _kind(project: Project, name: str, members: list[tuple[RegionPlan, StreamBus]]) -> EngineKind:
+    """What the engine is; a fault where its streams cannot share one."""
+    channels = [bus.dma for _, bus in members if bus.dma]
+    counts = [sum(dma.direction is way for dma in channels) for way in Direction]
+    video = {dma.kind is EngineKind.VDMA for dma in channels}
+    clocks = sorted({dma.clock for dma in channels})
+    shared = max(counts) > 1
+    problem: tuple[str, str] | None = None
+    if name == "icap":
+        problem = "is the configuration port's", "choose another name"
+    elif len(video) > 1:
+        problem = "has video and other streams", "a VDMA serves video alone: give it an engine of its own"
+    elif len(clocks) > 1:
+        problem = f"has streams on {' and '.join(clocks)}", "streams of one engine run on one clock"
+    elif shared and True in video:
+        problem = "has two video streams of one direction", "a VDMA has one channel each way"
+    elif max(counts) > MC_CHANNELS:
+        problem = f"has {max(counts)} streams of one direction", f"an MCDMA has {MC_CHANNELS} channels each way"
+    elif shared:
+        problem = _unending(members)
+    if problem:
+        region, bus = members[-1]
+        key: KeyPath = ("regions", region.name, "interfaces", bus.interface.name, "engine")
+        raise fault(project.source, key, f"engine {name} {problem[0]}", problem[1])
+    return EngineKind.VDMA if True in video else EngineKind.MCDMA if shared else EngineKind.DMA
+
+
+def _unending(members: Iterable[tuple[RegionPlan, StreamBus]]) -> tuple[str, str] | None:
+    """Streams take turns packet by packet, so each must have an end."""
+    for region, bus in members:
+        if bus.interface.mode is Mode.MASTER and "TLAST" not in bus.interface.ports:
+            hint = "streams of an MCDMA take turns at TLAST: give it one, or an engine of its own"
+            return f"has {region.name}.{bus.interface.name}, which has no TLAST", hint
+    return None
+
+
+def _channels(members: list[tuple[RegionPlan, StreamBus]], kind: EngineKind) -> Iterator[Dma]:
+    """Channels numbered by direction; those that share a stream have the width of the widest."""
+    channels = [bus.dma for _, bus in members if bus.dma]
+    bits = max(dma.length_bits for dma in channels)
+    for way in Direction:
+        mine = [dma for dma in channels if dma.direction is way]
+        width = max((dma.width for dma in mine), default=0)
+        for number, dma in enumerate(mine):
+            own = dma.width if kind is EngineKind.VDMA else width
+            yield replace(dma, number=number, length_bits=bits, width=own)
+
+
+def _lines(channels: list[Dma], first: int, count: int) -> Iterator[int]:
+    """A line for each channel from `first` on; where they are too few, neighbours share one."""
+    room = count - first
+    if not channels:
+        return
+    if room < 1:
+        raise BuildError(f"no interrupt line is left for DMA channels: {count} come from the PL")
+    for index in range(len(channels)):
+        yield first + (index if len(channels) <= room else index * room // len(channels))

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two regions on one MCDMA, run from their HDL: every client's frames come back on its own stream."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import HERE, needs
+
+import cm
+
+sys.path.append(str(HERE.parent))
+from manager_process import Manager
+
+from cm.rtl.errors import RtlError
+from cm.rtl.main import prepare
+
+pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
+SCHEMA = """\
+project: {{name: shared, part: xc7z020clg400-1}}
+regions:
+  left: {{interfaces: {{s_axis: {{stream: to_left, shape: [64], engine: all}},
+    m_axis: {{stream: from_left, shape: [64], engine: all}}}}}}
+  right: {{interfaces: {{s_axis: {{stream: to_right, shape: [64], engine: all}},
+    m_axis: {{stream: from_right, shape: [64], engine: all}}}}}}
+modules:
+  plain: {{top: loop, regions: [left], sources: [{loop}]}}
+  inverse: {{top: loop, regions: [right], sources: [{loop}], parameters: {{INVERT: 4294967295}}}}
+modes:
+  both: {{modules: {{left: plain, right: inverse}}}}
+"""
+
+
+@pytest.fixture(scope="module")
+def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
+    folder = tmp_path_factory.mktemp("shared")
+    schema = folder / "build.yaml"
+    schema.write_text(SCHEMA.format(loop=HERE / "loop/hdl/loop.v"))
+    prepare(schema)
+    manager = Manager(folder, "--sim=rtl", "--build", str(schema)).start()
+    try:
+        with cm.connect(str(folder)) as connected:
+            connected.load("shared", mode="both")
+            yield connected
+    finally:
+        manager.stop()
+
+
+def frame(number: int) -> np.ndarray:
+    return np.arange(number, number + 64, dtype=np.uint8)
+
+
+def test_frames_of_two_regions_go_through_one_engine_and_come_back_on_their_streams(board: cm.Board) -> None:
+    with (
+        board.stream("from_left") as left,
+        board.stream("from_right") as right,
+        board.writer("to_left") as to_left,
+        board.writer("to_right") as to_right,
+    ):
+        for number in range(6):
+            to_left.write(frame(number))
+            to_right.write(frame(100 + number))
+        got = [(left.read(timeout=30).copy(), right.read(timeout=30).copy()) for _ in range(6)]
+    for number, (one, other) in enumerate(got):
+        assert np.array_equal(one, frame(number))
+        assert np.array_equal(other, ~frame(100 + number))
+
+
+def test_a_video_engine_is_refused_by_name(tmp_path: Path) -> None:
+    schema = tmp_path / "build.yaml"
+    text = SCHEMA.format(loop=HERE / "loop/hdl/loop.v").replace("stream: to_left, shape: [64], engine: all", "VIDEO")
+    schema.write_text(text.replace("VIDEO", "connect: vdma, stream: to_left, shape: [8, 8]"))
+    with pytest.raises(RtlError, match="to_left is a VDMA, which is not simulated"):
+        prepare(schema)
