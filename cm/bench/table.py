@@ -35,6 +35,7 @@ CASES = (
     Case("footprint", ("footprint",)),
     Case("scraping", ("scraping",)),
     Case("sync", ("frame_sync",)),
+    Case("advisor", ("advisor",)),
     Case("rtl", ("rtl_frames", "rtl_registers")),
     Case("fig4", ("fig4",)),
     Case("fig5", ("fig5",)),

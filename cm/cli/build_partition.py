@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from cm.build.boundary.analyse import analyse
+from cm.build.errors import BuildError
 from cm.build.generate.tree import output_folder
 from cm.build.partition.advise import problem_of, static_report, todays_groups, with_reports
-from cm.build.partition.advisor import Partition, advise, evaluate
+from cm.build.partition.advisor import SECONDS
+from cm.build.partition.model import Partition, evaluate
+from cm.build.partition.proved import proposal
 from cm.build.partition.utilisation import read_utilisation
 from cm.build.project.load import load_project
 from cm.cli.build_common import add_schema_argument
@@ -45,8 +48,35 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
         help="folder with synth_<module>.utilization.rpt or <module>.rpt, as report_utilization writes them"
         " (default: build/reports beside the build schema)",
     )
+    parser.add_argument("--regions", type=_count, metavar="N", help="at most so many")
+    parser.add_argument(
+        "--seconds", type=_seconds, default=SECONDS, help=f"then the best that was found (default: {SECONDS:g})"
+    )
+    parser.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="write the proposal as a build schema, into the folder of this one",
+    )
     add_json_option(parser)
     parser.set_defaults(run=run_partition)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of regions")
+    return int(text)
+
+
+def _seconds(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is no time in seconds")
+    return value
 
 
 def _percent(text: str) -> float:
@@ -67,20 +97,39 @@ def run_partition(args: argparse.Namespace) -> int:
     rate = args.rate * 1e6 if args.rate else None
     path = static_report(folders)
     static = read_utilisation(path) if path else None
-    problem = problem_of(project, analyse(project), rate, static, args.budget / 100)
+    analysis = analyse(project)
+    problem = problem_of(project, analysis, rate, static, args.budget / 100, args.regions)
     if path is not None:
         reports |= {"static part": path}
     today = evaluate(problem, todays_groups(project, problem))
-    proposed = advise(problem, args.objective)
+    found = proposal(project, analysis, problem, args.objective, args.seconds)
+    proposed, gap = found.partition, found.partition.gap(args.objective)
+    if args.output:
+        _write(args.output, project.folder, found.text)
     if args.json:
-        said = {"objective": args.objective, "today": _dict(today), "proposed": _dict(proposed)}
-        print_json(said | {"reports": {name: str(path) for name, path in reports.items()}})
+        said = {"objective": args.objective, "today": _dict(today), "proposed": _dict(proposed) | {"gap": gap}}
+        said |= {"notes": found.notes, "reports": {name: str(path) for name, path in reports.items()}}
+        print_json(said)
         return 0
     for name, path in reports.items():
         print(f"{name}: resources from {path}")
-    for title, found in (("today", today), ("proposed", proposed)):
-        _print(title, found)
+    for title, partition in (("today", today), ("proposed", proposed)):
+        _print(title, partition)
+    for note in found.notes:
+        print(f"note: {note}")
+    print(f"at most {gap:.1%} from the best there is" if gap else "no other partition is better")
+    if args.output:
+        print(f"{args.output}: the proposal as a build schema")
     return 0
+
+
+def _write(path: Path, folder: Path, text: str) -> None:
+    """A new file beside the build schema, whose paths are relative to that folder."""
+    if path.absolute().parent.resolve() != folder.resolve():
+        raise BuildError(f"{path} must lie in {folder}: paths in a build schema are relative to its folder")
+    if path.exists():
+        raise BuildError(f"{path} is there already: name another file, or move it away")
+    path.write_text(text, encoding="utf-8")
 
 
 def _dict(found: Partition) -> dict[str, Any]:

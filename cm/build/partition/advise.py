@@ -9,7 +9,8 @@ from pathlib import Path
 
 from cm.build.boundary.analyse import Analysis
 from cm.build.errors import BuildError
-from cm.build.partition.advisor import Group, Problem, Unit, UsedMode, group_of
+from cm.build.partition.external import bound
+from cm.build.partition.model import Group, Problem, Unit, UsedMode, group_of
 from cm.build.partition.parts import part_of
 from cm.build.partition.utilisation import read_utilisation
 from cm.build.platforms import device_of, platform_of
@@ -24,10 +25,12 @@ def problem_of(
     rate: float | None = None,
     static: Resources | None = None,
     budget: float = 1.0,
+    regions: int | None = None,
 ) -> Problem:
     """Modules, modes and part; `rate` in bytes per second (None: the limit of the ICAP).
 
-    `static` is what the static part needs, `budget` the share of the part that regions may take.
+    `static` is what the static part needs, `budget` the share of the part that regions may take, `regions` how
+    many there may be.
 
     A module that fits several regions counts as one unit for each region that a mode puts it into.
     """
@@ -35,18 +38,25 @@ def problem_of(
     if missing:
         hint = "synthesise them (cm build run), give reports with --reports, or estimate"
         raise BuildError(f"resources: is missing for {', '.join(missing)} ({hint})")
+    tied = bound(project, analysis)
+    kinds = {}
+    for places in tied:  # they share a region already, whatever else they have
+        kind = ", or ".join(sorted({_kind(project, analysis, *place) for place in places}))
+        kinds |= dict.fromkeys(places, kind)
     units = {}
     for module in project.modules.values():
         for region in module.regions:
             name = unit_name(module, region)
-            units[name] = Unit(name, module.resources, _kind(analysis, module.name))
+            kind = kinds.get((module.name, region)) or _kind(project, analysis, module.name, region)
+            units[name] = Unit(name, module.resources, kind)
     modes = [
         UsedMode(mode.name, frozenset(unit_name(project.modules[m], r) for r, m in mode.modules.items()), mode.share)
         for mode in project.modes.values()
     ]
     limit = float(platform_of(project.part).icap_rate_max * ICAP_BYTES)
     part = part_of(device_of(project.part))
-    return Problem(part, units, modes, rate or limit, static or Resources(), budget)
+    together = [frozenset(unit_name(project.modules[m], r) for m, r in places) for places in tied]
+    return Problem(part, units, modes, rate or limit, static or Resources(), budget, regions, together)
 
 
 def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, dict[str, Path]]:
@@ -82,11 +92,13 @@ def unit_name(module: ModuleSpec, region: str) -> str:
     return module.name if len(module.regions) == 1 else f"{module.name}_{region}"
 
 
-def _kind(analysis: Analysis, module: str) -> str:
-    """Streams and memory ports of a module: only modules with the same ones share a region in a proposal."""
+def _kind(project: Project, analysis: Analysis, module: str, region: str) -> str:
+    """Streams and memory ports of a module, and its region's clocks: only modules with the same share a region."""
     found = sorted(
         f"{i.protocol} {i.mode.value} {i.data_width}"
         for i in analysis.modules[module].interfaces
         if i.protocol != "axi4lite"
     )
-    return ", ".join(found)
+    spec = project.regions[region]
+    clocks = [spec.clock, *(f"{port}={clock}" for port, clock in sorted(spec.clocks.items()))]
+    return ", ".join([*found, *clocks, "" if spec.decoupling else "no decoupling"])

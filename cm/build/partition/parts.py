@@ -28,7 +28,7 @@ bitstream for K26 writes (Xilinx/kria-apps-firmware ebaef9a, kr260-gps-1588-ptp.
 from __future__ import annotations
 
 from cm.build.errors import BuildError
-from cm.build.partition.advisor import Part
+from cm.build.partition.model import Part
 from cm.build.project.model import Resources
 
 # device: LUT, FF, BRAM36, DSP, bytes of a full bitstream

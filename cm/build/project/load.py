@@ -62,21 +62,21 @@ class Reporter:
             raise SchemaError(sorted(self.problems, key=lambda problem: (problem.line, problem.column)))
 
 
-def load_project(path: Path | str) -> Project:
-    """The build schema in `path`; `SchemaError` lists everything that is wrong with it."""
+def load_project(path: Path | str, text: str | None = None) -> Project:
+    """The build schema in `path`, or `text` as if it stood there; `SchemaError` lists all that is wrong with it."""
     path = Path(path).absolute()
     report = Reporter(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        report.at(Mark(1, 1), "unreadable", f"cannot be read: {getattr(error, 'strerror', None) or error}")
-        report.stop()
-    data = _structure(text, report)
-    report.stop()
+    data = _data(path, text, report)
     project = _Builder(path, data, report).project()
     references.check(project, report.key)
     report.stop()
     return project
+
+
+def project_data(path: Path | str) -> dict[str, Any]:
+    """The build schema in `path` as plain data in normal form; `SchemaError` as `load_project`."""
+    path = Path(path).absolute()
+    return _data(path, None, Reporter(path))
 
 
 def check_project(path: Path | str) -> list[Problem]:
@@ -86,6 +86,17 @@ def check_project(path: Path | str) -> list[Problem]:
     except SchemaError as error:
         return list(error.problems)
     return []
+
+
+def _data(path: Path, text: str | None, report: Reporter) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8") if text is None else text
+    except (OSError, UnicodeDecodeError) as error:
+        report.at(Mark(1, 1), "unreadable", f"cannot be read: {getattr(error, 'strerror', None) or error}")
+        report.stop()
+    data = _structure(text or "", report)
+    report.stop()
+    return data
 
 
 def _structure(text: str, report: Reporter) -> dict[str, Any]:

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proposals that generate: a partition that the planner or the rules refuse is replaced by one of fewer regions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import yaml
+
+from cm.build.boundary import boundary
+from cm.build.boundary.analyse import Analysis
+from cm.build.check.rules import check_system
+from cm.build.errors import BuildError
+from cm.build.partition.advisor import SECONDS, advise
+from cm.build.partition.model import Partition, Problem
+from cm.build.partition.proposal import propose
+from cm.build.plan.planner import plan_system
+from cm.build.project.load import load_project, project_data
+from cm.build.project.model import Project
+from cm.schema.problems import SchemaError
+
+_HEAD = """\
+# yaml-language-server: $schema=build.schema.json
+# What `cm build partition` proposes: {name} with other regions. Regions that are new have `pblock: auto`;
+# streams that were one and are several now have names of their own, which programs have to use.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """A partition that generates, as the text of a build schema; `notes` say what was refused before."""
+
+    partition: Partition
+    text: str
+    notes: tuple[str, ...] = ()
+
+
+def proposal(
+    project: Project, analysis: Analysis, problem: Problem, objective: str = "worst", seconds: float = SECONDS
+) -> Proposal:
+    """The best partition that can be generated; BuildError where there is none."""
+    data = project_data(project.source)
+    notes: list[str] = []
+    while True:
+        found = advise(problem, objective, seconds)
+        text = schema_text(project.source.name, propose(project, data, analysis, found))
+        refused = refusals(project, analysis, text)
+        if not refused:
+            return Proposal(found, text, tuple(notes))
+        count = len(found.groups)
+        if count == 1:
+            raise BuildError("no partition can be generated; the last one:\n  " + "\n  ".join(refused))
+        notes.append(f"{count} regions cannot be generated: {refused[0]}")
+        problem = replace(problem, regions=count - 1)
+
+
+def schema_text(name: str, data: Mapping[str, Any]) -> str:
+    """Data as a build schema."""
+    body: str = yaml.safe_dump(dict(data), sort_keys=False, allow_unicode=True, width=110, default_flow_style=None)
+    return _HEAD.format(name=name) + "\n" + body
+
+
+def refusals(project: Project, analysis: Analysis, text: str) -> list[str]:
+    """Why the build schema `text`, with the modules of `project`, cannot be generated; empty if it can."""
+    try:
+        other = load_project(project.source, text)
+        boundaries = {}
+        for region in other.regions:
+            names = [module.name for module in other.modules_of(region)]
+            boundaries[region] = boundary([analysis.modules[name] for name in names], labels=names)
+        changed = replace(analysis, boundaries=boundaries)
+        if changed.refused:
+            return list(changed.refused)
+        system = plan_system(changed.completed(other), boundaries)
+    except SchemaError as error:
+        return [problem.message for problem in error.problems]
+    except BuildError as error:
+        return [str(error)]
+    return [f"{finding.message} [{finding.rule}]" for finding in check_system(system) if finding.error]
