@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 import yaml
-from build_support import AXIL_MODULE, NAMES, STREAM_MODULE, copy_examples, project
+from build_support import NAMES, STREAM_MODULE, copy_examples, project
 
 pytest.importorskip("scipy", reason="needs scipy: the extra [build] is not installed")
 pytest.importorskip("pyslang", reason="needs pyslang: the extra [build] is not installed")
 pytest.importorskip("jinja2", reason="needs jinja2: the extra [build] is not installed")
 
+from cm.build.check.finding import Finding
+from cm.build.plan.system import System
 from cm.cli.main import main
 
 
@@ -79,16 +81,26 @@ def test_regions_that_become_one_keep_the_frames_of_each_mode(tmp_path: Path) ->
 
 
 def test_a_proposal_that_cannot_be_generated_gives_way_to_one_of_fewer_regions(
-    tmp_path: Path, capsys: pytest.CaptureFixture
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # each of six would fit by itself, but their windows need more addresses than the port of the processor has
-    text = "project: {name: many, part: xc7z020clg400-1}\nregions: {prr0: {window: 0x10000000}}\nmodules:\n"
+    def at_most_three(system: System) -> list[Finding]:
+        return [Finding("full", ("regions",), "three is the limit")] if len(system.regions) > 3 else []
+
+    monkeypatch.setattr("cm.build.partition.proved.check_system", at_most_three)
+    text = "project: {name: many, part: xc7z020clg400-1}\nregions: {prr0: {}}\nmodules:\n"
     names = [f"m{index}" for index in range(6)]
     text += "".join(f"  {name}: {{sources: [{name}.v], resources: {{lut: 900}}}}\n" for name in names)
-    files = {name: AXIL_MODULE.replace("module one", f"module {name}") for name in names}
+    files = {name: STREAM_MODULE.format(name=name, high=31) for name in names}
     data = proposed(project(tmp_path, text, **files), "--objective", "mean")
-    assert 1 < len(data["regions"]) < 6
-    assert "cannot be generated: " in capsys.readouterr().out
+    assert len(data["regions"]) == 3
+    assert "note: 6 regions cannot be generated: three is the limit [full]" in capsys.readouterr().out
+
+
+def test_a_region_that_stays_but_is_too_small_is_placed_anew(tmp_path: Path) -> None:
+    path = copy_examples(tmp_path) / "camera" / "build.yaml"
+    path.write_text(path.read_text(encoding="utf-8").replace("{lut: 335,", "{lut: 5000,"), encoding="utf-8")
+    region = proposed(path)["regions"]["prr0"]
+    assert (region["pblock"], region["resources"]["lut"]) == (["auto"], 5000)
 
 
 def test_thirty_modules_twenty_modes_and_four_slots_are_proposed_and_generated(tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ from cm.build.partition.advise import unit_name
 from cm.build.partition.external import by_port
 from cm.build.partition.model import Group, Partition
 from cm.build.partition.streams import Streams, streams_of
+from cm.build.plan.floorplan import CLOCK_REGION, device_sites, holds, rectangle
+from cm.build.platforms import device_of, platform_of
 from cm.build.project.model import Project
 
 Place = tuple[str, str]  # module, region of today
@@ -33,7 +35,7 @@ def propose(project: Project, data: Mapping[str, Any], analysis: Analysis, found
     streams = Streams(streams_of(project, analysis), kept)
     text: dict[str, Any] = copy.deepcopy(dict(data))
     text["regions"] = {
-        name: (data["regions"][name] or {})
+        name: _kept(project, data, name, group)
         if name in kept
         else _region(data, analysis, name, members[name], group, streams)
         for name, group in zip(members, found.groups, strict=True)
@@ -45,6 +47,24 @@ def propose(project: Project, data: Mapping[str, Any], analysis: Analysis, found
             spec["regions"] = list(dict.fromkeys(now[module, r] for r in project.modules[module].regions))
     _modes(project, text, now, streams)
     return text
+
+
+def _kept(project: Project, data: Mapping[str, Any], name: str, group: Group) -> dict[str, Any]:
+    """Today's region, in its place if that holds its modules."""
+    spec = dict(data["regions"][name] or {})
+    areas = [area for area in map(rectangle, project.regions[name].pblock) if area]
+    room = holds(areas, device_sites(device_of(project.part)), platform_of(project.part).ultrascale)
+    counted = areas and not any(area.kind == CLOCK_REGION for area in areas)
+    if counted and room.largest(group.resources) != room:
+        spec |= {"pblock": ["auto"], "resources": _resources(group)}
+    elif not areas:
+        spec.setdefault("resources", _resources(group))
+    return spec
+
+
+def _resources(group: Group) -> dict[str, float]:
+    needs = zip(("lut", "ff", "bram", "dsp"), group.resources.values(), strict=True)
+    return {key: value for key, value in needs if value}
 
 
 def _modes(project: Project, text: dict[str, Any], now: Mapping[Place, str], streams: Streams) -> None:
@@ -86,8 +106,7 @@ def _region(
     if windows:
         spec["window"] = max(windows)
     spec["pblock"] = ["auto"]
-    needs = zip(("lut", "ff", "bram", "dsp"), group.resources.values(), strict=True)
-    spec["resources"] = {key: value for key, value in needs if value}
+    spec["resources"] = _resources(group)
     modules = list(dict.fromkeys(module for module, _ in members))
     new = boundary([analysis.modules[module] for module in modules], labels=modules)
     interfaces: dict[str, Any] = {}
