@@ -39,7 +39,7 @@ def problem_of(
         hint = "synthesise them (cm build run), give reports with --reports, or estimate"
         raise BuildError(f"resources: is missing for {', '.join(missing)} ({hint})")
     tied = bound(project, analysis)
-    kinds = {}
+    kinds: dict[tuple[str, str], str] = {}
     for places in tied:  # they share a region already, whatever else they have
         kind = ", or ".join(sorted({_kind(project, analysis, *place) for place in places}))
         kinds |= dict.fromkeys(places, kind)
