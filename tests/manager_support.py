@@ -181,6 +181,10 @@ class FaultyDevices:
     def overlays(self) -> Any:
         return Watched(self._inner.overlays(), self._fault, "overlays", ("apply", "remove"))
 
+    def check(self) -> None:
+        self._fault.step("check")
+        self._inner.check()
+
     def forget(self) -> None:
         self._inner.forget()
 

@@ -70,9 +70,8 @@ class Server:
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, options.quota)
         self._journal = Journal(options.state_dir)
         self._aside = ThreadPoolExecutor(1, "cm-files")
-        configs, bounds = self._configs(), (options.limits, options.group)
-        waiting = mark(configs.values(), options.queue_bytes)
-        self._sockets = Sockets(self._context, options.runtime_dir, waiting, *bounds)
+        waiting = mark((configs := self._configs()).values(), options.queue_bytes)
+        self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
         self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
@@ -111,9 +110,8 @@ class Server:
         loop, o = self._loop, self._options
         standing = partial(self._provisioner.standing, example=o.example)
         aside = self._aside, loop.call_threadsafe, standing, self._with_channels
-        renew = renewal(
-            self._sessions.renew, (self._connections, self._streams), self._manager.leases, self._provisioner
-        )
+        bounded = self._connections, self._streams
+        renew = renewal(self._sessions.renew, bounded, self._manager.leases, self._provisioner)
         return Reloader(Surroundings(self._manager, renew, self._service, *aside, o.reload, o.changed), o.configs)
 
     def _make_dispatcher(self) -> Dispatcher:

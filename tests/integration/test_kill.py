@@ -17,7 +17,9 @@ from manager_process import Manager, environment, until
 from manager_schemas import written
 
 import cm
-from cm.client.errors import ConnectionLost, NoAnswer
+from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
+from cm.daemon.host.devices import BoardDevices
+from cm.device import DeviceGone, Root
 from cm.errors import CmError
 from cm.sim import Board as SimBoard
 
@@ -83,6 +85,43 @@ def test_a_killed_board_is_reported_and_served_again_when_it_is_back(own: Own) -
         until(lambda: board.status.config_name == "")
         board.load("camera", "edge_detection")
         assert board.read("camera", timeout=5).shape == (480, 640)
+
+
+def test_going_to_the_mode_that_is_loaded_asks_the_board_whether_it_is_there(own: Own) -> None:
+    """There is nothing to be done for it, and nothing else would notice."""
+    manager, sim = own
+    with manager.connected() as board:
+        board.load("camera", "default")
+        before = board.status.last_change
+        assert board.load("camera", "default") >= 0
+        sim.kill()
+        for _ in range(2):
+            with pytest.raises(RequestFailed, match="has gone, or nothing serves it") as caught:
+                board.load("camera", "default")
+            assert caught.value.code == "device_gone"
+        status = board.status
+        assert (status.last_change, status.pr_mode.value) == (before + 3, "error")
+        sim.restart()
+        until(lambda: board.status.config_name == "")
+        board.load("camera", "default")
+        assert board.read("camera", timeout=20).shape == (480, 640)
+
+
+@pytest.mark.parametrize("port", [True, False])
+def test_the_board_is_asked_by_its_port_or_else_by_a_window(own: Own, port: bool) -> None:
+    _, sim = own
+    if not port:
+        (sim.root / "dev/cm_icap0").rename(sim.root / "dev/elsewhere")
+    devices = BoardDevices(Root.of(sim.root))
+    devices.check()
+    sim.kill()
+    with pytest.raises(DeviceGone):
+        devices.check()
+    (sim.root / "dev/elsewhere").unlink(missing_ok=True)
+    sim.restart()
+    devices.lost()
+    devices.check()
+    devices.lost()
 
 
 def test_a_second_manager_on_the_same_folder_is_refused(manager: Manager) -> None:

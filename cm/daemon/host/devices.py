@@ -7,7 +7,7 @@ import threading
 from pathlib import Path
 
 from cm.daemon.host.memory import DeviceMemory, device_memory
-from cm.device import AxiDma, FpgaManager, GpioLine, Icap, Overlays, PlClocks, Root, Uio, find_uio
+from cm.device import AxiDma, FpgaManager, GpioLine, Icap, Overlays, PlClocks, Root, Uio, find_uio, list_icap, list_uio
 from cm.manager.ports import Window
 
 _BOOT_ID = "proc/sys/kernel/random/boot_id"
@@ -96,6 +96,14 @@ class BoardDevices:
     def probe_dma(self, channel: str) -> int:
         """A descriptor that polls readable when a channel answers that did not. Raises OSError."""
         return AxiDma.probe(channel, self._root)
+
+    def check(self) -> None:
+        """Raise DeviceError where the board does not answer any more: its ports are asked, or a window is opened."""
+        ports = {*self._icaps, *list_icap(self._root)}
+        for name in sorted(ports):
+            self.icap(name).status()
+        for info in [] if ports else list_uio(self._root)[:1]:
+            Uio.open(info.node, self._root).close()
 
     def forget(self) -> None:
         """Close UIO handles; the next use opens them anew."""

@@ -205,11 +205,22 @@ class Worker:
         """
         before = self._tools.state.board
         run = StepContext(plan_to(goal, self._tools), self._tools, change.number, lambda: change.cancelled)
+        if not run.plan.steps:
+            self._check_board()
         try:
             take_steps(run, goal, ACTIONS)
         except Exception as error:
             rollback = Rollback(self._tools, before, functools.partial(self._go_back, run), run.sealed)
             raise rollback.run(failure_of(run, error)) from error  # in no variable: its traceback has this frame
+
+    def _check_board(self) -> None:
+        """Nothing is to be done, and nothing would notice that the board has gone. Raises what it answers with."""
+        try:
+            self._tools.devices.check()
+        except CmError:
+            self._tools.loaders.forget()
+            self._tools.registers.forget(lost=True)
+            raise
 
     def _go_back(self, failed: StepContext, goal: Goal) -> None:
         plan = plan_to(goal, self._tools)

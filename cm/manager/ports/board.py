@@ -76,6 +76,9 @@ class Devices(Protocol):
     def clocks(self) -> Clocks:
         """The clocks of the processing system for the PL."""
 
+    def check(self) -> None:
+        """Ask the board for something that changes nothing. Raises DeviceError where it does not answer."""
+
     def forget(self) -> None:
         """Close register windows: UIO devices may have come or gone with an overlay."""
 
