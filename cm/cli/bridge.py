@@ -1,0 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm bridge …``: a board in another network."""
+
+from __future__ import annotations
+
+import argparse
+
+from cm.cli.bridge_dds import add_dds_parser
+
+_DESCRIPTION = """\
+Puts a board into another network: as a ROS 2 node on DDS. A bridge is a client like any other, with this user's
+rights or those of --keys, and runs until it is interrupted; a manager that goes away is waited for."""
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser("bridge", help="put a board into another network", description=_DESCRIPTION)
+    actions = parser.add_subparsers(dest="action", metavar="NETWORK", required=True)
+    add_dds_parser(actions)

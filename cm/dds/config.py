@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How Cyclone DDS is set: by CYCLONEDDS_URI as everywhere, else so that it loses no frames."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+
+_LOG = logging.getLogger("cm.dds")
+SHIPPED = Path(__file__).with_name("cyclonedds.xml")
+_BUFFER = "/proc/sys/net/core/rmem_max"
+_WANTED = 4_000_000  # bytes, as the shipped file has it
+_MINIMUM = '<SocketReceiveBufferSize min="4MB"/>'
+
+
+def uri() -> str:
+    """What CYCLONEDDS_URI is to be: what it is already, or the shipped settings as far as the kernel lets."""
+    given = os.environ.get("CYCLONEDDS_URI")
+    if given is not None:
+        return given
+    if _allowed() >= _WANTED:
+        return SHIPPED.as_uri()
+    _LOG.warning(
+        "frames of some MiB may be lost: the kernel allows a receive buffer of %d bytes; sysctl -w "
+        "net.core.rmem_max=4194304 lets it be large enough", _allowed(),
+    )  # fmt: skip
+    text = SHIPPED.read_text("utf-8")
+    return text[text.index("<CycloneDDS") :].replace(_MINIMUM, "")
+
+
+def _allowed() -> int:
+    try:
+        return int(Path(_BUFFER).read_text("ascii"))
+    except (OSError, ValueError):
+        return 0

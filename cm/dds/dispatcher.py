@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A thread that waits for samples of several readers and hands them on."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+
+from cyclonedds.core import GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.sub import DataReader
+from cyclonedds.util import duration
+
+from cm.dds.types import Raw
+from cm.errors import CmError
+
+_LOG = logging.getLogger("cm.dds")
+_MANY = 16  # samples that are taken at a time
+_EVER = duration(seconds=3600)
+_ANY = SampleState.Any | ViewState.Any | InstanceState.Any
+
+
+class Dispatcher:
+    """Runs from the first reader on until it is closed."""
+
+    def __init__(self, participant: DomainParticipant, name: str) -> None:
+        self._waitset = WaitSet(participant)
+        self._wake = GuardCondition(participant)
+        self._waitset.attach(self._wake)
+        self._readers: tuple[tuple[DataReader, ReadCondition, Callable[[bytes], None]], ...] = ()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def add(self, reader: DataReader, take: Callable[[bytes], None]) -> None:
+        """`take` gets each sample's bytes; what it raises as CmError is logged."""
+        condition = ReadCondition(reader, _ANY)
+        self._readers = (*self._readers, (reader, condition, take))
+        self._waitset.attach(condition)
+        if not self._thread.ident:
+            self._thread.start()
+        self._wake.set(True)  # what had come before it was attached
+
+    def _run(self) -> None:
+        while not self._closed:
+            self._waitset.wait(_EVER)
+            self._wake.set(False)
+            for reader, _, take in self._readers:
+                if not self._closed:
+                    _hand_on(reader, take)
+
+    def close(self) -> None:
+        """End the thread, and wait for it; twice is fine. The readers stay their owner's."""
+        self._closed = True
+        self._wake.set(True)
+        if self._thread.ident and self._thread is not threading.current_thread():
+            self._thread.join()
+
+
+def _hand_on(reader: DataReader, take: Callable[[bytes], None]) -> None:
+    while samples := reader.take(N=_MANY):
+        for sample in samples:
+            if isinstance(sample, Raw):  # no notice of a writer that has gone
+                try:
+                    take(sample.data)
+                except CmError as error:
+                    _LOG.warning("%s", error)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The functions of libddsc by which a sample is made from pieces of memory: one copy, where the Python API makes two.
+
+They are no public interface, so each library is tried before it is used (`proved`): where it is another than
+expected, `Library.open` gives None, and samples take the way of the Python API.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from importlib.metadata import version
+from typing import Any
+
+from cffi import FFI
+
+_TRIED = ("11.0.",)  # versions of cyclonedds whose library has these functions so
+_SDK_DATA = 2  # enum ddsi_serdata_kind
+_DECLARATIONS = """
+typedef int32_t dds_entity_t;
+struct iov { void *base; size_t length; };
+int32_t dds_get_entity_sertype(dds_entity_t entity, void **sertype);
+void *ddsi_serdata_from_ser_iov(void *sertype, int kind, size_t count, const struct iov *pieces, size_t size);
+uint32_t ddsi_serdata_size(void *serdata);
+void ddsi_serdata_to_ser(void *serdata, size_t offset, size_t size, void *buffer);
+void ddsi_serdata_unref(void *serdata);
+int32_t dds_writecdr(dds_entity_t writer, void *serdata);
+"""
+
+
+class Library:
+    """The libddsc that cyclonedds itself runs on. Its wheel holds two; the other would know no entity of ours."""
+
+    def __init__(self, path: str) -> None:
+        self.ffi = FFI()
+        self.ffi.cdef(_DECLARATIONS)
+        self.dds: Any = self.ffi.dlopen(path)
+
+    @classmethod
+    def open(cls) -> Library | None:
+        """None where cyclonedds is of a version that was not tried, or lacks one of the functions."""
+        if not version("cyclonedds").startswith(_TRIED):
+            return None
+        from cyclonedds.__library__ import library_path
+
+        try:
+            found = cls(str(library_path))
+            _ = found.dds.ddsi_serdata_from_ser_iov, found.dds.ddsi_serdata_to_ser, found.dds.dds_writecdr
+        except (OSError, AttributeError):
+            return None
+        return found
+
+    def pieces(self, entity: int) -> Pieces:
+        """Samples for a writer. Raises OSError where it has no type."""
+        return Pieces(self, entity)
+
+
+class Pieces:
+    """Samples of one writer, made from a head and what follows it, each copied once."""
+
+    def __init__(self, library: Library, entity: int) -> None:
+        self._ffi, self._dds, self._entity = library.ffi, library.dds, entity
+        out = self._ffi.new("void **")
+        if self._dds.dds_get_entity_sertype(entity, out) != 0:
+            raise OSError("this writer of cyclonedds has no type")
+        self._type = out[0]
+        self._zeros = self._ffi.new("char[4]")
+        self._iov = self._ffi.new("struct iov[3]")
+
+    def write(self, head: bytearray, rows: Any, length: int) -> None:
+        """`rows`: addresses and lengths of what follows, `length` bytes in all. Raises OSError."""
+        sample = self._made(head, rows, length)
+        if self._dds.dds_writecdr(self._entity, sample) < 0:  # which takes the sample over
+            raise OSError("DDS did not take the sample")
+
+    def _made(self, head: bytearray, rows: Any, length: int) -> Any:
+        count = len(rows) + 2
+        if count > len(self._iov):
+            self._iov = self._ffi.new("struct iov[]", count)
+        iov, pad = self._iov, -(len(head) + length) % 4
+        start = self._ffi.from_buffer(head)
+        iov[0].base, iov[0].length = start, len(head)
+        for number, (address, size) in enumerate(rows, 1):
+            iov[number].base, iov[number].length = self._ffi.cast("void *", address), size
+        iov[count - 1].base, iov[count - 1].length = self._zeros, pad
+        total = len(head) + length + pad
+        sample = self._dds.ddsi_serdata_from_ser_iov(self._type, _SDK_DATA, count if pad else count - 1, iov, total)
+        if sample == self._ffi.NULL:
+            raise OSError("DDS made no sample of these bytes")
+        return sample
+
+    def proved(self, sample: bytes) -> bool:
+        """Whether a sample made from pieces holds the very bytes; nothing is sent."""
+        head, body = bytearray(sample[:8]), ctypes.create_string_buffer(sample[8:], len(sample) - 8)
+        address = ctypes.addressof(body)
+        half = (len(sample) - 8) // 2
+        made = self._made(head, [(address, half), (address + half, len(sample) - 8 - half)], len(sample) - 8)
+        try:
+            size = self._dds.ddsi_serdata_size(made)
+            if size != len(sample) + -len(sample) % 4:
+                return False
+            back = self._ffi.new("char[]", size)
+            self._dds.ddsi_serdata_to_ser(made, 0, size, back)
+            held = bytes(self._ffi.buffer(back))
+        finally:
+            self._dds.ddsi_serdata_unref(made)
+        return held[:2] == sample[:2] and held[4 : len(sample)] == sample[4:]  # between: how much is padding

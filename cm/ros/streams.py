@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node's topics of frames: each stream of the mode that runs, read while it has subscribers."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from cm.bridge.commands import Commands
+from cm.bridge.frames import FrameReader, FrameWriter
+from cm.bridge.records import Caller, ConfigRecord, FrameRecord, StreamFormat
+from cm.client.board import Board
+from cm.errors import CmError
+from cm.ros import messages
+from cm.ros.transport import IMAGES, SENSOR_DATA, Closing, Publisher, Transport
+from cm.schema.pictures import misfit
+
+_LOG = logging.getLogger("cm.ros")
+
+
+class ReadableStream:
+    """``NAME/image_raw`` and ``NAME/camera_info`` of pictures, ``NAME/data`` of others."""
+
+    def __init__(self, transport: Transport, base: str, stream: StreamFormat, board: Board) -> None:
+        self._stream = stream
+        self._publisher: Publisher
+        self._info: Publisher | None = None
+        if stream.encoding:
+            self._publisher = transport.publisher(f"{base}/image_raw", "sensor_msgs/msg/Image", IMAGES)
+            self._info = transport.publisher(f"{base}/camera_info", "sensor_msgs/msg/CameraInfo", IMAGES)
+        else:
+            self._publisher = transport.publisher(f"{base}/data", "cm_interfaces/msg/Data", IMAGES)
+        self._reader = FrameReader(board, stream, self._take, depth=3)
+
+    def look(self) -> None:
+        """Run while somebody listens, and only then."""
+        info = self._info.listeners() if self._info is not None else 0
+        if self._publisher.listeners() + info:
+            self._reader.start()
+        else:
+            self._reader.stop()
+
+    def _take(self, frame: FrameRecord) -> None:
+        if self._info is None:
+            self._publisher.write_frame(messages.data_head(frame), frame)
+        elif frame.encoding:  # a packet that was cut short has no rows
+            self._publisher.write_frame(messages.image_head(frame), frame)
+            self._info.write(messages.camera_info(self._stream, frame))
+
+    def close(self) -> None:
+        """End reading, and the topics."""
+        self._reader.stop()
+        self._publisher.close()
+        if self._info is not None:
+            self._info.close()
+
+
+class WritableStream:
+    """``NAME/write``, images for a stream of pictures; ``NAME/write_data`` for others."""
+
+    def __init__(
+        self, transport: Transport, base: str, stream: StreamFormat, commands: Commands, caller: Caller
+    ) -> None:
+        self._stream = stream
+        self._commands = commands
+        self._caller = caller
+        self._writer: FrameWriter | None = None
+        kind, topic = (
+            ("sensor_msgs/msg/Image", "write") if stream.encoding else ("cm_interfaces/msg/Data", "write_data")
+        )
+        self._subscription: Closing = transport.subscription(f"{base}/{topic}", kind, SENSOR_DATA, self._take)
+
+    def look(self) -> None:
+        """Nothing runs but when something comes."""
+
+    def _take(self, values: Mapping[str, Any]) -> None:
+        try:
+            if self._writer is None:
+                self._writer = self._commands.writer(self._caller, self._stream.name)
+            self._writer.write(self._pixels(values))
+        except (CmError, OSError) as error:
+            _LOG.warning("a frame for %s was not written: %s", self._stream.name, error)
+            self._drop()
+
+    def _pixels(self, values: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        """The bytes, without what stands between the end of a row and the next."""
+        data = np.frombuffer(values["data"], np.uint8)
+        if not self._stream.encoding:
+            return data
+        if values["encoding"] != self._stream.encoding:
+            raise CmError(f"it is {values['encoding']}; the stream takes {self._stream.encoding}")
+        height, step = values["height"], values["step"]
+        row = data.size // height if not step else self._row(values)
+        if not height or data.size < height * step or row > step:
+            raise CmError(f"{data.size} bytes are no {height} rows of {step} bytes")
+        return data if row == step else data[: height * step].reshape(height, step)[:, :row]
+
+    def _row(self, values: Mapping[str, Any]) -> int:
+        shape = self._stream.shape
+        item = np.dtype(self._stream.dtype).itemsize
+        assert not misfit(self._stream.encoding, shape, item)
+        return int(values["width"] * item * int(np.prod(shape[2:], dtype=int)))
+
+    def _drop(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+    def close(self) -> None:
+        """End listening."""
+        self._subscription.close()
+        self._drop()
+
+
+class Streams:
+    """Those of the mode that runs."""
+
+    def __init__(self, transport: Transport, base: str, commands: Commands, caller: Caller) -> None:
+        self._transport = transport
+        self._base = base
+        self._commands = commands
+        self._caller = caller
+        self._open: dict[str, tuple[Any, ReadableStream | WritableStream]] = {}
+
+    def take(self, record: ConfigRecord, board: Board) -> None:
+        """Open what is new, close what has gone; what is as it was goes on."""
+        wanted = {stream.name: stream for stream in record.streams if not stream.writes or stream.shape}
+        for name in [name for name, (kept, _) in self._open.items() if kept != _kind(wanted.get(name))]:
+            self._open.pop(name)[1].close()
+        for name, stream in wanted.items():
+            if name not in self._open:
+                self._open[name] = (_kind(stream), self._made(stream, board))
+
+    def _made(self, stream: StreamFormat, board: Board) -> ReadableStream | WritableStream:
+        base = f"{self._base}/{stream.name.replace('-', '_')}"
+        if stream.writes:
+            return WritableStream(self._transport, base, stream, self._commands, self._caller)
+        return ReadableStream(self._transport, base, stream, board)
+
+    def look(self) -> None:
+        """Start and stop streams as subscribers come and go; to be called a few times a second."""
+        for _, stream in tuple(self._open.values()):
+            stream.look()
+
+    def close(self) -> None:
+        """Close all."""
+        while self._open:
+            self._open.popitem()[1][1].close()
+
+
+def _kind(stream: StreamFormat | None) -> Any:
+    """What another endpoint is needed for, where it is another: shapes of frames that are read may change."""
+    if stream is None:
+        return None
+    if stream.writes:
+        return stream
+    return stream.writes, bool(stream.encoding), stream.frame_id, stream.camera_info

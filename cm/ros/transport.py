@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the node is given: a middleware that publishes, listens and answers, in ROS's terms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from cm.bridge.records import FrameRecord
+
+Values = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Qos:
+    """Quality of service in ROS's terms; `latched`: who comes late gets what was published last (transient local)."""
+
+    depth: int
+    reliable: bool = True
+    latched: bool = False
+
+
+LATCHED = Qos(1, latched=True)
+EVENTS = Qos(10)
+SERVICES = Qos(10)
+IMAGES = Qos(2)  # reliable: who subscribes by best effort (sensor data) matches it, too
+SENSOR_DATA = Qos(5, reliable=False)
+
+
+class Publisher(Protocol):
+    """A topic that is published."""
+
+    def write(self, values: Values) -> None:
+        """One message."""
+
+    def write_frame(self, head: Values, frame: FrameRecord) -> None:
+        """One whose last field is the frame's bytes; `head` are the others."""
+
+    def listeners(self) -> int:
+        """How many subscribers there are."""
+
+    def close(self) -> None:
+        """End it; twice is fine."""
+
+
+class Closing(Protocol):
+    """Something that ends."""
+
+    def close(self) -> None:
+        """End it; twice is fine."""
+
+
+class Transport(Protocol):
+    """Topics and services of one node; names are whole (``/cm/status``), types as `cm.ros.definitions` has them."""
+
+    def publisher(self, topic: str, kind: str, qos: Qos) -> Publisher:
+        """Publish a topic."""
+
+    def subscription(self, topic: str, kind: str, qos: Qos, take: Callable[[dict[str, Any]], None]) -> Closing:
+        """Listen to a topic: `take` gets each message, in a thread of this subscription's own."""
+
+    def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> Closing:
+        """Serve: `answer` may take its time, since each request has a thread; what it raises is logged."""

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write ``cm/ros/own.py`` from the files of cm_interfaces, which are the one source: ``python ros2/write_own.py``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+TARGET = HERE.parent / "cm" / "ros" / "own.py"
+HEAD = '''\
+# SPDX-License-Identifier: Apache-2.0
+"""The interfaces of ros2/cm_interfaces without comments and constants; ``python ros2/write_own.py`` writes it."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+OWN = MappingProxyType(
+    {
+'''
+FIELD = re.compile(r"^([\w/<=\[\]]+) +(\w+)$")
+
+
+def module() -> str:
+    """The text of the module."""
+    rows = []
+    for kind in ("msg", "srv", "action"):
+        for path in sorted((HERE / "cm_interfaces" / kind).iterdir()):
+            rows.append(f'        "cm_interfaces/{kind}/{path.stem}": (\n')
+            lines = fields(path.read_text("utf-8"))
+            rows += [f'            "{line}{chr(92)}n"\n' for line in lines[:-1]] + [f'            "{lines[-1]}"\n']
+            rows.append("        ),\n")
+    return HEAD + "".join(rows) + "    }\n)\n"
+
+
+def fields(text: str) -> list[str]:
+    """Fields and dividers."""
+    lines = [line.partition("#")[0].strip() for line in text.splitlines()]
+    return [" ".join(line.split()) for line in lines if line == "---" or FIELD.match(line)]
+
+
+if __name__ == "__main__":
+    TARGET.write_text(module(), encoding="utf-8")
