@@ -36,7 +36,7 @@ CASES = (
     Case("scraping", ("scraping",)),
     Case("sync", ("frame_sync",)),
     Case("advisor", ("advisor",)),
-    Case("rtl", ("rtl_frames", "rtl_registers")),
+    Case("rtl", ("rtl_frames", "rtl_frames_wide", "rtl_registers")),
     Case("fig4", ("fig4",)),
     Case("fig5", ("fig5",)),
 )

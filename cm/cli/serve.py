@@ -55,6 +55,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="on a simulated board (no hardware, no root): models in software, or rtl, the design's HDL")  # fmt: skip
     parser.add_argument("--sim-traces", action="store_true",
         help="with --sim=rtl: compiled so that 'cm sim trace' can write what its signals do (slower)")  # fmt: skip
+    parser.add_argument("--sim-coverage", type=Path, metavar="DIR",
+        help="with --sim=rtl: count the lines of HDL that run, for 'cm sim coverage DIR'")  # fmt: skip
+    parser.add_argument("--sim-time-scale", metavar="N",
+        help="with --sim=rtl: a second of simulated time takes N seconds at least")  # fmt: skip
     parser.add_argument("--build", type=Path, metavar="FILE",
         help="with --sim=rtl: build schema of the design (default: the shipped camera)")  # fmt: skip
     parser.add_argument(
@@ -99,8 +103,10 @@ def _mebibytes(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Serve; the exit status."""
-    if (args.build or args.sim_traces) and args.sim != "rtl":
-        raise InvalidRequest("--build and --sim-traces are about a design's RTL: give --sim=rtl with them")
+    if (args.build or args.sim_traces or args.sim_coverage or args.sim_time_scale) and args.sim != "rtl":
+        raise InvalidRequest(
+            "--build, --sim-traces, --sim-coverage and --sim-time-scale are about a design's RTL: give --sim=rtl too"
+        )
     settings = settings_of(args)
     _log_to(_level(args, settings), service=settings is not None)
     with ExitStack() as stack:
@@ -233,6 +239,8 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
     arguments += ["--icap-rate", str(args.sim_icap_rate)] if args.sim_icap_rate is not None else []
     arguments += ["--build", str(args.build.resolve())] if args.build else []
     arguments += ["--traces"] if args.sim_traces else []
+    arguments += ["--coverage", str(args.sim_coverage.resolve())] if args.sim_coverage else []
+    arguments += ["--time-scale", args.sim_time_scale] if args.sim_time_scale else []
     root = Path(args.root) if args.root else runtime / "board"
     starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
     program = "cm.rtl" if args.sim == "rtl" else "cm.sim"

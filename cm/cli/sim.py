@@ -76,6 +76,8 @@ def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
     trace.add_argument("what", choices=("start", "stop"))
     trace.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="where the files go")
     actions.add_parser("mark", help="show a text in the trace").add_argument("text")
+    coverage = actions.add_parser("coverage", help="which lines of the RTL have run (cm serve --sim-coverage DIR)")
+    coverage.add_argument("folder", type=Path, metavar="DIR", help="where the counts are; coverage.info goes there")
     actions.add_parser("state", help="print what the board holds, as JSON")
     for parser in actions.choices.values():
         parser.add_argument("--root", type=Path, default=argparse.SUPPRESS, help="folder that the simulator serves")
@@ -86,10 +88,28 @@ def _act(args: argparse.Namespace) -> int:
     from cm.errors import CmError
     from cm.sim import Control
 
+    if args.action == "coverage":
+        return _coverage(args)
     if args.root is None:
         args.refuse("--root is missing: the folder that the simulator serves")
     try:
         _carry_out(Control(args.root), args)
+    except CmError as error:
+        print(f"cm sim: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _coverage(args: argparse.Namespace) -> int:
+    """Of a board that runs (``--root``) up to now; of those that have ended without it."""
+    from cm.errors import CmError
+    from cm.rtl.coverage import report, table
+    from cm.sim import Control
+
+    try:
+        if args.root is not None:
+            Control(args.root).cover()
+        print(table(report(args.folder)))
     except CmError as error:
         print(f"cm sim: {error}", file=sys.stderr)
         return 1

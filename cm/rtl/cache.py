@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Callable, Iterable
 from pathlib import Path
+
+KEPT = 60  # days without a use
 
 
 def cache_folder() -> Path:
@@ -32,7 +36,8 @@ def made(folder: Path, name: str, make: Callable[[Path, Path], None]) -> Path:
     It appears whole or not at all: whoever is killed on the way leaves a scratch folder and nothing else.
     """
     found = folder / name
-    if found.exists():
+    with contextlib.suppress(FileNotFoundError):
+        os.utime(found)  # it is in use
         return found
     folder.mkdir(parents=True, exist_ok=True)
     scratch = Path(tempfile.mkdtemp(prefix=".making-", dir=folder))
@@ -42,4 +47,18 @@ def made(folder: Path, name: str, make: Callable[[Path, Path], None]) -> Path:
         target.replace(found)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+    _forget(folder)
     return found
+
+
+def _forget(folder: Path) -> None:
+    """Remove what nobody has asked for in KEPT days; a process that has loaded it keeps it."""
+    oldest = time.time() - KEPT * 86400
+    for entry in folder.iterdir():
+        with contextlib.suppress(OSError):
+            if entry.stat().st_mtime >= oldest:
+                continue
+            if entry.is_dir():
+                shutil.rmtree(entry)  # of a compiler that was killed
+            else:
+                entry.unlink()

@@ -16,6 +16,7 @@ from cm.build.generate.netlist import Netlist, Signal
 from cm.build.generate.outputs import identified, render_all
 from cm.build.generate.static_part.module import static_part
 from cm.build.generate.tree import load_design
+from cm.build.generate.wrapper import wrapper
 from cm.build.hdl.model import PortDirection
 from cm.build.plan.system import Implementation, RegionPlan, StreamBus, System, used_clocks
 from cm.build.render import Renderer
@@ -23,6 +24,7 @@ from cm.build.runtime.answers import Answers
 from cm.rtl.compile import Unit
 from cm.rtl.engines import add_engines, prefix_of
 from cm.rtl.errors import RtlError
+from cm.rtl.vhdl import as_verilog
 from cm.schema.model import Direction
 
 EVENT_BYTES = 32  # of the pin that shows marks in traces
@@ -89,7 +91,7 @@ def load_rtl_design(schema: Path, folder: Path) -> RtlDesign:
     return RtlDesign(
         system,
         Unit("the static part", static.name, (folder / "hdl/cm_static_sim.v", *_library(), *sorted(_HDL.glob("*.v")))),
-        {(one.region.name, one.module.name): _unit(one, folder) for one in system.implementations},
+        {(one.region.name, one.module.name): _unit(one, folder, renderer) for one in system.implementations},
         tuple(_streams(system)),
         tuple(_outputs(static, system)),
         files[f"config/{system.project.name}.yaml"],
@@ -191,7 +193,7 @@ def _library() -> list[Path]:
     return sorted(RTL.glob("*.v"))
 
 
-def _unit(one: Implementation, folder: Path) -> Unit:
+def _unit(one: Implementation, folder: Path, renderer: Renderer) -> Unit:
     """A module in its wrapper; where vendor IP is used, `sim_sources` stand for it."""
     module = one.module
     if (module.ip or module.tcl) and not module.sim_sources:
@@ -199,10 +201,24 @@ def _unit(one: Implementation, folder: Path) -> Unit:
     if module.sim_sources:
         module = replace(module, sources=module.sim_sources, libraries={})
     files = module_files(replace(one, module=module), folder)
-    if files["vhdl"] or module.libraries:
-        raise RtlError(f"module {module.name} is VHDL: Verilator reads Verilog and SystemVerilog")
     sources = tuple(dict.fromkeys([*files["verilog"], *files["systemverilog"]]))
+    if files["vhdl"] or module.libraries:
+        sources = _of_vhdl(replace(one, module=module), folder, renderer)
     return Unit(f"module {one.name}", one.region.module, sources, tuple(files["include_dirs"]), tuple(files["defines"]))
+
+
+def _of_vhdl(one: Implementation, folder: Path, renderer: Renderer) -> tuple[Path, ...]:
+    """The module as Verilog, its generics in it, and a wrapper that sets none."""
+    module = one.module
+    for source in module.sources:
+        if source.suffix.lower() not in (".vhd", ".vhdl"):
+            raise RtlError(
+                f"module {module.name} is in two languages: VHDL is brought to Verilog whole ({source.name})"
+            )
+    plain = replace(one, module=replace(module, parameters={}))
+    path = folder / f"wrappers/{one.name}/{one.region.module}.v"
+    _write(path, renderer.render("module.v.j2", {"net": wrapper(plain)}))
+    return (path, as_verilog(module, module.sources), *sorted(RTL.glob("cm_axi_slave_decoupler*.v")))
 
 
 def _write(path: Path, text: str) -> None:

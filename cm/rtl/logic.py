@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 from collections.abc import Mapping
 from pathlib import Path
@@ -110,6 +111,11 @@ class RtlLogic:
         if answer.a:
             raise NodeError(errno.EOPNOTSUPP, answer.text)
         self._running.traced = bool(folder)
+
+    def cover(self) -> None:
+        """Bring the files of `--coverage` up to now."""
+        with contextlib.suppress(RtlError):
+            self._running.ask(Op.COVER)
 
     def mark(self, text: str) -> None:
         """As the text of the static part's signal ``cm_event``."""

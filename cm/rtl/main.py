@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from cm.errors import CmError
-from cm.rtl.compile import compile_engine, compile_units
+from cm.rtl.compile import NOTHING, Watched, compile_engine, compile_units
 from cm.rtl.design import RtlDesign, load_rtl_design, wiring
 from cm.rtl.errors import ToolMissing
 from cm.rtl.logic import RtlLogic
@@ -30,6 +30,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--build", type=Path, default=example_build(), metavar="FILE",
         help="build schema (default: the shipped camera)")  # fmt: skip
     parser.add_argument("--traces", action="store_true", help="compiled so that traces can be written (slower)")
+    parser.add_argument(
+        "--coverage", type=Path, metavar="DIR", help="count the lines of HDL that run, into files there"
+    )
+    parser.add_argument("--time-scale", type=_scale, metavar="N",
+        help="a second of simulated time takes N seconds at least, clocks and configuration port alike")  # fmt: skip
     logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
     return run(parser.parse_args(argv))
 
@@ -39,21 +44,28 @@ def run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="cm-rtl-") as folder:
         try:
             design = load_rtl_design(args.build, Path(folder))
-            start = _maker(design, Path(folder), args.traces)
+            if args.coverage:
+                args.coverage.mkdir(parents=True, exist_ok=True)
+            if args.time_scale and args.icap_rate is None:
+                args.icap_rate = _port_rate(design) / args.time_scale
+            start = _maker(design, Path(folder), args)
             if not args.config:
                 args.config = [_schema(design, Path(folder))]
-        except CmError as error:
+        except ToolMissing as error:
+            print(f"cm sim: the RTL {error}", file=sys.stderr)
+            return 1
+        except (CmError, OSError) as error:
             print(f"cm sim: {error}", file=sys.stderr)
             return 1
         return run_board(args, start)
 
 
-def prepare(build: Path, traces: bool = False) -> None:
+def prepare(build: Path, watched: Watched = NOTHING) -> None:
     """Compile what a design needs, so that a board that runs it starts at once. Raises as `load_rtl_design`."""
     tools = find_tools()
     with tempfile.TemporaryDirectory(prefix="cm-rtl-") as folder:
         design = load_rtl_design(build, Path(folder))
-        compile_units(tools, [design.static, *design.modules.values()], traces)
+        compile_units(tools, [design.static, *design.modules.values()], watched)
     compile_engine(tools)
 
 
@@ -66,19 +78,39 @@ def _schema(design: RtlDesign, folder: Path) -> Path:
     return folder / "config" / f"{design.system.project.name}.yaml"
 
 
-def _maker(design: RtlDesign, folder: Path, traces: bool) -> MakeLogic:
+def _scale(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds: 100 lets 10 ns take a microsecond")
+    return value
+
+
+def _port_rate(design: RtlDesign) -> float:
+    """Bytes a second that the configuration port takes: a word a clock."""
+    icap = design.system.icap
+    return 4.0 * (design.system.project.clocks[icap.clock].rate if icap else 100e6)
+
+
+def _maker(design: RtlDesign, folder: Path, args: argparse.Namespace) -> MakeLogic:
     """What makes the logic; the models in software where nothing here compiles HDL."""
     try:
         tools = find_tools()
     except ToolMissing as error:
         logging.getLogger(__name__).warning("the RTL %s; models in software stand in for it", error)
         return SoftwareLogic
-    return partial(_start, tools, design, folder, traces)
+    return partial(_start, tools, design, folder, args)
 
 
-def _start(tools: Tools, design: RtlDesign, folder: Path, traces: bool, parts: LogicParts) -> RtlLogic:
-    static, *libraries = compile_units(tools, [design.static, *design.modules.values()], traces)
+def _start(tools: Tools, design: RtlDesign, folder: Path, args: argparse.Namespace, parts: LogicParts) -> RtlLogic:
+    watched = Watched(args.traces, args.coverage is not None)
+    static, *libraries = compile_units(tools, [design.static, *design.modules.values()], watched)
     lines = folder / "wiring"
-    lines.write_text(wiring(design, static, parts.seed), encoding="utf-8")
+    text = wiring(design, static, parts.seed)
+    text += f"coverage {args.coverage.absolute()}\n" if args.coverage else ""
+    text += f"pace {args.time_scale}\n" if args.time_scale else ""
+    lines.write_text(text, encoding="utf-8")
     process = EngineProcess(compile_engine(tools), lines)
     return RtlLogic(parts, design, process, dict(zip(design.modules, libraries, strict=True)))

@@ -15,7 +15,7 @@ EXCHANGE = 32 << 20  # where in the arena bytes of memory are handed over
 
 
 class Op(IntEnum):
-    """What a message is about; requests up to `SPIN`, events behind."""
+    """What a message is about; requests up to `COVER`, events behind."""
 
     READ = 1
     WRITE = 2
@@ -31,6 +31,7 @@ class Op(IntEnum):
     MARK = 12
     STATE = 13
     SPIN = 14
+    COVER = 15
     SENT = 64
     RECEIVED = 65
     INTERRUPT = 66

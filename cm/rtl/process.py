@@ -19,6 +19,7 @@ from typing import NoReturn
 from cm.rtl.errors import RtlError
 from cm.rtl.messages import ANSWER, ARENA_BYTES, TEXT, Message, Op
 
+FAREWELL = 2.0  # seconds for its own end
 PATIENCE = 60.0  # seconds for an answer: an access that the logic never answers is given up long before
 
 Exchange = Callable[[bool, int, int], bool]  # write or read, address, bytes: by the arena; False: there is none
@@ -88,10 +89,13 @@ class EngineProcess:
         return found
 
     def close(self) -> None:
-        """End it."""
-        self._process.kill()
-        self._process.wait()
+        """End it; it writes down what it has counted, if it was to."""
         self._socket.close()
+        try:
+            self._process.wait(FAREWELL)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
         with contextlib.suppress(BufferError):  # somebody still looks at it
             self.arena.close()
 

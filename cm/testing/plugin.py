@@ -19,18 +19,43 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     """Settings of pytest.ini or pyproject.toml."""
     parser.addini("cm_config", "runtime schemas, or folders of them, for `board`, a line each", default="")
     parser.addini("cm_build", "build schema whose RTL `rtl_board` runs (default: the shipped camera)", default="")
+    parser.getgroup("fpga-cm").addoption(
+        "--rtl-coverage",
+        metavar="DIR",
+        help="count the lines of HDL that tests with `rtl_board` run; coverage.info goes there",
+    )
     parser.addini("cm_load", "CONFIG[/MODE] that each test begins in (default: the only configuration)", default="")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """The boards of this session."""
     config.stash[_KEY] = {}
+    folder = config.getoption("--rtl-coverage")
+    first = not hasattr(config, "workerinput")  # a worker of pytest-xdist would take those of the others away
+    for old in Path(folder).glob("*.dat") if folder and first else ():
+        old.unlink()
 
 
-def pytest_unconfigure(config: pytest.Config) -> None:
+def pytest_sessionfinish(session: pytest.Session) -> None:
     """End them."""
-    for served in config.stash.get(_KEY, {}).values():
+    for served in session.config.stash.get(_KEY, {}).values():
         served.stop()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """The lines of HDL that ran, with ``--rtl-coverage``."""
+    folder = config.getoption("--rtl-coverage")
+    if not folder:
+        return
+    from cm.errors import CmError
+    from cm.rtl.coverage import INFO, report, table
+
+    terminalreporter.section("coverage of the RTL")
+    try:
+        terminalreporter.write_line(table(report(Path(folder))))
+        terminalreporter.write_line(f"for other tools: {Path(folder) / INFO}")
+    except CmError as error:
+        terminalreporter.write_line(str(error))
 
 
 @pytest.fixture
@@ -48,13 +73,14 @@ def board(request: pytest.FixtureRequest) -> Iterator[Board]:
 @pytest.fixture
 def rtl_board(request: pytest.FixtureRequest) -> Iterator[Board]:
     """As `board`, with the RTL of the build schema of `cm_build` behind the nodes; skipped without Verilator."""
+    from cm.rtl.compile import Watched
     from cm.rtl.errors import ToolMissing
     from cm.rtl.main import example_build, prepare
 
     given = str(request.config.getini("cm_build"))
     build = str(request.config.rootpath / given) if given else str(example_build())
     try:
-        prepare(Path(build))
+        prepare(Path(build), Watched(coverage=bool(request.config.getoption("--rtl-coverage"))))
     except ToolMissing as missing:
         pytest.skip(f"the RTL {missing}")
     yield from _ready(request, "rtl", (), build)
@@ -80,7 +106,8 @@ def _ready(request: pytest.FixtureRequest, kind: str, configs: tuple[str, ...], 
     boards = request.config.stash[_KEY]
     key = (kind, configs, build)
     if key not in boards or not boards[key].alive:
-        boards[key] = Served(kind, configs, build)
+        coverage = request.config.getoption("--rtl-coverage") if kind == "rtl" else None
+        boards[key] = Served(kind, configs, build, str(Path(coverage).absolute()) if coverage else "")
     served = boards["now"] = boards[key]
     served.begin(str(request.config.getini("cm_load")))
     with connect(str(served.runtime)) as connected:

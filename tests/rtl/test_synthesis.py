@@ -13,7 +13,7 @@ from conftest import HERE, needs
 from cm.build.project.load import load_project
 
 pytestmark = [needs("yosys"), pytest.mark.timeout(600)]
-CAMERA = HERE.parents[1] / "cm/data/examples/camera/build.yaml"
+EXAMPLES = HERE.parents[1] / "cm/data/examples"
 
 
 def synthesised(top: str, sources: list[Path], folder: Path) -> dict[str, int]:
@@ -26,9 +26,10 @@ def synthesised(top: str, sources: list[Path], folder: Path) -> dict[str, int]:
     return cells
 
 
-@pytest.mark.parametrize("module", ["default", "edge", "colorise"])
-def test_a_module_takes_what_its_build_schema_says(module: str, tmp_path: Path) -> None:
-    spec = load_project(CAMERA).modules[module]
+@pytest.mark.parametrize("name", ["camera/default", "camera/edge", "camera/colorise", "wide/edge"])
+def test_a_module_takes_what_its_build_schema_says(name: str, tmp_path: Path) -> None:
+    example, module = name.split("/")
+    spec = load_project(EXAMPLES / example / "build.yaml").modules[module]
     cells = synthesised(spec.top, list(spec.sources), tmp_path)
     assert not [kind for kind in cells if kind.startswith(("$", "LD")) or "LATCH" in kind]
     flops = sum(count for kind, count in cells.items() if kind in ("FDRE", "FDSE", "FDCE", "FDPE"))

@@ -19,8 +19,8 @@ SHIPPED = Path("config/camera.yaml")  # beside the camera example: what `cm demo
 
 
 def copy_examples(folder: Path) -> Path:
-    """Both examples below `folder`: the second refers to files of the first."""
-    for name in NAMES:
+    """The examples below `folder`: some refer to files of the first."""
+    for name in (*NAMES, "wide"):
         shutil.copytree(EXAMPLES / name, folder / name)
     return folder
 

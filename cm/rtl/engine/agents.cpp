@@ -112,11 +112,23 @@ bool Source::done()
 	return was;
 }
 
+static uint64_t little_endian(const uint8_t *bytes, uint32_t length)
+{
+	uint64_t value = 0;
+	for (uint32_t byte = length; byte-- > 0;)
+		value = value << 8 | bytes[byte];
+	return value;
+}
+
 void Source::offer()
 {
 	uint32_t length = left < width ? uint32_t(left) : width;
-	memset(tdata.at, 0, pin_bytes(tdata.bits));
-	memcpy(tdata.at, next, length);
+	if (width <= 8) {
+		tdata.set(little_endian(next, length));
+	} else {
+		memset(tdata.at, 0, pin_bytes(tdata.bits));
+		memcpy(tdata.at, next, length);
+	}
 	if (tdata.bits % 8) { // the bits that the pin has
 		uint8_t &top = tdata.at[width - 1];
 		top &= uint8_t((1u << tdata.bits % 8) - 1);
@@ -194,8 +206,14 @@ void Sink::sample()
 // Bytes that TKEEP marks; where a packet is longer than its room, the rest of it is lost (PG021: DMAIntErr).
 void Sink::store()
 {
-	uint64_t keep = tkeep ? tkeep.get() : ~0ull;
-	for (uint32_t byte = 0; byte < width; byte++) {
+	uint64_t all = width < 64 ? (1ull << width) - 1 : ~0ull;
+	uint64_t keep = tkeep ? tkeep.get() : all;
+	bool whole = (keep & all) == all && capacity - stored >= width; // nearly every beat
+	if (whole) {
+		memcpy(to + stored, tdata.at, width);
+		stored += width;
+	}
+	for (uint32_t byte = 0; byte < width && !whole; byte++) {
 		if (byte < 64 && !(keep >> byte & 1))
 			continue;
 		if (stored == capacity)

@@ -35,6 +35,7 @@ struct Region {
 	uint64_t noise = 0;   // state of the generator while the region is undefined; 0: it is not
 	bool clocked = false; // in this step
 	uint64_t loaded = 0;  // ps
+	uint32_t number = 0;  // of this load of any region
 };
 
 class Fabric
@@ -88,6 +89,11 @@ class Fabric
 			   &folder); // a file for each part, that of a region again at each load
 	void untrace();
 	void mark(const std::string &text); // shown in the static part's file
+	void count_in(const std::string &folder)
+	{
+		counts = folder;
+	} // a file of what was run for each part, as often as it is loaded
+	void cover() const;
 	int configured(uint32_t word, bool taken)
 	{
 		return port(word, taken);
@@ -106,6 +112,7 @@ class Fabric
 	void babble(Region &region);
 	void trace(Region &region);
 	void dump();
+	void cover(const Region &region) const;
 
 	std::unique_ptr<Instance> static_part;
 	std::vector<Clock> clocks;
@@ -120,5 +127,7 @@ class Fabric
 	sigjmp_buf out;
 	std::string traces; // folder; empty: none are written
 	uint32_t loads = 0; // since tracing began
+	std::string counts; // folder; empty: nothing is counted
+	uint32_t loaded_ever = 0;
 	bool touched = true;
 };

@@ -41,15 +41,45 @@ struct Pin {
 	}
 	uint64_t get() const
 	{
-		uint64_t value = 0;
-		if (at)
-			memcpy(&value, at, pin_bytes(bits) < 8 ? pin_bytes(bits) : 8);
-		return value;
+		if (!at)
+			return 0;
+		// loads and stores of the model's own size: others would wait for one another in the processor
+		switch (pin_bytes(bits)) {
+		case 1:
+			return *at;
+		case 2:
+			return load<uint16_t>();
+		case 4:
+			return load<uint32_t>();
+		default:
+			return load<uint64_t>();
+		}
 	}
 	void set(uint64_t value) const
 	{
-		if (at)
-			memcpy(at, &value, pin_bytes(bits) < 8 ? pin_bytes(bits) : 8);
+		if (!at)
+			return;
+		switch (pin_bytes(bits)) {
+		case 1:
+			*at = uint8_t(value);
+			break;
+		case 2:
+			memcpy(at, &value, 2);
+			break;
+		case 4:
+			memcpy(at, &value, 4);
+			break;
+		default:
+			memcpy(at, &value, 8);
+		}
+	}
+
+      private:
+	template <typename T> T load() const
+	{
+		T value;
+		memcpy(&value, at, sizeof value);
+		return value;
 	}
 };
 
@@ -83,6 +113,7 @@ class Instance
 		table->dump(model, picoseconds);
 	}
 	void untrace();
+	void cover(const std::string &path) const;
 	bool tracing() const
 	{
 		return traced;

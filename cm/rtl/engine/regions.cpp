@@ -3,6 +3,8 @@
 // What is in the regions: modules that come and go, noise, nothing; and what is written of all that to files.
 #include "fabric.h"
 
+#include <unistd.h>
+
 void Fabric::add_region(Region region)
 {
 	for (uint32_t index = 0; index < static_part->count(); index++) {
@@ -15,6 +17,7 @@ void Fabric::add_region(Region region)
 
 void Fabric::unload(Region &region)
 {
+	cover(region);
 	region.module.reset();
 	region.in = region.out = Wires();
 	region.clock_pins.clear();
@@ -45,6 +48,7 @@ void Fabric::load(uint32_t index, const std::string &library, uint64_t seed)
 	}
 	region.module = std::move(module);
 	region.loaded = now;
+	region.number = ++loaded_ever;
 	touch();
 	if (!traces.empty())
 		trace(region);
@@ -113,6 +117,23 @@ void Fabric::untrace()
 		if (region.module)
 			region.module->untrace();
 	traces.clear();
+}
+
+// Files of Verilator's counters; the number of the process keeps those of several runs apart.
+void Fabric::cover() const
+{
+	if (counts.empty())
+		return;
+	static_part->cover(counts + "/static." + std::to_string(getpid()) + ".dat");
+	for (const Region &region : regions)
+		cover(region);
+}
+
+void Fabric::cover(const Region &region) const
+{
+	if (!counts.empty() && region.module)
+		region.module->cover(counts + "/" + region.name + "." + std::to_string(getpid()) +
+				     "." + std::to_string(region.number) + ".dat");
 }
 
 // The pin `cm_event` of the static part is there for traces only: viewers show it as text.

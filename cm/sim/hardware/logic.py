@@ -77,6 +77,9 @@ class Logic(Protocol):
     def trace(self, folder: str) -> None:
         """Write what happens to files there, or to none any more if it is empty. `NodeError` where that cannot be."""
 
+    def cover(self) -> None:
+        """Write down which lines of the HDL have run, where that is counted."""
+
     def mark(self, text: str) -> None:
         """Show a text in the trace that is written, if one is."""
 
@@ -134,6 +137,9 @@ class SoftwareLogic:
     def configure(self, words: memoryview, failed: bool) -> memoryview:  # noqa: ARG002 - nothing here shows it
         """The same: there is nothing in between."""
         return words
+
+    def cover(self) -> None:
+        """Nothing is counted."""
 
     def trace(self, folder: str) -> None:  # noqa: ARG002 - none
         """Models have no signals."""

@@ -68,6 +68,7 @@ class ControlNode:
             "adopt": self._adopt,
             "trace": self._trace,
             "mark": self._mark,
+            "cover": self._cover,
         }
 
     def serve(self, server: Server, root: Root) -> None:
@@ -116,6 +117,9 @@ class ControlNode:
 
     def _mark(self, order: Order) -> None:
         self._machine.logic.mark(str(order["text"]))
+
+    def _cover(self, order: Order) -> None:  # noqa: ARG002 - an order like the others
+        self._machine.logic.cover()
 
     def _adopt(self, order: Order) -> None:
         if self._machine.parent is None:

@@ -68,6 +68,10 @@ class Control:
         """Show a text (at most 32 letters) in the trace from now on."""
         self._order("mark", text=text)
 
+    def cover(self) -> None:
+        """Have the counts of ``--coverage`` written that there are by now."""
+        self._order("cover")
+
     def adopt(self) -> None:
         """Make this process the owner of a simulator whose owner has died.
 
