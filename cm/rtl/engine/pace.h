@@ -36,7 +36,8 @@ class Pace
 		double seconds = slowed() ? left(picoseconds) : 0;
 		if (seconds <= 0)
 			return;
-		timespec time = { time_t(seconds), long((seconds - double(time_t(seconds))) * 1e9) };
+		timespec time = { time_t(seconds),
+				  long((seconds - double(time_t(seconds))) * 1e9) };
 		nanosleep(&time, nullptr);
 	}
 	// A machine that was too slow does not hurry afterwards.
