@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A peer on DDS for tests of the bridge: listens, publishes and calls services, on this machine's loopback alone."""
+
+from __future__ import annotations
+
+import os
+import queue
+import select
+import signal
+import struct
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+
+from cm import child
+from cm.dds.graph import gid
+from cm.dds.qos import qos
+from cm.dds.transport import DdsTransport
+from cm.ros import cdr
+from cm.ros.node import NodeName
+from cm.ros.transport import SERVICES, Qos
+from cm.ros.typehash import type_hash
+
+PATIENCE = 60.0
+LOOPBACK = """<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>
+<AllowMulticast>false</AllowMulticast><MaxMessageSize>65500B</MaxMessageSize><FragmentSize>65000B</FragmentSize></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>
+<Peers><Peer address="127.0.0.1"/></Peers></Discovery>
+<Internal><Watermarks><WhcHigh>16MB</WhcHigh></Watermarks></Internal></Domain></CycloneDDS>"""
+
+
+def domain() -> int:
+    """One that other tests on this machine hardly use: ports of DDS follow from it."""
+    return 101 + os.getpid() % 120
+
+
+class Bridge:
+    """`cm bridge dds` as a process."""
+
+    def __init__(self, runtime: Path, *arguments: str) -> None:
+        environment = {**child.environment(), "CYCLONEDDS_URI": LOOPBACK, "ROS_DOMAIN_ID": str(domain())}
+        words = child.command("cm.cli.main", "bridge", "dds", "--runtime-dir", str(runtime), *arguments)
+        self.process = subprocess.Popen(words, stderr=subprocess.PIPE, env=environment)
+        assert self.process.stderr is not None
+        self.log = b""
+        while b"cm bridge: /" not in self.log:
+            ready, _, _ = select.select([self.process.stderr], [], [], PATIENCE)
+            piece = os.read(self.process.stderr.fileno(), 65536) if ready else b""
+            assert piece, f"the bridge did not start: {self.log.decode()}"
+            self.log += piece
+
+    def stop(self) -> tuple[int, str]:
+        """Its status, and what it said."""
+        self.process.send_signal(signal.SIGINT)
+        _, rest = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, (self.log + rest).decode()
+
+
+class Peer:
+    """A node of ours on the other side."""
+
+    def __init__(self) -> None:
+        os.environ["CYCLONEDDS_URI"] = LOOPBACK
+        self.transport = DdsTransport(NodeName("peer"), domain())
+        self.participant = self.transport._participant
+
+    @contextmanager
+    def listening(self, topic: str, kind: str, quality: Qos) -> Iterator[queue.Queue[dict[str, Any]]]:
+        """What comes on a topic."""
+        found: queue.Queue[dict[str, Any]] = queue.Queue()
+        subscription = self.transport.subscription(topic, kind, quality, found.put)
+        try:
+            yield found
+        finally:
+            subscription.close()
+
+    def next(self, topic: str, kind: str, quality: Qos, fits: Callable[[Any], bool] = lambda _: True) -> dict[str, Any]:
+        """The first message on a topic that fits."""
+        with self.listening(topic, kind, quality) as found:
+            while True:
+                values = found.get(timeout=PATIENCE)
+                if fits(values):
+                    return values
+
+    def client(self, name: str, kind: str) -> Client:
+        """Calls a service."""
+        return Client(self, name, kind)
+
+    def call(self, name: str, kind: str, **request: Any) -> dict[str, Any]:
+        """Call a service once."""
+        return self.client(name, kind).call(request)
+
+    def close(self) -> None:
+        self.transport.close()
+
+
+class Client:
+    """A service's client as rmw_cyclonedds is one: its writer's number and a count stand before each request."""
+
+    def __init__(self, peer: Peer, name: str, kind: str) -> None:
+        self._asked, self._replied = f"{kind}_Request", f"{kind}_Response"
+        mark = "clientid=" + ".".join(f"{byte:x}" for byte in os.urandom(16)) + ";"
+        topic = peer.transport._topic
+        self._writer = DataWriter(
+            peer.participant,
+            topic(f"rq{name}Request", self._asked, True),
+            qos=qos(SERVICES, type_hash(self._asked), mark),
+        )
+        self._reader = DataReader(
+            peer.participant,
+            topic(f"rr{name}Reply", self._replied, True),
+            qos=qos(SERVICES, type_hash(self._replied), mark),
+        )
+        self._guid = int.from_bytes(gid(self._writer)[8:], "little")
+        self._count = 0
+        self._await_match()
+
+    def _await_match(self) -> None:
+        from manager_process import until
+
+        def matched() -> bool:
+            ours = self._writer.get_publication_matched_status().current_count
+            return bool(ours and self._reader.get_subscription_matched_status().current_count)
+
+        until(matched, PATIENCE)
+
+    def send(self, request: dict[str, Any]) -> int:
+        """Ask; the request's number."""
+        from cyclonedds._clayer import ddspy_write
+
+        self._count += 1
+        sample = bytearray(cdr.HEADER) + struct.pack("<Qq", self._guid, self._count)
+        cdr.put(self._asked, sample, request)
+        assert ddspy_write(self._writer._ref, bytes(sample).ljust(len(sample) + -len(sample) % 4, b"\0")) >= 0
+        return self._count
+
+    def receive(self, number: int) -> dict[str, Any]:
+        """The reply to one."""
+        from cyclonedds.util import duration
+
+        for sample in self._reader.take_iter(timeout=duration(seconds=PATIENCE)):
+            reader = cdr.Reader(sample.data)
+            if (reader.take("Q", 8), reader.take("q", 8)) == (self._guid, number):
+                return cdr.read(self._replied, reader)
+        raise AssertionError(f"no reply of {self._replied} came")
+
+    def call(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Ask and wait."""
+        return self.receive(self.send(request))
