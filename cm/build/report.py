@@ -161,9 +161,11 @@ _TOP = " → ports of the top"
 
 
 def _stream(bus: StreamBus) -> str:
+    width = f", {8 * bus.bytes} to {bus.width} bits" if bus.converted else ""
+    if bus.switched:
+        return f" → switch{width}"
     if bus.dma is None:
         return _TOP
-    width = f", {8 * bus.bytes} to {bus.dma.width} bits" if bus.converted else ""
     dma = bus.dma
     kind = {EngineKind.DMA: "DMA", EngineKind.MCDMA: "MCDMA", EngineKind.VDMA: "VDMA"}[dma.kind]
     engine = f" {dma.engine}" if dma.engine != bus.name else ""

@@ -165,19 +165,25 @@ def _directions(region: RegionPlan) -> dict[str, tuple[PortDirection, int]]:
 
 def _streams(system: System) -> Iterator[StreamEnd]:
     """Those of DMA engines and sources from outside first: they have numbers; `drain` has none."""
-    ends = [_stream(region, bus) for region in system.regions for bus in region.streams]
+    ends = [
+        _stream(region.name, region.spec.clock, b)
+        for region in system.regions
+        for b in region.streams
+        if not b.switched
+    ]
+    ends += [_stream("", system.switch.clock, bus) for bus in system.switch.streams] if system.switch else []
     yield from (end for end in ends if end.sends or end.channel)
     yield from (end for end in ends if not (end.sends or end.channel))
 
 
-def _stream(region: RegionPlan, bus: StreamBus) -> StreamEnd:
+def _stream(region: str, own: str, bus: StreamBus) -> StreamEnd:
     sends = bus.interface.mode.value == "slave"
-    clock = bus.dma.clock if bus.dma else region.spec.clock
+    clock = bus.dma.clock if bus.dma else own
     channel = bus.spec.stream or bus.name if bus.dma else None
     if bus.dma and (bus.dma.direction is Direction.MM2S) != sends:
-        raise RtlError(f"{region.name}.{bus.interface.name}: its DMA engine goes the other way")
+        raise RtlError(f"{bus.name}: its DMA engine goes the other way")
     prefix = prefix_of(bus.dma) if bus.dma else f"axis_{bus.name}"
-    return StreamEnd(bus.name, region.name, sends, clock, channel, prefix)
+    return StreamEnd(bus.name, region, sends, clock, channel, prefix)
 
 
 def _outputs(static: Netlist, system: System) -> Iterator[Output]:

@@ -104,9 +104,9 @@ def changed(*pairs: tuple[str, str]) -> str:
             "{stream: dst}",
             "{connect: memory}",
             "10:16: regions.prr0.interfaces.m_axis.connect: prr0.m_axis (axis master) cannot be connected to memory "
-            "(write dma or vdma or external or none)",
+            "(write dma or vdma or switch or external or none)",
         ),
-        ("{stream: dst}", "{connect: dam}", "m_axis.connect: 'dam' is not one of dma, vdma, interconnect"),
+        ("{stream: dst}", "{connect: dam}", "m_axis.connect: 'dam' is not one of dma, vdma, switch, interconnect"),
         ("dst}", "dst, dtype: unit8}", "10:29: regions.prr0.interfaces.m_axis.dtype: 'unit8' is not one of bool"),
         ("dst}", "dst, shape: [0]}", "interfaces.m_axis.shape[0]: 0 is out of range (at least 1)"),
         ("[two.v]", "[tow.v]", "13:19: modules.two.sources[0]: tow.v does not exist (looked in "),

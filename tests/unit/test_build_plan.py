@@ -183,7 +183,7 @@ def test_a_region_without_decoupling_is_told_in_the_schema(tmp_path: Path) -> No
     ("region", "words"),
     [
         ("{interfaces: {m_axs: {connect: dma}}}", "did you mean m_axis"),
-        ("{interfaces: {m_axis: {connect: memory}}}", "dma or vdma or external or none"),
+        ("{interfaces: {m_axis: {connect: memory}}}", "dma or vdma or switch or external or none"),
     ],
 )
 def test_a_connection_that_cannot_be_is_refused(region: str, words: str, tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ def _outer_name(port: Signal) -> str:
 
 def _is_free_stream(system: System, name: str) -> bool:
     """A port of a stream that no DMA engine serves."""
-    streams = [bus for region in system.regions for bus in region.streams if bus.dma is None]
+    streams = [bus for region in system.regions for bus in region.streams if bus.external]
     return any(name.startswith(f"axis_{bus.name}_t") for bus in streams)
 
 

@@ -148,7 +148,7 @@ def _port(system: System, engine: Engine, way: Direction) -> StreamPort:
 def _port_settings(system: System, engine: Engine) -> Iterator[Setting]:
     """What comes in: a port cannot know it, and the core takes its widths from here."""
     names = {channel.name for channel in engine.of(Direction.S2MM)}
-    buses = [bus for region in system.regions for bus in region.streams if bus.dma and bus.dma.name in names]
+    buses = [bus for bus in system.streams if bus.dma and bus.dma.name in names]
     keep = engine.channels[0].shared or any(bus.converted or "TKEEP" in bus.interface.ports for bus in buses)
     yield "TDATA_NUM_BYTES", _widest(engine, Direction.S2MM).width // 8
     yield "HAS_TLAST", 1

@@ -5,10 +5,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from cm.build.plan.engines import Dma, EngineKind
-from cm.build.plan.system import StreamBus
+from cm.build.plan.system import RegionPlan, StreamBus, SwitchPlan
+from cm.build.project.model import Project
+from cm.build.project.where import fault
+from cm.schema.problems import KeyPath
 
 MAX_LINES, MAX_LINE = (1 << 13) - 1, (1 << 16) - 1  # of a VDMA: VSIZE, HSIZE (xaxivdma_hw.h of Xilinx/embeddedsw)
 
@@ -17,6 +21,57 @@ def item_bytes(dtype: str) -> int:
     """Bytes of an element: ``uint16`` has 2, ``complex64`` 8, ``bool`` 1."""
     bits = re.search(r"\d+$", dtype)
     return int(bits[0]) // 8 if bits else 1
+
+
+Frame = tuple[Sequence[int] | None, str | None]
+
+
+def check_frames(project: Project, regions: tuple[RegionPlan, ...], switch: SwitchPlan | None) -> None:
+    """Frames must be whole beats, and no longer than a transfer; those of each mode too."""
+    for key, who, bus, (shape, dtype) in _frames(project, regions, switch):
+        problem = frame_problem(bus, shape, dtype)
+        if problem:
+            raise fault(project.source, key, f"{who}: {problem[0]}", problem[1])
+
+
+def _frames(
+    project: Project, regions: tuple[RegionPlan, ...], switch: SwitchPlan | None
+) -> Iterator[tuple[KeyPath, str, StreamBus, Frame]]:
+    """Place, name and frame of every stream in every mode."""
+    for region in regions:
+        for bus in region.streams:
+            key: KeyPath = ("regions", region.name, "interfaces", bus.interface.name)
+            yield from _of_modes(project, key, f"{region.name}.{bus.interface.name}", bus)
+    for bus in switch.streams if switch else ():
+        assert bus.dma
+        key = ("switch", "inputs" if bus.dma.sends else "outputs", bus.name)
+        yield from _of_modes(project, key, bus.name, bus)
+    if switch:
+        yield from _of_routes(project, switch)
+
+
+def _of_modes(
+    project: Project, key: KeyPath, who: str, bus: StreamBus
+) -> Iterator[tuple[KeyPath, str, StreamBus, Frame]]:
+    yield (*key, "shape"), who, bus, (bus.spec.shape, bus.spec.dtype)
+    for mode in project.modes.values():
+        own = mode.streams.get(bus.name)
+        if own is not None:
+            yield ("modes", mode.name, "streams", bus.name), who, bus, (own.shape or bus.spec.shape, own.dtype)
+
+
+def _of_routes(project: Project, switch: SwitchPlan) -> Iterator[tuple[KeyPath, str, StreamBus, Frame]]:
+    """Frames of the switch's streams as the regions have them that a mode puts at their ends."""
+    ends = {bus.name: bus for bus in switch.streams}
+    for mode in project.modes.values():
+        for sink, source in mode.routes.items():
+            stream, other = (sink, switch.sources[source]) if sink in ends else (source, switch.sinks[sink])
+            if stream in ends and other.dma is None:
+                bus, own = ends[stream], mode.streams.get(stream)
+                shape = (own.shape if own else None) or bus.spec.shape
+                dtype = (own.dtype if own else None) or bus.spec.dtype
+                key: KeyPath = ("modes", mode.name, "routes", sink)
+                yield key, f"{stream} at {other.name}", replace(bus, interface=other.interface), (shape, dtype)
 
 
 def frame_problem(bus: StreamBus, shape: Sequence[int] | None, dtype: str | None) -> tuple[str, str] | None:

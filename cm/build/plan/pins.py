@@ -51,7 +51,7 @@ def externals(system: System) -> Iterator[External]:
     """Ports of the top other than the processing system's own, in the order of regions."""
     for region in system.regions:
         for bus in region.streams:
-            if bus.dma is None:
+            if bus.external:
                 yield from _stream(region, bus.interface.name, bus.name, dict(bus.interface.widths))
         for port in region.external:
             name = port.interface or port.name

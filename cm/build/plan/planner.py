@@ -4,17 +4,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from cm.build.boundary.model import Boundary, BoundaryPort, Role
 from cm.build.errors import BuildError
 from cm.build.hdl.model import Interface, Mode, PortDirection
-from cm.build.plan.addresses import Allocator
+from cm.build.plan.addresses import CONTROL_SIZE, Allocator
 from cm.build.plan.cover import Cover, cover
 from cm.build.plan.engines import Dma
-from cm.build.plan.frames import frame_problem
+from cm.build.plan.frames import check_frames
 from cm.build.plan.streams import place, stream_bus
+from cm.build.plan.switch import check_switched, own_streams, plan_switch, switch_width
 from cm.build.plan.system import (
     Domain,
     Implementation,
@@ -23,6 +24,7 @@ from cm.build.plan.system import (
     RegionPlan,
     RegisterBus,
     StreamBus,
+    SwitchPlan,
     System,
 )
 from cm.build.plan.window import Window
@@ -33,8 +35,8 @@ from cm.schema.model import Direction, LoaderKind
 from cm.schema.problems import KeyPath, did_you_mean
 
 _CONNECTIONS = {
-    ("axis", Mode.SLAVE): ("dma", "vdma", "external", "none"),
-    ("axis", Mode.MASTER): ("dma", "vdma", "external", "none"),
+    ("axis", Mode.SLAVE): ("dma", "vdma", "switch", "external", "none"),
+    ("axis", Mode.MASTER): ("dma", "vdma", "switch", "external", "none"),
     ("axis", Mode.MONITOR): ("none",),
     ("axi4lite", Mode.SLAVE): ("interconnect", "none"),
     ("axi4", Mode.SLAVE): ("interconnect", "none"),
@@ -67,6 +69,7 @@ class _Planner:
         self._platform: Platform = platform_of(project.part)
         self._addresses = Allocator(self._platform.base, self._platform.size, tuple(project.clocks))
         self._bits = 0
+        self._width = 0  # of the stream switch
         self._notes: list[str] = []
 
     def plan(self, boundaries: Mapping[str, Boundary]) -> System:
@@ -75,13 +78,16 @@ class _Planner:
         self._check_coherence()
         control = self._addresses.control(main)
         icap = self._icap(main)
+        self._width = switch_width(project, _switched(project, boundaries))
         regions = tuple(
             self._region(index, region, boundaries[region.name])
             for index, region in enumerate(project.regions.values())
         )
         self._check_lines()
-        regions, icap = place(project, regions, icap, self._addresses, self._platform.irq_count)
-        self._check_frames(regions)
+        own = own_streams(project, self._width) if project.switch else ()
+        regions, own, icap = place(project, regions, own, icap, self._addresses, self._platform.irq_count)
+        switch = self._switch(regions, own)
+        check_frames(project, regions, switch)
         covered = self._cover()
         return System(
             project=project,
@@ -95,7 +101,14 @@ class _Planner:
             runs=tuple(self._names(run) for run in covered.runs),
             cover=covered,
             notes=tuple(self._notes),
+            switch=switch,
         )
+
+    def _switch(self, regions: tuple[RegionPlan, ...], own: tuple[StreamBus, ...]) -> SwitchPlan | None:
+        if self._project.switch is None:
+            return None
+        window = self._addresses.registers("switch", CONTROL_SIZE, self._project.switch.clock)
+        return plan_switch(self._project, regions, window, own)
 
     def _check_coherence(self) -> None:
         """Only UltraScale+ has coherent ports as wide as those that the block design uses."""
@@ -122,24 +135,6 @@ class _Planner:
     def _check_lines(self) -> None:
         if self._bits > 32:
             raise BuildError(f"the modules have {self._bits} interrupts, the concentrator holds 32")
-
-    def _check_frames(self, regions: tuple[RegionPlan, ...]) -> None:
-        """Frames must be whole beats, and no longer than a transfer; those of each mode too."""
-        for region in regions:
-            for bus in region.streams:
-                places: list[tuple[KeyPath, Sequence[int] | None, str | None]]
-                places = [((*_key(region.spec, bus.interface.name), "shape"), bus.spec.shape, bus.spec.dtype)]
-                for mode in self._project.modes.values():
-                    own = mode.streams.get(bus.name)
-                    if own is not None:
-                        key: KeyPath = ("modes", mode.name, "streams", bus.name)
-                        places.append((key, own.shape or bus.spec.shape, own.dtype))
-                for key, shape, dtype in places:
-                    problem = frame_problem(bus, shape, dtype)
-                    if problem:
-                        raise fault(
-                            self._project.source, key, f"{region.name}.{bus.interface.name}: {problem[0]}", problem[1]
-                        )
 
     def _region(self, index: int, spec: RegionSpec, boundary: Boundary) -> RegionPlan:
         names = [interface.name for interface in boundary.interfaces]
@@ -186,6 +181,9 @@ class _Planner:
             raise fault(self._project.source, key, message, f"write {' or '.join(allowed)}")
         if connect in ("dma", "vdma"):
             parts.streams.append(self._stream(region, interface, spec))
+        elif connect == "switch":
+            check_switched(self._project, region, interface)
+            parts.streams.append(StreamBus(interface, f"{region.name}_{interface.name}", None, spec, self._width))
         elif connect == "interconnect":
             parts.registers.append(self._registers(region, interface))
         elif connect == "memory":
@@ -280,6 +278,14 @@ def _name_in_modules(port: BoundaryPort, boundary: Boundary) -> str:
         if connection.boundary == port.name and connection.module
     }
     return names.pop() if len(names) == 1 else port.name
+
+
+def _switched(project: Project, boundaries: Mapping[str, Boundary]) -> Iterator[Interface]:
+    """Interfaces of regions that go to the switch."""
+    for region in project.regions.values():
+        for interface in boundaries[region.name].interfaces:
+            if region.interfaces.get(interface.name, ConnectionSpec()).connect == "switch":
+                yield interface
 
 
 def _outer_clocks(spec: RegionSpec, boundary: Boundary) -> Iterator[BoundaryPort]:

@@ -8,7 +8,7 @@ shared interrupts (``IRQF_SHARED``), and looks which of its channels has one.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from cm.build.errors import BuildError
 from cm.build.hdl.model import Interface, Mode
@@ -78,17 +78,27 @@ def _video_problem(interface: Interface, spec: ConnectionSpec, width: int) -> tu
 
 
 def place(
-    project: Project, regions: tuple[RegionPlan, ...], icap: Dma | None, addresses: Allocator, lines: int
-) -> tuple[tuple[RegionPlan, ...], Dma | None]:
-    """The same regions and configuration port with engines, registers and interrupt lines.
+    project: Project,
+    regions: tuple[RegionPlan, ...],
+    own: tuple[StreamBus, ...],
+    icap: Dma | None,
+    addresses: Allocator,
+    lines: int,
+) -> tuple[tuple[RegionPlan, ...], tuple[StreamBus, ...], Dma | None]:
+    """The same regions, streams of the switch and configuration port with engines, registers and interrupt lines.
 
     `lines` are those from the PL; line 0 is the control registers' own, which no driver may share.
     """
-    buses = [(region, bus) for region in regions for bus in region.streams if bus.dma]
-    groups: dict[str, list[tuple[RegionPlan, StreamBus]]] = {}
-    for region, bus in buses:
-        assert bus.dma
-        groups.setdefault(bus.dma.engine, []).append((region, bus))
+    buses = [
+        _Member(("regions", region.name, "interfaces", bus.interface.name), f"{region.name}.{bus.interface.name}", bus)
+        for region in regions
+        for bus in region.streams
+        if bus.dma
+    ]
+    buses += [_Member(("switch", "inputs" if b.dma.sends else "outputs", b.name), b.name, b) for b in own if b.dma]
+    groups: dict[str, list[_Member]] = {}
+    for member in buses:
+        groups.setdefault(member.dma.engine, []).append(member)
     if icap:
         icap = replace(icap, window=addresses.dma(icap.name, _NAMES[icap.kind]), line=1)
     placed: dict[str, Dma] = {}
@@ -96,19 +106,35 @@ def place(
         kind = _kind(project, name, members)
         window = addresses.dma(name, _NAMES[kind])
         placed |= {dma.name: replace(dma, window=window, kind=kind) for dma in _channels(members, kind)}
-    order = [placed[bus.name] for _, bus in buses]
+    order = [placed[member.bus.name] for member in buses]
     for dma, line in zip(order, _lines(order, 1 + bool(icap), lines), strict=True):
         placed[dma.name] = replace(dma, line=line)
-    return tuple(_with(region, placed) for region in regions), icap
+    found = tuple(replace(region, streams=_with(region.streams, placed)) for region in regions)
+    return found, _with(own, placed), icap
 
 
-def _with(region: RegionPlan, placed: Mapping[str, Dma]) -> RegionPlan:
-    return replace(region, streams=tuple(replace(b, dma=placed[b.name]) if b.dma else b for b in region.streams))
+@dataclass(frozen=True, slots=True)
+class _Member:
+    """A stream of an engine: its place in the build schema, and what it is called there."""
+
+    key: KeyPath
+    who: str
+    bus: StreamBus
+
+    @property
+    def dma(self) -> Dma:
+        """Its channel."""
+        assert self.bus.dma
+        return self.bus.dma
 
 
-def _kind(project: Project, name: str, members: list[tuple[RegionPlan, StreamBus]]) -> EngineKind:
+def _with(streams: tuple[StreamBus, ...], placed: Mapping[str, Dma]) -> tuple[StreamBus, ...]:
+    return tuple(replace(bus, dma=placed[bus.name]) if bus.dma else bus for bus in streams)
+
+
+def _kind(project: Project, name: str, members: list[_Member]) -> EngineKind:
     """What the engine is; a fault where its streams cannot share one."""
-    channels = [bus.dma for _, bus in members if bus.dma]
+    channels = [member.dma for member in members]
     counts = [sum(dma.direction is way for dma in channels) for way in Direction]
     video = {dma.kind is EngineKind.VDMA for dma in channels}
     clocks = sorted({dma.clock for dma in channels})
@@ -127,24 +153,22 @@ def _kind(project: Project, name: str, members: list[tuple[RegionPlan, StreamBus
     elif shared:
         problem = _unending(members)
     if problem:
-        region, bus = members[-1]
-        key: KeyPath = ("regions", region.name, "interfaces", bus.interface.name, "engine")
-        raise fault(project.source, key, f"engine {name} {problem[0]}", problem[1])
+        raise fault(project.source, (*members[-1].key, "engine"), f"engine {name} {problem[0]}", problem[1])
     return EngineKind.VDMA if True in video else EngineKind.MCDMA if shared else EngineKind.DMA
 
 
-def _unending(members: Iterable[tuple[RegionPlan, StreamBus]]) -> tuple[str, str] | None:
+def _unending(members: Iterable[_Member]) -> tuple[str, str] | None:
     """Streams take turns packet by packet, so each must have an end."""
-    for region, bus in members:
-        if bus.interface.mode is Mode.MASTER and "TLAST" not in bus.interface.ports:
+    for member in members:
+        if not member.dma.sends and "TLAST" not in member.bus.interface.ports:
             hint = "streams of an MCDMA take turns at TLAST: give it one, or an engine of its own"
-            return f"has {region.name}.{bus.interface.name}, which has no TLAST", hint
+            return f"has {member.who}, which has no TLAST", hint
     return None
 
 
-def _channels(members: list[tuple[RegionPlan, StreamBus]], kind: EngineKind) -> Iterator[Dma]:
+def _channels(members: list[_Member], kind: EngineKind) -> Iterator[Dma]:
     """Channels numbered by direction; those that share a stream have the width of the widest."""
-    channels = [bus.dma for _, bus in members if bus.dma]
+    channels = [member.dma for member in members]
     bits = max(dma.length_bits for dma in channels)
     for way in Direction:
         mine = [dma for dma in channels if dma.direction is way]

@@ -35,6 +35,7 @@ class StreamBus:
     name: str
     dma: Dma | None
     spec: ConnectionSpec
+    switched: int = 0  # bits of the stream switch that it goes to; 0: it does not
 
     @property
     def bytes(self) -> int:
@@ -43,8 +44,35 @@ class StreamBus:
 
     @property
     def converted(self) -> bool:
-        """A width converter stands between the DMA engine and the region."""
-        return self.dma is not None and self.dma.width != 8 * self.bytes
+        """A width converter stands between the DMA engine, or the switch, and the region."""
+        return self.width != 0 and self.width != 8 * self.bytes
+
+    @property
+    def width(self) -> int:
+        """Bits of TDATA on the static side; 0 at ports of the top, which are as the region is."""
+        return self.dma.width if self.dma else self.switched
+
+    @property
+    def external(self) -> bool:
+        """It goes to ports of the top."""
+        return self.dma is None and not self.switched
+
+    @property
+    def inner(self) -> bool:
+        """Its static side ends within the static part: at the switch, or where streams share an engine's port."""
+        return self.switched > 0 or (self.dma is not None and self.dma.shared)
+
+
+@dataclass(frozen=True, slots=True)
+class SwitchPlan:
+    """The stream switch: `streams` come from memory or go there; ends by name, in the order of their numbers."""
+
+    clock: str
+    window: Window
+    width: int
+    streams: tuple[StreamBus, ...]
+    sources: Mapping[str, StreamBus]
+    sinks: Mapping[str, StreamBus]
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,13 +173,19 @@ class System:
     runs: tuple[Mapping[str, str], ...]  # region → implementation's name; the first is the initial one
     cover: Cover
     notes: tuple[str, ...] = ()
+    switch: SwitchPlan | None = None
     static_identity: int = 0  # what the control register STATIC_ID reads; 0: not computed
 
     @property
     def dmas(self) -> tuple[Dma, ...]:
         """All DMA channels, the ICAP's first."""
-        streams = [bus.dma for region in self.regions for bus in region.streams if bus.dma]
-        return (*([self.icap] if self.icap else []), *streams)
+        return (*([self.icap] if self.icap else []), *(bus.dma for bus in self.streams if bus.dma))
+
+    @property
+    def streams(self) -> tuple[StreamBus, ...]:
+        """All streams: those of regions, then those between the switch and memory."""
+        own = self.switch.streams if self.switch else ()
+        return (*(bus for region in self.regions for bus in region.streams), *own)
 
     @property
     def engines(self) -> tuple[Engine, ...]:
@@ -181,5 +215,6 @@ class System:
 def used_clocks(system: System) -> list[str]:
     """Clocks that something runs on, in the order of the build schema."""
     used = {domain.clock for domain in system.domains} | {region.spec.clock for region in system.regions}
+    used |= {system.switch.clock} if system.switch else set()
     used |= {clock for region in system.regions for clock in region.clocks.values() if clock}
     return [clock for clock in system.project.clocks if clock in used]

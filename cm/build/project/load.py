@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from cm.build.project.model import (
     RegisterSpec,
     Resources,
     StaticSpec,
+    SwitchSpec,
 )
 from cm.build.project.paths import PathReader
 from cm.schema.model import Access, LoaderKind
@@ -146,6 +148,7 @@ class _Builder:
             modes_given=bool(data.get("modes")),
             default_mode=data.get("default_mode", next(iter(modes), "")),
             protocols=self._files.many(data.get("protocols"), ("protocols",)),
+            switch=_switch(data["switch"] or {}, next(iter(clocks))) if "switch" in data else None,
         )
 
     def _board(self, head: dict[str, Any]) -> BoardDefinition | None:
@@ -251,7 +254,8 @@ class _Builder:
             if region is not None:
                 chosen[region] = module
         streams = {key: _mode_stream(value) for key, value in (spec.get("streams") or {}).items()}
-        return ModeSpec(name, chosen, spec.get("registers") or {}, streams, spec.get("share", 1.0), spec.get("doc", ""))
+        share, doc, routes = spec.get("share", 1.0), spec.get("doc", ""), spec.get("routes") or {}
+        return ModeSpec(name, chosen, spec.get("registers") or {}, streams, share, doc, routes)
 
     def _only_region(self, mode: str, module: str, modules: dict[str, ModuleSpec]) -> str | None:
         if module not in modules:
@@ -282,6 +286,14 @@ def _connection(spec: dict[str, Any]) -> ConnectionSpec:
     if single:
         pins[""] = tuple(single)
     return ConnectionSpec(**spec, shape=tuple(shape) if shape else None, pins=pins)
+
+
+def _switch(spec: dict[str, Any], clock: str) -> SwitchSpec:
+    ends = {
+        side: {name: replace(_connection(value or {}), stream=name) for name, value in (spec.get(side) or {}).items()}
+        for side in ("inputs", "outputs")
+    }
+    return SwitchSpec(spec.get("clock", clock), **ends)
 
 
 def _mode_stream(spec: dict[str, Any]) -> ModeStreamSpec:

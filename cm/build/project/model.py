@@ -96,6 +96,15 @@ class ConnectionSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class SwitchSpec:
+    """The stream switch: its streams from memory (`inputs`) and to memory (`outputs`), by name."""
+
+    clock: str
+    inputs: Mapping[str, ConnectionSpec] = field(default_factory=empty)
+    outputs: Mapping[str, ConnectionSpec] = field(default_factory=empty)
+
+
+@dataclass(frozen=True, slots=True)
 class RegionSpec:
     """A region: `pblock` is empty for auto; `window` are the bytes of each of its register windows."""
 
@@ -165,6 +174,7 @@ class ModeSpec:
     streams: Mapping[str, ModeStreamSpec] = field(default_factory=empty)
     share: float = 1.0
     doc: str = ""
+    routes: Mapping[str, str] = field(default_factory=empty)  # through the switch: sink to source
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,6 +229,7 @@ class Project:
     modes_given: bool = False
     default_mode: str = ""
     protocols: tuple[Path, ...] = ()
+    switch: SwitchSpec | None = None
 
     @property
     def folder(self) -> Path:

@@ -33,6 +33,8 @@ def check(project: Project, report: Report) -> None:
     for module in project.modules.values():
         _module(project, module, report)
     _streams(project, report)
+    if project.switch and project.switch.clock not in project.clocks:
+        unknown(report, ("switch", "clock"), "clock", project.switch.clock, project.clocks)
     for mode in project.modes.values():
         _mode(project, mode, report)
     if project.default_mode not in project.modes:
@@ -77,15 +79,19 @@ def _range(text: str, ranges: tuple[str, ...], key: KeyPath, report: Report) -> 
 
 
 def _streams(project: Project, report: Report) -> None:
-    """Each stream is one DMA engine."""
-    first: dict[str, str] = {}
+    """Each stream is one DMA channel."""
+    switch = project.switch
+    first = dict.fromkeys((*switch.inputs, *switch.outputs), "the switch") if switch else {}
+    for name in switch.outputs if switch else ():
+        if switch and name in switch.inputs:
+            report(("switch", "outputs", name), "name_clash", f"{name} is an input too", "give each a name of its own")
     for region in project.regions.values():
         for name, spec in region.interfaces.items():
             here = f"{region.name}.{name}"
             if spec.stream is not None and first.setdefault(spec.stream, here) != here:
                 key = ("regions", region.name, "interfaces", name, "stream")
                 message = f"{spec.stream} is the stream of {first[spec.stream]} already"
-                report(key, "name_clash", message, "each stream is one DMA engine: give it a name of its own")
+                report(key, "name_clash", message, "each stream is one DMA channel: give it a name of its own")
 
 
 def _module(project: Project, module: ModuleSpec, report: Report) -> None:
@@ -153,6 +159,8 @@ def _mode(project: Project, mode: ModeSpec, report: Report) -> None:
         elif region not in project.modules[name].regions:
             hint = f"it may go to {', '.join(project.modules[name].regions)}"
             report((*key, region), "region_conflict", f"{name} may not go to {region}", hint)
+    if mode.routes and project.switch is None:
+        report(("modes", mode.name, "routes"), "unknown_key", "there is no switch", "write switch: at the top")
     known = {
         register
         for name in mode.modules.values()

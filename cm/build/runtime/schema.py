@@ -9,7 +9,8 @@ from pathlib import Path
 
 from cm.build.errors import BuildError
 from cm.build.plan.frames import frame_problem
-from cm.build.plan.system import RegionPlan, System
+from cm.build.plan.switch import COMMIT, CONTROL, MUX, NONE, UPDATE, chain_of, register_name, route_values
+from cm.build.plan.system import RegionPlan, SwitchPlan, System
 from cm.build.project.model import FieldSpec, ModeSpec, ModeStreamSpec, ModuleSpec, RegisterSpec
 from cm.build.project.where import fault
 from cm.build.runtime.answers import Answers
@@ -143,15 +144,54 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
             if key in one.module.registers:
                 base = register_base(source, one.region, one.module)
                 registers[key] = _register(one.module.registers[key], base, one.region.name, value)
+    registers |= _routes(system, mode)
     overlays = tuple(Overlay(f"module_{one.name}") for one in chosen if one.region.registers)
     return Mode(
         name=mode.name,
         modules=tuple(one.name for one in chosen),
         registers=registers,
         overlays=overlays,
-        streams=dict(_mode_stream(source, mode, name, spec, streams) for name, spec in mode.streams.items()),
+        streams=_mode_streams(system, mode, streams),
         doc=mode.doc,
     )
+
+
+def _routes(system: System, mode: ModeSpec) -> dict[str, Register]:
+    """The switch's registers as a mode sets them."""
+    if system.switch is None:
+        return {}
+    values = dict(route_values(system.switch, system.project.modes))[mode.name]
+    found = _switch_registers(system.switch)
+    return {name: replace(found[name], default=value) for name, value in values.items()}
+
+
+def _switch_registers(switch: SwitchPlan) -> dict[str, Register]:
+    """Registers of the switch, CONTROL last: they are written in this order."""
+    order = ", ".join(f"{number} {name}" for number, name in enumerate(switch.sources))
+    found = {}
+    for number, sink in enumerate(switch.sinks):
+        doc = f"source of {sink}: {order}, {NONE:#x} none"
+        offset = MUX + 4 * number
+        found[register_name(sink)] = Register(register_name(sink), switch.window.base, offset, default=NONE, doc=doc)
+    doc = "2 in the lowest bits: the routes count from now on; the others number the set of routes"
+    found[COMMIT] = Register(COMMIT, switch.window.base, CONTROL, access=Access.WO, default=UPDATE, doc=doc)
+    return found
+
+
+def _mode_streams(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> dict[str, Stream]:
+    """Streams that differ in a mode; those of the switch say what they pass through, and stop when that changes."""
+    source = system.project.source
+    found = dict(_mode_stream(source, mode, name, spec, streams) for name, spec in mode.streams.items())
+    for bus in system.switch.streams if system.switch else ():
+        assert system.switch
+        assert bus.dma
+        chain = chain_of(system.switch, mode, bus.name)
+        if chain:
+            passed = [f"{region} ({mode.modules[region]})" if region in mode.modules else region for region in chain]
+            region = chain[0] if bus.dma.sends else chain[-1]
+            stream = found.get(bus.name, streams[bus.name])
+            found[bus.name] = replace(stream, region=region, doc=f"through {', '.join(passed)}")
+    return found
 
 
 def _mode_stream(
@@ -176,6 +216,8 @@ def _static_registers(system: System) -> dict[str, Register]:
         status = Register("irq_status", base, IRQ_STATUS, access=Access.W1C, volatile=True, doc=doc)
         enable = Register("irq_enable", base, IRQ_ENABLE, default=mask, maximum=mask, doc="interrupts that are told")
         found |= {"irq_status": status, "irq_enable": enable}
+    if system.switch:
+        found |= _switch_registers(system.switch)
     for name, spec in system.project.static.registers.items():
         found[name] = _register(spec, 0, None)
     return found
@@ -183,19 +225,19 @@ def _static_registers(system: System) -> dict[str, Register]:
 
 def _streams(system: System, answers: Answers) -> list[Stream]:
     found = []
-    for region in system.regions:
-        for bus in region.streams:
-            if bus.dma is None:
-                continue
-            own = answers.streams.get(bus.name)
-            shape, dtype, slots = bus.spec.shape, bus.spec.dtype, bus.spec.slots
-            if own is not None:
-                shape, dtype, slots = own.shape or shape, own.dtype or dtype, own.slots or slots
-            problem = frame_problem(bus, shape, dtype)
-            if problem:
-                raise BuildError(f"stream {bus.name}: {'; '.join(problem)}")
-            direction = Direction(bus.dma.direction.value)
-            found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region.name, rate=bus.spec.rate))
+    regions = {bus.name: region.name for region in system.regions for bus in region.streams}
+    for bus in system.streams:
+        if bus.dma is None:
+            continue
+        own = answers.streams.get(bus.name)
+        shape, dtype, slots = bus.spec.shape, bus.spec.dtype, bus.spec.slots
+        if own is not None:
+            shape, dtype, slots = own.shape or shape, own.dtype or dtype, own.slots or slots
+        problem = frame_problem(bus, shape, dtype)
+        if problem:
+            raise BuildError(f"stream {bus.name}: {'; '.join(problem)}")
+        direction, region = Direction(bus.dma.direction.value), regions.get(bus.name)
+        found.append(Stream(bus.name, bus.name, direction, shape, dtype, slots, region, rate=bus.spec.rate))
     return found
 
 

@@ -45,15 +45,16 @@ def add_stream(site: Site, bus: StreamBus) -> None:
 
 def _kept(bus: StreamBus) -> tuple[str, ...]:
     """The signals that pass: a DMA engine knows TDATA and TKEEP, a VDMA the first pixel by TUSER too."""
-    if bus.dma is None:
+    if bus.external:
         return axi.STREAM
-    return ("TDATA", "TKEEP", "TUSER") if bus.dma.kind is EngineKind.VDMA else ("TDATA", "TKEEP")
+    video = bus.dma is not None and bus.dma.kind is EngineKind.VDMA
+    return ("TDATA", "TKEEP", "TUSER") if video else ("TDATA", "TKEEP")
 
 
 def _end(site: Site, bus: StreamBus, signal: str, direction: PortDirection, width: int) -> str:
-    """A signal of the static side: a port of the static part, or a wire to where streams share an engine's port."""
+    """A signal of the static side: a port of the static part, or a wire to the switch or the join of an engine."""
     name = f"axis_{bus.name}_{signal}"
-    if bus.dma and bus.dma.shared:
+    if bus.inner:
         return site.net.wire(name, width)
     return site.net.port(name, direction, width)
 
@@ -72,9 +73,9 @@ class _Ports:
 
     def payload(self, field: axi.Field) -> str:
         """The port of a signal, or its bits that the region has."""
-        width, dma = field.width, self._bus.dma
-        if dma:
-            width = {"TDATA": dma.width, "TKEEP": dma.width // 8}.get(field.logical, 1)
+        width, outside = field.width, self._bus.width
+        if outside:
+            width = {"TDATA": outside, "TKEEP": outside // 8}.get(field.logical, 1)
         name = _end(self._site, self._bus, field.logical.lower(), OUT if self._sends else IN, width)
         if width < field.width:  # a VDMA's TUSER is one bit
             return self._low(name, width, field)
@@ -131,14 +132,13 @@ class _Converted:
 
     def finish(self) -> None:
         """The converter."""
-        net, dma, bus = self._site.net, self._bus.dma, self._bus
-        assert dma is not None
-        dma_bytes, inside, outside = dma.width // 8, "s" if self._sends else "m", "m" if self._sends else "s"
+        net, bus = self._site.net, self._bus
+        dma_bytes, inside, outside = bus.width // 8, "s" if self._sends else "m", "m" if self._sends else "s"
         pins: dict[str, str | None] = {"clk": self._site.clock, "resetn": self._site.reset}
         for signal in ("tvalid", "tready", "tdata", "tkeep", "tlast"):
             pins[f"{inside}_{signal}"] = f"{self._name}_{signal}"
             forward = (signal != "tready") == self._sends
-            width = {"tdata": dma.width, "tkeep": dma_bytes}.get(signal, 1)
+            width = {"tdata": bus.width, "tkeep": dma_bytes}.get(signal, 1)
             pins[f"{outside}_{signal}"] = _end(self._site, bus, signal, OUT if forward else IN, width)
         if not self._keep and self._sends:
             pins["s_tkeep"] = ones(bus.bytes)
@@ -146,5 +146,6 @@ class _Converted:
             net.unused.append(f"{self._name}_tkeep")
         sizes = (bus.bytes, dma_bytes) if self._sends else (dma_bytes, bus.bytes)
         parameters = {"IN_BYTES": sizes[0], "OUT_BYTES": sizes[1]}
-        comment = f"{self._site.name}.{bus.interface.name}: {bus.bytes} bytes a beat, {dma_bytes} of the DMA"
+        other = "switch" if bus.switched else "DMA"
+        comment = f"{self._site.name}.{bus.interface.name}: {bus.bytes} bytes a beat, {dma_bytes} of the {other}"
         net.instance("cm_axis_width", f"{self._name}_width", pins, parameters, comment)

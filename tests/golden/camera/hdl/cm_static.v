@@ -184,7 +184,7 @@ module cm_static (
         .REGIONS(1),
         .IRQS(1),
         .IRQ_EDGE(1'b1),
-        .STATIC_ID(32'hEA6E69F0)
+        .STATIC_ID(32'hB95330D9)
     ) control (
         .clk(clk_fclk0),
         .resetn(resetn_fclk0),

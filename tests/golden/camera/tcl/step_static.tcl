@@ -26,7 +26,9 @@ read_verilog hdl/lib/cm_axil_interconnect.v
 read_verilog hdl/lib/cm_axis_join.v
 read_verilog hdl/lib/cm_axis_master_decoupler.v
 read_verilog hdl/lib/cm_axis_slave_decoupler.v
+read_verilog hdl/lib/cm_axis_slice.v
 read_verilog hdl/lib/cm_axis_split.v
+read_verilog hdl/lib/cm_axis_switch.v
 read_verilog hdl/lib/cm_axis_width.v
 read_verilog hdl/lib/cm_control.v
 read_verilog hdl/lib/cm_icap.v
