@@ -19,13 +19,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, wait
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NotInTime  # the built-in one from Python 3.11 on
 from contextlib import suppress
 from math import ceil
 from typing import TypeVar
 
 _T = TypeVar("_T")
-Callback = Callable[[], None]
+Callback = Callable[[], object]
 
 
 class Timer:
@@ -73,9 +74,12 @@ class Loop:
             return call()
         answer = Future[_T]()
         self.call_threadsafe(lambda: _fulfil(answer, call))
-        if not wait((answer,), timeout).done:
-            raise TimeoutError(f"the event loop did not answer within {timeout:.0f} s")
-        return answer.result()
+        try:
+            return answer.result(timeout)
+        except NotInTime:
+            if answer.done():  # what was called raised it, or ended this moment
+                return answer.result()
+            raise TimeoutError(f"the event loop did not answer within {timeout:.0f} s") from None
 
     def stop(self) -> None:
         """Make `run()` return after the present round; from any thread or a signal handler."""

@@ -71,26 +71,26 @@ class Loop(EventLoop):
         multipart.send(socket, frames, flags)
 
     def _wait(self, milliseconds: int) -> None:
-        for source, _ in zmq_poll(self._waited, 0 if self._unlooked else milliseconds):
+        taken = self._look_again() if self._unlooked else False  # then there may be timers that were not reckoned with
+        for source, _ in zmq_poll(self._waited, 0 if taken or self._unlooked else milliseconds):
             try:
                 self._takes[source]()
             except Exception as error:  # noqa: BLE001 (see _failed)
                 self._failed(error)
-        if self._unlooked:
-            self._look_again()
 
-    def _look(self, watched: _Watched) -> None:
-        """Serve a socket until it has nothing more, or for its share."""
-        for _ in range(_TURNS):
+    def _look(self, watched: _Watched) -> bool:
+        """Serve a socket until it has nothing more, or for its share; whether it had something."""
+        for turn in range(_TURNS):
             if not zmq_poll(watched.sources, 0):  # half the time of asking for ZMQ_EVENTS
                 self._unlooked.discard(watched)
-                return
+                return turn > 0
             self._guarded(watched.take)
         self._unlooked.add(watched)
+        return True
 
-    def _look_again(self) -> None:
-        for watched in tuple(self._unlooked):
-            self._look(watched)
+    def _look_again(self) -> bool:
+        taken = [self._look(watched) for watched in tuple(self._unlooked)]
+        return any(taken)
 
     def _failed(self, error: Exception) -> None:
         _LOG.error("a callback failed", exc_info=error)

@@ -11,7 +11,7 @@ import itertools
 import os
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Protocol
@@ -22,7 +22,7 @@ from cm._version import __version__
 from cm.daemon.loop import Loop
 from cm.daemon.streams.compression import Compressor, compressions
 from cm.daemon.streams.stream import Frame
-from cm.messages.status import FrameInfo, Irq, RegValues, SensorStatus, Status
+from cm.messages.status import FrameInfo, Irq, LeaseStatus, RegValues, SensorStatus, Status, StreamStatus
 from cm.native import guard
 from cm.wire import encode, topics
 
@@ -186,10 +186,12 @@ class Publisher:
         """What the board's sensors say now; told with the statuses from here on. Any thread."""
         self._sensors = sensors
 
-    def complete(self, status: Status) -> Status:
+    def complete(self, status: Status, streams: tuple[StreamStatus, ...], leases: tuple[LeaseStatus, ...]) -> Status:
         """A status with what only the daemon knows."""
         return replace(
             status,
+            streams=streams,
+            leases=leases,
             sequence=self.sequence,
             version=__version__,
             started_ns=self._started_ns,
@@ -198,10 +200,17 @@ class Publisher:
             sensors=self._sensors,
         )
 
-    def status(self, status: Status) -> None:
-        """Publish a status under a new number."""
+    def status(self, make: Callable[[], Status]) -> bool:
+        """Publish a status under a new number; False if none is made, as no one subscribes to it.
+
+        A change tells a dozen, each of which takes longer to make and encode than the step that it tells of.
+        Who subscribes gets one at once, so nothing is missed; the number counts all the same.
+        """
         self.sequence = next(self._numbers)
-        self._sender.send(encode.encode_status(self.complete(status)))
+        if not self.has_subscriber(topics.STATUS):
+            return False
+        self._sender.send(encode.encode_status(make()))
+        return True
 
     def registers(self, values: RegValues) -> None:
         """Publish changed registers."""

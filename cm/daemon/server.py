@@ -8,7 +8,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 
 import zmq
@@ -47,7 +46,6 @@ from cm.messages.status import ErrorInfo, RegValues, Status
 from cm.rights.gate import Gate
 from cm.rights.users import system_users
 from cm.schema.model import Config
-from cm.wire import topics
 from cm.zap import Authenticator
 
 _LOG = logging.getLogger("cm")
@@ -131,7 +129,7 @@ class Server:
             pieces=self._pieces,
             board=self._board,
             sessions=self._sessions,
-            status=lambda: self._publisher.complete(self._status()),
+            status=self._status,
             connections=self._connections,
             complete=self._with_channels,
             aside=self._aside,
@@ -195,7 +193,7 @@ class Server:
 
     def _on_subscription(self) -> None:
         if self._publisher.take_subscriptions():
-            self._publisher.status(self._status())
+            self._publisher.status(self._status)
         self._streams.refresh()
 
     # ---- observer: any thread ---------------------------------------------------------
@@ -214,8 +212,7 @@ class Server:
             status = self._statuses.popleft()
             if not status.fpga_busy:
                 self._watch_interrupts()
-            self._publisher.status(self._status(status))
-            if self._publisher.has_subscriber(topics.STATUS):
+            if self._publisher.status(partial(self._status, status)):
                 self._manager.status_read()
             self._log_error(status.last_error, status.last_change)
 
@@ -236,7 +233,7 @@ class Server:
 
     def _status(self, status: Status | None = None) -> Status:
         streams, leases = self._streams.status(), self._manager.leases.told()
-        return replace(status or self._manager.status(), streams=streams, leases=leases)
+        return self._publisher.complete(status or self._manager.status(), streams, leases)
 
     # ---- regular work ---------------------------------------------------------------------
 
@@ -247,4 +244,4 @@ class Server:
             look()
         self._connections.tell()
         if self._streams.any_open:
-            self._publisher.status(self._status())
+            self._publisher.status(self._status)

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import lru_cache
 
 from cm.messages import status as st
 from cm.wire import cm_pb2 as pb
 from cm.wire import holders
 
 _PR_MODES = tuple(st.PrMode)  # in the order of the enum PrMode of cm.proto
+_PR_NAMES = {mode: pb.PrMode.Name(number) for number, mode in enumerate(_PR_MODES)}
 
 
 def error_to_pb(error: st.ErrorInfo) -> pb.Error:
@@ -25,11 +27,9 @@ def status_to_pb(s: st.Status) -> pb.Status:
         config_name=s.config_name,
         mode=s.mode,
         fpga_busy=s.fpga_busy,
-        pr_mode=pb.PrMode.Name(_PR_MODES.index(s.pr_mode)),
+        pr_mode=_PR_NAMES[s.pr_mode],
         sequence=s.sequence,
         regions=[pb.RegionState(name=r.name, module=r.module or "", state=r.state, loader=r.loader) for r in s.regions],
-        streams=[stream_to_pb(x) for x in s.streams],
-        configs=s.configs,
         version=s.version,
         started_ns=s.started_ns,
         last_change=s.last_change,
@@ -38,7 +38,6 @@ def status_to_pb(s: st.Status) -> pb.Status:
         board=s.board,
         realtime_offset_ns=s.realtime_offset_ns,
         generation=s.generation,
-        sensors=[pb.SensorState(device=x.device, name=x.name, quantity=x.quantity, value=x.value) for x in s.sensors],
         leases=[holders.lease_state_to_pb(x) for x in s.leases],
         clients=[holders.client_to_pb(x) for x in s.clients],
     )
@@ -46,7 +45,20 @@ def status_to_pb(s: st.Status) -> pb.Status:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
     if s.last_error is not None:
         message.last_error.CopyFrom(error_to_pb(s.last_error))
+    message.MergeFromString(_lasting(s.configs, s.streams, s.sensors))
     return message
+
+
+@lru_cache(maxsize=8)
+def _lasting(
+    configs: tuple[str, ...], streams: tuple[st.StreamStatus, ...], sensors: tuple[st.SensorStatus, ...]
+) -> bytes:
+    """The longest parts of a status, encoded: the dozen statuses of one change of mode have them in common."""
+    return pb.Status(
+        configs=configs,
+        streams=[stream_to_pb(x) for x in streams],
+        sensors=[pb.SensorState(device=x.device, name=x.name, quantity=x.quantity, value=x.value) for x in sensors],
+    ).SerializeToString()
 
 
 def status_from_pb(m: pb.Status) -> st.Status:

@@ -91,6 +91,25 @@ def test_messages_that_were_there_before_the_socket_was_added_are_served(context
     server.close()
 
 
+def test_a_timer_set_for_a_message_that_was_looked_for_again_is_not_late(context):
+    """Nothing else comes that would wake the loop."""
+    server, (client,) = pair(context, 1)
+    client.send(b"early")
+    assert server.poll(5000)  # its signal is used up
+    loop = Loop()
+    loop.add_socket(server, lambda: (multipart.receive(server), loop.call_later(0.01, loop.stop)))
+    thread = threading.Thread(target=loop.run, daemon=True)
+    thread.start()
+    thread.join(30)
+    late = thread.is_alive()
+    loop.stop()
+    thread.join(30)
+    assert not late
+    loop.close()
+    client.close()
+    server.close()
+
+
 def test_one_busy_socket_does_not_starve_the_others(context):
     """A socket that always has more gets a share; descriptors and calls come in between."""
     server, (client,) = pair(context, 1)

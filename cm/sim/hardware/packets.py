@@ -102,20 +102,20 @@ class ConfigPort:
         raw = self._rest + bytes(data)
         whole = len(raw) - len(raw) % 4
         self._rest = raw[whole:]
-        words = np.frombuffer(raw[:whole], dtype=self._order).astype(np.uint32)
+        words = np.frombuffer(raw[:whole], dtype=self._order).astype(np.uint32, copy=False)
         self._writes = []
         at = 0
         while at < len(words) and self._state is not _State.DEAD:
-            at += self._take(words[at:])
+            at += self._take(words, at)
         return tuple(self._writes)
 
-    def _take(self, words: NDArray[np.uint32]) -> int:
-        """Take one word at least; returns how many."""
+    def _take(self, words: NDArray[np.uint32], at: int) -> int:
+        """Take one word at least, from `at` on; returns how many."""
         if self._state is _State.UNSYNCED:
-            return self._look_for_sync(words)
+            return self._look_for_sync(words[at:])
         if self._state is _State.DATA or self._state is _State.CIPHER:
-            return self._data(words[: self._left])
-        word = int(words[0])
+            return self._data(words[at : at + self._left])
+        word: int = words.item(at)
         if self._state is _State.TYPE2:
             self._begin(word & 0x07FFFFFF, word >> 27 == 0b01010 and word & 0x07FFFFFF != 0)
         elif word == 0:
@@ -155,7 +155,7 @@ class ConfigPort:
             self._bulk(words)
         else:
             self._state = _State.HEADER
-            self._write(int(words[0]))
+            self._write(words.item(0))
         return len(words)
 
     def _bulk(self, words: NDArray[np.uint32]) -> None:
@@ -175,7 +175,7 @@ class ConfigPort:
         there = sum(map(len, self._due))
         if there < _BLOCK and not whole:
             return
-        words = np.concatenate(self._due)
+        words = np.concatenate(self._due) if len(self._due) > 1 else self._due[0]
         end = there if whole else there - there % _BLOCK
         for at in range(0, end, _BLOCK):
             self._crc = self._known.run(self._crc, self._register, words[at : min(at + _BLOCK, end)])
