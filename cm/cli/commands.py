@@ -50,7 +50,8 @@ COMMANDS = (
     Command("data", "cm.cli.data", "configure the data channels"),
     Command("view", "cm.cli.view", "look at a stream in the terminal or a window"),
     Command("web", "cm.cli.web", "serve a page to look at a board through"),
-    Command("bridge", "cm.cli.bridge", "put a board into another network: ROS 2 and DDS", linux=True),
+    Command("fleet", "cm.cli.fleet", "look at many boards, and change them together"),
+    Command("bridge", "cm.cli.bridge", "put a board into another network: DDS and ROS 2, zenoh", linux=True),
     Command("bitstream", "cm.cli.bitstream", "inspect, verify and convert bitstreams", linux=True),
     Command(
         "import",

@@ -65,7 +65,7 @@ def run_archive(args: argparse.Namespace) -> int:
     from cm.signing import judge
     from cm.signing.policy import Judgement
 
-    settings = _settings(args.settings)
+    settings = read_settings(args.settings)
     policy, found = policy_of(settings), [Judgement()]
 
     def asked(folder: Path, name: str, installed: Path) -> None:
@@ -93,7 +93,7 @@ def _count(text: str) -> int:
     return int(text)
 
 
-def _settings(path: Path | None) -> Settings:
+def read_settings(path: Path | None) -> Settings:
     """The settings that are named, else the system's, where there are some."""
     from cm.settings.model import FILE
 

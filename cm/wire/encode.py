@@ -270,6 +270,23 @@ def encode_frame_info(info: st.FrameInfo) -> bytes:
     return bytes(bodies.frame_to_pb(info).SerializeToString())
 
 
+def decode_plan(data: bytes) -> st.PlanInfo:
+    """A Plan message. Raises InvalidRequest."""
+    return bodies.plan_from_pb(_message(pb.Plan, data))
+
+
+def decode_registers(data: bytes) -> st.RegValues:
+    """A RegValues message. Raises InvalidRequest."""
+    return bodies.registers_from_pb(_message(pb.RegValues, data))
+
+
+def _message(kind: Any, data: bytes) -> Any:
+    try:
+        return kind.FromString(data)
+    except DecodeError as problem:
+        raise InvalidRequest(f"the payload is no {kind.__name__} message ({problem})") from problem
+
+
 Event = st.Status | st.RegValues | st.Irq | st.FrameInfo
 
 

@@ -39,12 +39,43 @@ def board_status(data: bytes) -> fl.BoardStatus:
     return fl.BoardStatus(bodies.status_from_pb(message), tuple(message.labels), _clock_from_pb(message.clock), record)
 
 
-def status_of_reply(data: bytes) -> bytes:
-    """The Status in a manager's Reply, serialised. Raises InvalidRequest for another reply."""
-    reply = parsed(pb.Reply, data)
-    if not reply.HasField("status"):
-        raise InvalidRequest(f"the manager told no status: {reply.error.message}")
-    return reply.status.SerializeToString()
+def body(reply: bytes) -> tuple[str, bytes] | ErrorInfo:
+    """What a Reply holds: the name of its message and its bytes, or the error. Raises InvalidRequest."""
+    message: Any = parsed(pb.Reply, reply)
+    if not message.ok:
+        return bodies.error_from_pb(message.error)
+    field = message.WhichOneof("body")
+    if not field:
+        return "Reply", reply
+    found = getattr(message, field)
+    return found.DESCRIPTOR.name, found.SerializeToString()
+
+
+def each_register(data: bytes) -> list[tuple[str, bytes]]:
+    """RegValues of several → those of each, with its name."""
+    message = parsed(pb.RegValues, data)
+    return [
+        (
+            value.name,
+            pb.RegValues(
+                values=[value],
+                config_name=message.config_name,
+                mode=message.mode,
+                generation=message.generation,
+            ).SerializeToString(),
+        )
+        for value in message.values
+    ]
+
+
+def irq_name(data: bytes) -> str:
+    """Of an Irq message."""
+    return parsed(pb.Irq, data).name
+
+
+def stream_names(status: bytes) -> tuple[str, ...]:
+    """Of a Status: the streams that can be read."""
+    return tuple(stream.name for stream in parsed(pb.Status, status).streams if stream.direction == "s2mm")
 
 
 def _clock_to_pb(clock: fl.ClockSync) -> pb.ClockSync:

@@ -57,6 +57,7 @@ MAY = {
     },
     "aio": {"client"},
     "client": BASE | {"messages", "wire", "native", "multipart"},
+    "fleet": BASE | {"client", "messages", "wire"},
     "view": BASE,
     "web": BASE | {"client", "messages", "view", "wire"},
     "sim": BASE | {"child", "fdt", "loop", "native", "schema", "bitstream", "hwh"},
@@ -76,7 +77,7 @@ LIBRARIES = {
     "PIL": {"cli", "demo", "sim", "web"},
     "aiohttp": {"web"},
     "cffi": {"dds", "native"},
-    "cryptography": {"signing"},
+    "cryptography": {"fleet", "signing"},
     "cyclonedds": {"dds"},
     "fastjsonschema": {"schema"},
     "google": {"wire"},
@@ -108,6 +109,7 @@ LIBRARIES = {
     "tree_sitter_vhdl": {"build"},
     "yaml": {"build", "schema"},
     "zmq": {"bench", "cli", "client", "conformance", "daemon", "demo", "multipart", "zap"},
+    "zenoh": {"fleet"},
 }
 FREE = {"bench", "cli", "demo"}  # may import all of ours; the baselines of the bench are libraries of their own
 

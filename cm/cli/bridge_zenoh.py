@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm bridge zenoh``: a board in a fleet."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import logging
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from cm.cli.common import add_connection_options
+from cm.cli.fleet_options import add_network_options, network_of
+
+if TYPE_CHECKING:
+    from cm.fleet.bridge.bundles import Import
+    from cm.fleet.bridge.process import Options
+
+
+def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the network."""
+    parser = actions.add_parser(
+        "zenoh",
+        help="a board in a fleet, over zenoh",
+        description="Runs beside a board's manager until it is stopped, and makes the board one of a fleet "
+        "(docs/fleet.md). What callers may do is for the manager's policy: access.guests in cm.yaml.",
+    )
+    add_connection_options(parser)
+    add_network_options(parser)
+    parser.add_argument("--listen", action="append", default=[], metavar="HOST:PORT", help="let others connect here")
+    parser.add_argument("--name", default="", help="of the board in the fleet (default: as its manager calls it)")
+    parser.add_argument("--label", action="append", default=[], metavar="TEXT", help="a group that the board is in")
+    parser.add_argument("--site", default="", help="the site whose cache it fetches bundles from")
+    parser.add_argument("--state-dir", type=Path, metavar="DIR", help="records of changes (default: /var/lib/cm/fleet)")
+    parser.add_argument(
+        "--import-to", type=Path, metavar="DIR", help="take bundles of the fleet, and unpack them below this folder"
+    )
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="whose policy of signatures counts for bundles")
+    parser.add_argument(
+        "--own-name",
+        action="store_true",
+        help="ask the manager in the bridge's own name, whoever asks: for a network that is yours alone",
+    )
+    parser.add_argument(
+        "--lease", type=float, default=10.0, metavar="SECONDS", help="after which a bridge that hangs is gone (10)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Serve until interrupted; the exit status."""
+    logging.basicConfig(level=logging.INFO, format="cm bridge zenoh: %(message)s", stream=sys.stderr)
+    with contextlib.suppress(asyncio.CancelledError):
+        asyncio.run(_serve(_options(args)))
+    return 0
+
+
+async def _serve(options: Options) -> None:
+    from cm.fleet.bridge.process import Bridge
+
+    task = asyncio.current_task()
+    assert task is not None
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, task.cancel)
+    await Bridge(options, lambda board: logging.getLogger("cm.fleet").info("ready as %s", board)).run()
+
+
+def _options(args: argparse.Namespace) -> Options:
+    from cm.fleet import names
+    from cm.fleet.bridge.process import Options, default_state
+    from cm.fleet.network import endpoint
+
+    listen = tuple(map(endpoint, args.listen))
+    network = network_of(args, listen=listen, mode="peer" if listen else "client", lease=args.lease, patient=True)
+    for label in args.label:
+        names.check(label, "label")
+    return Options(
+        network,
+        args.state_dir or default_state(),
+        args.connect,
+        args.runtime_dir,
+        args.keys,
+        args.name,
+        tuple(args.label),
+        names.check(args.site, "site") if args.site else "",
+        args.own_name,
+        _importer(args.import_to, args.settings) if args.import_to else None,
+    )
+
+
+def _importer(out: Path, settings: Path | None) -> Import:
+    """What ``cm import archive`` does, under the same policy."""
+
+    def take(archive: Path) -> tuple[str, str]:
+        from cm.cli.import_ import read_settings
+        from cm.cli.signatures import policy_of
+        from cm.importers import unpack
+        from cm.signing import judge
+        from cm.signing.policy import Judgement
+
+        said, found = read_settings(settings), [Judgement()]
+        policy = policy_of(said)
+
+        def asked(folder: Path, name: str, installed: Path) -> None:
+            found.append(judge(folder, name, policy, installed))
+
+        done = unpack(archive, out, said.imports.keep, asked)
+        return done.config.name, found[-1].signer or ""
+
+    return take

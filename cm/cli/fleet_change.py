@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm fleet mode|load``: a change of many boards as one."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING, Any
+
+from cm.cli.common import add_json_option, print_json, print_table
+from cm.cli.fleet_options import add_fleet_options, connected_fleet
+
+if TYPE_CHECKING:
+    from cm.fleet.change.coordinator import Outcome
+    from cm.fleet.changing import Course, Leg
+
+_PHASES = {"prepare": "prepared", "apply": "changed", "seat": "decided", "tell": "told"}
+
+
+def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the actions."""
+    mode = actions.add_parser("mode", help="change the mode of all boards, or of none")
+    mode.add_argument("mode", metavar="MODE")
+    mode.set_defaults(config="")
+    load = actions.add_parser("load", help="load a configuration on all boards, or on none")
+    load.add_argument("config", metavar="CONFIG")
+    load.add_argument("mode", metavar="MODE", help="of it; '' for its default mode")
+    for parser in (mode, load):
+        add_fleet_options(parser)
+        add_json_option(parser)
+        parser.add_argument(
+            "--policy",
+            choices=("all", "quorum", "best-effort"),
+            default="all",
+            help="how many boards have to be there for the change to stay (all)",
+        )
+        parser.add_argument("--phase", type=float, default=60.0, metavar="SECONDS", help="for each phase (60)")
+        parser.add_argument(
+            "--settle",
+            type=float,
+            default=0.0,
+            metavar="SECONDS",
+            help="after which a board that hears nothing more asks what was decided (twice --phase)",
+        )
+        parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Change; 0 where every board is in the new mode."""
+    from cm.fleet.errors import ChangeFailed
+
+    with connected_fleet(args) as fleet:
+        try:
+            course = fleet.load(
+                args.config,
+                args.mode,
+                args.boards,
+                policy=args.policy,
+                timeout=args.phase,
+                settle=args.settle,
+                tell=_nothing if args.json else _tell,
+            )
+        except ChangeFailed as error:
+            _show(args, error.outcome)
+            print(f"cm: {error}", file=sys.stderr)
+            return 1
+    _show(args, course.outcome, course)
+    return 0
+
+
+def _nothing(*_: object) -> None:
+    pass
+
+
+def _tell(phase: str, board: str, answer: Any) -> None:
+    """A line on a terminal's standard error for each answer."""
+    if sys.stderr.isatty():
+        state = getattr(answer, "state", "") or getattr(answer, "message", "")
+        print(f"\r\033[K{_PHASES.get(phase, phase)}: {board} ({state})", end="", file=sys.stderr, flush=True)
+
+
+def _show(args: argparse.Namespace, outcome: Outcome, course: Course | None = None) -> None:
+    if args.json:
+        print_json(as_json(outcome, course))
+        return
+    if sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr)
+    rows = [
+        (name, record.state, f"{record.config_name}/{record.mode}", f"{record.plan_seconds * 1000:.1f}", _took(record))
+        for name, record in sorted(outcome.records.items())
+    ]
+    rows += [(name, "?", "", "", error.message) for name, error in sorted(outcome.silent.items())]
+    print_table(rows, ("BOARD", "STATE", "TO", "PLANNED MS", "TOOK MS"))
+    if course is not None:
+        print(critical_path(course))
+
+
+def _took(record: Any) -> str:
+    return f"{record.seconds * 1000:.1f}" if record.seconds else record.error.message if record.error else ""
+
+
+def critical_path(course: Course) -> str:
+    """What the change waited for, phase by phase."""
+    return f"{course.seconds * 1000:.1f} ms in all: " + ", ".join(map(_leg, course.legs))
+
+
+def _leg(leg: Leg) -> str:
+    return f"{_PHASES.get(leg.phase, leg.phase)} {leg.seconds * 1000:.1f} ms (last {leg.slowest})"
+
+
+def as_json(outcome: Outcome, course: Course | None) -> dict[str, Any]:
+    """For scripts."""
+    from cm.cli.client import plain
+
+    found: dict[str, Any] = {
+        "change": outcome.id,
+        "decision": outcome.decision.value if outcome.decision else None,
+        "boards": {name: plain(record) for name, record in outcome.records.items()},
+        "differing": dict(outcome.differing),
+        "causes": {name: plain(error) for name, error in outcome.causes.items()},
+    }
+    if course is not None:
+        found["seconds"] = course.seconds
+        found["critical_path"] = [plain(leg) for leg in course.legs]
+    return found

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm fleet ls|status|watch|plan|reg``: what many boards say."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from cm.cli.client import number, plain
+from cm.cli.common import add_json_option, print_json, print_table
+from cm.cli.fleet_options import add_fleet_options, connected_fleet
+
+if TYPE_CHECKING:
+    from cm.messages.fleet import BoardStatus
+    from cm.messages.status import ErrorInfo
+
+
+def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the actions."""
+    for name, run, text in (
+        ("ls", run_ls, "the boards that are there"),
+        ("status", run_status, "what is loaded where, what goes on, and how far the clocks agree"),
+        ("watch", run_watch, "follow the boards as they change, come and go"),
+    ):
+        parser = actions.add_parser(name, help=text)
+        add_fleet_options(parser)
+        add_json_option(parser)
+        parser.set_defaults(run=run)
+    _add_plan(actions)
+    _add_reg(actions)
+
+
+def _add_plan(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = actions.add_parser("plan", help="what a change of mode would do on each board")
+    parser.add_argument("mode", metavar="MODE")
+    parser.add_argument("--config", default="", metavar="CONFIG", help="of this one instead of the loaded one")
+    add_fleet_options(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=run_plan)
+
+
+def _add_reg(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = actions.add_parser("reg", help="read and write a register of each board")
+    verbs = parser.add_subparsers(dest="verb", metavar="ACTION", required=True)
+    for verb in ("read", "write"):
+        each = verbs.add_parser(verb, help=f"{verb} a register, or a field, of each board")
+        each.add_argument("name", metavar="NAME")
+        if verb == "write":
+            each.add_argument("value", metavar="VALUE", help="a number, or the name of a field's value")
+        add_fleet_options(each)
+        add_json_option(each)
+        each.set_defaults(run=run_reg)
+
+
+def run_ls(args: argparse.Namespace) -> int:
+    """Print the names; the exit status."""
+    with connected_fleet(args) as fleet:
+        found = fleet.chosen(args.boards) if args.boards else fleet.boards()
+    if args.json:
+        print_json(found)
+    else:
+        print("\n".join(found) if found else "no board's bridge is there")
+    return 0
+
+
+def run_status(args: argparse.Namespace) -> int:
+    """Print a line for each board; 1 where one of them did not answer."""
+    with connected_fleet(args) as fleet:
+        found = fleet.status(args.boards)
+    failed = _failed(found)
+    if args.json:
+        print_json({name: _plain(status) for name, status in found.items()})
+        return int(failed)
+    print_table([_row(name, status) for name, status in found.items()], HEADERS)
+    print(clocks_line(found))
+    return int(failed)
+
+
+HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "LABELS", "CLOCK", "NOTE")
+
+
+def _row(name: str, status: BoardStatus | ErrorInfo) -> tuple[object, ...]:
+    from cm.fleet.change import member
+    from cm.messages.status import ErrorInfo
+
+    if isinstance(status, ErrorInfo):
+        return name, "", "", "no answer" if status.code == "no_answer" else status.code, "", "", status.message
+    own, note = status.status, ""
+    if status.fleet is not None and not member.ended(status.fleet):
+        note = f"change {status.fleet.id}: {status.fleet.state}"
+    elif own.last_error is not None:
+        note = own.last_error.message
+    state = "busy" if own.fpga_busy else own.pr_mode.value
+    return name, own.config_name, own.mode, state, " ".join(status.labels), clock_words(status), note
+
+
+def clock_words(status: BoardStatus) -> str:
+    """How well a board's clock is set, in a few words."""
+    clock = status.clock
+    if not clock.source:
+        return "?"
+    if not clock.synchronised:
+        return f"not set ({clock.source})"
+    return f"±{clock.error_ns / 1e6:.3g} ms ({clock.source})" if clock.error_ns else f"set ({clock.source})"
+
+
+def clocks_line(found: Mapping[str, Any]) -> str:
+    """How far stamps of these boards agree."""
+    from cm.fleet.clocks import said_apart
+    from cm.messages.status import ErrorInfo
+
+    clocks = {name: status.clock for name, status in found.items() if not isinstance(status, ErrorInfo)}
+    apart = said_apart(clocks) if clocks else None
+    if apart is None:
+        loose = [name for name, clock in clocks.items() if not (clock.synchronised and clock.error_ns)]
+        which = f": {', '.join(loose)} cannot say how well it is set" if loose else ""
+        return f"stamps: nothing is promised between boards{which}"
+    return f"stamps: those of one instant differ by {apart / 1e6:.3g} ms at most, by what the boards say"
+
+
+def run_watch(args: argparse.Namespace) -> int:
+    """Print each change until interrupted; the exit status."""
+    with connected_fleet(args) as fleet:
+        chosen = frozenset(fleet.chosen(args.boards)) if args.boards else None
+        told: dict[str, tuple[object, ...]] = {}
+        with fleet.watch() as statuses:
+            for name, status in statuses:
+                if chosen is None or name in chosen:
+                    _tell(args, told, name, status)
+    return 0
+
+
+def _tell(args: argparse.Namespace, told: dict[str, tuple[object, ...]], name: str, status: BoardStatus | None) -> None:
+    """A status that says the same as the one before is not printed again."""
+    if status is None:
+        told.pop(name, None)
+        line: tuple[object, ...] = (name, "gone")
+    else:
+        line = _row(name, status)
+        if told.get(name) == line[:5]:
+            return
+        told[name] = line[:5]
+    if args.json:
+        print_json({"board": name, "status": None if status is None else plain(status)}, lines=True)
+    else:
+        print("  ".join(str(cell) for cell in line if cell), flush=True)
+
+
+def run_plan(args: argparse.Namespace) -> int:
+    """Print what each board would do; 1 where one of them cannot."""
+    from cm.messages.status import ErrorInfo
+
+    with connected_fleet(args) as fleet:
+        found = fleet.plan(args.mode, args.config, args.boards)
+    if args.json:
+        print_json({name: _plain(plan) for name, plan in found.items()})
+        return int(_failed(found))
+    rows = [
+        (n, "", "", "", p.message)
+        if isinstance(p, ErrorInfo)
+        else (n, len(p.steps), p.bytes, f"{p.seconds * 1000:.1f}", f"{p.config_name}/{p.mode}")
+        for n, p in found.items()
+    ]
+    print_table(rows, ("BOARD", "STEPS", "BYTES", "MS", "TO"))
+    return int(_failed(found))
+
+
+def run_reg(args: argparse.Namespace) -> int:
+    """Read or write; 1 where a board could not."""
+    from cm.messages.status import ErrorInfo
+
+    with connected_fleet(args) as fleet:
+        if args.verb == "read":
+            found = fleet.read(args.name, args.boards)
+        else:
+            found = fleet.write({args.name: _value(args.value)}, args.boards)
+    if args.json:
+        print_json({name: _plain(values) for name, values in found.items()})
+        return int(_failed(found))
+    rows = [(n, "", v.message) if isinstance(v, ErrorInfo) else (n, _shown(args.name, v), "") for n, v in found.items()]
+    print_table(rows, ("BOARD", args.name, ""))
+    return int(_failed(found))
+
+
+def _shown(name: str, values: Any) -> str:
+    found = values.values[0]
+    field = name.partition(".")[2]
+    return f"{found.fields.get(field, found.value) if field else found.value:#x}"
+
+
+def _value(text: str) -> int | str:
+    try:
+        return number(text)
+    except ValueError:
+        return text
+
+
+def _failed(found: Mapping[str, Any]) -> bool:
+    from cm.messages.status import ErrorInfo
+
+    return any(isinstance(each, ErrorInfo) for each in found.values())
+
+
+def _plain(value: Any) -> Any:
+    from cm.messages.status import ErrorInfo
+
+    if isinstance(value, ErrorInfo):
+        return {"error": {"code": value.code, "message": value.message}}
+    return value._asdict() if hasattr(value, "_asdict") else plain(value)

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What commands share that meet the fleet's network."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cm.fleet.blocking import Fleet
+    from cm.fleet.network import Network
+
+
+def add_network_options(parser: argparse.ArgumentParser) -> None:
+    """Add ``--router`` and ``--zenoh-config``: where the fleet is, and with which certificate."""
+    group = parser.add_argument_group("network")
+    group.add_argument(
+        "--router",
+        action="append",
+        default=[],
+        metavar="HOST[:PORT]",
+        help="the fleet's router, or zenoh's tls/HOST:PORT (default: $CM_FLEET, else who is heard on this network)",
+    )
+    group.add_argument(
+        "--zenoh-config", type=Path, metavar="FILE", help="zenoh's own settings, as `cm fleet keys` writes them"
+    )
+
+
+def network_of(args: argparse.Namespace, **more: object) -> Network:
+    """What these options say. Raises InvalidRequest."""
+    from cm.fleet.network import Network, endpoint, from_environment
+
+    connect = tuple(map(endpoint, args.router))
+    if not connect and args.zenoh_config is None:
+        connect = from_environment()
+    return Network(connect=connect, config=args.zenoh_config, **more)  # type: ignore[arg-type]
+
+
+def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> None:
+    """Add which boards, and what `add_network_options` adds, with who asks and for how long it waits."""
+    if boards:
+        parser.add_argument("boards", nargs="*", metavar="BOARD", help="a name, a glob or @LABEL (default: all)")
+    add_network_options(parser)
+    group = parser.add_argument_group("asking")
+    group.add_argument(
+        "--as",
+        dest="caller",
+        default="",
+        metavar="NAME",
+        help="who asks (default: as in the certificate, else this user)",
+    )
+    group.add_argument("--timeout", type=float, default=10.0, metavar="SECONDS", help="for an answer (10)")
+
+
+def connected_fleet(args: argparse.Namespace) -> Fleet:
+    """The fleet that the options name. Raises NoNetwork."""
+    from cm.fleet.blocking import connect
+    from cm.fleet.network import endpoint
+
+    routers = tuple(map(endpoint, args.router))
+    return connect(routers, config=args.zenoh_config, caller=args.caller, timeout=args.timeout)

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The asyncio client of a fleet; `cm.fleet.connect` is the blocking one, with the same names."""
+
+from __future__ import annotations
+
+import asyncio
+import getpass
+import json
+import os
+import secrets
+from collections.abc import Generator, Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from cm.errors import CmError, InvalidRequest
+from cm.fleet import asking, bundles, names
+from cm.fleet.asking import absent
+from cm.fleet.change.coordinator import Ask, first_step
+from cm.fleet.changing import Course, Progress, carried_out
+from cm.fleet.errors import ChangeFailed, FleetRefused
+from cm.fleet.looking import ALL, Looker
+from cm.fleet.network import Network, from_environment, session, zenoh_module
+from cm.fleet.presence import Presence
+from cm.messages.fleet import BundleState, FleetRecord, Policy
+from cm.messages.status import ErrorInfo, RegValues
+from cm.wire import fleet as wire
+from cm.wire.encode import decode_reply, encode_request
+
+
+def connect(
+    router: str | Iterable[str] = (),
+    *,
+    config: str | os.PathLike[str] | None = None,
+    caller: str = "",
+    timeout: float = 10.0,
+) -> Fleet:
+    """A fleet, to be entered with ``async with``, or awaited.
+
+    `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, else who is heard on this
+    network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: who asks; with
+    certificates the name in one's own. `timeout` in seconds. Raises NoNetwork when it is entered.
+    """
+    routers = (router,) if isinstance(router, str) else tuple(router)
+    if not routers and config is None:
+        routers = from_environment()
+    network = Network(connect=routers, config=Path(config) if config else None)
+    return Fleet(network, caller or _caller(network.config), timeout)
+
+
+def _caller(config: Path | None) -> str:
+    """The name in the settings that ``cm fleet keys`` wrote, else that of this user."""
+    if config is not None:
+        said = zenoh_module().Config.from_file(str(config)).get_json("metadata")
+        name = (json.loads(said) or {}).get("name")
+        if isinstance(name, str):
+            return name
+    return getpass.getuser()
+
+
+class Fleet(Looker):
+    """Many boards. Those that are meant are named, or by glob (``line1-*``) or label (``@camera``); else all."""
+
+    def __init__(self, network: Network, caller: str, timeout: float) -> None:
+        self.caller = names.check(caller, "caller")
+        self.timeout = timeout
+        self._network = network
+        self.session: Any = None
+
+    async def __aenter__(self) -> Fleet:
+        self.session = await asyncio.to_thread(session, self._network)
+        self.presence = Presence(self.session)
+        try:
+            await self.presence.begin(self.timeout)
+        except BaseException:
+            await self.close()
+            raise
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    def __await__(self) -> Generator[Any, None, Fleet]:
+        return self.__aenter__().__await__()
+
+    async def close(self) -> None:
+        """Disconnect; twice is fine."""
+        if self.session is not None:
+            await asyncio.to_thread(self.session.close)
+
+    # ---- changing -------------------------------------------------------------------------------
+
+    async def do(
+        self, verb: str, board: str, message: bytes, data: bytes | None = None, timeout: float = 0.0
+    ) -> asking.Answer:
+        """A command for one board, in this caller's name; the answer's payload is a Reply."""
+        key = names.command_key(names.check(board, "board"), verb, self.caller)
+        payload, attachment = (message, None) if data is None else (data, message)
+        found = await asking.get(self.session, key, payload, attachment, timeout or self.timeout)
+        return found[0] if found else asking.Answer(board, key, b"", error=absent(board, board in await self.boards()))
+
+    async def write(
+        self, values: Mapping[str, int | str], boards: Iterable[str] = ALL
+    ) -> dict[str, RegValues | ErrorInfo]:
+        """Write registers on each board, in order; each board does all of it or nothing."""
+        from cm.client.core.calls import write_registers
+
+        message = bytes(encode_request(write_registers(values).request)[1])
+        chosen = await self.chosen(boards)
+        answers = await asyncio.gather(*(self.do("reg", name, message) for name in chosen))
+        return {n: _registers(a) for n, a in zip(chosen, answers, strict=True)}
+
+    async def load(
+        self,
+        config: str = "",
+        mode: str = "",
+        boards: Iterable[str] = ALL,
+        *,
+        policy: Policy | str = Policy.ALL,
+        timeout: float = 60.0,
+        settle: float = 0.0,
+        tell: Progress = lambda *_: None,
+    ) -> Course:
+        """Take all boards to a mode, or none: planned on all, prepared on all, done on all, kept or taken back.
+
+        `policy`: ``all``, ``quorum`` or ``best_effort`` boards must be there for the change to stay. `timeout`: seconds
+        for each phase. `settle`: seconds after which a board that hears nothing asks the seat (0: twice `timeout`).
+        Raises FleetRefused (nothing was touched), ChangeFailed (its outcome names each board that differs).
+        """
+        rule = _policy(policy)
+        chosen = await self.chosen(boards)
+        plans = await self.plan(mode, config, chosen)
+        problems = {name: plan for name, plan in plans.items() if isinstance(plan, ErrorInfo)}
+        able = [name for name in chosen if name not in problems]
+        if not rule.holds(len(chosen), len(able)):
+            raise FleetRefused(problems)
+        change = f"{self.caller}-{secrets.token_hex(4)}"
+        step = first_step(change, chosen, config, mode, rule, settle or 2 * timeout, seat=able[0])
+        course = await carried_out(step, lambda ask: self._step(ask, timeout), tell)
+        if course.outcome.differing or course.outcome.decision is None or course.outcome.decision.value != "keep":
+            raise ChangeFailed(course.outcome)
+        return course
+
+    async def mode(self, mode: str, boards: Iterable[str] = ALL, **options: Any) -> Course:
+        """Take all boards to a mode of what they have loaded; as `load`."""
+        return await self.load("", mode, boards, **options)
+
+    async def _step(self, ask: Ask, timeout: float) -> FleetRecord | ErrorInfo:
+        answer = await self.do(ask.verb.value, ask.board, wire.encode_step(ask.step), timeout=timeout)
+        if answer.error is not None:
+            return answer.error
+        try:
+            found = wire.decode_answer(answer.payload)
+        except InvalidRequest as error:
+            return ErrorInfo(error.code, str(error))
+        return found if isinstance(found, (FleetRecord, ErrorInfo)) else ErrorInfo("network", "no record came back")
+
+    async def push(
+        self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
+    ) -> dict[str, BundleState | ErrorInfo]:
+        """Have boards fetch an archive of `cm build collect` from here and put it in force; again, it goes on."""
+        path = Path(archive)
+        bundle = await asyncio.to_thread(bundles.described, path)
+        chosen = await self.chosen(boards)
+        with bundles.offered(self.session, path, bundle):
+            asked = (self.do("bundle", name, wire.encode_fetch(bundle), timeout=timeout) for name in chosen)
+            answers = await asyncio.gather(*asked)
+        return {n: _bundle(a) for n, a in zip(chosen, answers, strict=True)}
+
+
+def _policy(said: Policy | str) -> Policy:
+    try:
+        return Policy(str(getattr(said, "value", said)).replace("-", "_").replace(" ", "_"))
+    except ValueError:
+        raise InvalidRequest(f"policy {said!r}: one of {', '.join(p.value for p in Policy)} is wanted") from None
+
+
+def _registers(answer: asking.Answer) -> RegValues | ErrorInfo:
+    if answer.error is not None:
+        return answer.error
+    reply = decode_reply([b"", answer.payload])
+    if reply.error is not None:
+        return reply.error
+    return reply.body if isinstance(reply.body, RegValues) else ErrorInfo("network", "no registers came back")
+
+
+def _bundle(answer: asking.Answer) -> BundleState | ErrorInfo:
+    if answer.error is not None:
+        return answer.error
+    try:
+        found = wire.decode_answer(answer.payload)
+    except CmError as error:
+        return ErrorInfo(error.code, str(error))
+    return found if isinstance(found, (BundleState, ErrorInfo)) else ErrorInfo("network", "no bundle came back")

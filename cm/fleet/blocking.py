@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The blocking client of a fleet: that of `cm.fleet.aio` in a loop of its own."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+import weakref
+from collections.abc import Coroutine, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Any, TypeVar
+
+from cm.fleet import aio
+from cm.fleet.changing import Course
+from cm.fleet.clocks import Reading
+from cm.fleet.looking import ALL
+from cm.messages.fleet import BoardStatus, BundleState
+from cm.messages.status import ErrorInfo, PlanInfo, RegValues
+
+_T = TypeVar("_T")
+
+
+class _Loop:
+    """An event loop in a thread that ends with the process."""
+
+    def __init__(self) -> None:
+        self.loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self.loop.run_forever, name="cm-fleet", daemon=True)
+        self._thread.start()
+
+    def wait_for(self, coroutine: Coroutine[Any, Any, _T]) -> _T:
+        future = asyncio.run_coroutine_threadsafe(coroutine, self.loop)
+        try:
+            return future.result()
+        except BaseException:
+            future.cancel()
+            raise
+
+    def end(self) -> None:
+        """Twice is fine."""
+        if not self.loop.is_closed():
+            self.loop.call_soon_threadsafe(self.loop.stop)
+            self._thread.join()
+            self.loop.close()
+
+
+def connect(
+    router: str | Iterable[str] = (),
+    *,
+    config: str | os.PathLike[str] | None = None,
+    caller: str = "",
+    timeout: float = 10.0,
+) -> Fleet:
+    """A fleet, connected: ``with cm.fleet.connect("tcp/router:7447") as fleet: fleet.mode("edge_detection")``.
+
+    Arguments as in `cm.fleet.aio.connect`. Raises NoNetwork.
+    """
+    return Fleet(aio.connect(router, config=config, caller=caller, timeout=timeout))
+
+
+class Fleet:
+    """Many boards, with calls that block. Groups of boards are names, globs (``line1-*``) and labels (``@camera``)."""
+
+    def __init__(self, fleet: aio.Fleet) -> None:
+        self._loop = _Loop()
+        self._fleet = fleet
+        self._end = weakref.finalize(self, self._loop.end)
+        try:
+            self._loop.wait_for(fleet.__aenter__())
+        except BaseException:
+            self._end()
+            raise
+
+    def __enter__(self) -> Fleet:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect; twice is fine."""
+        if self._end.alive:
+            self._loop.wait_for(self._fleet.close())
+            self._end()
+
+    @property
+    def caller(self) -> str:
+        """Who asks."""
+        return self._fleet.caller
+
+    def boards(self) -> tuple[str, ...]:
+        """Names of all boards whose bridges are there."""
+        return self._loop.wait_for(self._fleet.boards())
+
+    def chosen(self, boards: Iterable[str] = ALL) -> tuple[str, ...]:
+        """The boards of a group, sorted. Raises NoSuchBoard."""
+        return self._loop.wait_for(self._fleet.chosen(boards))
+
+    def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
+        """The status of each board, or why there is none."""
+        return self._loop.wait_for(self._fleet.status(boards))
+
+    def plan(self, mode: str = "", config: str = "", boards: Iterable[str] = ALL) -> dict[str, PlanInfo | ErrorInfo]:
+        """What going there would do on each board; touches nothing."""
+        return self._loop.wait_for(self._fleet.plan(mode, config, boards))
+
+    def read(self, register: str, boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
+        """A register, or ``register.field``, of each board."""
+        return self._loop.wait_for(self._fleet.read(register, boards))
+
+    def write(self, values: Mapping[str, int | str], boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
+        """Write registers on each board; each does all of it or nothing."""
+        return self._loop.wait_for(self._fleet.write(values, boards))
+
+    def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
+        """How far each board's clock may be off."""
+        return self._loop.wait_for(self._fleet.clocks(boards))
+
+    def load(self, config: str = "", mode: str = "", boards: Iterable[str] = ALL, **options: Any) -> Course:
+        """Take all boards to a mode, or none; `policy`, `timeout`, `settle` and errors as in `cm.fleet.aio`."""
+        return self._loop.wait_for(self._fleet.load(config, mode, boards, **options))
+
+    def mode(self, mode: str, boards: Iterable[str] = ALL, **options: Any) -> Course:
+        """Take all boards to a mode of what they have loaded; as `load`."""
+        return self._loop.wait_for(self._fleet.mode(mode, boards, **options))
+
+    def push(
+        self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, timeout: float = 600.0
+    ) -> dict[str, BundleState | ErrorInfo]:
+        """Have boards fetch an archive of `cm build collect` from here and put it in force."""
+        return self._loop.wait_for(self._fleet.push(archive, boards, timeout=timeout))
+
+    @contextmanager
+    def watch(self, boards: str = "*") -> Iterator[Iterator[tuple[str, BoardStatus | None]]]:
+        """Statuses of boards as they change, and each second; None when a board has gone."""
+        context = self._fleet.watch(boards)
+        statuses = self._loop.wait_for(context.__aenter__())
+        try:
+            yield self._each(statuses)
+        finally:
+            self._loop.wait_for(context.__aexit__(None, None, None))
+
+    def _each(self, statuses: Any) -> Iterator[tuple[str, BoardStatus | None]]:
+        while True:
+            yield self._loop.wait_for(anext(statuses))

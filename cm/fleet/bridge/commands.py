@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands under ``do/``: handed to the manager in the caller's name, or done here where they are the fleet's own."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+from cm.client.aio.relay import Relay
+from cm.errors import Busy, CmError, NotFound
+from cm.fleet import names
+from cm.fleet.bridge.managed import ManagedBoard
+from cm.fleet.change.desk import Desk, Unsettled
+from cm.fleet.verbs import VERBS
+from cm.messages.fleet import BundleState, FetchBundle, FleetRecord, FleetStep
+from cm.messages.status import ErrorInfo
+from cm.wire import fleet as wire
+
+MANY = 64  # commands that may be under way at once
+
+FetchAndImport = Callable[[FetchBundle, str], Awaitable[BundleState]]
+
+
+class Commands:
+    """Of one board."""
+
+    def __init__(self, relay: Relay, desk: Desk, managed: ManagedBoard, bundles: FetchAndImport) -> None:
+        self._relay = relay
+        self._desk = desk
+        self._managed = managed
+        self._bundles = bundles
+        self._one = asyncio.Lock()  # steps of changes, one after the other
+        self._running = 0
+
+    async def do(self, command: names.Command, message: bytes, payload: list[bytes]) -> bytes:
+        """Carry it out; a serialised Reply, an error's too."""
+        caller = command.caller or names.NOBODY
+        try:
+            if self._running >= MANY:
+                raise Busy(f"{MANY} commands are under way on this board's bridge already")
+            self._running += 1
+            try:
+                return await self._do(command.verb, caller, message, payload)
+            finally:
+                self._running -= 1
+        except CmError as error:
+            return wire.encode_answer(ErrorInfo(error.code, str(error)))
+        except OSError as error:
+            return wire.encode_answer(ErrorInfo("io", f"the bridge cannot write its record: {error}"))
+
+    async def _do(self, verb: str, caller: str, message: bytes, payload: list[bytes]) -> bytes:
+        found = VERBS.get(verb)
+        if found is None:
+            raise NotFound(f"there is no command do/{verb}; there are {', '.join(VERBS)}")
+        if found.topic:
+            frames = [found.topic, message, *payload]
+            return (await self._relay.forward(frames, self._managed.guest(caller)))[1]
+        if verb == "bundle":
+            return wire.encode_answer(await self._bundles(wire.decode_fetch(message), caller))
+        return wire.encode_answer(await self._step(verb, wire.decode_step(message), caller))
+
+    async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetRecord:
+        if verb == "settle":  # whoever asks must not wait for what this board is at
+            return self._desk.settle(step.id)
+        async with self._one:
+            if verb == "prepare":
+                return await self._desk.prepare(step, caller)
+            return await (self._desk.apply(step) if verb == "apply" else self._desk.decide(step))
+
+    async def go_on(self) -> str:
+        """What the record says is to be done; why it cannot be yet, empty where nothing hinders."""
+        if self._one.locked():
+            return ""
+        async with self._one:
+            try:
+                await self._desk.go_on()
+            except (Unsettled, CmError, OSError) as error:
+                return str(error)
+        return ""

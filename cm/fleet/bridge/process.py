@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bridge: one event loop between a manager and the fleet's network."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cm.client.aio.relay import Relay
+from cm.client.core import calls
+from cm.client.errors import NotAdmitted
+from cm.errors import Busy, CmError, NotFound
+from cm.fleet import names
+from cm.fleet.bridge import clock
+from cm.fleet.bridge.asking import Network as Others
+from cm.fleet.bridge.bundles import Bundles, Import
+from cm.fleet.bridge.commands import Commands
+from cm.fleet.bridge.managed import ManagedBoard
+from cm.fleet.bridge.publishing import BEAT, Publications
+from cm.fleet.bridge.queries import Queries
+from cm.fleet.bridge.reading import Reader
+from cm.fleet.bridge.records import Records
+from cm.fleet.change.desk import Desk
+from cm.fleet.network import Network, session
+from cm.messages.fleet import ClockSync
+from cm.messages.status import ErrorInfo
+from cm.wire import fleet as wire
+from cm.wire import topics
+
+_LOG = logging.getLogger("cm.fleet")
+_AGAIN = 1.0  # seconds between two tries to reach a manager
+_CLOCK = 10.0  # seconds between two looks at how well the clock is set
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What a bridge is started with; the first three are those of `cm.connect`."""
+
+    network: Network
+    state: Path
+    endpoint: str | None = None
+    runtime_dir: Path | None = None
+    keys: Path | None = None
+    name: str = ""  # of the board; empty: as its manager calls it
+    labels: tuple[str, ...] = ()
+    site: str = ""  # whose cache it fetches bundles from
+    own_name: bool = False  # ask in the bridge's own name, whoever asks
+    take: Import | None = None  # puts an archive in force; None: none are taken
+
+
+@dataclass
+class Bridge:
+    """Runs until it is cancelled."""
+
+    options: Options
+    ready: Callable[[str], None]
+    _status: bytes = b""
+    _clock: ClockSync = field(default_factory=ClockSync)
+
+    async def run(self) -> None:
+        """Raises NotAdmitted where the manager does not let us in, Busy where the board's name is taken."""
+        relay = await self._reach()
+        try:
+            board = names.check(self.options.name or (await relay.ask(calls.status())).board, "board")
+            network = await asyncio.to_thread(session, self.options.network)
+            try:
+                await self._serve(board, relay, network)
+            finally:
+                await asyncio.to_thread(network.close)
+        finally:
+            await relay.close()
+
+    async def _reach(self) -> Relay:
+        while True:
+            try:
+                relay = Relay(self.options.endpoint, self.options.runtime_dir, self.options.keys, self._manager_changed)
+            except NotFound as error:
+                _LOG.warning("%s", error)
+            else:
+                try:
+                    await relay.ask(calls.status())
+                    return relay
+                except NotAdmitted:
+                    await relay.close()
+                    raise
+                except CmError as error:
+                    _LOG.warning("%s", error)
+                    await relay.close()
+            await asyncio.sleep(_AGAIN)
+
+    def _manager_changed(self, up: bool) -> None:
+        self._status = b""
+        _LOG.info("the manager is %s", "there" if up else "away")
+
+    async def _serve(self, board: str, relay: Relay, network: Any) -> None:
+        await _alone(board, network)
+        records = Records(self.options.state / board)
+        managed = ManagedBoard(relay, records, self.options.own_name)
+        self._desk = Desk(board, records, managed, Others(board, network), _now)
+        place = self.options.state / board / "bundles"
+        bundles = Bundles(network, place, self.options.site, self.options.take, relay, managed)
+        commands = Commands(relay, self._desk, managed, bundles.fetch)
+        reader = Reader(board, relay, lambda: self._status_now(relay))
+        publications = Publications(board, network, relay, self._with_extras)
+        queries = Queries(board, network, reader, commands)
+        self._clock = await asyncio.to_thread(clock.read)
+        token = network.liveliness().declare_token(names.key(board, "alive"))  # last: who sees it may ask
+        self.ready(board)
+        work = (self._listen(relay, publications), self._beat(publications, commands), self._look_at_clock())
+        tasks = [asyncio.create_task(each) for each in work]
+        try:
+            await asyncio.gather(*tasks)
+        finally:
+            token.undeclare()
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+            publications.end()
+            queries.end()
+
+    # ---- the status -----------------------------------------------------------------------
+
+    async def _status_now(self, relay: Relay) -> bytes:
+        if not self._status:
+            reply = wire.body((await relay.forward([topics.STATUS, b""], timeout=10.0))[1])
+            if isinstance(reply, ErrorInfo):
+                raise CmError(reply.message)
+            self._status = reply[1]
+        return self._with_extras()
+
+    def _with_extras(self) -> bytes:
+        clock_now = ClockSync(
+            self._clock.source, self._clock.synchronised, self._clock.error_ns, self._clock.reference, clock.now_ns()
+        )
+        return self._status + wire.extras(self.options.labels, clock_now, self._desk.record)
+
+    # ---- what goes on by itself -------------------------------------------------------------
+
+    async def _listen(self, relay: Relay, publications: Publications) -> None:
+        subscription = relay.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ)
+        try:
+            while True:
+                frames = await subscription.receive(None)
+                if frames is not None and len(frames) > 1:
+                    self._told(frames, publications)
+        finally:
+            subscription.close()
+
+    def _told(self, frames: list[bytes], publications: Publications) -> None:
+        topic, message = frames[:2]
+        if topic == topics.STATUS:
+            self._status = message
+            publications.offer_streams(wire.stream_names(message))
+            publications.tell_status()
+        elif topic == topics.READ_REG:
+            publications.tell_registers(message)
+        elif topic == topics.IRQ:
+            publications.tell_interrupt(message)
+
+    async def _beat(self, publications: Publications, commands: Commands) -> None:
+        said = ""
+        while True:
+            problem = await commands.go_on()
+            if problem and problem != said:
+                _LOG.warning("the open change of the fleet: %s", problem)
+            said = problem
+            if self._status:
+                publications.beat()
+            await asyncio.sleep(BEAT)
+
+    async def _look_at_clock(self) -> None:
+        while True:
+            await asyncio.sleep(_CLOCK)
+            self._clock = await asyncio.to_thread(clock.read)
+
+
+def _now() -> float:
+    return clock.now_ns() / 1e9
+
+
+async def _alone(board: str, network: Any) -> None:
+    """Two bridges of one name would both do what is asked once. Raises Busy."""
+    found = await asyncio.to_thread(lambda: list(network.liveliness().get(names.key(board, "alive"), timeout=2.0)))
+    if any(reply.ok is not None for reply in found):
+        raise Busy(f"a board called {board!r} is in this fleet already: give this one another --name")
+
+
+def default_state() -> Path:
+    """`$XDG_STATE_HOME`/cm/fleet, for root /var/lib/cm/fleet."""
+    with suppress(AttributeError):
+        if os.geteuid() == 0:
+            return Path("/var/lib/cm/fleet")
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(home) / "cm" / "fleet"

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records of changes on disk: a file for each, replaced in one step and synced before anything follows from it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+
+from cm.errors import InvalidRequest
+from cm.fleet.change import member
+from cm.messages.fleet import FleetRecord
+from cm.wire.fleet import decode_record, encode_record
+
+KEPT = 1000  # records that stay, for boards that were away for long and ask what was decided
+_LAST = "last"
+
+
+class Records:
+    """Those of one board, in a folder that is its own."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._folder = folder
+        self._last = self._read_last()
+
+    def read(self, change: str) -> FleetRecord | None:
+        """The record of a change; None where there is none, or it is not whole."""
+        try:
+            return decode_record((self._folder / f"{change}.record").read_bytes())
+        except (FileNotFoundError, InvalidRequest):
+            return None
+
+    def last(self) -> FleetRecord | None:
+        """Of the last change that the board took part in."""
+        return self._last
+
+    def write(self, record: FleetRecord) -> None:
+        """Returns when it is on the disk. Raises OSError; then the old one is still whole."""
+        own = record.state != member.OPEN
+        if own and (self._last is None or self._last.id != record.id):  # first: a record that nobody finds is lost
+            self._put(_LAST, record.id.encode())
+            self._forget()
+        self._put(f"{record.id}.record", encode_record(record))
+        if own:
+            self._last = record
+
+    def lease(self, change: str) -> str:
+        """The lease that was taken for a change, empty if none was."""
+        try:
+            return (self._folder / f"{change}.lease").read_text(encoding="utf-8")
+        except FileNotFoundError:
+            return ""
+
+    def keep_lease(self, change: str, lease: str) -> None:
+        """So that it is given back, or used again, by who comes after an end of this process."""
+        if lease:
+            self._put(f"{change}.lease", lease.encode())
+        else:
+            (self._folder / f"{change}.lease").unlink(missing_ok=True)
+
+    def _read_last(self) -> FleetRecord | None:
+        try:
+            return self.read((self._folder / _LAST).read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+
+    def _put(self, name: str, data: bytes) -> None:
+        handle, path = tempfile.mkstemp(prefix=".new-", dir=self._folder)  # mode 0600
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(path).rename(self._folder / name)
+        except BaseException:
+            Path(path).unlink(missing_ok=True)
+            raise
+        folder = os.open(self._folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    def _forget(self) -> None:
+        """The oldest beyond those that stay."""
+        files = sorted(self._folder.glob("*.record"), key=lambda path: path.stat().st_mtime_ns)
+        for path in files[:-KEPT]:
+            path.unlink(missing_ok=True)

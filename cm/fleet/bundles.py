@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Archives in parts, each under its hash: offered by who sends them, kept by a site's cache, fetched by boards."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cm.errors import CmError, NotFound
+from cm.fleet import names
+from cm.messages.fleet import FetchBundle
+
+PART = 1 << 20  # bytes
+_TIMEOUT = 20.0  # seconds for a part
+_ORIGIN = "origin"
+
+
+class PartMissing(CmError):
+    """Nobody hands out a part of an archive, or not what its hash says."""
+
+    code = "part_missing"
+
+
+def described(archive: Path, part_length: int = PART) -> FetchBundle:
+    """An archive as it is asked to be fetched. Raises NotFound, OSError."""
+    if not archive.is_file():
+        raise NotFound(f"{archive}: there is no such file")
+    whole, parts, length = hashlib.sha256(), [], 0
+    with archive.open("rb") as file:
+        while block := file.read(part_length):
+            whole.update(block)
+            parts.append(hashlib.sha256(block).hexdigest())
+            length += len(block)
+    return FetchBundle(whole.hexdigest(), length, tuple(parts), part_length, archive.name)
+
+
+def part_key(place: str, sha256: str, part: str) -> str:
+    """`place`: "origin", or a site. Parts are named by their own hash, so that they can be believed by anybody."""
+    return f"{names.BUNDLES}/{place}/{sha256}/{part}"
+
+
+@contextmanager
+def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callable[[], int]]:
+    """Hand out the parts of an archive to who asks; gives a function that says how many bytes went out so far."""
+    places = {part: number * bundle.part_length for number, part in enumerate(bundle.parts)}
+    handle = os.open(archive, os.O_RDONLY)
+    sent = [0]
+
+    def answer(query: Any) -> None:
+        with query:
+            part = str(query.key_expr).split("/")[-1]
+            if part in places:
+                data = os.pread(handle, bundle.part_length, places[part])
+                sent[0] += len(data)
+                query.reply(str(query.key_expr), data)
+
+    queryable = session.declare_queryable(part_key(_ORIGIN, bundle.sha256, "*"), answer, complete=True)
+    try:
+        yield lambda: sent[0]
+    finally:
+        queryable.undeclare()
+        os.close(handle)
+
+
+def asked(session: Any, key: str, sha256: str) -> bytes | None:
+    """A part from whoever has it; None where nobody answers with what its hash says."""
+    for reply in session.get(key, timeout=_TIMEOUT):
+        data = bytes(reply.ok.payload) if reply.ok is not None else b""
+        if hashlib.sha256(data).hexdigest() == sha256:
+            return data
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Parts:
+    """Parts on disk, each checked before it has its name: what is there is right, after any end."""
+
+    folder: Path
+
+    def get(self, part: str) -> bytes | None:
+        """A part, if it is there and still what its name says."""
+        with suppress(FileNotFoundError):
+            data = (self.folder / part).read_bytes()
+            if hashlib.sha256(data).hexdigest() == part:
+                return data
+        return None
+
+    def put(self, part: str, data: bytes) -> None:
+        """Keep a part. Raises OSError."""
+        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        handle, path = tempfile.mkstemp(prefix=".new-", dir=self.folder)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(path).rename(self.folder / part)
+        except BaseException:
+            Path(path).unlink(missing_ok=True)
+            raise
+
+    def have(self, bundle: FetchBundle) -> int:
+        """Bytes of an archive that are there."""
+        sizes = []
+        for part in bundle.parts:
+            with suppress(FileNotFoundError):
+                sizes.append((self.folder / part).stat().st_size)
+        return sum(sizes)
+
+    def joined(self, bundle: FetchBundle, path: Path) -> None:
+        """The archive as one file; its hash is compared. Raises PartMissing, OSError."""
+        whole = hashlib.sha256()
+        with path.open("wb") as file:
+            for part in bundle.parts:
+                data = self.get(part)
+                if data is None:
+                    raise PartMissing(f"{bundle.name}: part {part[:12]} is gone, or was changed on the disk")
+                whole.update(data)
+                file.write(data)
+        if whole.hexdigest() != bundle.sha256:
+            raise PartMissing(f"{bundle.name}: its parts do not make the archive that was announced (sha256)")
+
+
+def fetched(session: Any, site: str, bundle: FetchBundle, parts: Parts) -> None:
+    """Get what is not there yet: from the site's cache, where there is one, else from who sends it.
+
+    Raises PartMissing; what has come stays, and is not fetched again.
+    """
+    places = [site, _ORIGIN] if site else [_ORIGIN]
+    for part in bundle.parts:
+        if parts.get(part) is not None:
+            continue
+        for place in places:
+            data = asked(session, part_key(place, bundle.sha256, part), part)
+            if data is not None:
+                parts.put(part, data)
+                break
+        else:
+            raise PartMissing(f"{bundle.name}: nobody hands out part {part[:12]} ({parts.have(bundle)} bytes are here)")

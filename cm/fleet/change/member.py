@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A board's part in a change of many: a table of states, and what is to be done in each. Pure.
+
+A record is written down before what it tells of is done. So whoever finds one, after any end, knows what may have
+happened, and what is to be done next: `todo` says so from the record alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from enum import Enum
+
+from cm.errors import CmError
+from cm.messages.fleet import Decision, FleetRecord
+from cm.messages.status import ErrorInfo
+
+OPEN = "open"  # at the seat, of a change that it takes no part in itself: it holds the decision alone
+PREPARED, APPLYING, APPLIED, FAILED = "prepared", "applying", "applied", "failed"
+REVERTING, NEW, OLD, STUCK = "reverting", "new", "old", "stuck"
+
+
+class Event(str, Enum):
+    """What happens to a record."""
+
+    APPLY = "apply"  # the coordinator asks for it
+    LOADED = "loaded"  # the board is where the record wanted it
+    LOAD_FAILED = "load_failed"
+    LOST = "lost"  # it is not known what became of the load, and the board is where it was
+
+
+class NotNow(CmError):
+    """A step that the board's record does not allow."""
+
+    code = "fleet_state"
+
+
+# (state, event) → state; what is not here cannot happen
+_NEXT = {
+    (PREPARED, Event.APPLY): APPLYING,
+    (APPLYING, Event.APPLY): APPLYING,
+    (APPLIED, Event.APPLY): APPLIED,
+    (FAILED, Event.APPLY): FAILED,
+    (APPLYING, Event.LOADED): APPLIED,
+    (APPLYING, Event.LOAD_FAILED): FAILED,
+    (APPLYING, Event.LOST): PREPARED,
+    (REVERTING, Event.LOADED): OLD,
+    (REVERTING, Event.LOAD_FAILED): STUCK,
+    (REVERTING, Event.LOST): REVERTING,
+}
+
+# (state, decision) → state, once the decision is known
+_DECIDED = {
+    (PREPARED, Decision.KEEP): APPLYING,  # a laggard: the fleet went on without it
+    (APPLIED, Decision.KEEP): NEW,
+    (PREPARED, Decision.REVERT): OLD,
+    (APPLIED, Decision.REVERT): REVERTING,
+    (FAILED, Decision.REVERT): REVERTING,  # nothing to load where the manager went back by itself
+}
+_ENDED = {(NEW, Decision.KEEP), (FAILED, Decision.KEEP), (OLD, Decision.REVERT), (STUCK, Decision.REVERT)}
+
+
+class Todo(str, Enum):
+    """What the one who holds the record does next."""
+
+    NOTHING = "nothing"
+    LOAD_NEW = "load_new"
+    LOAD_OLD = "load_old"
+    ASK_SEAT = "ask_seat"
+
+
+def after(record: FleetRecord, event: Event, error: ErrorInfo | None = None, seconds: float = 0.0) -> FleetRecord:
+    """The record after an event. Raises NotNow."""
+    state = _NEXT.get((record.state, event))
+    if state is None:
+        raise NotNow(f"change {record.id} is {record.state} on this board: there is nothing to {event.value}")
+    changed = replace(record, state=state, error=error or record.error, seconds=seconds or record.seconds)
+    return _normal(changed)
+
+
+def decided(record: FleetRecord, decision: Decision) -> FleetRecord:
+    """The record once the decision is known; the first that was written down counts."""
+    return _normal(replace(record, decision=record.decision or decision))
+
+
+def _normal(record: FleetRecord) -> FleetRecord:
+    if record.decision is None:
+        return record
+    return replace(record, state=_DECIDED.get((record.state, record.decision), record.state))
+
+
+def ended(record: FleetRecord) -> bool:
+    """Whether nothing is left to do, so that the board is free for another change."""
+    return record.decision is not None and (record.state == OPEN or (record.state, record.decision) in _ENDED)
+
+
+def differs(record: FleetRecord) -> bool:
+    """Whether the board is elsewhere than what was decided, or may be."""
+    if record.decision is None:
+        return True
+    return record.state != (NEW if record.decision is Decision.KEEP else OLD)
+
+
+def todo(record: FleetRecord, now: float) -> Todo:
+    """What comes next; `now` in seconds of CLOCK_REALTIME."""
+    if record.state == APPLYING:
+        return Todo.LOAD_NEW
+    if record.state == REVERTING:
+        return Todo.LOAD_OLD
+    if record.decision is None and now >= record.deadline:
+        return Todo.ASK_SEAT
+    return Todo.NOTHING
+
+
+def asked_at_the_seat(record: FleetRecord | None, change: str, now: float) -> FleetRecord:
+    """The seat's record when a board asks what was decided.
+
+    The seat alone may decide without the coordinator, and only to go back: once the deadline is over, and of a change
+    that it knows nothing of, which it then refuses for ever.
+    """
+    if record is None:
+        return FleetRecord(change, OPEN, decision=Decision.REVERT)
+    if record.decision is None and now >= record.deadline:
+        return decided(record, Decision.REVERT)
+    return record

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A change of many boards, carried out: what the coordinator wants asked is asked, and it is given the answers."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+
+from cm.fleet.change.coordinator import Ask, Coordinator, Outcome, Phase
+from cm.messages.fleet import FleetRecord, FleetStep
+from cm.messages.status import ErrorInfo
+
+Asking = Callable[[Ask], Awaitable[FleetRecord | ErrorInfo]]  # an answer, or code "no_answer"
+Progress = Callable[[str, str, FleetRecord | ErrorInfo], None]  # phase, board, its answer
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One phase of a change: how long it took, and for whom it waited longest."""
+
+    phase: str
+    seconds: float
+    slowest: str
+    slowest_seconds: float
+
+
+@dataclass
+class Course:
+    """A change that has ended: its outcome, and the critical path."""
+
+    outcome: Outcome
+    legs: list[Leg] = field(default_factory=list)
+
+    @property
+    def seconds(self) -> float:
+        """Of all phases."""
+        return sum(leg.seconds for leg in self.legs)
+
+
+async def carried_out(step: FleetStep, ask: Asking, tell: Progress) -> Course:
+    """Run a change to its end. Cancelled, it stops where it is: the boards end it by themselves."""
+    coordinator = Coordinator(step)
+    legs: list[Leg] = []
+    asks = coordinator.start()
+    while asks:
+        phase, begun = coordinator.phase, time.monotonic()
+        asks, slowest, took = await _leg(coordinator, asks, ask, tell)
+        legs.append(Leg(phase.value, time.monotonic() - begun, slowest, took))
+    return Course(coordinator.outcome(), legs)
+
+
+async def _leg(coordinator: Coordinator, asks: list[Ask], ask: Asking, tell: Progress) -> tuple[list[Ask], str, float]:
+    """Until all of a phase have answered or are silent: what is asked next, and who was last."""
+    phase, begun, following, last = coordinator.phase, time.monotonic(), [], ("", 0.0)
+    tasks = {asyncio.ensure_future(ask(each)): each.board for each in asks}
+    try:
+        while tasks:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                board, answer = tasks.pop(task), task.result()
+                last = (board, time.monotonic() - begun)
+                tell(phase.value, board, answer)
+                silent = isinstance(answer, ErrorInfo) and answer.code == "no_answer"
+                if silent:
+                    assert isinstance(answer, ErrorInfo)
+                    following += coordinator.heard_nothing(board, answer)
+                else:
+                    following += coordinator.answered(board, answer)
+    finally:
+        for task in tasks:
+            task.cancel()
+    assert following or coordinator.phase is Phase.DONE
+    return following, *last

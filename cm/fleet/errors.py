@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong with many boards: always with the names of those that it is about."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from cm.errors import CmError, NotFound
+from cm.fleet.change.coordinator import Outcome
+from cm.messages.status import ErrorInfo
+
+
+class NoSuchBoard(NotFound):
+    """A board or a label that the fleet has not."""
+
+    code = "no_such_board"
+
+
+class FleetRefused(CmError):
+    """A change that was refused before anything was touched; `problems` by board."""
+
+    code = "fleet_refused"
+
+    def __init__(self, problems: Mapping[str, ErrorInfo]) -> None:
+        super().__init__("nothing was changed: " + told(problems))
+        self.problems = dict(problems)
+
+
+class ChangeFailed(CmError):
+    """A change that the fleet went back from, or that not all boards took part in; `outcome` has each."""
+
+    code = "fleet_change_failed"
+
+    def __init__(self, outcome: Outcome) -> None:
+        super().__init__(_sentence(outcome))
+        self.outcome = outcome
+
+
+def told(problems: Mapping[str, ErrorInfo]) -> str:
+    """Each board with what is wrong there."""
+    return "; ".join(f"{name}: {error.message}" for name, error in sorted(problems.items()))
+
+
+def _sentence(outcome: Outcome) -> str:
+    differing = "; ".join(f"{name}: {why}" for name, why in sorted(outcome.differing.items()))
+    if outcome.decision is None:
+        return f"what was decided is not known, for {outcome.seat} went away with it: {differing}"
+    where = "in the new mode" if outcome.decision.value == "keep" else "back in the mode before"
+    cause = f" ({told(outcome.causes)})" if outcome.causes else ""
+    return f"the fleet is {where}{cause}" + (f", but for {differing}" if differing else "")

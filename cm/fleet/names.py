@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Keys of a fleet: ``cm/<board>/{alive,status,config,reg/*,irq/*,frames/*,do/<verb>[/<caller>]}``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cm.errors import InvalidRequest
+
+ROOT = "cm"
+BUNDLES = "cm-bundles"
+WILD = frozenset("*$?#")
+NOBODY = "nobody"  # who does not say who it is
+SECTIONS = ("reg", "irq", "frames")
+
+
+def check(name: str, what: str) -> str:
+    """The name, where it can be a part of a key. Raises InvalidRequest."""
+    if not name or name.startswith("@") or not name.isprintable() or len(name.encode()) > 64:
+        raise InvalidRequest(f"{what} {name!r}: 1 to 64 printable characters are wanted, the first of them no @")
+    bad = sorted((WILD | {"/", " "}) & set(name))
+    if bad:
+        raise InvalidRequest(f"{what} {name!r} must not have {' '.join(bad)} in it: it is a part of a key")
+    return name
+
+
+def key(board: str, *parts: str) -> str:
+    """The key of something of a board."""
+    return "/".join((ROOT, board, *parts))
+
+
+def board_of(key_expression: str) -> str:
+    """The board in a key."""
+    return key_expression.split("/")[1]
+
+
+def command_key(board: str, verb: str, caller: str) -> str:
+    """The key of a command in a caller's name."""
+    return key(board, "do", verb, caller) if caller else key(board, "do", verb)
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What is to be done, and for whom."""
+
+    verb: str
+    caller: str
+
+
+def command_of(key_expression: str) -> Command | None:
+    """The command that a query's key asks for; None if it is none. Verbs and callers have no wildcards."""
+    parts = key_expression.split("/")
+    if len(parts) not in (4, 5) or parts[0] != ROOT or parts[2] != "do" or any(WILD & set(p) for p in parts[3:]):
+        return None
+    return Command(parts[3], parts[4] if len(parts) == 5 else "")

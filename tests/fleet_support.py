@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fleet of simulated boards: a router, and for each board a manager and a bridge, all processes of their own."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from manager_process import CAMERA, Manager, environment, short_folder, until
+
+import cm.fleet
+from cm import child
+from cm.fleet.blocking import Fleet
+from cm.sim import Board as SimBoard
+
+ROUTER = """
+import sys, signal
+from cm.fleet.network import Network, session
+from pathlib import Path
+found = Network("router", listen=(sys.argv[1],), config=Path(sys.argv[2]) if len(sys.argv) > 2 else None)
+router = session(found)
+print("ready", flush=True)
+signal.pause()
+"""
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+class Router:
+    """zenoh's router in a process, which can be killed."""
+
+    def __init__(self, config: Path | None = None, scheme: str = "tcp") -> None:
+        self.endpoint = f"{scheme}/127.0.0.1:{free_port()}"
+        self._config = config
+        self._process: subprocess.Popen[bytes] | None = None
+        self.start()
+
+    def start(self) -> None:
+        words = [str(self._config)] if self._config else []
+        command = [sys.executable, "-c", ROUTER, self.endpoint, *words]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment())
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == b"ready\n"
+
+    def kill(self) -> None:
+        assert self._process is not None
+        assert self._process.stdout is not None
+        self._process.kill()
+        self._process.wait()
+        self._process.stdout.close()
+
+
+class Bridge:
+    """``cm bridge zenoh`` before one manager."""
+
+    def __init__(self, folder: Path, name: str, manager: Manager, arguments: Sequence[str]) -> None:
+        self.folder = folder
+        self.name = name
+        self.log = b""
+        self._command = child.command(
+            "cm.cli.main", "bridge", "zenoh", "--runtime-dir", str(manager.runtime), "--name", name,
+            "--state-dir", str(folder), *arguments,
+        )  # fmt: skip
+        self.process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> Bridge:
+        self.process = subprocess.Popen(self._command, stderr=subprocess.PIPE, env=environment(), cwd="/")
+        assert self.process.stderr is not None
+        self.log = b""
+        while b"ready as" not in self.log:
+            ready, _, _ = select.select([self.process.stderr], [], [], 60)
+            piece = os.read(self.process.stderr.fileno(), 65536) if ready else b""
+            assert piece, f"the bridge did not start: {self.log.decode()}"
+            self.log += piece
+        return self
+
+    def send(self, number: int) -> None:
+        assert self.process is not None
+        self.process.send_signal(number)
+
+    def end(self, number: int = signal.SIGKILL) -> None:
+        if self.process is not None:
+            assert self.process.stderr is not None
+            self.send(signal.SIGCONT)
+            self.send(number)
+            os.set_blocking(self.process.stderr.fileno(), False)
+            self.process.wait(timeout=60)
+            self.log += self.process.stderr.read() or b""
+            self.process.stderr.close()
+            self.process = None
+
+
+class FleetBoard:
+    """A simulated board with all that it takes to be one of a fleet."""
+
+    def __init__(self, manager: Manager, sim: SimBoard, bridge: Bridge) -> None:
+        self.manager = manager
+        self.sim = sim
+        self.bridge = bridge
+        self.name = bridge.name
+
+    @property
+    def place(self) -> tuple[str, str]:
+        with self.manager.connected() as board:
+            return board.status.config_name, board.status.mode
+
+
+@contextlib.contextmanager
+def fleet_board(
+    name: str,
+    router: Sequence[str],
+    arguments: Sequence[str] = (),
+    schemas: Path = CAMERA,
+    guests: str = '{"*": operate}',
+) -> Iterator[FleetBoard]:
+    """One board in its default mode; `router` are the bridge's options that lead to the fleet."""
+    with short_folder() as folder, SimBoard([schemas], root=folder / "board") as sim:
+        (folder / "cm.yaml").write_text(f"access:\n  guests: {guests}\n")
+        places = ("--config", str(schemas), "--root", str(sim.root), "--state-dir", str(folder / "state"))
+        manager = Manager(folder / "run", *places, "--settings", str(folder / "cm.yaml"), "--name", name).start()
+        bridge = Bridge(folder / "bridge", name, manager, (*router, *arguments)).start()
+        try:
+            with manager.connected() as board:
+                board.load("camera", "default")
+            yield FleetBoard(manager, sim, bridge)
+        finally:
+            bridge.end(signal.SIGTERM)
+            manager.stop()
+
+
+@contextlib.contextmanager
+def fleet_of(
+    *names: str, labels: dict[str, str] | None = None
+) -> Iterator[tuple[Router, dict[str, FleetBoard], Fleet]]:
+    """A router, boards of these names, and a client who is called anna."""
+    with contextlib.ExitStack() as stack:
+        router = Router()
+        stack.callback(router.kill)
+        contexts = {}
+        for name in names:
+            label = ("--label", labels[name]) if labels and name in labels else ()
+            contexts[name] = fleet_board(name, ("--router", router.endpoint), label)
+        with ThreadPoolExecutor(len(names)) as threads:
+            found = dict(zip(names, threads.map(lambda context: context.__enter__(), contexts.values()), strict=True))
+        for context in contexts.values():
+            stack.push(context)
+        fleet = stack.enter_context(cm.fleet.connect(router.endpoint, caller="anna", timeout=30.0))
+        until(lambda: set(fleet.boards()) == set(names), 60.0)
+        yield router, found, fleet

@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fleet of simulated boards over zenoh: shipped managers and bridges, a router, a client."""
+
+from __future__ import annotations
+
+import json
+import signal
+import threading
+from collections.abc import Iterator
+
+import pytest
+import zenoh
+from fleet_support import FleetBoard, Router, fleet_of
+from manager_process import until
+
+import cm.fleet
+from cm.cli.main import main
+from cm.fleet.blocking import Fleet
+from cm.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
+from cm.fleet.network import Network, session
+from cm.messages.fleet import BoardStatus, Decision
+from cm.messages.status import ErrorInfo, RegValues
+
+Boards = dict[str, FleetBoard]
+
+
+@pytest.fixture(scope="module")
+def three() -> Iterator[tuple[Router, Boards, Fleet]]:
+    with fleet_of("b1", "b2", "c3", labels={"b1": "north", "c3": "north"}) as found:
+        yield found
+
+
+@pytest.fixture
+def fleet(three: tuple[Router, Boards, Fleet]) -> Fleet:
+    return three[2]
+
+
+@pytest.fixture
+def boards(three: tuple[Router, Boards, Fleet]) -> Boards:
+    """All three in their default mode."""
+    for board in three[1].values():
+        with board.manager.connected() as client:
+            client.load("camera", "default")
+    return three[1]
+
+
+def modes(boards: Boards) -> set[str]:
+    return {board.place[1] for board in boards.values()}
+
+
+# ---- looking ------------------------------------------------------------------------------
+
+
+def test_boards_are_found_and_grouped_by_name_and_label(fleet: Fleet) -> None:
+    assert fleet.boards() == ("b1", "b2", "c3")
+    assert fleet.chosen(["b*"]) == ("b1", "b2")
+    assert fleet.chosen(["@north"]) == ("b1", "c3")
+    assert fleet.chosen(["@north", "b2"]) == ("b1", "b2", "c3")
+    with pytest.raises(NoSuchBoard, match="no board is called or labelled x1; there are b1, b2, c3"):
+        fleet.chosen(["x1"])
+
+
+def test_the_status_has_what_the_manager_says_and_what_the_bridge_knows(boards: Boards, fleet: Fleet) -> None:
+    found = fleet.status()
+    assert list(found) == ["b1", "b2", "c3"]
+    status = found["b1"]
+    assert isinstance(status, BoardStatus)
+    assert (status.status.board, status.status.mode, status.labels) == ("b1", "default", ("north",))
+    assert status.clock.now_ns > 10**18
+
+
+def test_a_bridge_that_hangs_is_told_apart_from_a_board_that_is_not_there(boards: Boards, fleet: Fleet) -> None:
+    boards["b2"].bridge.send(signal.SIGSTOP)
+    try:
+        with cm.fleet.connect(_endpoint(fleet), caller="anna", timeout=1.0) as hasty:
+            found = hasty.status(["b2", "x9"])
+    finally:
+        boards["b2"].bridge.send(signal.SIGCONT)
+    hangs, absent = found["b2"], found["x9"]
+    assert isinstance(hangs, ErrorInfo)
+    assert isinstance(absent, ErrorInfo)
+    assert "is there and did not answer" in hangs.message
+    assert "is not in the fleet" in absent.message
+
+
+def _endpoint(fleet: Fleet) -> tuple[str, ...]:
+    return fleet._fleet._network.connect
+
+
+def test_registers_of_all_boards_are_written_and_read_and_errors_have_their_board(boards: Boards, fleet: Fleet) -> None:
+    assert set(fleet.write({"led": 3}, ["b1", "b2"])) == {"b1", "b2"}
+    found = fleet.read("led", ["b1"])["b1"]
+    assert isinstance(found, RegValues)
+    assert found.values[0].value == 3
+    wrong = fleet.read("nix")
+    assert {n: e.code for n, e in wrong.items() if isinstance(e, ErrorInfo)} == dict.fromkeys(
+        boards, "unknown_register"
+    )
+
+
+def test_who_asks_stands_in_the_managers_log(boards: Boards, fleet: Fleet) -> None:
+    fleet.write({"led": 1}, ["b1"])
+    board = boards["b1"]
+    board.manager.stop()
+    assert b"zenoh:anna through" in board.manager.log
+    board.manager.start()
+    until(lambda: isinstance(fleet.status(["b1"])["b1"], BoardStatus))
+
+
+def test_watching_tells_changes_and_boards_that_come_and_go(boards: Boards, fleet: Fleet) -> None:
+    with fleet.watch() as statuses:
+        seen = {name for name, _ in (next(statuses) for _ in range(12))}
+        assert seen == set(boards)
+        with boards["c3"].manager.connected() as client:
+            client.mode = "edge_detection"
+        assert _until(statuses, "c3", lambda s: s is not None and s.status.mode == "edge_detection")
+        boards["c3"].bridge.end()
+        assert _until(statuses, "c3", lambda s: s is None)
+        boards["c3"].bridge.start()
+        assert _until(statuses, "c3", lambda s: s is not None)
+
+
+def _until(statuses: Iterator[tuple[str, BoardStatus | None]], board: str, wanted: object) -> bool:
+    return any(name == board and wanted(status) for name, status in statuses)  # type: ignore[operator]
+
+
+def test_a_stream_runs_only_while_somebody_listens(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
+    with session(Network(connect=(three[0].endpoint,))) as plain, boards["b1"].manager.connected() as client:
+        assert not client.status.streams[0].open
+        frames = plain.declare_subscriber("cm/b1/frames/camera", zenoh.handlers.FifoChannel(8))
+        frame = frames.recv()
+        assert frame.attachment is not None
+        assert len(bytes(frame.payload)) == 640 * 480
+        frames.undeclare()
+        until(lambda: not client.status.streams[0].open)
+
+
+def test_who_has_no_protobuf_asks_in_json(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
+    with session(Network(connect=(three[0].endpoint,))) as plain:
+        found = _json(plain, "cm/b1/status?format=json")
+        assert found["cm/b1/status"]["config_name"] == "camera"
+        values = _json(plain, "cm/*/reg/led?format=json")
+        assert set(values) == {f"cm/{name}/reg/led" for name in boards}
+        written = {"writes": [{"name": "led", "value": 5}]}
+        reply = _json(plain, "cm/b1/do/reg/bob", json.dumps(written))
+        assert reply["cm/b1/do/reg/bob"]["registers"]["values"][0]["value"] == "5"
+        wrong = _json(plain, "cm/b1/do/reg/bob", '{"writings": 1}')
+        assert "WriteReg as JSON" in wrong["error"]["error"]["message"]
+        assert _json(plain, "cm/*/config?plan=edge_detection;format=json")["cm/b1/config"]["mode"] == "edge_detection"
+
+
+def _json(plain: zenoh.Session, selector: str, payload: str = "") -> dict[str, dict[str, object]]:
+    encoding = "application/json" if payload else None
+    replies = plain.get(selector, payload=payload or None, encoding=encoding, timeout=30, target=zenoh.QueryTarget.ALL)
+    return {str(r.ok.key_expr) if r.ok else "error": json.loads(bytes((r.ok or r.err).payload)) for r in replies}
+
+
+# ---- changing -----------------------------------------------------------------------------
+
+
+def test_all_boards_change_together_and_the_critical_path_is_told(boards: Boards, fleet: Fleet) -> None:
+    course = fleet.mode("edge_detection")
+    assert course.outcome.decision is Decision.KEEP
+    assert [leg.phase for leg in course.legs] == ["prepare", "apply", "seat", "tell"]
+    assert modes(boards) == {"edge_detection"}
+    with boards["b1"].manager.connected() as client:
+        assert not client.status.leases  # it was given back
+
+
+def test_a_mode_that_one_board_does_not_know_changes_nothing_anywhere(boards: Boards, fleet: Fleet) -> None:
+    with pytest.raises(FleetRefused, match=r"nothing was changed: b1: .*; b2: .*; c3: "):
+        fleet.mode("nix")
+    assert modes(boards) == {"default"}
+
+
+def test_a_lease_of_somebody_elses_on_one_board_refuses_the_change_by_name(boards: Boards, fleet: Fleet) -> None:
+    refused = pytest.raises(ChangeFailed, match=r"back in the mode before .c3: .*carl")
+    with boards["c3"].manager.connected() as client, client.lease("board", holder="carl"), refused:
+        fleet.mode("edge_detection")
+    assert modes(boards) == {"default"}
+
+
+def test_a_load_that_fails_on_one_board_takes_all_back(boards: Boards, fleet: Fleet) -> None:
+    boards["b2"].sim.control.inject("icap_crc", count=1)
+    with pytest.raises(ChangeFailed, match=r"back in the mode before .b2: "):
+        fleet.mode("edge_detection")
+    assert modes(boards) == {"default"}
+
+
+def test_with_a_quorum_the_fleet_goes_on_and_who_failed_is_named(boards: Boards, fleet: Fleet) -> None:
+    boards["b2"].sim.control.inject("icap_crc", count=1)
+    with pytest.raises(ChangeFailed) as caught:
+        fleet.mode("edge_detection", policy="quorum")
+    assert caught.value.outcome.decision is Decision.KEEP
+    assert set(caught.value.outcome.differing) == {"b2"}
+    assert {name: board.place[1] for name, board in boards.items()} == {
+        "b1": "edge_detection", "b2": "default", "c3": "edge_detection",
+    }  # fmt: skip
+
+
+def test_the_commands_show_a_fleet_and_change_it(
+    boards: Boards, fleet: Fleet, capsys: pytest.CaptureFixture[str]
+) -> None:
+    router = ("--router", *_endpoint(fleet))
+    assert main(["fleet", "ls", *router]) == 0
+    assert capsys.readouterr().out == "b1\nb2\nc3\n"
+    assert main(["fleet", "plan", "edge_detection", "@north", *router]) == 0
+    assert "camera/edge_detection" in capsys.readouterr().out
+    assert main(["fleet", "mode", "edge_detection", "b1", "b2", "--as", "bob", *router]) == 0
+    assert "new" in capsys.readouterr().out
+    assert main(["fleet", "status", "--json", *router]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [found[name]["status"]["mode"] for name in found] == ["edge_detection", "edge_detection", "default"]
+    assert found["b1"]["fleet"]["caller"] == "bob"
+    assert main(["fleet", "status", *router]) == 0
+    assert "stamps:" in capsys.readouterr().out
+    assert main(["fleet", "reg", "write", "led", "0x2", "b1", *router]) == 0
+    assert main(["fleet", "reg", "read", "led", "b1", *router]) == 0
+    assert "0x2" in capsys.readouterr().out
+    assert main(["fleet", "mode", "nix", *router]) == 1
+
+
+# ---- ends ---------------------------------------------------------------------------------
+
+
+def test_a_bridge_killed_in_the_midst_of_it_comes_back_to_the_fleets_mode(boards: Boards, fleet: Fleet) -> None:
+    """It had prepared, and heard nothing of the rest; the others are enough."""
+    killed = threading.Event()
+
+    def tell(phase: str, board: str, answer: object) -> None:
+        if phase == "prepare" and board == "c3":
+            boards["c3"].bridge.end()
+            killed.set()
+
+    with pytest.raises(ChangeFailed) as caught:
+        fleet.mode("edge_detection", policy="quorum", timeout=30.0, settle=1.0, tell=tell)
+    assert killed.is_set()
+    assert set(caught.value.outcome.differing) == {"c3"}
+    boards["c3"].bridge.start()
+    until(lambda: modes(boards) == {"edge_detection"}, 60.0)
+
+
+def test_a_client_that_ends_before_the_decision_leaves_all_in_the_old_mode(boards: Boards, fleet: Fleet) -> None:
+    class Ended(Exception):
+        pass
+
+    def tell(phase: str, board: str, answer: object) -> None:
+        if phase == "apply":
+            raise Ended
+
+    with pytest.raises(Ended):
+        fleet.mode("edge_detection", settle=1.0, tell=tell)
+    until(lambda: all(_is_free(status) for status in fleet.status().values()), 60.0)
+    assert modes(boards) == {"default"}
+
+
+def _is_free(status: BoardStatus | ErrorInfo) -> bool:
+    return isinstance(status, BoardStatus) and status.fleet is not None and status.fleet.state in ("old", "new")
+
+
+def test_a_router_that_is_killed_in_the_midst_of_it_ends_in_one_mode(
+    boards: Boards, three: tuple[Router, Boards, Fleet], fleet: Fleet
+) -> None:
+    router = three[0]
+
+    def tell(phase: str, board: str, answer: object) -> None:
+        if phase == "prepare" and board == "b2":
+            router.kill()
+            router.start()
+
+    try:
+        fleet.mode("edge_detection", timeout=5.0, settle=1.0, tell=tell)
+    except ChangeFailed as error:
+        wanted = {"default"} if error.outcome.decision is not Decision.KEEP else {"edge_detection"}
+    else:
+        wanted = {"edge_detection"}
+    until(lambda: set(fleet.boards()) == set(boards), 60.0)
+    until(lambda: all(_is_free(status) for status in fleet.status().values()), 60.0)
+    assert modes(boards) == wanted

@@ -1,0 +1,408 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A change of many boards as a transaction: coordinator and boards, tried under ends, losses and failures everywhere.
+
+No sockets, files or time: coroutines are run to their end by hand, and a process that is killed is an exception at
+one of the calls that reach outside, before or after it had its effect.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Coroutine
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cm.errors import Busy, CmError, InvalidRequest
+from cm.fleet.change import member
+from cm.fleet.change.coordinator import Ask, Coordinator, Phase, Verb, first_step
+from cm.fleet.change.desk import Desk, Planned
+from cm.fleet.change.member import NotNow
+from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
+from cm.messages.status import ErrorInfo
+
+T = TypeVar("T")
+OLD, NEW = ("camera", "default"), ("camera", "edge")
+SILENT = ErrorInfo("vanished", "it vanished")
+
+
+class Killed(BaseException):
+    """The process ended here."""
+
+
+def done(coroutine: Coroutine[Any, Any, T]) -> T:
+    """Nothing here waits."""
+    try:
+        coroutine.send(None)
+    except StopIteration as end:
+        return end.value  # type: ignore[no-any-return]
+    raise AssertionError("it waits")
+
+
+class Disk:
+    def __init__(self, fate: Fate) -> None:
+        self._fate = fate
+        self.records: dict[str, FleetRecord] = {}
+        self.newest = ""
+
+    def read(self, change: str) -> FleetRecord | None:
+        return self.records.get(change)
+
+    def last(self) -> FleetRecord | None:
+        return self.records.get(self.newest)
+
+    def write(self, record: FleetRecord) -> None:
+        self._fate.may_end()
+        if record.state != member.OPEN:
+            self.newest = record.id
+        self.records[record.id] = record
+        self._fate.may_end()
+
+
+@dataclass
+class Fate:
+    """What is to go wrong at a board: kills by the number of the call, loads that fail."""
+
+    kills: set[int] = field(default_factory=set)
+    failures: set[int] = field(default_factory=set)
+    calls: int = 0
+    loads: int = 0
+
+    def may_end(self) -> None:
+        self.calls += 1
+        if self.calls in self.kills:
+            raise Killed
+
+    def load_fails(self) -> bool:
+        self.loads += 1
+        return self.loads in self.failures
+
+
+class LoadFailed(CmError):
+    code = "load_failed"
+
+
+class Board:
+    """A board with its manager, and the bridge before it."""
+
+    def __init__(self, world: World, name: str) -> None:
+        self.fate = Fate()
+        self.disk = Disk(self.fate)
+        self.place = OLD
+        self.name = name
+        self.world = world
+        self.reachable = True
+        self.desk = self._desk()
+
+    def _desk(self) -> Desk:
+        return Desk(self.name, self.disk, self, self, lambda: self.world.now)
+
+    def restart(self) -> None:
+        self.desk = self._desk()
+
+    async def where(self) -> tuple[str, str]:
+        return self.place
+
+    async def plan(self, config: str, mode: str, caller: str) -> Planned:
+        self.fate.may_end()
+        if self.world.refuses == self.name:
+            raise InvalidRequest("no such mode")
+        return Planned(config or self.place[0], mode, 0.1, 100)
+
+    async def hold(self, record: FleetRecord) -> None:
+        self.fate.may_end()
+
+    async def release(self, record: FleetRecord) -> None:
+        self.fate.may_end()
+
+    async def load(self, config: str, mode: str, caller: str) -> float:
+        self.fate.may_end()
+        if self.fate.load_fails():
+            raise LoadFailed("the bitstream did not start")
+        self.place = (config, mode)
+        self.fate.may_end()
+        return 0.1
+
+    async def asked(self, seat: str, change: str, caller: str) -> FleetRecord | None:
+        return self.world.asks(seat, lambda desk: desk.settle(change))
+
+    def take(self, ask: Ask) -> FleetRecord | ErrorInfo | None:
+        """What is sent here; None where it, or its answer, is lost."""
+        try:
+            return done(self._do(ask))
+        except Killed:
+            self.restart()
+            return None
+        except CmError as error:
+            return ErrorInfo(error.code, str(error))
+
+    def _do(self, ask: Ask) -> Coroutine[Any, Any, FleetRecord]:
+        if ask.verb is Verb.PREPARE:
+            return self.desk.prepare(ask.step, "anna")
+        return self.desk.apply(ask.step) if ask.verb is Verb.APPLY else self.desk.decide(ask.step)
+
+    def go_on(self) -> None:
+        try:
+            done(self.desk.go_on())
+        except Killed:
+            self.restart()
+
+
+class World:
+    def __init__(self, boards: int, refuses: str = "") -> None:
+        self.now = 0.0
+        self.refuses = refuses
+        self.boards = {f"b{n}": Board(self, f"b{n}") for n in range(boards)}
+
+    def asks(self, seat: str, what: Any) -> FleetRecord | None:
+        board = self.boards[seat]
+        if not board.reachable:
+            return None
+        try:
+            return what(board.desk)  # type: ignore[no-any-return]
+        except Killed:
+            board.restart()
+            return None
+
+    def coordinator(self, policy: Policy = Policy.ALL) -> Coordinator:
+        return Coordinator(first_step("c1", self.boards, "camera", "edge", policy, 30.0))
+
+    def run(self, coordinator: Coordinator, chance: random.Random | None = None, ends_after: int = 10**6) -> bool:
+        """Until it is done, or the coordinator ended after so many answers; messages in any order."""
+        asks = coordinator.start()
+        for _ in range(ends_after):
+            if not asks:
+                return True
+            ask = asks.pop(chance.randrange(len(asks)) if chance else 0)
+            lost = chance is not None and chance.random() < 0.08
+            answer = None if lost else self.boards[ask.board].take(ask)
+            if chance is not None and answer is not None and chance.random() < 0.08:
+                answer = self.boards[ask.board].take(ask)  # it came twice
+            if answer is None or (chance is not None and chance.random() < 0.05):
+                asks += coordinator.heard_nothing(ask.board, SILENT)
+            else:
+                asks += coordinator.answered(ask.board, answer)
+            self._meanwhile(chance)
+        return not asks
+
+    def _meanwhile(self, chance: random.Random | None) -> None:
+        if chance is None:
+            return
+        self.now += chance.choice((0.0, 1.0, 40.0))
+        if chance.random() < 0.3:
+            chance.choice(list(self.boards.values())).go_on()
+
+    def heal(self) -> None:
+        """Nothing goes wrong any more, and time passes."""
+        for board in self.boards.values():
+            board.fate.kills, board.fate.failures, board.reachable = set(), set(), True
+            board.restart()
+        for _ in range(3):
+            self.now += 100.0
+            for board in self.boards.values():
+                board.go_on()
+
+    @property
+    def places(self) -> set[tuple[str, str]]:
+        return {board.place for board in self.boards.values()}
+
+    def decision(self) -> Decision:
+        """What the seat knows nothing of has been reverted."""
+        record = self.boards["b0"].disk.read("c1")
+        return record.decision if record and record.decision else Decision.REVERT
+
+
+# ---- examples ---------------------------------------------------------------------------
+
+
+def test_all_boards_go_to_the_new_mode() -> None:
+    world = World(3)
+    coordinator = world.coordinator()
+    assert world.run(coordinator)
+    outcome = coordinator.outcome()
+    assert (outcome.decision, outcome.differing, world.places) == (Decision.KEEP, {}, {NEW})
+
+
+def test_a_board_that_refuses_the_plan_leaves_all_where_they_were() -> None:
+    world = World(3, refuses="b1")
+    coordinator = world.coordinator()
+    assert world.run(coordinator)
+    outcome = coordinator.outcome()
+    assert (outcome.decision, outcome.differing, world.places) == (Decision.REVERT, {}, {OLD})
+    assert outcome.causes == {"b1": ErrorInfo("invalid_request", "no such mode")}
+    assert all(board.fate.loads == 0 for board in world.boards.values())
+
+
+def test_a_load_that_fails_takes_all_back() -> None:
+    world = World(3)
+    world.boards["b2"].fate.failures = {1}
+    coordinator = world.coordinator()
+    assert world.run(coordinator)
+    outcome = coordinator.outcome()
+    assert (outcome.decision, outcome.differing, world.places) == (Decision.REVERT, {}, {OLD})
+    assert outcome.causes["b2"].code == "load_failed"
+
+
+ENOUGH = [("quorum", 1, True), ("quorum", 2, False), ("best_effort", 3, True), ("best_effort", 4, False)]
+
+
+@pytest.mark.parametrize(("policy", "failing", "stays"), ENOUGH)
+def test_policies_say_how_many_are_enough_and_who_failed_is_named(policy: str, failing: int, stays: bool) -> None:
+    world = World(4)
+    names = list(world.boards)[-failing:]
+    for name in names:
+        world.boards[name].fate.failures = {1}
+    coordinator = world.coordinator(Policy(policy))
+    assert world.run(coordinator)
+    outcome = coordinator.outcome()
+    assert outcome.decision is (Decision.KEEP if stays else Decision.REVERT)
+    assert set(outcome.differing) == (set(names) if stays else set())
+
+
+def test_a_board_that_was_away_comes_to_the_fleets_mode_by_its_own_record() -> None:
+    world = World(3)
+    coordinator = world.coordinator(Policy.QUORUM)
+    asks = coordinator.start()
+    for ask in asks:
+        applies = coordinator.answered(ask.board, world.boards[ask.board].take(ask))  # type: ignore[arg-type]
+    for ask in applies:
+        if ask.board == "b2":
+            asks = coordinator.heard_nothing("b2", SILENT)
+        else:
+            asks = coordinator.answered(ask.board, world.boards[ask.board].take(ask))  # type: ignore[arg-type]
+    while asks:
+        ask = asks.pop()
+        answer = None if ask.board == "b2" else world.boards[ask.board].take(ask)
+        asks += coordinator.heard_nothing("b2", SILENT) if answer is None else coordinator.answered(ask.board, answer)
+    assert set(coordinator.outcome().differing) == {"b2"}
+    assert world.boards["b2"].place == OLD
+    world.heal()
+    assert world.places == {NEW}
+
+
+def test_who_comes_late_is_refused_by_the_seat_that_has_decided_without_knowing() -> None:
+    world = World(2)
+    record = world.boards["b0"].desk.settle("c1")
+    assert (record.state, record.decision) == (member.OPEN, Decision.REVERT)
+    coordinator = world.coordinator()
+    assert world.run(coordinator)
+    assert (coordinator.outcome().decision, world.places) == (Decision.REVERT, {OLD})
+
+
+def test_a_second_change_waits_for_the_end_of_the_first() -> None:
+    world = World(1)
+    desk = world.boards["b0"].desk
+    done(desk.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    with pytest.raises(Busy, match="change c1 of anna is prepared here"):
+        done(desk.prepare(FleetStep("c2", "camera", "edge", "b0", ("b0",)), "bob"))
+    done(desk.decide(FleetStep("c1", seat="b0")))
+    done(desk.prepare(FleetStep("c2", "camera", "edge", "b0", ("b0",)), "bob"))
+
+
+def test_a_board_with_nothing_loaded_has_no_way_back_and_is_refused() -> None:
+    world = World(1)
+    world.boards["b0"].place = ("", "")
+    with pytest.raises(InvalidRequest, match="no way back"):
+        done(world.boards["b0"].desk.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+
+
+def test_a_step_out_of_its_order_is_an_error_and_changes_nothing() -> None:
+    desk = World(1).boards["b0"].desk
+    with pytest.raises(NotNow, match="prepared no change"):
+        done(desk.apply(FleetStep("c1", seat="b1")))
+    with pytest.raises(NotNow, match="took no part"):
+        done(desk.decide(FleetStep("c1", seat="b1", keep=True)))
+
+
+def test_while_nobody_knows_the_decision_every_board_is_named() -> None:
+    """The seat went away with it."""
+    world = World(3)
+    coordinator = world.coordinator()
+    asks = coordinator.start()
+    while asks:
+        ask = asks.pop(0)
+        answer = world.boards[ask.board].take(ask)
+        if ask.verb is Verb.DECIDE:  # it arrived; its answer did not
+            asks += coordinator.heard_nothing(ask.board, SILENT)
+        else:
+            asks += coordinator.answered(ask.board, answer)  # type: ignore[arg-type]
+    outcome = coordinator.outcome()
+    assert outcome.decision is None
+    assert set(outcome.differing) == {"b0", "b1", "b2"}
+    assert "asks" in outcome.differing["b1"]
+    world.heal()
+    assert world.places == {NEW}
+
+
+# ---- everything that can go wrong ----------------------------------------------------------
+
+
+def judge(world: World, coordinator: Coordinator, finished: bool) -> None:
+    """The fleet is in the old mode or the new, but for boards whose own load failed; what was told was true."""
+    decision = world.decision()
+    for name, board in world.boards.items():
+        record = board.disk.read("c1")
+        if record is None or record.state == member.OPEN:
+            assert board.place == OLD, name
+            continue
+        assert member.ended(record), (name, record)
+        assert record.decision is decision, (name, record)
+        if not member.differs(record):
+            assert board.place == (NEW if decision is Decision.KEEP else OLD), (name, record)
+    if finished and coordinator.phase is Phase.DONE:
+        told = coordinator.outcome()
+        assert told.decision in (None, decision)
+
+
+def unnamed(world: World, coordinator: Coordinator) -> set[str]:
+    """Boards that are elsewhere than what the coordinator was told of the decision, and not named by it."""
+    outcome = coordinator.outcome()
+    wanted = NEW if outcome.decision is Decision.KEEP else OLD
+    return {n for n, b in world.boards.items() if b.place != wanted} - set(outcome.differing)
+
+
+@settings(max_examples=600, deadline=None)
+@given(
+    seed=st.integers(0, 2**32),
+    size=st.integers(1, 5),
+    policy=st.sampled_from(list(Policy)),
+    kills=st.lists(st.tuples(st.integers(0, 4), st.integers(1, 14)), max_size=4),
+    failures=st.lists(st.tuples(st.integers(0, 4), st.integers(1, 2)), max_size=2),
+    ends_after=st.one_of(st.just(10**6), st.integers(0, 16)),
+)
+def test_whatever_ends_and_is_lost_the_fleet_is_old_or_new_or_the_differing_are_named(
+    seed: int,
+    size: int,
+    policy: Policy,
+    kills: list[tuple[int, int]],
+    failures: list[tuple[int, int]],
+    ends_after: int,
+) -> None:
+    world = World(size)
+    boards = list(world.boards.values())
+    for number, call in kills:
+        boards[number % size].fate.kills.add(call)
+    for number, load in failures:
+        boards[number % size].fate.failures.add(load)
+    coordinator = world.coordinator(policy)
+    finished = world.run(coordinator, random.Random(seed), ends_after)
+    if finished:
+        assert not unnamed(world, coordinator)
+    world.heal()
+    judge(world, coordinator, finished)
+
+
+@settings(max_examples=300, deadline=None)
+@given(size=st.integers(2, 4), kill=st.integers(0, 14), board=st.integers(0, 3), ends_after=st.integers(0, 14))
+def test_without_failing_loads_all_boards_end_in_one_and_the_same_mode(
+    size: int, kill: int, board: int, ends_after: int
+) -> None:
+    """Under the policy that asks for it: whoever is killed at whichever call, and whenever the coordinator ends."""
+    world = World(size)
+    list(world.boards.values())[board % size].fate.kills.add(kill)
+    world.run(world.coordinator(), None, ends_after)
+    world.heal()
+    assert len(world.places) == 1
