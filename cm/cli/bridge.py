@@ -9,8 +9,9 @@ from cm.cli.bridge_dds import add_dds_parser
 from cm.cli.bridge_zenoh import add_zenoh_parser
 
 _DESCRIPTION = """\
-Puts a board into another network: as a ROS 2 node on DDS, or one of a fleet over zenoh. A bridge is a client like any other, with this user's
-rights or those of --keys, and runs until it is interrupted; a manager that goes away is waited for."""
+Puts a board into another network: as a ROS 2 node on DDS, or as one of a fleet over zenoh. A bridge is a client like
+any other, with this user's rights or those of --keys, and runs until it is interrupted; a manager that goes away is
+waited for."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
