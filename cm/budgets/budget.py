@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
+from cm.budgets.turns import Account, Client
 from cm.errors import Busy
 from cm.messages.status import Reply
 
@@ -37,6 +38,8 @@ class Tracker(Protocol):
 class AllClients(Protocol):
     """What all clients have together."""
 
+    queued_bytes: int  # of messages that wait for their turn
+
     def waiting_bytes(self) -> int:
         """Of requests that wait."""
 
@@ -56,15 +59,16 @@ class Bounds:
     replies_bytes: int
 
 
-class Budget:
+class Budget(Client):
     """One client's."""
 
     __slots__ = (
-        "_all", "_replies", "bounds", "busy_ns", "connections", "name", "pending", "place", "refused",
-        "replies_bytes", "requests", "upload_bytes", "waiting_bytes",
+        "_all", "_replies", "bounds", "connections", "name", "pending", "place", "refused", "replies_bytes",
+        "requests", "upload_bytes", "waiting_bytes",
     )  # fmt: skip
 
-    def __init__(self, name: str, bounds: Bounds, of_all: AllClients) -> None:
+    def __init__(self, name: str, bounds: Bounds, of_all: AllClients, account: Account) -> None:
+        super().__init__(account)
         self.name = name
         self._all = of_all
         self.bounds = bounds
@@ -72,7 +76,6 @@ class Budget:
         self.place = ""  # where its connections come from
         self.requests = 0
         self.refused = 0
-        self.busy_ns = 0  # of the loop's time
         self.pending = 0  # requests under way that take their time
         self.waiting_bytes = 0  # of requests that wait
         self.replies_bytes = 0  # that are being made
@@ -91,6 +94,28 @@ class Budget:
             )
         self.pending += 1
         self.waiting_bytes += size
+
+    def queue(self, size: int) -> None:
+        """A message of `size` bytes waits for its turn. Raises TooMuchWaiting; else `unqueue` follows."""
+        most, account, queued = self.bounds.waiting_bytes, self.account, self._all.queued_bytes
+        if (self.queued_bytes and self.queued_bytes + size > most) or (
+            account.queued_bytes and (account.queued_bytes + size > most * 9 // 8 or queued + size > most * 3 // 2)
+        ):
+            raise TooMuchWaiting(
+                f"{self.waiting} requests of {self.name} wait, {self.queued_bytes} bytes with what it takes to keep "
+                f"them, {queued} of all (limits.waiting_mib): wait for an answer"
+            )
+        self._queued(1, size)
+
+    def unqueue(self, size: int) -> None:
+        """It is its turn."""
+        self._queued(-1, -size)
+
+    def _queued(self, messages: int, size: int) -> None:
+        self.waiting += messages
+        self.queued_bytes += size
+        self.account.queued_bytes += size
+        self._all.queued_bytes += size
 
     def has_room(self, reply: int) -> bool:
         """Whether so many bytes may be made for it now: whether it reads what it asked for."""
@@ -139,7 +164,7 @@ class Budget:
     @property
     def idle(self) -> bool:
         """Whether nothing is left of it."""
-        return not (self.connections or self.pending or self.upload_bytes)
+        return not (self.connections or self.pending or self.waiting or self.upload_bytes)
 
 
 def _is_full(own: int, more: int, most: int, of_all: Callable[[], int]) -> bool:

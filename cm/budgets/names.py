@@ -39,6 +39,10 @@ class Who(Protocol):
     def key(self) -> str:
         """Public, Z85."""
 
+    @property
+    def account(self) -> str:
+        """All connections of a user, of a key, or of an address together."""
+
 
 def place_of(peer: Peer) -> str:
     """Where a connection comes from: ``pid 123``, or an address."""

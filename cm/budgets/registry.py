@@ -6,10 +6,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Protocol
 
 from cm.budgets.budget import Bounds, Budget
 from cm.budgets.names import Peer, Who, name_of, place_of
+from cm.budgets.turns import Account, Clock
 from cm.messages.status import ClientStatus, LeaseStatus, StreamStatus
 
 
@@ -38,9 +40,11 @@ class Budgets:
         who: Callable[[str], Who],
         taken: Callable[[int, int], None],
         peers: Callable[[], Iterable[Peer]],
+        shares: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """`who` knows clients by the ids of their connections. `taken` is told of messages that were taken off one, by
-        its descriptor and the bytes of large frames; `peers` tells what connections there are.
+        its descriptor and the bytes of large frames; `peers` tells what connections there are. `shares`: of the
+        loop's time, by the name of a user or a key.
         """
         self._bounds = bounds
         self._who = who
@@ -48,12 +52,19 @@ class Budgets:
         self._peers = peers
         self._named: dict[str, Budget] = {}
         self._known: dict[str, Budget] = {}  # by connection
+        self._accounts: dict[str, Account] = {}
+        self._clock = Clock()
+        self._shares = shares
+        self.queued_bytes = 0  # of messages that wait for their turn
 
-    def renew(self, bounds: Bounds) -> None:
-        """Other bounds from now on; what waits stays."""
-        self._bounds = bounds
+    def renew(self, bounds: Bounds, shares: Mapping[str, float]) -> None:
+        """Other bounds and shares from now on; what waits stays."""
+        self._bounds, self._shares = bounds, shares
         for budget in self:
             budget.bounds = bounds
+        self._known.clear()  # so that accounts have their new shares
+        for account in self._accounts.values():
+            account.share = 1.0
 
     def __iter__(self) -> Iterator[Budget]:
         return iter(self._named.values())
@@ -72,15 +83,19 @@ class Budgets:
 
     def _admit(self, connection: str) -> Budget:
         who = self._who(connection)
-        found = self._known[connection] = self.named(name_of(who))
+        found = self._known[connection] = self._named_of(name_of(who), who)
         found.place = f"pid {who.pid}" if who.pid is not None else who.address.removeprefix("::ffff:")
         return found
 
-    def named(self, name: str) -> Budget:
+    def _named_of(self, name: str, who: Who) -> Budget:
         """A client's budget, with whatever it is connected."""
+        account = self._accounts.get(who.account)
+        if account is None:
+            account = self._accounts[who.account] = Account(who.account, self._clock)
+        account.share = self._shares.get(who.name, 1.0)
         found = self._named.get(name)
         if found is None:
-            found = self._named[name] = Budget(name, self._bounds, self)
+            found = self._named[name] = Budget(name, self._bounds, self, account)
         return found
 
     def upload_bytes(self) -> int:
@@ -102,6 +117,8 @@ class Budgets:
             budget.connections = there[budget.place]
         self._named = {name: budget for name, budget in self._named.items() if not budget.idle}
         self._known = {key: budget for key, budget in self._known.items() if budget.name in self._named}
+        used = {budget.account.name for budget in self}
+        self._accounts = {name: account for name, account in self._accounts.items() if name in used}
 
     def snapshot(self) -> tuple[ClientStatus, ...]:
         """What every client takes now; leases and slots are for others to add."""
@@ -137,8 +154,10 @@ def _told(budget: Budget) -> ClientStatus:
         name=budget.name,
         connections=budget.connections,
         upload_bytes=budget.upload_bytes,
-        waiting_bytes=budget.waiting_bytes + budget.unread_bytes,
+        waiting_bytes=budget.waiting_bytes + budget.queued_bytes + budget.unread_bytes,
         loop_seconds=budget.busy_ns / 1e9,
         requests=budget.requests,
         refused=budget.refused,
+        account=budget.account.name,
+        waiting=budget.waiting,
     )

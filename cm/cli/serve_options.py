@@ -240,4 +240,5 @@ def limits_of(settings: Settings) -> Limits:
         slots_each=said.slots_each,
         memory_bytes=said.memory_mib * MIB,
         memory_each_bytes=said.memory_each_mib * MIB,
+        shares=said.shares,
     )

@@ -69,7 +69,7 @@ class Connections:
             _LOG.warning("connections cannot be limited here: libzmq does not call the C library by its tables")
         guard.limit(bounds(limits))
         each = Bounds(limits.waiting_bytes, limits.replies_bytes)
-        self.budgets = budgets = Budgets(each, who, guard.taken, guard.peers)
+        self.budgets = budgets = Budgets(each, who, guard.taken, guard.peers, limits.shares)
         self.uploads = Uploads(folder, limits.upload_bytes, limits.uploads_bytes, budgets.upload_bytes)
         self._message_bytes = limits.message_bytes
         self._told = guard.counts().refused
@@ -77,7 +77,7 @@ class Connections:
     def renew(self, limits: Limits) -> None:
         """Other bounds from now on; who has more than that keeps it. Messages are as long as at the start."""
         guard.limit(bounds(replace(limits, message_bytes=self._message_bytes)))
-        self.budgets.renew(Bounds(limits.waiting_bytes, limits.replies_bytes))
+        self.budgets.renew(Bounds(limits.waiting_bytes, limits.replies_bytes), limits.shares)
         self.uploads.renew(limits.upload_bytes, limits.uploads_bytes)
 
     def close(self) -> None:

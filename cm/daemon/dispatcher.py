@@ -7,9 +7,6 @@ from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from time import monotonic_ns
-
-import zmq
 
 from cm import multipart
 from cm.budgets.budget import Budget
@@ -21,6 +18,7 @@ from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.replies import Respond, refusal
 from cm.errors import Busy, CmError, InvalidRequest
+from cm.intake import Intake
 from cm.manager.access.lease_scopes import scopes_written
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
@@ -178,23 +176,23 @@ class Dispatcher:
         self._note_error = note_error
         self.taken = 0
         self.refused = Counter[str]()  # by the error's code
+        intake = Intake(self._budgets, loop.call_soon)
+        # For messages on the ROUTER: they are answered, now or when their work has ended.
+        self.on_request = intake.add(sockets.req, self._answer, self._turn_away, lambda came: bytes(came.frames[0]))
+        # For those on the SUB: as above without a reply; what is wrong shows in the status.
+        self.on_message = intake.add(sockets.sub, self._obey, self._ignore, lambda came: came.connection)
 
-    def on_request(self) -> None:
-        """A message on the ROUTER: answer it, now or when its work has ended."""
-        self._take(self._sockets.req, self._answer)
+    def _turn_away(self, came: Message, budget: Budget, error: Busy) -> None:
+        """Too much of its client's waits."""
+        envelope, message = split_envelope(came.frames)
+        topic = bytes(split_text(message)[0]) if message else b""
+        self._reply(envelope, topic, budget, refusal(error))
 
-    def on_message(self) -> None:
-        """A message on the SUB: as above without a reply; what is wrong shows in the status."""
-        self._take(self._sockets.sub, self._obey)
-
-    def _take(self, socket: zmq.Socket[bytes], serve: Callable[[Message, Budget], None]) -> None:
-        began, message = monotonic_ns(), multipart.receive_from(socket)
-        budget = self._budgets.came(message)
-        self.taken += 1
-        serve(message, budget)
-        budget.busy_ns += monotonic_ns() - began
+    def _ignore(self, _: Message, __: Budget, error: Busy) -> None:
+        self._fire_and_forget(refusal(error))
 
     def _answer(self, came: Message, budget: Budget) -> None:
+        self.taken += 1
         envelope, message = split_envelope(came.frames)
         if len(envelope) > 2:  # a bridge may say there for whom it asks
             came = came._replace(connection=self._gate.guest(came.connection, guest_named(envelope)))
@@ -202,8 +200,7 @@ class Dispatcher:
         again = again and self._gate.everywhere(came.connection) >= Role.OBSERVE  # it may read what others read
         if again and not self._order.waits(sender) and self._read_again(envelope, message[1], budget):
             return
-        if len(message) == 1:
-            message = split_text(message)
+        message = split_text(message)
         topic = bytes(message[0]) if message else b""
         self._dispatch(sender, came, message, partial(self._reply, envelope, topic, budget), budget)
         if topic == READ_REG:
@@ -231,6 +228,7 @@ class Dispatcher:
             budget.sent(multipart.send_tracked(self._sockets.req, frames), len(frames[-1]))
 
     def _obey(self, came: Message, budget: Budget) -> None:
+        self.taken += 1
         self._dispatch(_PUBLISHED, came, came.frames, self._fire_and_forget, budget)
 
     def _fire_and_forget(self, reply: Reply) -> None:

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 MIB = 1 << 20
 
@@ -15,7 +16,8 @@ class Limits:
     A client is a process of this machine, or an address beyond it. `message_bytes`: of one ZeroMQ message.
     `waiting_bytes`: of one client's requests that wait. `replies_bytes`: of replies that it has not read.
     `upload_bytes`, `uploads_bytes`: sent in parts and not used yet, of one client and of all. `slots_each`: of one
-    stream. `memory_bytes`, `memory_each_bytes`: for masters in the PL, of all and of one client.
+    stream. `memory_bytes`, `memory_each_bytes`: for masters in the PL, of all and of one client. `shares`: of the
+    loop's time where several wait, by the name of a user or a key; 1 for who is not named.
     """
 
     connections: int = 1024
@@ -30,3 +32,4 @@ class Limits:
     slots_each: int = 64
     memory_bytes: int = 256 * MIB
     memory_each_bytes: int = 192 * MIB
+    shares: Mapping[str, float] = field(default_factory=dict)

@@ -30,7 +30,7 @@ class MemoryTransfers:
         `done` is called once, now or later, with what went wrong. Raises Busy.
         """
         if transfer.write:
-            self._pieces.start(client.name, transfer, done)
+            self._pieces.start(client, transfer, done)
             return
         reserved = 0
 
@@ -45,7 +45,7 @@ class MemoryTransfers:
             client.replies_bytes -= reserved
             done(problem)
 
-        self._pieces.start(client.name, transfer, ended, may_begin)
+        self._pieces.start(client, transfer, ended, may_begin)
 
 
 def frame_info(transfer: Transfer, config: str, mode: str) -> FrameInfo:

@@ -6,8 +6,11 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable
+from time import monotonic_ns
 from typing import Protocol
 
+from cm.budgets.budget import Budget
+from cm.budgets.turns import least
 from cm.daemon.loop import Loop, Timer
 from cm.errors import Busy
 
@@ -44,27 +47,33 @@ class _Job:
 
 
 class Pieces:
-    """A client's works one after the other, in the order of its requests; a piece of each client's in its turn.
+    """A client's works one after the other, in the order of its requests; a piece of whom has spent least of the loop's
+    time comes next.
 
     Everything in the loop's thread.
     """
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self._waiting: dict[str, deque[_Job]] = {}  # by client, whose turn it is first
+        self._waiting: dict[Budget, deque[_Job]] = {}  # by client
         self._more = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)  # readable while a piece can be done
         self._again: Timer | None = None  # while none can
         loop.add(self._more, self._go_on)
 
-    def start(self, client: str, work: Work, done: Done, may_begin: Callable[[], bool] = lambda: True) -> None:
+    def start(self, client: Budget, work: Work, done: Done, may_begin: Callable[[], bool] = lambda: True) -> None:
         """Begin a work as soon as `may_begin` says so, at once if nothing else waits; `done` is called once, now or
         later, with what went wrong.
 
         Raises Busy.
         """
-        jobs = self._waiting.setdefault(client, deque())
+        jobs = self._waiting.get(client)
+        if jobs is None:
+            client.comes()
+            jobs = self._waiting[client] = deque()
         if len(jobs) >= WAITING_MAX:
-            raise Busy(f"{WAITING_MAX} transfers and long requests of {client} wait already; try again when one ended")
+            raise Busy(
+                f"{WAITING_MAX} transfers and long requests of {client.name} wait already; try again when one ended"
+            )
         jobs.append(_Job(work, done, may_begin))
         if len(jobs) == len(self._waiting) == 1:
             os.eventfd_write(self._more, 1)
@@ -82,7 +91,7 @@ class Pieces:
 
     def _go_on(self) -> None:
         """One piece; the next, another client's, when the loop has looked at everything else."""
-        client = next((name for name, jobs in self._waiting.items() if jobs[0].ready()), None)
+        client = least(client for client, jobs in self._waiting.items() if jobs[0].ready())
         if client is None:
             os.eventfd_read(self._more)
             self._again = self._loop.call_later(_AGAIN, self._wake)
@@ -99,11 +108,13 @@ class Pieces:
             self._again = None
             os.eventfd_write(self._more, 1)
 
-    def _step(self, client: str) -> None:
-        jobs = self._waiting.pop(client)
+    def _step(self, client: Budget) -> None:
+        client.goes()
+        began, jobs = monotonic_ns(), self._waiting.pop(client)
         ended, problem = jobs[0].step()
+        client.charge(monotonic_ns() - began)
         job = jobs.popleft() if ended else None
         if jobs:
-            self._waiting[client] = jobs  # behind the others
+            self._waiting[client] = jobs  # of those who have spent as much, behind the others
         if job is not None:
             job.done(problem)

@@ -65,4 +65,4 @@ class RegisterHandlers:
                 self._board.noticed(problem)
             respond(Reply(work.result) if problem is None else refusal(problem))
 
-        self._pieces.start(client.name, work, done)
+        self._pieces.start(client, work, done)

@@ -87,6 +87,7 @@ class LimitSettings:
     provisioned_each_mib: int = 512
     memory_mib: int = 256
     memory_each_mib: int = 192
+    shares: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

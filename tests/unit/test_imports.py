@@ -22,6 +22,7 @@ MAY = {
     "messages": set(),
     "budgets": {"errors", "messages"},
     "multipart": set(),
+    "intake": {"budgets", "multipart"},
     "zap": set(),
     "fdt": set(),
     "child": set(),
@@ -41,6 +42,7 @@ MAY = {
     "daemon": BASE
     | {
         "budgets",
+        "intake",
         "rights",
         "zap",
         "fdt",
@@ -108,7 +110,7 @@ LIBRARIES = {
     "tree_sitter": {"build"},
     "tree_sitter_vhdl": {"build"},
     "yaml": {"build", "schema"},
-    "zmq": {"bench", "cli", "client", "conformance", "daemon", "demo", "multipart", "zap"},
+    "zmq": {"bench", "cli", "client", "conformance", "daemon", "demo", "intake", "multipart", "zap"},
     "zenoh": {"fleet"},
 }
 FREE = {"bench", "cli", "demo"}  # may import all of ours; the baselines of the bench are libraries of their own

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whose turn it is: time is shared out among accounts, that of an account among its clients, by what each has spent.
+
+Who has spent least comes next (start-time fair queueing). Nobody saves time up: who comes back begins where the
+others are. Nobody loses it either: who was alone and spent a lot does, too. Of a client, connections take turns.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Hashable, Iterable
+from itertools import count
+from typing import Generic, TypeVar
+
+_T = TypeVar("_T")
+_S = TypeVar("_S", bound="Spender")
+
+
+class Clock:
+    """What those who are served now have spent."""
+
+    __slots__ = ("now",)
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+
+class Spender:
+    """Who spends time of `clock`'s."""
+
+    __slots__ = ("clock", "spent")
+
+    def __init__(self, clock: Clock) -> None:
+        self.clock = clock
+        self.spent = clock.now
+
+    def comes(self) -> None:
+        """It wants something, perhaps after it wanted nothing for a while."""
+        self.spent = max(self.spent, self.clock.now)
+
+    def goes(self) -> None:
+        """It is served."""
+        self.clock.now = max(self.clock.now, self.spent)
+
+
+class Account(Spender):
+    """A user, a key or an address, with whatever it is connected. `share`: how much more it gets than others."""
+
+    __slots__ = ("clients", "name", "queued_bytes", "share")
+
+    def __init__(self, name: str, clock: Clock, share: float = 1.0) -> None:
+        super().__init__(clock)
+        self.name = name
+        self.share = share
+        self.clients = Clock()
+        self.queued_bytes = 0  # of messages that wait for their turn
+
+
+class Client(Spender):
+    """A process, a key or an address, of an account."""
+
+    __slots__ = ("account", "busy_ns", "queued_bytes", "waiting")
+
+    def __init__(self, account: Account) -> None:
+        super().__init__(account.clients)
+        self.account = account
+        self.busy_ns = 0  # of the loop's time
+        self.waiting = 0  # messages that wait for their turn
+        self.queued_bytes = 0  # of them
+
+    def charge(self, nanoseconds: int) -> None:
+        """It took so much of the loop's time."""
+        self.busy_ns += nanoseconds
+        self.spent += nanoseconds
+        self.account.spent += nanoseconds / self.account.share
+
+    def is_alone(self) -> None:
+        """It comes and goes, which most do: the same in less than half the time."""
+        account = self.account
+        if account.spent > account.clock.now:
+            account.clock.now = account.spent
+        else:
+            account.spent = account.clock.now
+        if self.spent > self.clock.now:
+            self.clock.now = self.spent
+        else:
+            self.spent = self.clock.now
+
+    def comes(self) -> None:
+        """As it says above, with its account."""
+        self.account.comes()
+        super().comes()
+
+    def goes(self) -> None:
+        """As it says above, with its account."""
+        self.account.goes()
+        super().goes()
+
+
+_C = TypeVar("_C", bound=Client)
+
+
+class _Line(Generic[_S]):
+    """Those who wait at one place."""
+
+    def __init__(self) -> None:
+        self._heap: list[tuple[float, int, _S]] = []
+        self._numbers = count()  # of those who have spent as much, who came first
+
+    def __bool__(self) -> bool:
+        return bool(self._heap)
+
+    def join(self, who: _S) -> None:
+        """It is not in line yet."""
+        heapq.heappush(self._heap, (who.spent, next(self._numbers), who))
+
+    def leave(self) -> _S:
+        """Who has spent least. Raises IndexError."""
+        while True:
+            spent, _, who = heapq.heappop(self._heap)
+            if who.spent <= spent:
+                return who
+            self.join(who)  # it has spent more since
+
+
+class Turns(Generic[_C, _T]):
+    """What waits, by account, client and connection."""
+
+    def __init__(self) -> None:
+        self._accounts: _Line[Account] = _Line()
+        self._clients: dict[Account, _Line[_C]] = {}
+        self._there: dict[_C, dict[Hashable, deque[_T]]] = {}  # by connection, whose turn it is first
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, client: _C, connection: Hashable, item: _T) -> bool:
+        """Something waits; whether it is the only one of its connection."""
+        self._count += 1
+        connections = self._there.get(client)
+        if connections is None:
+            connections = self._enter(client)
+        items = connections.get(connection)
+        if items is not None:
+            items.append(item)
+            return False
+        connections[connection] = deque((item,))
+        return True
+
+    def _enter(self, client: _C) -> dict[Hashable, deque[_T]]:
+        client.comes()
+        account = client.account
+        if account not in self._clients:
+            self._clients[account] = _Line()
+            self._accounts.join(account)
+        self._clients[account].join(client)
+        made = self._there[client] = {}
+        return made
+
+    def take(self) -> tuple[_C, _T]:
+        """Whose turn it is, and what of it. Raises IndexError where nothing waits."""
+        account = self._accounts.leave()
+        line = self._clients[account]
+        client = line.leave()
+        client.goes()
+        connections = self._there[client]
+        connection, items = next(iter(connections.items()))
+        item = items.popleft()
+        del connections[connection]
+        if items:
+            connections[connection] = items  # behind the others
+        self._count -= 1
+        self._back(account, line, client)
+        return client, item
+
+    def _back(self, account: Account, line: _Line[_C], client: _C) -> None:
+        """Into line again, where more of it waits."""
+        if self._there[client]:
+            line.join(client)
+        else:
+            del self._there[client]
+        if line:
+            self._accounts.join(account)
+        else:
+            del self._clients[account]
+
+
+def least(clients: Iterable[_C]) -> _C | None:
+    """Who of them has spent least, by account first; of equals, the first. None where there is nobody."""
+    return min(clients, key=lambda client: (client.account.spent, client.spent), default=None)

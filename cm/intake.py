@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages off ZeroMQ sockets, each served in its turn: by what its client has spent, not by how often it asks.
+
+A ROUTER and a SUB hand out one message of each connection in turn, whoever these belong to: with 256 connections one
+client would have 256 turns. So messages are taken in ahead, a round of all connections that have some, and wait here.
+Who pipelines is held back all the same: a round that brings nothing new is followed by none for a while, as long as
+each client that waits has something here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from functools import partial
+from time import monotonic_ns
+from typing import Any
+
+import zmq
+from zmq import zmq_poll
+
+from cm import multipart
+from cm.budgets.budget import Budget, TooMuchWaiting
+from cm.budgets.registry import Budgets
+from cm.budgets.turns import Turns
+from cm.multipart import Message
+
+_POLLIN = int(zmq.POLLIN)
+_AHEAD = 32  # messages of a socket that are taken in before one is served
+_QUIET = 8  # messages that are served after a round that brought nothing new
+_KEEPING = 1024  # bytes that a message takes here beside its own
+_Serve = Callable[[Message, Budget], None]
+
+
+class _Source:
+    """A socket, and how far the round of its connections is."""
+
+    def __init__(
+        self,
+        socket: zmq.Socket[bytes],
+        serve: _Serve,
+        refuse: Callable[[Message, Budget, TooMuchWaiting], None],
+        sender: Callable[[Message], Hashable],
+    ) -> None:
+        self.socket, self.serve, self.refuse, self.sender = socket, serve, refuse, sender
+        self.ready: list[tuple[Any, int]] = [(socket, _POLLIN)]
+        self._seen: set[Hashable] = set()  # connections, in this round
+        self._news = False  # whether this round brought something of one that had nothing waiting
+        self.quiet = 0  # messages to be served before the next round
+
+    def came(self, connection: Hashable, news: bool) -> bool:
+        """Note a message; whether that ended a round."""
+        self._news = self._news or news
+        if connection not in self._seen:
+            self._seen.add(connection)
+            return False
+        self._seen = {connection}
+        self.quiet = 0 if self._news else _QUIET
+        self._news = False
+        return True
+
+
+class Intake:
+    """What came and was not served yet. The loop's thread; one message is served in each of its turns."""
+
+    def __init__(self, budgets: Budgets, soon: Callable[[Callable[[], None]], None]) -> None:
+        """`soon` has something called in the next turn of the loop, which then does not wait."""
+        self._budgets = budgets
+        self._soon = soon
+        self._sources: list[_Source] = []
+        self._turns: Turns[Budget, tuple[_Source, Message, int]] = Turns()
+        self._called = False
+
+    def add(
+        self,
+        socket: zmq.Socket[bytes],
+        serve: _Serve,
+        refuse: Callable[[Message, Budget, TooMuchWaiting], None],
+        sender: Callable[[Message], Hashable],
+    ) -> Callable[[], None]:
+        """What to call when a socket has messages. Those of one `sender` are served in order."""
+        source = _Source(socket, serve, refuse, sender)
+        self._sources.append(source)
+        return partial(self._arrived, source)
+
+    def _arrived(self, source: _Source) -> None:
+        if self._called:  # then all sockets are looked at
+            return
+        began, message = monotonic_ns(), multipart.receive_from(source.socket)
+        budget = self._budgets.came(message)
+        if self._turns or zmq_poll(source.ready, 0):
+            self._keep(source, message, budget, began)
+            self._go_on()
+        else:  # nobody else wants anything
+            budget.is_alone()
+            self._serve(source, message, budget, began)
+
+    def _serve(self, source: _Source, message: Message, budget: Budget, began: int) -> None:
+        try:
+            source.serve(message, budget)
+        finally:
+            budget.charge(monotonic_ns() - began)
+
+    def _keep(self, source: _Source, message: Message, budget: Budget, began: int) -> bool:
+        """Let a message wait; whether it ended a round of its socket's connections."""
+        size = sum(map(len, message.frames)) + _KEEPING
+        sender = source.sender(message)
+        try:
+            budget.queue(size)
+        except TooMuchWaiting as error:
+            budget.refused += 1
+            source.refuse(message, budget, error)
+            news = False
+        else:
+            news = self._turns.add(budget, (source, sender), (source, message, size))
+        budget.charge(monotonic_ns() - began)
+        return source.came(sender, news)
+
+    def _take_in(self, source: _Source) -> None:
+        if source.quiet:
+            source.quiet -= 1
+            return
+        for _ in range(_AHEAD):
+            if not zmq_poll(source.ready, 0):
+                return
+            began, message = monotonic_ns(), multipart.receive_from(source.socket)
+            if self._keep(source, message, self._budgets.came(message), began):
+                return
+
+    def _go_on(self) -> None:
+        """Take in what came meanwhile, and serve whose turn it is."""
+        self._called = False
+        for source in self._sources:
+            self._take_in(source)
+        if not self._turns:
+            return
+        budget, (source, message, size) = self._turns.take()
+        budget.unqueue(size)
+        if not budget.waiting:  # it may have sent more
+            for each in self._sources:
+                each.quiet = 0
+        if self._turns:
+            self._called = True
+            self._soon(self._go_on)
+        self._serve(source, message, budget, monotonic_ns())

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Requests are served by clients in turn, not by connections: the order is asserted, as the manager has it."""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+from manager_process import CAMERA, environment, short_folder
+
+import cm
+from cm.budgets.budget import Budget
+from cm.daemon import server as daemon
+from cm.daemon.limits import MIB, Limits
+from cm.daemon.options import Options
+from cm.device import Root
+from cm.intake import Intake
+from cm.messages.requests import ReadStatus
+from cm.messages.status import Reply
+from cm.schema import load_folder
+from cm.sim import Board as SimBoard
+from cm.wire.encode import decode_reply, encode_request
+
+CONNECTIONS, EACH = 200, 40
+
+# Opens so many connections, and asks so often over each of them when it is told to; reads all answers.
+HOSTILE = """
+import sys, zmq
+folder, connections, each = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+context = zmq.Context()
+context.set(zmq.MAX_SOCKETS, 4096)
+made = [context.socket(zmq.DEALER) for _ in range(connections)]
+for socket in made:
+    socket.linger = 0
+    socket.connect(f"ipc://{folder}/req")
+    socket.send_multipart([b"", b"cm_status", b""])
+for socket in made:
+    socket.recv_multipart()
+print("ready", flush=True)
+sys.stdin.readline()
+for _ in range(each):
+    for socket in made:
+        socket.send_multipart([b"", b"cm_status", b""])
+print("sent", flush=True)
+for socket in made:
+    for _ in range(each):
+        code = bytes(socket.recv_multipart()[2])
+print("answered", flush=True)
+sys.stdin.readline()
+"""
+
+
+class Order:
+    """Who was served, one after the other; what that costs is said here and not measured."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.served: list[str] = []
+        self.cost: dict[str, int] = {}  # of a request, in ns
+        self.usual = 1000
+        self._now = 0
+        serve = Intake._serve
+        patch.setattr("cm.intake.monotonic_ns", lambda: self._now)
+
+        def noted(intake: Intake, source: Any, message: Any, budget: Budget, began: int) -> None:
+            self.served.append(budget.name)
+            self._now = began + self.cost.get(budget.name, self.usual)
+            serve(intake, source, message, budget, began)
+
+        patch.setattr(Intake, "_serve", noted)
+
+    def between(self, name: str) -> list[int]:
+        """How many others were served between two of that client."""
+        at = [i for i, served in enumerate(self.served) if served == name]
+        return [after - before - 1 for before, after in pairwise(at)]
+
+
+@pytest.fixture
+def order(monkeypatch: pytest.MonkeyPatch) -> Order:
+    return Order(monkeypatch)
+
+
+@contextmanager
+def serving(limits: Limits = Limits(), **options: Any) -> Iterator[tuple[daemon.Server, Path]]:  # noqa: B008
+    with short_folder() as folder, SimBoard([CAMERA], root=folder / "board") as sim:
+        made = Options(
+            folder / "run",
+            folder / "s",
+            Root.of(sim.root),
+            load_folder(CAMERA),
+            load="camera",
+            limits=limits,
+            **options,
+        )
+        ready = threading.Event()
+        server = daemon.Server(made)
+        thread = threading.Thread(target=server.serve, args=(ready.set,))
+        thread.start()
+        try:
+            assert ready.wait(60)
+            yield server, made.runtime_dir
+        finally:
+            server.stop()
+            thread.join()
+
+
+@contextmanager
+def hostile(runtime: Path, connections: int = CONNECTIONS, each: int = EACH) -> Iterator[subprocess.Popen[bytes]]:
+    command = [sys.executable, "-c", HOSTILE, str(runtime), str(connections), str(each)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment()) as process:
+        try:
+            assert process.stdout is not None
+            assert process.stdout.readline() == b"ready\n"
+            yield process
+        finally:
+            process.kill()
+
+
+def tell(process: subprocess.Popen[bytes], wanted: bytes) -> None:
+    assert process.stdin is not None
+    assert process.stdout is not None
+    process.stdin.write(b"\n")
+    process.stdin.flush()
+    assert process.stdout.readline() == wanted
+
+
+@contextmanager
+def held(server: daemon.Server) -> Iterator[None]:
+    """The loop serves nothing meanwhile, and messages come in."""
+    holds, goes_on = threading.Event(), threading.Event()
+
+    def hold() -> None:
+        holds.set()
+        goes_on.wait(60)
+
+    server._loop.call_threadsafe(hold)
+    assert holds.wait(60)
+    try:
+        yield
+    finally:
+        goes_on.set()
+
+
+def asked(socket: zmq.Socket[bytes], count: int) -> None:
+    for number in range(count):
+        socket.send_multipart([b"%d" % number, b"", b"cm_status", b""])
+
+
+def answered(socket: zmq.Socket[bytes], count: int) -> list[Reply]:
+    replies = []
+    for number in range(count):
+        assert socket.poll(60_000)
+        frames = socket.recv_multipart()
+        assert frames[0] == b"%d" % number
+        replies.append(decode_reply(frames[2:]))
+    return replies
+
+
+def test_200_connections_of_one_process_are_not_200_turns(order: Order, context: zmq.Context[Any]) -> None:
+    with serving() as (server, runtime), hostile(runtime) as flood, context.socket(zmq.DEALER) as other:
+        other.linger = 0
+        other.connect(f"ipc://{runtime}/req")
+        asked(other, 1)
+        answered(other, 1)
+        ours = order.served[-1]
+        with held(server):
+            tell(flood, b"sent\n")
+            order.served.clear()
+            asked(other, 50)
+        assert all(reply.error is None for reply in answered(other, 50))
+        assert order.served.count(ours) == 50
+        # a round of 201 connections takes 7 turns of the loop, in each of which one request is served
+        assert statistics.median(order.between(ours)) <= 16, order.between(ours)
+        assert flood.stdout is not None
+        assert flood.stdout.readline() == b"answered\n"  # nobody else's was lost
+        assert len(order.served) == 50 + CONNECTIONS * EACH
+
+
+def test_processes_of_another_account_take_turns_with_all_of_the_first(order: Order, context: zmq.Context[Any]) -> None:
+    """Over TCP without keys we are another account than over ipc."""
+    with (
+        serving(listen=("tcp://127.0.0.1:0",)) as (server, runtime),
+        hostile(runtime, 60, EACH) as one,
+        hostile(runtime, 60, EACH) as two,
+        context.socket(zmq.DEALER) as other,
+    ):
+        other.linger = 0
+        other.connect(server._sockets.tcp[0].req)
+        asked(other, 1)
+        answered(other, 1)
+        ours = order.served[-1]
+        with held(server):
+            tell(one, b"sent\n")
+            tell(two, b"sent\n")
+            order.served.clear()
+            asked(other, 50)
+        answered(other, 50)
+        assert statistics.median(order.between(ours)) <= 16, order.between(ours)
+        with cm.connect(runtime_dir=runtime, timeout=60) as board:
+            accounts = {client.account for client in board.clients()}
+        assert {"tcp:127.0.0.1"} < accounts
+        assert len(accounts) == 2
+
+
+def test_who_asks_for_what_takes_long_is_served_less_often(order: Order, context: zmq.Context[Any]) -> None:
+    with serving() as (server, runtime), hostile(runtime, 20) as flood, context.socket(zmq.DEALER) as other:
+        other.linger = 0
+        other.connect(f"ipc://{runtime}/req")
+        (mine,) = [client for client in told_clients(other) if client.name == order.served[-1]]
+        order.cost = {mine.name: 1000}
+        order.usual = 9000
+        with held(server):
+            tell(flood, b"sent\n")
+            order.served.clear()
+            asked(other, 50)
+        answered(other, 50)
+        first = order.served.index(mine.name)
+        among = order.served[first : first + 60]
+        assert among.count(mine.name) >= 45  # nine of ten
+        (now,) = [client for client in told_clients(other) if client.name == mine.name]
+        assert now.requests == mine.requests + 51
+        assert now.loop_seconds == pytest.approx(mine.loop_seconds + 51e-6)
+
+
+def told_clients(socket: zmq.Socket[bytes]) -> Any:
+    socket.send_multipart([b"0", b"", *encode_request(ReadStatus(clients=True))])
+    (reply,) = answered(socket, 1)
+    return reply.body.clients  # type: ignore[union-attr]
+
+
+def test_who_lets_too_much_wait_is_told_so_and_others_are_not(order: Order, context: zmq.Context[Any]) -> None:
+    """Each message counts with what it takes to keep it: 1 KiB."""
+    limits = Limits(waiting_bytes=1 * MIB)
+    with (
+        serving(limits) as (server, runtime),
+        hostile(runtime, CONNECTIONS, EACH) as flood,
+        context.socket(zmq.DEALER) as other,
+    ):
+        other.linger = 0
+        other.connect(f"ipc://{runtime}/req")
+        asked(other, 1)
+        answered(other, 1)
+        with held(server):
+            tell(flood, b"sent\n")
+        for _ in range(100):
+            asked(other, 1)
+            assert answered(other, 1)[0].error is None
+        assert flood.stdout is not None
+        assert flood.stdout.readline() == b"answered\n"  # each, if only by a refusal
+        (client,) = [c for c in told_clients(other) if c.connections >= CONNECTIONS]
+        assert client.refused > 0
+        assert client.requests == CONNECTIONS * (EACH + 1)
+        assert (client.waiting, client.waiting_bytes) == (0, 0)
+
+
+def test_one_connection_may_send_all_it_has_at_once(order: Order, context: zmq.Context[Any]) -> None:
+    """What it sends waits in its socket, not here: nothing of it is refused."""
+    with serving(Limits(waiting_bytes=1 * MIB)) as (_, runtime), context.socket(zmq.DEALER) as other:
+        other.linger = 0
+        other.setsockopt(zmq.SNDHWM, 0)
+        other.setsockopt(zmq.RCVHWM, 0)
+        other.connect(f"ipc://{runtime}/req")
+        asked(other, 5000)
+        assert all(reply.error is None for reply in answered(other, 5000))

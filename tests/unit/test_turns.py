@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whose turn it is: by accounts, then clients, by what they have spent, then connections in turn."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cm.budgets.budget import Bounds, TooMuchWaiting
+from cm.budgets.registry import Budgets
+from cm.budgets.turns import Account, Client, Clock, Turns, least
+
+COST = 1000  # of a request, in ns
+
+
+class Named(Client):
+    __slots__ = ("name",)
+
+    def __init__(self, name: str, account: Account) -> None:
+        super().__init__(account)
+        self.name = name
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def turns() -> Turns[Named, int]:
+    return Turns()
+
+
+def served(turns: Turns[Named, int], cost: dict[str, int] | None = None, count: int | None = None) -> list[str]:
+    """Who is served, until nobody waits or for so many turns; what a request of each costs."""
+    order = []
+    while turns and (count is None or len(order) < count):
+        client, _ = turns.take()
+        client.charge((cost or {}).get(client.name, COST))
+        order.append(client.name)
+    return order
+
+
+def test_256_connections_are_one_client(clock: Clock, turns: Turns[Named, int]) -> None:
+    hostile, other = Named("hostile", Account("a", clock)), Named("other", Account("b", clock))
+    for connection in range(256):
+        for number in range(4):
+            turns.add(hostile, connection, number)
+    assert served(turns, count=10) == ["hostile"] * 10
+    turns.add(other, "one", 0)
+    assert served(turns, count=1) == ["other"]
+    for number in range(8):
+        turns.add(other, "one", number)
+    assert Counter(served(turns, count=16)) == {"other": 8, "hostile": 8}
+
+
+def test_many_processes_of_one_account_are_one_account(clock: Clock, turns: Turns[Named, int]) -> None:
+    account = Account("uid:1000", clock)
+    for process in range(100):
+        turns.add(Named(f"hostile {process}", account), 0, 0)
+        turns.add(Named(f"hostile {process}", account), 1, 0)
+    other = Named("other", Account("uid:1001", clock))
+    for number in range(50):
+        turns.add(other, 0, number)
+    assert served(turns, count=100).count("other") == 50
+
+
+def test_processes_of_one_account_take_turns_too(clock: Clock, turns: Turns[Named, int]) -> None:
+    account = Account("uid:1000", clock)
+    hostile, other = Named("hostile", account), Named("other", account)
+    for number in range(100):
+        turns.add(hostile, number, number)
+    for number in range(20):
+        turns.add(other, 0, number)
+    assert Counter(served(turns, count=40)) == {"hostile": 20, "other": 20}
+
+
+def test_it_is_time_that_counts_and_not_how_often_somebody_asks(clock: Clock, turns: Turns[Named, int]) -> None:
+    slow, quick = Named("slow", Account("a", clock)), Named("quick", Account("b", clock))
+    for number in range(200):
+        turns.add(slow, 0, number)
+        turns.add(quick, 0, number)
+    assert Counter(served(turns, {"slow": 9 * COST}, 100)) == {"slow": 10, "quick": 90}
+
+
+def test_an_account_may_have_a_larger_share(clock: Clock, turns: Turns[Named, int]) -> None:
+    favoured, other = Named("favoured", Account("a", clock, share=4)), Named("other", Account("b", clock))
+    for number in range(200):
+        turns.add(favoured, 0, number)
+        turns.add(other, 0, number)
+    assert Counter(served(turns, count=100)) == {"favoured": 80, "other": 20}
+
+
+def test_who_was_away_has_saved_nothing_up_and_who_was_alone_owes_nothing(
+    clock: Clock, turns: Turns[Named, int]
+) -> None:
+    busy, back = Named("busy", Account("a", clock)), Named("back", Account("b", clock))
+    for number in range(1000):
+        turns.add(busy, 0, number)
+    served(turns, count=500)
+    for number in range(500):
+        turns.add(back, 0, number)
+    assert Counter(served(turns, count=100)) == {"busy": 50, "back": 50}
+
+
+def test_time_that_is_spent_elsewhere_counts(clock: Clock, turns: Turns[Named, int]) -> None:
+    """On pieces of long work, while messages wait."""
+    worker, other = Named("worker", Account("a", clock)), Named("other", Account("b", clock))
+    for number in range(20):
+        turns.add(worker, 0, number)
+        turns.add(other, 0, number)
+    worker.charge(10 * COST)
+    assert served(turns, count=10) == ["other"] * 10
+    assert least([worker, other]) in (worker, other)
+    assert least([]) is None
+
+
+def test_of_those_who_work_the_one_who_has_spent_least_by_account_first(clock: Clock) -> None:
+    rich, poor = Account("rich", clock), Account("poor", clock)
+    a, b, c = Named("a", rich), Named("b", rich), Named("c", poor)
+    a.charge(5)
+    c.charge(6)
+    b.charge(4)
+    assert least([a, b, c]) is c
+    assert least([a, b]) is b
+
+
+def test_who_is_alone_is_served_as_if_it_had_waited(clock: Clock, turns: Turns[Named, int]) -> None:
+    first, second = Named("first", Account("a", clock)), Named("second", Account("a", clock))
+    for client, cost in ((first, 5), (second, 7), (first, 1), (second, 2)):
+        client.is_alone()
+        client.charge(cost)
+        alone = clock.now, client.clock.now, client.spent, client.account.spent
+        client.spent -= cost
+        client.account.spent -= cost
+        client.comes()
+        client.goes()
+        client.charge(cost)
+        assert (clock.now, client.clock.now, client.spent, client.account.spent) == alone
+
+
+def test_connections_of_a_client_take_turns_and_each_keeps_its_order(clock: Clock, turns: Turns[Named, int]) -> None:
+    client = Named("one", Account("a", clock))
+    for connection, number in ((0, 1), (0, 2), (0, 3), (1, 10), (2, 20), (1, 11)):
+        turns.add(client, connection, number)
+    assert [turns.take()[1] for _ in range(6)] == [1, 10, 20, 2, 11, 3]
+    assert not turns
+    with pytest.raises(IndexError):
+        turns.take()
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 2), st.integers(0, 2), st.integers(0, 3)), max_size=60),
+    st.lists(st.integers(0, 10_000), min_size=60, max_size=60),
+)
+def test_everything_is_served_once_and_in_order_of_its_connection(
+    asked: list[tuple[int, int, int]], costs: list[int]
+) -> None:
+    clock, turns = Clock(), Turns[Named, tuple[str, int, int]]()
+    accounts = [Account(str(n), clock) for n in range(3)]
+    clients = {(a, c): Named(f"{a}/{c}", accounts[a]) for a in range(3) for c in range(3)}
+    added, out = [], []
+    for number, (account, client, connection) in enumerate(asked):
+        added.append((f"{account}/{client}", connection, number))
+        turns.add(clients[account, client], connection, added[-1])
+        if number % 3 == 2:
+            who, item = turns.take()
+            who.charge(costs[number])
+            out.append(item)
+    while turns:
+        who, item = turns.take()
+        who.charge(7)
+        out.append(item)
+    assert sorted(out) == sorted(added)
+    for key in {(name, connection) for name, connection, _ in added}:
+        assert [i for *k, i in out if tuple(k) == key] == [i for *k, i in added if tuple(k) == key]
+
+
+class Somebody:
+    """As `cm.rights` has it."""
+
+    pid, address = None, ""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.key, self.account = name, name, f"key:{name}"
+
+
+def test_shares_are_those_of_the_settings_by_name_and_renewed() -> None:
+    budgets = Budgets(Bounds(1, 1), Somebody, lambda *_: None, tuple, {"anna": 4.0})
+    anna, other = budgets.of("anna"), budgets.of("other")
+    assert (anna.account.share, other.account.share) == (4.0, 1.0)
+    budgets.renew(Bounds(2, 2), {"other": 0.5})
+    assert (budgets.of("anna"), budgets.of("other")) == (anna, other)
+    assert (anna.account.share, other.account.share) == (1.0, 0.5)
+    assert anna.bounds == Bounds(2, 2)
+
+
+def test_bytes_that_wait_are_bounded_by_client_account_and_all() -> None:
+    budgets = Budgets(Bounds(800, 1), Somebody, lambda *_: None, tuple)
+    anna, other = budgets.of("anna"), budgets.of("other")
+    anna.queue(5000)  # who has nothing gets one through
+    with pytest.raises(TooMuchWaiting, match="1 requests of key anna wait, 5000 bytes"):
+        anna.queue(1)
+    other.queue(1)  # and so does another
+    with pytest.raises(TooMuchWaiting):
+        other.queue(1)
+    anna.unqueue(5000)
+    other.queue(700)
+    assert (other.waiting, other.queued_bytes, budgets.queued_bytes) == (2, 701, 701)
+    for size in (1, 700):
+        other.unqueue(size)
+    assert (other.waiting, other.queued_bytes, budgets.queued_bytes, other.account.queued_bytes) == (0, 0, 0, 0)
