@@ -22,7 +22,7 @@ SEED ?= 1
 MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs web-picture demo device-suite test test-c test-node test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup docs web-picture demo demo-ros device-suite test test-c test-node test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -53,6 +53,11 @@ setup: $(STAMP) ## a virtual environment with the package, its C shims built
 
 demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/contact-sheet.png (IMAGES=DIR, OUT=DIR)
 	@$(BIN)/cm demo --out $(OUT) $(if $(IMAGES),--images $(IMAGES))
+
+demo-ros: $(STAMP) ## a simulated board as a ROS 2 node, seen by a subscriber on Fast DDS (OUT=DIR; needs Debian's libfastrtps-dev)
+	@$(BIN)/python -c 'import cyclonedds' 2>/dev/null || $(BIN)/python -m pip install --quiet '.[dds]'
+	@$(MAKE) --no-print-directory -s -C ros2/fastdds_peer OUT=$(abspath build/fastdds_peer)
+	@$(BIN)/python ros2/demo.py --peer build/fastdds_peer/peer --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
 
 test: $(STAMP) test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
 	$(PYTEST) $(SUITES) --board=sim -n $(JOBS) --dist loadfile $(PYTEST_ARGS)
