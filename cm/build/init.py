@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from cm.build import hdl
 from cm.build.boundary import boundary
 from cm.build.boundary.model import Boundary
 from cm.build.errors import BuildError
+from cm.build.given import Given, is_hdl, others, relative
 from cm.build.hdl.model import Mode, ModuleInfo
 from cm.build.hdl.register_maps import identifier
 from cm.build.platforms import platform_of
@@ -34,11 +35,11 @@ _BOARDS = {
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """A module that goes to the region: `files` in the order in which they were given."""
+    """A module that goes to the region."""
 
     name: str
     info: ModuleInfo
-    files: tuple[str, ...]
+    keys: Mapping[str, Any]  # of the build schema, beside those that comments explain
 
     @property
     def summary(self) -> str:
@@ -48,23 +49,29 @@ class Proposal:
         return ", ".join(found)
 
 
-def init_text(files: Sequence[Path], folder: Path, name: str, part: str = DEFAULT_PART, top: str | None = None) -> str:
+def init_text(
+    files: Sequence[Path],
+    folder: Path,
+    name: str,
+    part: str = DEFAULT_PART,
+    top: str | None = None,
+    cores: Sequence[Path] = (),
+) -> str:
     """The text of a build schema in `folder` for the modules in `files`.
 
-    Modules that no other one instantiates and that have a bus interface become modules of one region;
+    Files are HDL, FuseSoC cores (those that they depend on below `cores`), component.xml, .xci, C++ for Vitis HLS.
+    Of HDL, modules that no other one instantiates and that have a bus interface become modules of one region;
     `top` takes only that one. BuildError where there is none.
     """
     platform = platform_of(part)
-    reading = hdl.read(files)
-    chosen = [info for info in hdl.roots(reading.modules) if top is None or info.name == top]
-    if top is not None and not chosen:
-        chosen = [info for info in reading.modules if info.name == top]
-    usable = [info for info in chosen if info.interfaces and info.usable]
+    sources = [path for path in files if is_hdl(path)]
+    given = [*(_from_hdl(sources, folder, top) if sources else []), *others(files, folder, cores, top)]
+    usable = [one for one in given if one.info.interfaces and one.info.usable]
     if not usable:
-        names = ", ".join(info.name for info in chosen) or f"no module {top}"
+        names = "; ".join(_why_not(one.info) for one in given) or f"no module {top}"
         raise BuildError(f"no module with a bus interface that could go into a region: found {names}")
-    modules = [_proposal(info, reading.modules, files, folder) for info in usable]
-    found = boundary(usable)  # whether they fit one region
+    modules = [Proposal(identifier(one.info.name), one.info, one.keys) for one in usable]
+    found = boundary([one.info for one in usable])  # whether they fit one region
     context = {
         "name": identifier(name),
         "part": part,
@@ -72,7 +79,7 @@ def init_text(files: Sequence[Path], folder: Path, name: str, part: str = DEFAUL
         "clock": DEFAULT_CLOCK if platform.name == "zynq7000" else "pl_clk0",
         "rate": f"{DEFAULT_RATE:_}",
         "modules": modules,
-        "left_out": [info for info in chosen if info not in usable],
+        "left_out": [one.info for one in given if one not in usable],
         "streams": list(_streams(found)),
         "refused": [f"{a.module}: {sentence}" for a in found.adaptations for sentence in a.refused],
         "registers": {module.name: _register_bus(module.info) for module in modules},
@@ -80,8 +87,22 @@ def init_text(files: Sequence[Path], folder: Path, name: str, part: str = DEFAUL
     return Renderer(folder, folder, "").render("build.yaml.j2", context)
 
 
-def _proposal(info: ModuleInfo, known: Sequence[ModuleInfo], files: Sequence[Path], folder: Path) -> Proposal:
-    """The module with the files of what it instantiates, and those without a module: packages, macros."""
+def _from_hdl(files: Sequence[Path], folder: Path, top: str | None) -> list[Given]:
+    known = hdl.read(files).modules
+    chosen = [info for info in hdl.roots(known) if top is None or info.name == top]
+    if top is not None and not chosen:
+        chosen = [info for info in known if info.name == top]
+    return [Given(info, {"sources": _files(info, known, files, folder)}) for info in chosen]
+
+
+def _why_not(info: ModuleInfo) -> str:
+    """The module, and what is wrong with it."""
+    reasons = [str(problem) for problem in info.problems if problem.fatal]
+    return f"{info.name} ({reasons[0]})" if reasons else info.name
+
+
+def _files(info: ModuleInfo, known: Sequence[ModuleInfo], files: Sequence[Path], folder: Path) -> list[str]:
+    """Files of what the module instantiates, and those without a module: packages, macros; in the order given."""
     by_name = {module.name: module for module in known}
     needed = {Path(info.file), *files} - {Path(module.file) for module in known if module.file != info.file}
     queue = [info]
@@ -92,12 +113,7 @@ def _proposal(info: ModuleInfo, known: Sequence[ModuleInfo], files: Sequence[Pat
                 seen.add(name)
                 queue.append(by_name[name])
                 needed.add(Path(by_name[name].file))
-    listed = tuple(_relative(path, folder) for path in files if path in needed)
-    return Proposal(identifier(info.name), info, listed)
-
-
-def _relative(path: Path, folder: Path) -> str:
-    return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
+    return [relative(path, folder) for path in files if path in needed]
 
 
 def _streams(found: Boundary) -> Iterable[Mapping[str, str]]:

@@ -14,11 +14,25 @@ from cm.build.project.load import SCHEMA_FILE
 def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the action."""
     parser = actions.add_parser("init", help="begin a build schema from HDL files")
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL")
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="Verilog, SystemVerilog, VHDL, FuseSoC .core, IP-XACT component.xml, .xci, C++ for Vitis HLS",
+    )
     parser.add_argument("--output", "-o", type=Path, default=Path("build.yaml"), metavar="FILE")
     parser.add_argument("--name", help="name of the configuration (default: that of the folder)")
     parser.add_argument("--part", default=DEFAULT_PART, help=f"full part (default: {DEFAULT_PART})")
     parser.add_argument("--top", metavar="NAME", help="only this module")
+    parser.add_argument(
+        "--cores",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="folder below which cores that a .core depends on are looked for",
+    )
     parser.set_defaults(run=run_init)
 
 
@@ -28,7 +42,7 @@ def run_init(args: argparse.Namespace) -> int:
     if output.exists():
         raise BuildError(f"{output} is there already; give another name with --output")
     folder = output.absolute().parent
-    text = init_text(args.files, folder, args.name or folder.name, args.part, args.top)
+    text = init_text(args.files, folder, args.name or folder.name, args.part, args.top, args.cores)
     folder.mkdir(parents=True, exist_ok=True)
     output.write_text(text, encoding="utf-8")
     editor = folder / SCHEMA_FILE.name

@@ -19,7 +19,14 @@ proc vivado::current_project {given plain} { if {![state project]} { refuse "No 
 proc vivado::current_design {given plain} { if {![state opened]} { refuse "No open design." }; return design:current }
 proc vivado::get_files {given plain} { return [lmap file $plain {set file file:$file}] }
 proc vivado::get_board_parts {given plain} { return [expr {[info exists ::env(CM_NO_BOARD)] ? "" : "board_part:$plain"}] }
-proc vivado::get_ips {given plain} { return ip:all }
+proc vivado::get_ips {given plain} { return ip:[expr {[llength $plain] ? [lindex $plain 0] : "all"}] }
+proc vivado::create_ip {given plain} {
+    foreach folder [vivado::get_property {} [list ip_repo_paths project:current]] {
+        if {[file exists $folder/component.xml]} { dict set ::vivado config project:current ip 1 }
+    }
+    if {![dict exists $::vivado config project:current ip]} { refuse "\[Coretcl 2-1134\] No IP matching VLNV '*:[dict get $given -library]:[dict get $given -name]:*' was found." }
+    if {![file isdirectory [dict get $given -dir]]} { refuse "\[Coretcl 2-1126\] the directory '[dict get $given -dir]' does not exist" }
+}
 proc readable {paths} { foreach path $paths { if {$path eq "" || ![file exists $path]} { refuse "the file '$path' does not exist" } } }
 proc vivado::read_verilog {given plain} { readable $plain }
 proc vivado::read_vhdl {given plain} { readable $plain }

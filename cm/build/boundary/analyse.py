@@ -12,6 +12,7 @@ from cm.build.boundary import boundary
 from cm.build.boundary.model import Boundary
 from cm.build.errors import BuildError, MissingTool
 from cm.build.hdl import UserProtocol
+from cm.build.hdl.hls import hls_registers, load_hls
 from cm.build.hdl.model import ModuleInfo, Problem
 from cm.build.hdl.register_maps import read_register_map
 from cm.build.hdl.vhdl_units import missing_units
@@ -75,6 +76,8 @@ class Analysis:
 
 
 def _with_registers(project: Project, spec: ModuleSpec) -> ModuleSpec:
+    if spec.hls is not None and spec.register_map is None:
+        return replace(spec, registers={**hls_registers(spec.hls, spec.top), **spec.registers})
     if spec.register_map is None:
         return spec
     try:
@@ -105,6 +108,8 @@ def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:
         return ("parameters", error.name)
     if spec.component is not None and str(error).startswith(f"{spec.component}:"):
         return ("component",)
+    if spec.hls is not None:
+        return ("hls",)
     return ("top",) if isinstance(error, hdl.ModuleNotFound) else ("sources",)
 
 
@@ -115,6 +120,8 @@ def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) 
 
 
 def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[ModuleInfo, tuple[str, ...]]:
+    if spec.hls is not None:
+        return load_hls(spec.hls, spec.top, protocols), ()
     if not spec.readable:
         if spec.component is None and spec.ip:
             return hdl.load_xci(spec.ip[0], protocols), ()

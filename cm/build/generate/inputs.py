@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from cm.build.hdl import hls_text
 from cm.build.plan.system import Implementation, System
 from cm.build.project.model import in_libraries
 from cm.build.render import by_language
@@ -40,6 +41,8 @@ def module_files(one: Implementation, out: Path) -> dict[str, Any]:
     defines = [name if value == "1" else f"{name}={value}" for name, value in module.defines.items()]
     include_dirs = list(dict.fromkeys([*module.include_dirs, *(path.parent for path in sources["header"])]))
     context: dict[str, Any] = {"name": one.name, "module": module, "region": one.region}
+    exported = [out / f"hls/{one.name}/solution1/impl/ip"] if module.hls else []
+    context["ip_repositories"] = [*module.ip_repositories, *exported]
     return context | sources | {"defines": defines, "include_dirs": include_dirs, "libraries": module.libraries}
 
 
@@ -66,6 +69,9 @@ def _module(one: Implementation, out: Path) -> Iterator[Path]:
     for kind in _KINDS:
         yield from context[kind]
     yield from in_libraries(module.libraries)
+    if module.hls:
+        yield out / f"tcl/hls_{one.name}.tcl"
+        yield from (*module.hls.sources, *(path for source in module.hls.sources for path in included(source)))
     yield from (*module.ip, *module.constraints, *module.tcl, *_headers(module.include_dirs))
     yield from memories(module.sources)
 
@@ -85,3 +91,8 @@ def memories(sources: Iterable[Path]) -> Iterator[Path]:
             found = path.parent / name
             if found.is_file():
                 yield found
+
+
+def included(source: Path) -> list[Path]:
+    """Headers that C++ includes from beside it."""
+    return hls_text.headers(source, source.read_text(encoding="utf-8", errors="replace"), "")

@@ -28,6 +28,7 @@ class Language(str, Enum):
     SYSTEMVERILOG = "systemverilog"
     VHDL = "vhdl"
     IPXACT = "ipxact"
+    HLS = "hls"
 
 
 class PortDirection(str, Enum):

@@ -100,5 +100,7 @@ def _kind(project: Project, analysis: Analysis, module: str, region: str) -> str
         if i.protocol != "axi4lite"
     )
     spec = project.regions[region]
+    if any(connection.connect == "switch" for connection in spec.interfaces.values()):
+        found.append(f"on the switch as {region}")  # routes of modes name the region
     clocks = [spec.clock, *(f"{port}={clock}" for port, clock in sorted(spec.clocks.items()))]
     return ", ".join([*found, *clocks, "" if spec.decoupling else "no decoupling"])

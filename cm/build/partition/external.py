@@ -36,7 +36,7 @@ def _external(region: RegionSpec, found: Boundary) -> Iterator[str]:
         given = region.interfaces.get(interface.name)
         connect = given.connect if given else None
         plain = interface.protocol in ("axis", "axi4", "axi4lite", "axi3")
-        if connect == "external" or (connect is None and not plain):
+        if connect in ("external", "switch") or (connect is None and not plain):
             yield interface.name
     for port in found.ports:
         given = region.interfaces.get(port.name)

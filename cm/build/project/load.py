@@ -5,29 +5,27 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from cm.build.boards import BoardDefinition, boards
+from cm.build.errors import BuildError
 from cm.build.project import references
+from cm.build.project.cores import with_core
 from cm.build.project.model import (
     BitstreamSpec,
     ClockSpec,
-    ConnectionSpec,
-    FieldSpec,
+    HlsSpec,
     ModeSpec,
-    ModeStreamSpec,
     ModuleSpec,
     Project,
     RegionSpec,
-    RegisterSpec,
     Resources,
     StaticSpec,
-    SwitchSpec,
 )
+from cm.build.project.parts import connection, macro, mode_stream, registers, switch
 from cm.build.project.paths import PathReader
-from cm.schema.model import Access, LoaderKind
+from cm.schema.model import LoaderKind
 from cm.schema.problems import KeyPath, Problem, SchemaError, key_path
 from cm.schema.reader import Refused, read
 from cm.schema.structure import Structure
@@ -148,7 +146,7 @@ class _Builder:
             modes_given=bool(data.get("modes")),
             default_mode=data.get("default_mode", next(iter(modes), "")),
             protocols=self._files.many(data.get("protocols"), ("protocols",)),
-            switch=_switch(data["switch"] or {}, next(iter(clocks))) if "switch" in data else None,
+            switch=switch(data["switch"] or {}, next(iter(clocks))) if "switch" in data else None,
         )
 
     def _board(self, head: dict[str, Any]) -> BoardDefinition | None:
@@ -178,7 +176,7 @@ class _Builder:
         return StaticSpec(
             **files,
             libraries=self._libraries(spec, ("static",)),
-            registers=_registers(spec),
+            registers=registers(spec),
             coherent=bool(spec.get("coherent")),
             revision=str(spec.get("revision", "")),
         )
@@ -198,7 +196,7 @@ class _Builder:
             decoupling=spec.get("decoupling", True),
             loader=LoaderKind(spec.get("loader", "auto")),
             window=spec.get("window", 0x10000),
-            interfaces={key: _connection(value or {}) for key, value in (spec.get("interfaces") or {}).items()},
+            interfaces={key: connection(value or {}) for key, value in (spec.get("interfaces") or {}).items()},
             doc=spec.get("doc", ""),
         )
 
@@ -221,22 +219,38 @@ class _Builder:
             key: self._files.many(spec.get(key), (*where, key))
             for key in ("sources", "include_dirs", "ip", "ip_repositories", "tcl", "constraints", "sim_sources")
         }
-        return ModuleSpec(
+        module = ModuleSpec(
             name=name,
             top=spec.get("top", name),
             libraries=self._libraries(spec, where),
             regions=tuple(spec.get("regions", regions if len(regions) == 1 else ())),
-            defines={key: _text(value) for key, value in (spec.get("defines") or {}).items()},
+            defines={key: macro(value) for key, value in (spec.get("defines") or {}).items()},
             parameters=spec.get("parameters") or {},
+            hls=self._hls(spec.get("hls"), (*where, "hls")),
             component=self._files.one(spec.get("component"), (*where, "component")),
             model=spec.get("model"),
-            registers=_registers(spec),
+            registers=registers(spec),
             register_map=self._files.one(spec.get("register_map"), (*where, "register_map")),
             interface=spec.get("interface"),
             resources=Resources(**spec.get("resources") or {}),
             doc=spec.get("doc", ""),
             **many,
         )
+        core = self._files.one(spec.get("core"), (*where, "core"))
+        if core is None or not core.is_file():
+            return module
+        roots = self._files.many(spec.get("core_roots"), (*where, "core_roots"))
+        try:
+            return with_core(module, core, spec.get("core_target", "default"), roots, "top" in spec)
+        except BuildError as error:
+            self._report.key((*where, "core"), "bad_core", str(error), "")
+            self._report.stop()
+            raise
+
+    def _hls(self, spec: dict[str, Any] | None, where: KeyPath) -> HlsSpec | None:
+        if spec is None:
+            return None
+        return HlsSpec(self._files.many(spec["sources"], (*where, "sources")), spec.get("cflags", ""))
 
     def _modes(self, modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
         given = self._data.get("modes")
@@ -253,7 +267,7 @@ class _Builder:
                 self._report.key(("modes", name, "modules"), "region_conflict", message, "a region holds one module")
             if region is not None:
                 chosen[region] = module
-        streams = {key: _mode_stream(value) for key, value in (spec.get("streams") or {}).items()}
+        streams = {key: mode_stream(value) for key, value in (spec.get("streams") or {}).items()}
         share, doc, routes = spec.get("share", 1.0), spec.get("doc", ""), spec.get("routes") or {}
         return ModeSpec(name, chosen, spec.get("registers") or {}, streams, share, doc, routes)
 
@@ -277,43 +291,3 @@ def _implied_modes(modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
             name = module.name if len(module.regions) == 1 else f"{module.name}_{region}"
             modes[name] = ModeSpec(name, {region: module.name})
     return modes
-
-
-def _connection(spec: dict[str, Any]) -> ConnectionSpec:
-    spec = dict(spec)
-    shape, single = spec.pop("shape", None), spec.pop("pin", None)
-    pins = {name.lower(): tuple(given) for name, given in (spec.pop("pins", None) or {}).items()}
-    if single:
-        pins[""] = tuple(single)
-    return ConnectionSpec(**spec, shape=tuple(shape) if shape else None, pins=pins)
-
-
-def _switch(spec: dict[str, Any], clock: str) -> SwitchSpec:
-    ends = {
-        side: {name: replace(_connection(value or {}), stream=name) for name, value in (spec.get(side) or {}).items()}
-        for side in ("inputs", "outputs")
-    }
-    return SwitchSpec(spec.get("clock", clock), **ends)
-
-
-def _mode_stream(spec: dict[str, Any]) -> ModeStreamSpec:
-    shape = spec.get("shape")
-    return ModeStreamSpec(tuple(shape) if shape else None, spec.get("dtype"))
-
-
-def _registers(spec: dict[str, Any]) -> dict[str, RegisterSpec]:
-    return {name: _register(name, value) for name, value in (spec.get("registers") or {}).items()}
-
-
-def _register(name: str, spec: dict[str, Any]) -> RegisterSpec:
-    fields = {key: FieldSpec(key, **value) for key, value in (spec.get("fields") or {}).items()}
-    rest = {key: value for key, value in spec.items() if key not in ("access", "fields", "min", "max")}
-    access = Access(spec.get("access", "rw"))
-    return RegisterSpec(name, access=access, fields=fields, minimum=spec.get("min"), maximum=spec.get("max"), **rest)
-
-
-def _text(value: object) -> str:
-    """A macro's value as the preprocessor takes it."""
-    if value is None or value is True:
-        return "1"
-    return "0" if value is False else str(value)

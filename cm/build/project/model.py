@@ -126,6 +126,14 @@ def in_libraries(libraries: Mapping[str, tuple[Path, ...]]) -> tuple[Path, ...]:
 
 
 @dataclass(frozen=True, slots=True)
+class HlsSpec:
+    """C++ of a module: `sources` hold the function; `cflags` go to Vitis HLS, whose -I and -D are obeyed here too."""
+
+    sources: tuple[Path, ...]
+    cflags: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class ModuleSpec:
     """A module: HDL with `top`, and the regions it may go to."""
 
@@ -137,6 +145,7 @@ class ModuleSpec:
     include_dirs: tuple[Path, ...] = ()
     defines: Mapping[str, str] = field(default_factory=empty)
     parameters: Mapping[str, int | float | str | bool] = field(default_factory=empty)
+    hls: HlsSpec | None = None
     ip: tuple[Path, ...] = ()
     ip_repositories: tuple[Path, ...] = ()
     component: Path | None = None

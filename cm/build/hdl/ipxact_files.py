@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files that an IP-XACT component's synthesis view lists."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.etree import ElementTree
+
+from cm.build.hdl.errors import HdlError
+from cm.build.hdl.ipxact import component_root
+
+_SOURCES = ("verilogSource", "systemVerilogSource", "vhdlSource")
+
+
+@dataclass(slots=True)
+class ComponentFiles:
+    """Files in their order; VHDL of a library of its own by that library."""
+
+    sources: list[Path] = field(default_factory=list)
+    libraries: dict[str, list[Path]] = field(default_factory=dict)
+    include_dirs: list[Path] = field(default_factory=list)
+    ip: list[Path] = field(default_factory=list)
+    constraints: list[Path] = field(default_factory=list)
+    tcl: list[Path] = field(default_factory=list)
+
+
+def component_files(path: Path) -> ComponentFiles:
+    """The files of synthesis; `HdlError` where one is missing, or another component is needed."""
+    root = component_root(path.read_bytes())
+    found = ComponentFiles()
+    sets = {_text(node, "name"): node for node in _all(root, "fileSet")}
+    for name in _synthesis(root):
+        if name not in sets:
+            continue
+        for node in _all(sets[name], "componentRef"):
+            other = next((value for key, value in node.attrib.items() if _local(key) == "name"), "another component")
+            what = f"needs other IP ({other}): make an instance of it in Vivado, and give its .xci"
+            raise HdlError(f"{path}: {what}")
+        for node in _all(sets[name], "file"):
+            _add(found, path, node)
+    return found
+
+
+def _synthesis(root: ElementTree.Element) -> list[str]:
+    """Names of the file sets of synthesis, each once; of a component in both languages those of Verilog."""
+    names: dict[str, None] = {}
+    kinds = [_text(view, "envIdentifier") for view in _all(root, "view")]
+    both = any(kind.startswith("verilogSource") and kind.endswith(":synthesis") for kind in kinds)
+    for view in _all(root, "view"):
+        kind = _text(view, "envIdentifier")
+        if both and kind.startswith("vhdlSource"):
+            continue
+        if kind.endswith((":synthesis", "synthesis.constraints")):
+            names |= dict.fromkeys(_text(ref, "localName") for ref in _all(view, "fileSetRef"))
+    return list(names)
+
+
+def _add(found: ComponentFiles, component: Path, node: ElementTree.Element) -> None:
+    path = component.parent / _text(node, "name")
+    kinds = [(child.text or "").strip() for child in node if _local(child.tag) in ("fileType", "userFileType")]
+    if not path.exists():
+        raise HdlError(f"{component}: lists {_text(node, 'name')}, which is not there")
+    if _text(node, "isIncludeFile") == "true":
+        if path.parent not in found.include_dirs:
+            found.include_dirs.append(path.parent)
+    elif any(kind.startswith(_SOURCES) for kind in kinds):
+        library = _text(node, "logicalName")
+        vhdl = any(kind.startswith("vhdl") for kind in kinds)
+        named = vhdl and library not in ("", "work", "xil_defaultlib")
+        (found.libraries.setdefault(library, []) if named else found.sources).append(path)
+    elif path.suffix == ".xci":
+        found.ip.append(path)
+    elif path.suffix == ".xdc" and not any(kind.startswith("USED_IN_implementation") for kind in kinds):
+        found.constraints.append(path)
+
+
+def _all(node: ElementTree.Element, name: str) -> Iterator[ElementTree.Element]:
+    return (child for child in node.iter() if _local(child.tag) == name)
+
+
+def _text(node: ElementTree.Element, name: str) -> str:
+    return next(((child.text or "").strip() for child in node if _local(child.tag) == name), "")
+
+
+def _local(tag: str) -> str:
+    return tag.rpartition("}")[2]
