@@ -37,7 +37,7 @@ def streams_of(project: Project, analysis: Analysis) -> dict[End, Stream]:
     for region, boundary in analysis.boundaries.items():
         for interface in boundary.interfaces:
             spec = project.regions[region].interfaces.get(interface.name, ConnectionSpec())
-            if interface.protocol == "axis" and spec.connect in (None, "dma"):
+            if interface.protocol == "axis" and spec.connect in (None, "dma", "vdma"):
                 name = spec.stream or f"{region}_{interface.name}"
                 found[region, interface.name] = Stream(name, spec.shape, spec.dtype)
     return found
