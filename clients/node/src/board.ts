@@ -16,6 +16,8 @@ export interface ConnectOptions {
   readonly keys?: Keys | string;
   /** Seconds that a request waits for its answer. Changes of mode wait for ever unless told otherwise. */
   readonly timeout?: number;
+  /** In whose name all is asked, by a bridge that may speak for it (docs/security.md, Bridges); no subscriptions then. */
+  readonly guest?: string;
 }
 
 export interface LoadOptions {
@@ -40,7 +42,7 @@ const PATIENCE = 5; // seconds for what is published; what comes later is not to
 /** Connect to a manager: `tcp://host[:port]`, a runtime folder, or this machine's. Nothing is sent yet. */
 export function connect(address?: string, options: ConnectOptions = {}): Board {
   const keys = typeof options.keys === "string" ? loadKeys(options.keys) : options.keys;
-  return new Board(endpoints(address), keys, options.timeout ?? 5);
+  return new Board(endpoints(address), keys, options.timeout ?? 5, options.guest);
 }
 
 /** A board, by way of its manager. Methods reject with RequestFailed, Timeout, ConnectionLost, BoardClosed. */
@@ -50,8 +52,8 @@ export class Board {
   readonly #leases = new Set<string>();
   readonly #open = new Set<{ close(): void }>();
 
-  constructor(endpoints: Endpoints, keys: Keys | undefined, readonly timeout: number) {
-    this.#link = new Link(endpoints, keys);
+  constructor(endpoints: Endpoints, keys: Keys | undefined, readonly timeout: number, guest = "") {
+    this.#link = new Link(endpoints, keys, guest);
     this.registers = new Registers(this);
   }
 

@@ -22,12 +22,18 @@ const EMPTY = Buffer.alloc(0);
 export class Link {
   readonly #socket: Dealer;
   readonly #pending = new Map<string, Pending>();
+  readonly #between: readonly (string | Buffer)[]; // the number of a request and its topic
   #last = 0;
   #up = false;
   #sending: Promise<unknown> = Promise.resolve();
   #ended: Error | undefined;
 
-  constructor(private readonly endpoints: Endpoints, private readonly keys: Keys | undefined) {
+  /** `guest`: in whose name a bridge asks. */
+  constructor(
+    private readonly endpoints: Endpoints, private readonly keys: Keys | undefined, private readonly guest = "",
+  ) {
+    if (guest.length > 64) throw new RangeError(`${guest}: a guest's name has at most 64 characters`);
+    this.#between = guest ? [`for=${guest}`, EMPTY] : [EMPTY];
     this.#socket = new Dealer({ linger: 0, receiveHighWaterMark: 0, ...curve(keys) });
     const { events } = this.#socket;
     events.on("handshake", () => { this.#up = true; });
@@ -52,7 +58,7 @@ export class Link {
       this.#pending.set(number, { resolve, reject, timer });
     });
     // one after the other: the socket takes one message at a time
-    this.#sending = this.#sending.then(() => this.#socket.send([number, EMPTY, topic, message, ...payload]))
+    this.#sending = this.#sending.then(() => this.#socket.send([number, ...this.#between, topic, message, ...payload]))
       .catch((error: unknown) => this.#take(number)?.reject(error as Error));
     return answer;
   }
@@ -60,6 +66,10 @@ export class Link {
   /** What is published on some topics, from when the manager knows of it on. */
   subscribe(topics: readonly string[], depth = 1000): Subscriber {
     if (this.#ended) throw this.#ended;
+    if (this.guest) {
+      throw new Error(`what is published is handed to the bridge, not to ${this.guest}: subscribe without a guest, ` +
+        "and hold back what is not for it");
+    }
     const socket = new Subscriber({ linger: 0, receiveHighWaterMark: depth, ...curve(this.keys) });
     socket.subscribe(...topics);
     socket.connect(this.endpoints.pub);
@@ -74,7 +84,8 @@ export class Link {
 
   async #receive(): Promise<void> {
     try {
-      for await (const [number, , , message, ...payload] of this.#socket) {
+      for await (const [number, ...frames] of this.#socket) {
+        const [, message, ...payload] = frames.slice(this.#between.length);
         const pending = this.#take(String(number));
         if (!pending || !message) continue;
         const reply = cm.Reply.decode(message);

@@ -10,7 +10,10 @@ before(async () => { await manager.start(); });
 after(async () => { await manager.stop(); });
 
 const LIMIT = { timeout: 100_000 }; // hung, on however busy a machine
-const WAYS = { ipc: () => connect(manager.runtime), curve: () => connect(manager.tcp, { keys: manager.keys }) };
+const WAYS = {
+  ipc: (guest = "") => connect(manager.runtime, { guest }),
+  curve: (guest = "") => connect(manager.tcp, { keys: manager.keys, guest }),
+};
 
 for (const [way, reach] of Object.entries(WAYS)) {
   describe(`over ${way}`, LIMIT, () => {
@@ -43,6 +46,19 @@ for (const [way, reach] of Object.entries(WAYS)) {
       await assert.rejects(board.registers.write({ focus: 99 }), (error: RequestFailed) => error.message.includes("focus"));
       await assert.rejects(board.registers.write({ focus: 2.5 }), RangeError);
       await assert.rejects(board.stream("camra").read(), (error: RequestFailed) => error.code === "unknown_stream");
+    });
+
+    test("a bridge asks in the name of a guest, and subscribes in its own", async () => {
+      const guest = reach("web:eve");
+      try {
+        // the settings give no guest a role; and over TCP not even the right to be spoken for
+        await assert.rejects(guest.status(), (error: RequestFailed) =>
+          error instanceof RequestFailed && error.code === "forbidden" && error.message.startsWith("web:eve through "));
+        assert.throws(() => guest.watch(), /handed to the bridge, not to web:eve/);
+        assert.throws(() => reach("x".repeat(65)), RangeError);
+      } finally {
+        guest.close();
+      }
     });
 
     test("the first frame after a write is the first that began after it", async () => {
