@@ -9,7 +9,6 @@ import select
 import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -21,16 +20,6 @@ from cm import child
 from cm.fleet.blocking import Fleet
 from cm.sim import Board as SimBoard
 
-ROUTER = """
-import sys, signal
-from cm.fleet.network import Network, session
-from pathlib import Path
-found = Network("router", listen=(sys.argv[1],), config=Path(sys.argv[2]) if len(sys.argv) > 2 else None)
-router = session(found)
-print("ready", flush=True)
-signal.pause()
-"""
-
 
 def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -40,25 +29,28 @@ def free_port() -> int:
 class Router:
     """zenoh's router in a process, which can be killed."""
 
-    def __init__(self, config: Path | None = None, scheme: str = "tcp") -> None:
-        self.endpoint = f"{scheme}/127.0.0.1:{free_port()}"
-        self._config = config
+    def __init__(self, config: Path | None = None, listen: bool = True) -> None:
+        """`listen`: at `endpoint`; else where the file says."""
+        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self._options = [
+            *(("--listen", self.endpoint) if listen else ()),
+            *(("--zenoh-config", config) if config else ()),
+        ]
         self._process: subprocess.Popen[bytes] | None = None
         self.start()
 
     def start(self) -> None:
-        words = [str(self._config)] if self._config else []
-        command = [sys.executable, "-c", ROUTER, self.endpoint, *words]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment())
-        assert self._process.stdout is not None
-        assert self._process.stdout.readline() == b"ready\n"
+        command = child.command("cm.cli.main", "fleet", "router", *map(str, self._options))
+        self._process = subprocess.Popen(command, stderr=subprocess.PIPE, env=environment())
+        assert self._process.stderr is not None
+        assert self._process.stderr.readline() == b"cm fleet router: ready\n"
 
     def kill(self) -> None:
         assert self._process is not None
-        assert self._process.stdout is not None
+        assert self._process.stderr is not None
         self._process.kill()
         self._process.wait()
-        self._process.stdout.close()
+        self._process.stderr.close()
 
 
 class Bridge:

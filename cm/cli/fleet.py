@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from cm.cli import fleet_change, fleet_look
+from cm.cli import fleet_change, fleet_keys, fleet_look
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -19,3 +19,4 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     fleet_look.add(actions)
     fleet_change.add(actions)
+    fleet_keys.add(actions)

@@ -28,6 +28,6 @@ VERBS = {
     "prepare": Verb("FleetStep", "operate"),
     "apply": Verb("FleetStep", "operate"),
     "decide": Verb("FleetStep", "operate"),
-    "settle": Verb("FleetStep", "observe"),
+    "settle": Verb("FleetStep", "operate"),
     "bundle": Verb("FetchBundle", "provision"),
 }

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``cm fleet keys`` and ``cm fleet router``: certificates of a fleet with the router's rules, and that router."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from pathlib import Path
+
+from cm.cli.common import print_table
+
+PORT = 7447
+
+
+def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add the actions."""
+    _add_router(actions)
+    keys = actions.add_parser("keys", help="make certificates, and the router's rules with them")
+    keys.add_argument("folder", type=Path, metavar="DIR", help="that holds the fleet's authority; keep it safe")
+    kinds = keys.add_subparsers(dest="kind", metavar="WHOSE", required=True)
+    router = kinds.add_parser("router", help="begin: the authority, and the router's file")
+    router.add_argument("--host", action="append", default=[], metavar="NAME", help="by which the router is reached")
+    router.add_argument("--port", type=int, default=PORT, help=f"({PORT})")
+    board = kinds.add_parser("board", help="a file for a board's bridge")
+    client = kinds.add_parser("client", help="a file for somebody who uses the fleet")
+    client.add_argument("--role", default="observe", help="observe, operate or provision (observe)")
+    client.add_argument("--boards", action="append", default=[], metavar="NAME", help="only these (default: all)")
+    cache = kinds.add_parser("cache", help="a file for a site's cache of bundles, which is called as the site is")
+    remove = kinds.add_parser("remove", help="take somebody's rights")
+    for parser in (board, client, cache, remove):
+        parser.add_argument("name", metavar="NAME")
+    for parser in (router, board, client, cache):
+        parser.add_argument("--days", type=int, default=825, metavar="N", help="that the certificate is good for (825)")
+    kinds.add_parser("list", help="who has a certificate")
+    keys.set_defaults(run=run)
+
+
+def _add_router(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    parser = actions.add_parser("router", help="run zenoh's router in this process, where there is no zenohd")
+    parser.add_argument("--listen", action="append", default=[], metavar="HOST:PORT", help=f"(0.0.0.0:{PORT})")
+    parser.add_argument("--connect", action="append", default=[], metavar="HOST:PORT", help="to another router")
+    parser.add_argument("--zenoh-config", type=Path, metavar="FILE", help="router.json5 of `cm fleet keys`")
+    parser.set_defaults(run=run_router)
+
+
+def run_router(args: argparse.Namespace) -> int:
+    """Route until interrupted; the exit status."""
+    from cm.fleet.network import Network, endpoint, session
+
+    listen = tuple(map(endpoint, args.listen))
+    if not listen and args.zenoh_config is None:
+        listen = (endpoint("0.0.0.0"),)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: sys.exit(0))
+    connect = tuple(map(endpoint, args.connect))
+    with session(Network("router", connect, listen, args.zenoh_config, patient=True)):
+        print("cm fleet router: ready", file=sys.stderr, flush=True)
+        while True:
+            signal.pause()
+
+
+def run(args: argparse.Namespace) -> int:
+    """Make, remove or list; the exit status."""
+    from cm.fleet.security.folder import KeyFolder
+    from cm.fleet.security.rules import ALL_BOARDS, Member
+
+    keys = KeyFolder(args.folder)
+    if args.kind == "list":
+        rows = [(m.name, m.kind, m.role if m.kind == "client" else "", _boards(m)) for m in keys.members()]
+        print_table(rows, ("NAME", "KIND", "ROLE", "BOARDS"))
+        return 0
+    if args.kind == "remove":
+        keys.remove(args.name)
+        print(f"{args.name} has no rights any more, once the router is started anew with {args.folder}/router.json5")
+        return 0
+    if args.kind == "router":
+        path = keys.create(tuple(args.host), args.port, args.days)
+        print(f"{path}: for the router (`zenohd -c {path.name}`, or `cm fleet router --zenoh-config {path.name}`)")
+        return 0
+    client = args.kind == "client"
+    boards = tuple(args.boards) if client and args.boards else ALL_BOARDS
+    member = Member(args.name, args.kind, args.role if client else "observe", boards)
+    path = keys.add(member, args.days)
+    option = "cm bridge zenoh" if args.kind == "board" else "cm fleet cache" if args.kind == "cache" else "cm fleet …"
+    print(f"{path}: for `{option} --zenoh-config {path.name}`; whoever has this file is {args.name}")
+    if client and args.role != "observe":
+        print(f'cm.yaml of the boards: access.guests: {{"zenoh:{args.name}": {args.role}}}')
+    print(f"the router takes its new rules from {args.folder}/router.json5 when it is started anew")
+    return 0
+
+
+def _boards(member: object) -> str:
+    boards = getattr(member, "boards", ())
+    return "" if getattr(member, "kind", "") != "client" else "all" if boards == ("*",) else " ".join(boards)

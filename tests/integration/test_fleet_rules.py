@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fleet behind a router with certificates and rules: who may do what, as the router and the manager see it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fleet_support import FleetBoard, Router, fleet_board, free_port
+from manager_process import until
+
+import cm.fleet
+from cm.fleet.network import NoNetwork
+from cm.fleet.security.folder import KeyFolder
+from cm.fleet.security.rules import Member
+from cm.messages.fleet import BoardStatus
+from cm.messages.status import ErrorInfo, RegValues
+
+
+class Closed:
+    """A fleet with keys: one board, and clients' files by their names."""
+
+    def __init__(self, keys: KeyFolder, board: FleetBoard) -> None:
+        self.keys = keys
+        self.board = board
+
+    def connected(self, name: str, caller: str = "") -> cm.fleet.Fleet:
+        found = cm.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=3.0)
+        until(found.boards, 60.0)
+        return found
+
+
+@pytest.fixture(scope="module")
+def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Closed]:
+    keys, port = KeyFolder(tmp_path_factory.mktemp("fleet") / "keys"), free_port()
+    keys.create(("127.0.0.1",), port, 30)
+    for member in (
+        Member("b1", "board"),
+        Member("anna", "client", "operate"),
+        Member("olga", "client"),
+        Member("nina", "client", "operate", ("b1",)),
+        Member("omar", "client", "operate", ("b2",)),
+    ):
+        keys.add(member, 30)
+    router = Router(keys.folder / "router.json5", listen=False)
+    bridge = ("--zenoh-config", str(keys.folder / "b1.json5"))
+    guests = '{"zenoh:anna": operate, "zenoh:nina": observe}'
+    with fleet_board("b1", bridge, guests=guests) as board:
+        yield Closed(keys, board)
+    router.kill()
+
+
+def error_of(found: dict[str, RegValues | ErrorInfo]) -> ErrorInfo:
+    error = found["b1"]
+    assert isinstance(error, ErrorInfo), error
+    return error
+
+
+def test_who_operates_changes_modes_and_registers_by_the_name_in_its_certificate(closed: Closed) -> None:
+    with closed.connected("anna") as fleet:
+        assert fleet.caller == "anna"
+        fleet.mode("edge_detection")
+        assert isinstance(fleet.write({"led": 1})["b1"], RegValues)
+        fleet.mode("default")
+
+
+def test_who_observes_sees_everything_and_the_router_drops_its_commands(closed: Closed) -> None:
+    with closed.connected("olga") as fleet:
+        assert isinstance(fleet.status()["b1"], BoardStatus)
+        assert "rules keep us from it" in error_of(fleet.write({"led": 2})).message
+        with fleet.watch() as statuses:
+            assert next(statuses)[0] == "b1"
+
+
+def test_nobody_speaks_in_the_name_of_another(closed: Closed) -> None:
+    with closed.connected("olga", caller="anna") as fleet:
+        assert error_of(fleet.write({"led": 3})).code == "no_answer"
+
+
+def test_what_the_router_lets_through_the_managers_policy_may_still_refuse(closed: Closed) -> None:
+    with closed.connected("nina") as fleet:
+        error = error_of(fleet.write({"led": 2}))
+        assert (error.code, "zenoh:nina" in error.message) == ("forbidden", True)
+
+
+def test_who_may_see_one_board_asks_for_all_and_sees_that_one(closed: Closed) -> None:
+    """A query for all is dropped: rules match by inclusion. The client asks by name then."""
+    with closed.connected("nina") as fleet:
+        assert isinstance(fleet.status()["b1"], BoardStatus)
+    with closed.connected("omar") as fleet:
+        found = fleet.status()["b1"]
+        assert isinstance(found, ErrorInfo)
+        assert found.code == "no_answer"
+
+
+def test_without_a_certificate_of_the_fleet_nobody_connects(closed: Closed, tmp_path: Path) -> None:
+    other = KeyFolder(tmp_path / "other")
+    other.create(("127.0.0.1",), port_of(closed), 30)
+    other.add(Member("anna", "client", "operate"), 30)
+    with pytest.raises(NoNetwork):
+        cm.fleet.connect(config=other.folder / "anna.json5", timeout=1.0)
+
+
+def port_of(closed: Closed) -> int:
+    said = json.loads((closed.keys.folder / "members.json").read_text())["router"]
+    return int(said.rpartition(":")[2])
