@@ -28,6 +28,9 @@ export _PYTHON_SYSCONFIGDATA_NAME=_sysconfigdata__aarch64-linux-gnu
 export PYTHONPATH={tools}/modules:{root}:$PYTHONPATH PYTHONDONTWRITEBYTECODE=1
 exec /usr/bin/python3 "$@"
 """
+BUILD = """#!/bin/sh
+exec nativepython3 -m build "$@"
+"""
 # Debian's Python installs below dist-packages, and is of another version than that of the series.
 SITE = """import os, sysconfig
 folder = os.environ.get("CM_PYTHON_DIR")
@@ -79,7 +82,7 @@ def tools_of_the_host(tools: Path, core: Path) -> None:
     patch = ["patch", "-s", "-p2", "-d", str(tools / "modules"), "-i", str(core / INSTALLER)]
     subprocess.run(patch, check=True)
     (tools / "modules/sitecustomize.py").write_text(SITE)
-    scripts = {"nativepython3": PYTHON.format(tools=tools, root=ROOT), **USERS}
+    scripts = {"nativepython3": PYTHON.format(tools=tools, root=ROOT), "pyproject-build": BUILD, **USERS}
     for name, text in scripts.items():
         (tools / name).write_text(text)
         (tools / name).chmod(0o755)

@@ -1,8 +1,8 @@
 #!/bin/sh
 # SPDX-License-Identifier: Apache-2.0
 #
-# The layer before BitBake itself, offline: all its recipes parsed, the environment of each made, and on scarthgap every
-# recipe that makes packages taken through packaging and its checks, for arm64, with Debian's tools (stubs/).
+# The layer before BitBake itself, offline: all its recipes parsed, the environment of each made, and every recipe
+# that makes packages taken through packaging and its checks, for arm64, with Debian's tools (stubs/).
 #
 #   OECORE=DIR tests/bitbake/run.sh [scarthgap|wrynose]…
 #   CHECK_LAYER=1                     yocto-check-layer too, more than a quarter of an hour
@@ -77,6 +77,7 @@ configure() { # series
 # what BitBake would have built before our recipes; a copy of the package, for a check that runs on the builder
 prepare() { # series
 	echo "preparing Debian's headers and tools"
+	rm -rf "$work/prepared"
 	"${PYTHON:-python3}" tests/bitbake/prepare.py "$work/prepared" "$work/$1/oe-core" || skip "what packaging needs cannot be had here"
 	mkdir -p "$work/stubs/recipes/camera/files"
 	cp "$work/prepared/camera.tar.gz" "$work/stubs/recipes/camera/files/"
@@ -108,6 +109,19 @@ package() { # series: all our recipes into packages, checked by package_qa
 	grep "^WARNING" "$work/log" | sort -u || true
 }
 
+without_systemd() { # series: the script of an older init, and what it takes
+	sed -i 's/^INIT_MANAGER = .*/INIT_MANAGER = "sysvinit"/' "$work/$1/build/conf/local.conf"
+	if in_build "$1" "bitbake -e python3-fpga-cm" >"$work/log" 2>&1 &&
+		grep -q '^RDEPENDS:python3-fpga-cm=".* util-linux-setpriv' "$work/log"; then
+		echo "good: python3-fpga-cm, for an image without systemd"
+	else
+		echo "FAILED: python3-fpga-cm, for an image without systemd"
+		grep -E "^(ERROR:|RDEPENDS:python3-fpga-cm=)" "$work/log" || tail -20 "$work/log"
+		status=1
+	fi
+	sed -i 's/^INIT_MANAGER = .*/INIT_MANAGER = "systemd"/' "$work/$1/build/conf/local.conf"
+}
+
 check_layer() { # series
 	echo "yocto-check-layer"
 	layers="--dependency ../oe-core/meta ../meta-oe/meta-oe ../meta-oe/meta-python --no-auto-dependency"
@@ -137,8 +151,9 @@ for series; do
 			status=1
 		fi
 	done
+	without_systemd "$series"
 	[ -z "${CHECK_LAYER:-}" ] || check_layer "$series"
-	if [ "$series" = scarthgap ] && [ -z "${CHECK_LAYER:-}" ]; then
+	if [ -z "${CHECK_LAYER:-}" ]; then
 		prepare "$series"
 		package "$series"
 	fi
