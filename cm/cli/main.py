@@ -20,6 +20,7 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
+_PACKAGES = {"data": "sim", "demo": "sim", "rtl": "sim", "dds": "bridge", "fleet": "bridge", "ros": "bridge"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -51,8 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _absent(part: str) -> str:
-    """Distributions split the package; the simulated board brings more than the folder of its name."""
-    name = "sim" if part in ("data", "demo", "rtl") else part
+    """Distributions split the package; the simulated board and the bridges are more than the folder of their name."""
+    name = _PACKAGES.get(part, part)
     return f"cm.{part} is not installed here: on Debian it is in fpga-cm-{name}, on Yocto in python3-fpga-cm-{name}"
 
 

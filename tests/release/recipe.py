@@ -28,7 +28,8 @@ SPLIT = {
     "zipfile": "compression",
 }  # fmt: skip
 OTHERS = {
-    "_cffi_backend": "python3-cffi", "aiohttp": "python3-aiohttp", "fastjsonschema": "python3-fastjsonschema",
+    "_cffi_backend": "python3-cffi", "aiohttp": "python3-aiohttp", "cffi": "python3-cffi",
+    "fastjsonschema": "python3-fastjsonschema",
     "google": "python3-protobuf", "jinja2": "python3-jinja2", "numpy": "python3-numpy", "yaml": "python3-pyyaml",
     "zmq": "python3-pyzmq",
 }  # fmt: skip
@@ -56,8 +57,8 @@ def depends(values: dict[str, str], suffix: str) -> set[str]:
 
 
 def packages(text: str) -> set[str]:
-    """Names in a list of dependencies, without their versions."""
-    return set(re.sub(r"\([^)]*\)", "", text).split())
+    """Names in a list of dependencies, without their versions, and without those that hang on the image."""
+    return set(re.sub(r"\$\{@[^}]*\}|\([^)]*\)", "", text).split())
 
 
 def files_of(recipe: Path) -> dict[str, list[str]]:

@@ -21,7 +21,7 @@ MAIN = LAYER / f"recipes-cm/fpga-cm/python3-fpga-cm_{__version__}.bb"
 OELINT = shutil.which("oelint-adv", path=f"{Path(sys.executable).parent}:{os.environ['PATH']}") or ""
 KAS = str(Path(OELINT).with_name("kas")) if OELINT else ""
 SERIES = ("scarthgap", "wrynose")
-SUFFIXES = ("", "-client", "-sim", "-build", "-bench", "-web")
+SUFFIXES = ("", "-client", "-sim", "-build", "-bench", "-web", "-bridge")
 
 
 # The project has no public home yet that they could name, and overlays and modules have no native variant.

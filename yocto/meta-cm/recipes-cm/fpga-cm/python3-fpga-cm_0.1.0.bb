@@ -15,7 +15,7 @@ S = "${UNPACKDIR}/fpga_cm-${PV}"
 
 inherit python_setuptools_build_meta ptest systemd update-rc.d useradd
 
-PACKAGE_BEFORE_PN = "${PN}-client ${PN}-sim ${PN}-build ${PN}-bench ${PN}-web ${PN}-udev"
+PACKAGE_BEFORE_PN = "${PN}-client ${PN}-sim ${PN}-build ${PN}-bench ${PN}-web ${PN}-bridge ${PN}-udev"
 
 SYSTEMD_SERVICE:${PN} = "cm.service"
 INITSCRIPT_NAME = "cm"
@@ -53,6 +53,7 @@ FILES:${PN}-client += "${bindir}/cm ${PYTHON_SITEPACKAGES_DIR}/*.dist-info ${CM}
                        ${CM}/cli ${CM}/client ${CM}/messages ${CM}/native ${CM}/view ${CM}/wire"
 FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/rtl ${CM}/sim"
 FILES:${PN}-web += "${CM}/web"
+FILES:${PN}-bridge += "${CM}/bridge ${CM}/dds ${CM}/fleet ${CM}/ros"
 FILES:${PN}-build += "${CM}/build"
 FILES:${PN}-bench += "${CM}/bench"
 FILES:${PN}-udev += "${nonarch_base_libdir}/udev ${nonarch_base_libdir}/modprobe.d"
@@ -86,13 +87,15 @@ CM_NEEDS_DAEMON = "python3-compression \
                    python3-resource \
                    python3-threading \
                    python3-xml"
+# the script of an older init gives the manager its user and its one capability by setpriv
+CM_NEEDS_INIT = "${@bb.utils.contains('DISTRO_FEATURES', 'systemd', '', 'util-linux-setpriv', d)}"
 RDEPENDS:${PN}-client:append:class-target = " ${CM_NEEDS_CLIENT}"
-RDEPENDS:${PN}:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) ${CM_NEEDS_DAEMON}"
-RDEPENDS:${PN}:append:class-target = "${@bb.utils.contains('DISTRO_FEATURES', 'systemd', '', ' util-linux-setpriv', d)}"
+RDEPENDS:${PN}:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) ${CM_NEEDS_DAEMON} ${CM_NEEDS_INIT}"
 RDEPENDS:${PN}-sim:append:class-target = " ${PN} (= ${EXTENDPKGV})"
 RDEPENDS:${PN}-build:append:class-target = " ${PN}-sim (= ${EXTENDPKGV}) python3-jinja2"
 RDEPENDS:${PN}-bench:append:class-target = " ${PN}-sim (= ${EXTENDPKGV})"
 RDEPENDS:${PN}-web:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) python3-aiohttp python3-netclient"
+RDEPENDS:${PN}-bridge:append:class-target = " ${PN}-client (= ${EXTENDPKGV}) python3-ctypes"
 RDEPENDS:${PN}-ptest += "${PN}-sim python3-pytest python3-unittest-automake-output"
 RRECOMMENDS:${PN}-sim:append:class-target = " python3-pillow"
 RRECOMMENDS:${PN}-web:append:class-target = " python3-pillow"
