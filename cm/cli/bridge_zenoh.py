@@ -7,13 +7,16 @@ import argparse
 import asyncio
 import contextlib
 import logging
+import shlex
 import signal
+import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.common import add_connection_options
 from cm.cli.fleet_options import add_network_options, network_of
+from cm.errors import CmError
 
 if TYPE_CHECKING:
     from cm.fleet.bridge.bundles import Import
@@ -38,6 +41,7 @@ def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser.add_argument(
         "--import-to", type=Path, metavar="DIR", help="take bundles of the fleet, and unpack them below this folder"
     )
+    parser.add_argument("--after-import", default="", metavar="COMMAND", help="run then, such as 'systemctl reload cm'")
     parser.add_argument("--settings", type=Path, metavar="FILE", help="whose policy of signatures counts for bundles")
     parser.add_argument(
         "--own-name",
@@ -87,11 +91,11 @@ def _options(args: argparse.Namespace) -> Options:
         tuple(args.label),
         names.check(args.site, "site") if args.site else "",
         args.own_name,
-        _importer(args.import_to, args.settings) if args.import_to else None,
+        _importer(args.import_to, args.settings, args.after_import) if args.import_to else None,
     )
 
 
-def _importer(out: Path, settings: Path | None) -> Import:
+def _importer(out: Path, settings: Path | None, after: str) -> Import:
     """What ``cm import archive`` does, under the same policy."""
 
     def take(archive: Path) -> tuple[str, str]:
@@ -107,7 +111,18 @@ def _importer(out: Path, settings: Path | None) -> Import:
         def asked(folder: Path, name: str, installed: Path) -> None:
             found.append(judge(folder, name, policy, installed))
 
+        out.mkdir(parents=True, exist_ok=True)
         done = unpack(archive, out, said.imports.keep, asked)
+        if after:
+            _run(after)
         return done.config.name, found[-1].signer or ""
 
     return take
+
+
+def _run(command: str) -> None:
+    """What the administrator wants done after an import. Raises CmError: the configuration is there all the same."""
+    done = subprocess.run(shlex.split(command), capture_output=True, text=True, check=False, timeout=60)
+    if done.returncode:
+        said = (done.stderr or done.stdout).strip()[:200]
+        raise CmError(f"it is unpacked, but {command!r} ended with status {done.returncode}: {said}")

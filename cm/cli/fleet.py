@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from cm.cli import fleet_change, fleet_keys, fleet_look
+from cm.cli import fleet_change, fleet_keys, fleet_look, fleet_send
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -19,4 +19,5 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     fleet_look.add(actions)
     fleet_change.add(actions)
+    fleet_send.add(actions)
     fleet_keys.add(actions)

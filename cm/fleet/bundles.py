@@ -6,7 +6,9 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +21,7 @@ from cm.messages.fleet import FetchBundle
 PART = 1 << 20  # bytes
 _TIMEOUT = 20.0  # seconds for a part
 _ORIGIN = "origin"
+_AT_ONCE = 8  # parts that a cache fetches or hands out at once
 
 
 class PartMissing(CmError):
@@ -66,6 +69,65 @@ def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callab
     finally:
         queryable.undeclare()
         os.close(handle)
+
+
+class Cache:
+    """A site's copy of archives: parts go once over the way to it, however many of its boards ask.
+
+    `fetched` and `handed` count bytes.
+    """
+
+    def __init__(self, session: Any, site: str, folder: Path) -> None:
+        self._session = session
+        self._folder = folder
+        self._threads = ThreadPoolExecutor(_AT_ONCE, "cm-cache")
+        self._locks: dict[str, threading.Lock] = {}
+        self._guard = threading.Lock()
+        self.fetched = 0
+        self.handed = 0
+        self._queryable = session.declare_queryable(part_key(site, "*", "*"), self._came, complete=True)
+
+    def close(self) -> None:
+        """Hand out nothing more."""
+        self._queryable.undeclare()
+        self._threads.shutdown(cancel_futures=True)
+
+    def _came(self, query: Any) -> None:
+        """In zenoh's thread, which must not wait for another query."""
+        self._threads.submit(self._answer, query)
+
+    def _answer(self, query: Any) -> None:
+        with query:
+            sha256, part = str(query.key_expr).split("/")[-2:]
+            if not (is_sha256(sha256) and is_sha256(part)):
+                return
+            data = self._part(sha256, part)
+            if data is not None:
+                query.reply(str(query.key_expr), data)
+                with self._guard:
+                    self.handed += len(data)
+
+    def _part(self, sha256: str, part: str) -> bytes | None:
+        """Who asks for a part that is on its way already waits for it."""
+        parts = Parts(self._folder / sha256)
+        with self._guard:
+            lock = self._locks.setdefault(part, threading.Lock())
+        with lock:
+            data = parts.get(part)
+            if data is None:
+                data = asked(self._session, part_key(_ORIGIN, sha256, part), part)
+                if data is not None:
+                    parts.put(part, data)
+                    with self._guard:
+                        self.fetched += len(data)
+        with self._guard:
+            self._locks.pop(part, None)
+        return data
+
+
+def is_sha256(text: str) -> bool:
+    """Whether a text can be one: it becomes a file's name."""
+    return len(text) == 64 and set(text) <= set("0123456789abcdef")
 
 
 def asked(session: Any, key: str, sha256: str) -> bytes | None:
