@@ -9,6 +9,7 @@ from typing import Any
 from cm.build.boundary.analyse import Analysis
 from cm.build.boundary.model import Adaptation, Boundary, Fit, Role
 from cm.build.hdl.model import Mode, ModuleInfo
+from cm.build.plan import flow
 from cm.build.plan.engines import EngineKind
 from cm.build.plan.system import RegionPlan, StreamBus, System
 from cm.build.project.model import Project
@@ -105,6 +106,8 @@ def lines(project: Project, analysis: Analysis, system: System | None) -> Iterat
         yield f"{system.cover}"
         for number, run in enumerate(system.runs, 1):
             yield f"  run_{number}: " + ", ".join(f"{region}: {module}" for region, module in run.items())
+        for one in flow.shelled(system):
+            yield f"  {one.module.name}: in the abstract shell of {one.region.name}"
         for note in system.notes:
             yield f"note: {note}"
     if analysis.broken:

@@ -10,13 +10,15 @@ from cm.cli.build_configure import add_configure_parser
 from cm.cli.build_generate import add_check_parser, add_generate_parser
 from cm.cli.build_init import add_init_parser
 from cm.cli.build_interfaces import add_interfaces_parser
+from cm.cli.build_pack import add_pack_parsers
 from cm.cli.build_partition import add_partition_parser
 from cm.cli.build_run import add_run_parser
 
 _DESCRIPTION = """\
 The build tool. `init` begins a build schema, `check` says what is found in the HDL, `generate` writes everything that
-the vendor's tools and the target need, `configure` asks what only you can know, `run` runs the flow, `collect` packs
-what it made for the target. Most take the build schema's name; the default is build.yaml."""
+the vendor's tools and the target need, `configure` asks what only you can know, `run` runs the flow (`pack` and
+`unpack`: on another host), `collect` packs what it made for the target. Most take the build schema's name; the default
+is build.yaml."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -29,5 +31,6 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_generate_parser(actions)
     add_configure_parser(actions)
     add_run_parser(actions)
+    add_pack_parsers(actions)
     add_collect_parser(actions)
     add_partition_parser(actions)

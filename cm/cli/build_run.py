@@ -31,6 +31,8 @@ def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     add_out_option(parser)
     parser.add_argument("--vivado", metavar="PATH", help="the program or its folder (default: XILINX_VIVADO, PATH)")
     parser.add_argument("-j", "--jobs", type=int, default=2, metavar="N", help="steps at once (default: 2)")
+    more = "only what this module's bitstream needs (may be repeated)"
+    parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)
     parser.add_argument("--dry-run", action="store_true", help="list the steps and which would run")
     add_json_option(parser)
     parser.set_defaults(run=run_run)
@@ -40,7 +42,7 @@ def run_run(args: argparse.Namespace) -> int:
     """Run or list the steps."""
     project = load_project(args.schema)
     out = output_folder(project, args.out)
-    planned = Flow(out).plan()
+    planned = Flow(out).plan(args.module)
     stale = _stale(args.schema, out)
     if args.dry_run:
         _print_plan(planned, stale, args.json)
@@ -48,7 +50,7 @@ def run_run(args: argparse.Namespace) -> int:
     if stale:
         raise BuildError(stale)
     vivado = find_vivado(args.vivado, os.environ, project.vivado)
-    planned = run_flow(out, vivado, max(1, args.jobs), (lambda _: None) if args.json else _tell)
+    planned = run_flow(out, vivado, max(1, args.jobs), (lambda _: None) if args.json else _tell, args.module)
     if args.json:
         print_json({"ran": [entry.step.name for entry in planned if entry.state is not State.DONE]})
     return 0

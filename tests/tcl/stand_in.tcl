@@ -153,10 +153,53 @@ proc vivado::validate_bd_design {given plain} {
 }
 
 # -- netlist
-proc vivado::synth_design {given plain} { dict set ::vivado opened 1 }
-proc vivado::open_checkpoint {given plain} { readable $plain; dict set ::vivado opened 1 }
-proc vivado::read_checkpoint {given plain} { readable $plain; opened read_checkpoint }
-proc vivado::write_checkpoint {given plain} { opened write_checkpoint; written [lindex $plain 0] }
+# A checkpoint says what it is: `full` (a whole design), `module` (out of context) or `shell CELL`, then the cells that
+# hold a module. What is compared or written has to be of the right kind (UG909).
+proc vivado::synth_design {given plain} { design [expr {[dict exists $given -mode] ? "module" : "full"}] {} }
+proc design {kind filled} { dict set ::vivado opened 1; dict set ::vivado kind $kind; dict set ::vivado filled $filled }
+proc checkpoint {path} {
+    set file [open $path]
+    set said [string trim [read $file]]
+    close $file
+    if {[llength $said] != 2} { refuse "$path is no checkpoint" }
+    return $said
+}
+proc vivado::open_checkpoint {given plain} { readable $plain; design {*}[checkpoint [lindex $plain 0]] }
+proc vivado::read_checkpoint {given plain} {
+    readable $plain
+    opened read_checkpoint
+    set cell [dict get $given -cell]
+    if {[lindex [checkpoint [lindex $plain 0]] 0] ne "module"} { refuse "[lindex $plain 0] is no module synthesised out of context" }
+    in_reach read_checkpoint $cell
+    dict lappend ::vivado filled $cell
+}
+# In an abstract shell there is one cell to work on.
+proc in_reach {name cell} {
+    set kind [state kind]
+    if {[lindex $kind 0] eq "shell" && [lindex $kind 1] ne $cell} { refuse "'$name': $cell is not in the abstract shell of [lindex $kind 1]" }
+}
+proc vivado::update_design {given plain} {
+    opened update_design
+    set cell [dict get $given -cells]
+    in_reach update_design $cell
+    set filled [lsearch -all -inline -not -exact [state filled] $cell]
+    dict set ::vivado filled [expr {[dict exists $given -black_box] ? $filled : [list {*}$filled $cell]}]
+}
+proc vivado::write_checkpoint {given plain} { opened write_checkpoint; written [lindex $plain 0]; keep [lindex $plain 0] [state kind] [state filled] }
+proc keep {path kind filled} {
+    set file [open $path w]
+    puts $file [list $kind $filled]
+    close $file
+}
+proc vivado::write_abstract_shell {given plain} {
+    opened write_abstract_shell
+    set cell [dict get $given -cell]
+    if {[state kind] ne "full"} { refuse "write_abstract_shell needs a fully implemented design" }
+    if {$cell ni [state filled]} { refuse "write_abstract_shell: $cell holds no reconfigurable module" }
+    keep [lindex $plain 0] [list shell $cell] {}
+    # what is in memory is the shell from now on: nothing may count on more
+    design [list shell $cell] {}
+}
 proc opened {name} { if {![state opened]} { refuse "No open design. Please open one before $name." } }
 proc vivado::get_cells {given plain} { return cell:[lindex $plain 0] }
 proc vivado::get_pins {given plain} { return pin:all }
@@ -172,8 +215,25 @@ proc vivado::get_pblocks {given plain} { return [lmap name $plain {if {$name ni 
 proc vivado::resize_pblock {given plain} { typed resize_pblock [lindex $plain 0] pblock }
 proc vivado::add_cells_to_pblock {given plain} { typed add_cells_to_pblock [lindex $plain 0] pblock; typed add_cells_to_pblock [lindex $plain 1] cell }
 proc vivado::lock_design {given plain} { opened lock_design }
-proc vivado::pr_verify {given plain} { readable [list [dict get $given -initial] {*}[dict get $given -additional]] }
-proc vivado::write_bitstream {given plain} { opened write_bitstream; written [lindex $plain 0] }
+proc vivado::pr_verify {given plain} {
+    readable [list [dict get $given -initial] {*}[dict get $given -additional]]
+    lassign [checkpoint [dict get $given -initial]] kind
+    foreach path [dict get $given -additional] {
+        lassign [checkpoint $path] other filled
+        if {$other ne $kind} { refuse "pr_verify: [dict get $given -initial] ($kind) and $path ($other) are not of one kind" }
+        if {![llength $filled]} { refuse "pr_verify: $path holds no module" }
+    }
+}
+proc vivado::write_bitstream {given plain} {
+    opened write_bitstream
+    if {[state kind] eq "module"} { refuse "write_bitstream: a module by itself has no static design around it" }
+    if {[dict exists $given -cell]} {
+        if {[dict get $given -cell] ni [state filled]} { refuse "write_bitstream: [dict get $given -cell] holds no module" }
+    } elseif {[state kind] ne "full"} {
+        refuse "write_bitstream: an abstract shell gives partial bitstreams only, -cell is needed"
+    }
+    written [lindex $plain 0]
+}
 proc vivado::write_cfgmem {given plain} { readable [list [lindex [dict get $given -loadbit] 2]]; written [lindex $plain 0] }
 proc vivado::write_hw_platform {given plain} {
     if {[info exists ::env(CM_NO_XSA)]} { refuse "Command failed: write_hw_platform" }

@@ -103,11 +103,23 @@ def _tcl(system: System, out: Path) -> Iterator[Output]:
         yield Output(f"tcl/step_bitstreams_{run.name}.tcl", "step_bitstreams.tcl.j2", _bitstreams(system, run))
     further = [f"checkpoints/{run.name}.dcp" for run in runs[1:]]
     yield Output("tcl/step_verify.tcl", "step_verify.tcl.j2", {"initial": runs[0].name, "further": further})
+    if project.static.abstract_shells:
+        yield from _shells(system)
     steps = flow.steps(system)
     needed = {name for step in steps for name in step.after}
     last = [step for step in steps if step.name not in needed]
     yield Output("Makefile", "Makefile.j2", {"steps": steps, "last": last})
     yield Output("steps.json", "json.j2", {"text": _steps_json(steps)})
+
+
+def _shells(system: System) -> Iterator[Output]:
+    """Abstract shells, and modules in them."""
+    for region in system.regions:
+        context = {"region": region, "initial": flow.runs(system)[0].name}
+        yield Output(f"tcl/step_shell_{region.name}.tcl", "step_shell.tcl.j2", context)
+    for one in flow.shelled(system):
+        module = {"name": one.name, "region": one.region, "properties": _properties(system)}
+        yield Output(f"tcl/step_module_{one.name}.tcl", "step_module.tcl.j2", module)
 
 
 def _steps_json(steps: tuple[flow.Step, ...]) -> str:
@@ -121,17 +133,20 @@ def _repositories(system: System) -> list[Path]:
 
 def _bitstreams(system: System, run: flow.Run) -> dict[str, Any]:
     full = system.project.name if run.number == 1 else None
-    spec = system.project.bitstream
-    properties = [("BITSTREAM.GENERAL.COMPRESS", str(spec.compress).upper()), ("BITSTREAM.GENERAL.CRC", "ENABLE")]
-    if spec.frame_crc:
-        properties.append(("BITSTREAM.GENERAL.PERFRAMECRC", "YES"))
     return {
         "run": run.name,
         "full": full,
         "partials": [(one.region.cell, one.name) for one in run.partials],
         "names": [one.name for one in run.partials],
-        "properties": properties,
+        "properties": _properties(system),
     }
+
+
+def _properties(system: System) -> list[tuple[str, str]]:
+    """How bitstreams are written."""
+    spec = system.project.bitstream
+    found = [("BITSTREAM.GENERAL.COMPRESS", str(spec.compress).upper()), ("BITSTREAM.GENERAL.CRC", "ENABLE")]
+    return [*found, ("BITSTREAM.GENERAL.PERFRAMECRC", "YES")] if spec.frame_crc else found
 
 
 def _floorplan(system: System) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from cm.build.plan.system import Implementation, System
@@ -53,6 +54,26 @@ def runs(system: System) -> tuple[Run, ...]:
     return tuple(found)
 
 
+def shelled(system: System) -> tuple[Implementation, ...]:
+    """The modules that are placed and routed in abstract shells: those that are not in the first run."""
+    if not system.project.static.abstract_shells:
+        return ()
+    first = set(runs(system)[0].modules.items())
+    return tuple(one for one in system.implementations if (one.region.name, one.name) not in first)
+
+
+def needed(steps: tuple[Step, ...], wanted: Iterable[str]) -> set[str]:
+    """Names of steps with all that come before them."""
+    by_name, found = {step.name: step for step in steps}, set[str]()
+    left = list(wanted)
+    while left:
+        name = left.pop()
+        if name not in found:
+            found.add(name)
+            left.extend(by_name[name].after)
+    return found
+
+
 def steps(system: System) -> tuple[Step, ...]:
     """All steps, each after those it needs."""
     planned = runs(system)
@@ -71,7 +92,21 @@ def steps(system: System) -> tuple[Step, ...]:
     found.append(Step("verify", "comparison of all runs", tuple(run.name for run in planned), ()))
     for run in planned:
         names = [one.name for one in run.partials] + [system.project.name] * (run.number == 1)
-        outputs = [f"bitstreams/{name}.{kind}" for name in names for kind in ("bit", "bin")]
+        outputs = [f"bitstreams/{one.name}.{kind}" for one in run.partials for kind in ("bit", "bin")]
+        outputs += [f"bitstreams/{system.project.name}.bit"] * (run.number == 1)
         title = f"bitstreams of {', '.join(names) or 'nothing new'}"
         found.append(Step(f"bitstreams_{run.name}", title, ("verify", run.name), tuple(outputs)))
+    if system.project.static.abstract_shells:
+        found += _shell_steps(system, planned[0].name)
     return tuple(found)
+
+
+def _shell_steps(system: System, first: str) -> Iterator[Step]:
+    """A shell of each region, then each module in its region's, to its bitstream."""
+    for region in system.regions:
+        outputs = tuple(f"checkpoints/shell_{region.name}.{kind}" for kind in ("dcp", "id"))
+        yield Step(f"shell_{region.name}", f"abstract shell of {region.name}", (first,), outputs)
+    for one in shelled(system):
+        outputs = (f"checkpoints/module_{one.name}.dcp", *(f"bitstreams/{one.name}.{kind}" for kind in ("bit", "bin")))
+        title = f"{one.module.name} in the abstract shell of {one.region.name}"
+        yield Step(f"module_{one.name}", title, (f"shell_{one.region.name}", f"synth_{one.name}"), outputs)

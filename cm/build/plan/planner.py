@@ -14,6 +14,7 @@ from cm.build.plan.addresses import CONTROL_SIZE, Allocator
 from cm.build.plan.cover import Cover, cover
 from cm.build.plan.engines import Dma
 from cm.build.plan.frames import check_frames
+from cm.build.plan.shells import check_shells, first_run
 from cm.build.plan.streams import place, stream_bus
 from cm.build.plan.switch import check_switched, own_streams, plan_switch, switch_width
 from cm.build.plan.system import (
@@ -76,6 +77,7 @@ class _Planner:
         project = self._project
         main = next(iter(project.clocks))
         self._check_coherence()
+        check_shells(project, self._platform)
         control = self._addresses.control(main)
         icap = self._icap(main)
         self._width = switch_width(project, _switched(project, boundaries))
@@ -248,6 +250,8 @@ class _Planner:
 
     def _cover(self) -> Cover:
         project = self._project
+        if project.static.abstract_shells:
+            return first_run(project)
         regions = {name: [module.name for module in project.modules_of(name)] for name in project.regions}
         modes = [mode.modules for mode in project.modes.values()]
         first = project.modes[project.default_mode].modules

@@ -179,6 +179,7 @@ class _Builder:
             registers=registers(spec),
             coherent=bool(spec.get("coherent")),
             revision=str(spec.get("revision", "")),
+            abstract_shells=bool(spec.get("abstract_shells")),
         )
 
     def _libraries(self, spec: dict[str, Any], where: KeyPath) -> dict[str, tuple[Path, ...]]:

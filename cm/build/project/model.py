@@ -208,6 +208,7 @@ class StaticSpec:
     registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
     coherent: bool = False
     revision: str = ""  # goes into the identity
+    abstract_shells: bool = False  # modules beyond the first run are implemented without the static design
 
 
 @dataclass(frozen=True, slots=True)

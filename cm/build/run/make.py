@@ -8,7 +8,7 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -54,16 +54,17 @@ class _Progress:
             self.failed = [*(self.failed or []), name]
 
 
-def run_flow(folder: Path, vivado: Vivado, jobs: int, tell: Tell) -> list[Planned]:
+def run_flow(folder: Path, vivado: Vivado, jobs: int, tell: Tell, modules: Sequence[str] = ()) -> list[Planned]:
     """Run what has to be run below `folder`, at most `jobs` steps at once; returns what was planned.
 
+    With `modules` only what leads to their bitstreams.
     Raises `StepFailed` with an excerpt of the log. Started again, it goes on where it ended.
     """
     make = shutil.which("make")
     if make is None:
         raise MissingTool("the flow is run by make, which is not installed")
     flow = Flow(folder)
-    planned = flow.plan()
+    planned = flow.plan(modules)
     todo = [entry for entry in planned if entry.state is not State.DONE]
     if not todo:
         tell("nothing to do: all steps are done and their inputs unchanged")
@@ -71,7 +72,8 @@ def run_flow(folder: Path, vivado: Vivado, jobs: int, tell: Tell) -> list[Planne
     flow.forget(planned)
     progress = _Progress(flow, tell, len(todo))
     tell(f"{vivado}, {len(todo)} of {len(planned)} steps to run, {jobs} at once")
-    status = _make([make, f"-j{jobs}", "--no-print-directory", f"VIVADO={vivado.path}"], folder, progress)
+    targets = [f"stamps/{name}.done" for name in flow.ends_of(modules)] if modules else []
+    status = _make([make, f"-j{jobs}", "--no-print-directory", f"VIVADO={vivado.path}", *targets], folder, progress)
     if progress.failed:
         raise StepFailed("\n".join(_failure(folder, name) for name in progress.failed))
     if status:

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 
 from cm.build.errors import BuildError
-from cm.build.plan.flow import Step
+from cm.build.plan.flow import Step, needed
 
 
 class State(str, Enum):
@@ -45,12 +46,28 @@ class Flow:
             for entry in data["steps"]
         )
 
-    def plan(self) -> list[Planned]:
-        """All steps in order, each with its state; the same answer that make would come to."""
+    def plan(self, modules: Sequence[str] = ()) -> list[Planned]:
+        """The steps in order, each with its state; the same answer that make would come to.
+
+        With `modules` only those that their bitstreams need.
+        """
         states: dict[str, State] = {}
+        wanted = needed(self.steps, self.ends_of(modules) if modules else [step.name for step in self.steps])
         for step in self.steps:
-            states[step.name] = self._state(step, states)
-        return [Planned(step, states[step.name]) for step in self.steps]
+            if step.name in wanted:
+                states[step.name] = self._state(step, states)
+        return [Planned(step, states[step.name]) for step in self.steps if step.name in wanted]
+
+    def ends_of(self, modules: Sequence[str]) -> list[str]:
+        """The steps that give modules' bitstreams; BuildError where no step gives one's."""
+        found = []
+        for name in modules:
+            ends = [step.name for step in self.steps if f"bitstreams/{name}.bin" in step.outputs]
+            if not ends:
+                known = {Path(path).stem for step in self.steps for path in step.outputs if path.endswith(".bin")}
+                raise BuildError(f"no step gives a bitstream of {name!r}; there are {', '.join(sorted(known))}")
+            found += ends
+        return found
 
     def unfinished(self) -> list[Planned]:
         """The steps that have to run before the bitstreams are those of one flow; none where it ran elsewhere."""

@@ -54,6 +54,26 @@ proc cm_begin {step} {
     file mkdir checkpoints reports bitstreams
 }
 
+# What a step needs that not every supported version has.
+proc cm_at_least {oldest what} {
+    if {[package vcompare [lindex [split [version -short] _] 0] $oldest] < 0} {
+        error "$what need Vivado $oldest or newer, this is [version -short]"
+    }
+}
+
+# A word that a step leaves for another, in a file.
+proc cm_write {path word} {
+    set file [open $path w]
+    puts $file $word
+    close $file
+}
+proc cm_read {path} {
+    set file [open [cm_file "word of a step before" $path]]
+    set word [string trim [read $file]]
+    close $file
+    return $word
+}
+
 # The rate of a clock of the processing system, as Vivado has computed it from the dividers.
 proc cm_rate {pin wanted} {
     set rate [get_property CONFIG.FREQ_HZ [get_bd_pins $pin]]
