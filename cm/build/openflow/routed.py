@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What nextpnr routed: which ways belong to the design, and which only to the harness behind the anchors."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cm.build.openflow.netlists import ANCHOR, HARNESS
+from cm.xray import Database, Feature
+
+Pip = tuple[str, str]  # name in nextpnr (X85Y13/DESTINATION/SOURCE), name of the wire it drives
+
+
+@dataclass(frozen=True)
+class Routed:
+    """The dump of `inside/dump.py`; `inputs` are the anchors (by number) whose input side this run has."""
+
+    cells: Mapping[str, tuple[str, str]]  # name → type, place
+    nets: Mapping[str, Mapping[str, Any]]
+    inputs: frozenset[int]
+
+    def place(self, last: str) -> str:
+        """The place of the cell whose name ends in `last`."""
+        return next(place for name, (_, place) in self.cells.items() if _last(name) == last)
+
+    def own(self, cell: str) -> bool:
+        """Whether a way to this cell belongs to the design."""
+        last = _last(cell)
+        if last.startswith(HARNESS):
+            return False
+        return not last.startswith(ANCHOR) or int(last.removeprefix(ANCHOR)) in self.inputs
+
+    def pips(self) -> tuple[frozenset[Pip], frozenset[Pip]]:
+        """The pips that the design needs, and those that only the harness needs."""
+        kept: set[Pip] = set()
+        every: set[Pip] = set()
+        for net in self.nets.values():
+            wires = net["wires"]
+            every |= {(way[0], wire) for wire, way in wires.items() if way}
+            if _last(net["driver"]).startswith(HARNESS):
+                continue
+            for cell, _, sink in net["users"]:
+                if self.own(cell):
+                    kept |= set(_way(wires, sink))
+        return frozenset(kept), frozenset(every - kept)
+
+
+def read_routed(path: Path, inputs: frozenset[int]) -> Routed:
+    """Read a dump. Raises OSError, ValueError."""
+    found = json.loads(path.read_text(encoding="utf-8"))
+    return Routed({name: (kind, place) for name, (kind, place) in found["cells"].items()}, found["nets"], inputs)
+
+
+def feature_of(database: Database, pip: str) -> Feature | None:
+    """The feature of a pip by nextpnr's name; None for pips inside sites, which have none of that form."""
+    place, _, rest = pip.partition("/")
+    destination, _, source = rest.partition("/")
+    tile = tile_of(database, place)
+    if tile is None or "." in destination or "." in source:
+        return None
+    return Feature(tile, f"{destination}.{source.partition('/')[0]}")
+
+
+def tile_of(database: Database, place: str) -> str | None:
+    """The tile at ``X85Y13``."""
+    x, _, y = place[1:].partition("Y")
+    found = database.tile_at.get((int(x), int(y)))
+    return found.name if found else None
+
+
+def _way(wires: Mapping[str, Any], sink: str) -> Iterator[Pip]:
+    while (way := wires.get(sink)) is not None:
+        yield way[0], sink
+        sink = way[1]
+
+
+def _last(name: str) -> str:
+    return name.rpartition(".")[2]
