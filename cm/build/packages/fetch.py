@@ -10,16 +10,14 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import MappingProxyType
 
 from cm.build.packages.apt import KEYRING, Apt, own_mirror, run
 from cm.build.packages.apt import PackagesUnavailable as PackagesUnavailable
-from cm.build.packages.tree import PackageTree
+from cm.build.packages.tree import MANIFEST, PackageTree
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9+.-]*(?:=[A-Za-z0-9.+:~-]+)?")
-_MANIFEST = "packages.json"
 SUITE = "sid"  # nextpnr and prjxray are in no release yet
 
 
@@ -54,10 +52,10 @@ def fetch(
     place.mkdir(parents=True, exist_ok=True)
     root = place / f"{suite}-{_digest(wanted)}"
     with _locked(place / ".lock"):
-        if not (root / _MANIFEST).is_file():
+        if not (root / MANIFEST).is_file():
             apt = Apt(place / f".apt-{suite}", mirror or own_mirror(), suite, keyring)
             _make(apt, wanted, root)
-    return PackageTree(root, _versions(root))
+    return PackageTree.at(root)
 
 
 def _digest(names: Sequence[str]) -> str:
@@ -76,7 +74,7 @@ def _make(apt: Apt, names: list[str], root: Path) -> None:
         raise PackagesUnavailable(f"apt-get fetched no package for {', '.join(names)}; is {apt.mirror} a folder here?")
     found = [_unpack(file, aside) for file in files]
     shutil.rmtree(archives)
-    (aside / _MANIFEST).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    (aside / MANIFEST).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     os.sync()  # hundreds of files: one call, before the name says that they are whole
     aside.rename(root)
 
@@ -86,11 +84,6 @@ def _unpack(file: Path, root: Path) -> dict[str, str]:
     name, version = run(["dpkg-deb", "--show", "--showformat=${Package} ${Version}", str(file)]).split()
     run(["dpkg-deb", "--extract", str(file), str(root)])
     return {"package": name, "version": version, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
-
-
-def _versions(root: Path) -> Mapping[str, str]:
-    found = json.loads((root / _MANIFEST).read_text(encoding="utf-8"))
-    return MappingProxyType({item["package"]: item["version"] for item in found})
 
 
 @contextlib.contextmanager

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
+MANIFEST = "packages.json"
 _LIBRARIES = ("usr/lib", "lib")
 _PROGRAMS = ("usr/bin", "usr/sbin", "bin")
 
@@ -17,6 +20,12 @@ class PackageTree:
 
     root: Path
     versions: Mapping[str, str]
+
+    @classmethod
+    def at(cls, root: Path) -> PackageTree:
+        """Return the tree that lies whole at `root`, with what its manifest says. Raises OSError, ValueError."""
+        found = json.loads((root / MANIFEST).read_text(encoding="utf-8"))
+        return cls(root, MappingProxyType({item["package"]: item["version"] for item in found}))
 
     def path(self, inside: str) -> Path:
         """Return the path of a file of the tree, such as ``usr/share/prjxray``. Raises FileNotFoundError."""
@@ -35,18 +44,18 @@ class PackageTree:
         found = next((path for folder in _PROGRAMS if (path := self.root / folder / program).is_file()), None)
         if found is None:
             raise FileNotFoundError(f"program {program} is not in the packages below {self.root}")
-        loader = self._loader()
+        loader = self.loader()
         if loader is None:
             return [str(found), *arguments]
-        libraries = ":".join(map(str, self._libraries()))
+        libraries = ":".join(map(str, self.libraries()))
         return [str(loader), "--library-path", libraries, str(found), *arguments]
 
-    def _loader(self) -> Path | None:
-        """The dynamic loader of the tree's C library; None for a tree without one."""
+    def loader(self) -> Path | None:
+        """Return the dynamic loader of the tree's C library; None for a tree without one."""
         found = sorted(path for folder in _LIBRARIES for path in (self.root / folder).glob("*/ld-linux*.so.*"))
         return found[0] if found else None
 
-    def _libraries(self) -> list[Path]:
-        """The folders of shared libraries: those of the architecture first."""
+    def libraries(self) -> list[Path]:
+        """Return the folders of shared libraries: those of the architecture first."""
         folders = [self.root / folder for folder in _LIBRARIES]
         return [*(path for folder in folders for path in sorted(folder.glob("*-linux-gnu*"))), *folders]
