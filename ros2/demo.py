@@ -22,14 +22,11 @@ from PIL import Image
 
 import cm
 from cm import child
+from cm.dds.local import loopback
 from cm.testing.served import Served
 
 PATIENCE = 120.0  # seconds, on a loaded machine
 MODES = ("default", "edge_detection", "colorise")
-LOOPBACK = """<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>
-<AllowMulticast>false</AllowMulticast><MaxMessageSize>65500B</MaxMessageSize><FragmentSize>65000B</FragmentSize></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
 
 
 class Timeline:
@@ -70,7 +67,7 @@ class Peer:
 def bridge(runtime: Path, domain: int) -> Iterator[None]:
     """`cm bridge dds`, ready."""
     words = child.command("cm.cli.main", "bridge", "dds", "--runtime-dir", str(runtime), "--domain", str(domain))
-    process = subprocess.Popen(words, stderr=subprocess.PIPE, env={**child.environment(), "CYCLONEDDS_URI": LOOPBACK})
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, env={**child.environment(), "CYCLONEDDS_URI": loopback()})
     assert process.stderr is not None
     try:
         while b"cm bridge: /" not in (line := process.stderr.readline()):

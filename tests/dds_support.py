@@ -19,6 +19,7 @@ from cyclonedds.sub import DataReader
 
 from cm import child
 from cm.dds.graph import gid
+from cm.dds.local import loopback
 from cm.dds.qos import qos
 from cm.dds.transport import DdsTransport
 from cm.ros import cdr
@@ -27,11 +28,6 @@ from cm.ros.transport import SERVICES, Qos
 from cm.ros.typehash import type_hash
 
 PATIENCE = 60.0
-LOOPBACK = """<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>
-<AllowMulticast>false</AllowMulticast><MaxMessageSize>65500B</MaxMessageSize><FragmentSize>65000B</FragmentSize></General>
-<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>
-<Peers><Peer address="127.0.0.1"/></Peers></Discovery>
-<Internal><Watermarks><WhcHigh>16MB</WhcHigh></Watermarks></Internal></Domain></CycloneDDS>"""
 
 
 def domain() -> int:
@@ -43,7 +39,7 @@ class Bridge:
     """`cm bridge dds` as a process."""
 
     def __init__(self, runtime: Path, *arguments: str) -> None:
-        environment = {**child.environment(), "CYCLONEDDS_URI": LOOPBACK, "ROS_DOMAIN_ID": str(domain())}
+        environment = {**child.environment(), "CYCLONEDDS_URI": loopback(), "ROS_DOMAIN_ID": str(domain())}
         words = child.command("cm.cli.main", "bridge", "dds", "--runtime-dir", str(runtime), *arguments)
         self.process = subprocess.Popen(words, stderr=subprocess.PIPE, env=environment)
         assert self.process.stderr is not None
@@ -65,7 +61,7 @@ class Peer:
     """A node of ours on the other side."""
 
     def __init__(self) -> None:
-        os.environ["CYCLONEDDS_URI"] = LOOPBACK
+        os.environ["CYCLONEDDS_URI"] = loopback()
         self.transport = DdsTransport(NodeName("peer"), domain())
         self.participant = self.transport._participant
 

@@ -31,8 +31,8 @@ config:
   modes:
     loopback: {{modules: [loopback]}}
   streams:
-    to_pl: {{direction: mm2s, region: prr0, shape: [{size}], slots: 1}}
-    from_pl: {{direction: s2mm, region: prr0, shape: [{size}], slots: 1, backpressure: true}}
+    to_pl: {{direction: mm2s, region: prr0, shape: [{shape}], slots: 1}}
+    from_pl: {{direction: s2mm, region: prr0, shape: [{shape}], slots: 1, backpressure: true}}
 """
 
 
@@ -54,7 +54,7 @@ def echoed(bench: Run, size: int) -> Iterator[Batch]:
 def looped(bench: Run, size: int) -> Iterator[Batch]:
     """Round trips PS–PL–PS of `size` bytes on a simulated board; after each batch the last frame is looked at."""
     with ExitStack() as stack:
-        board = stack.enter_context(stack.enter_context(_serving(bench, size)).connect())
+        board = stack.enter_context(stack.enter_context(serving(bench, size)).connect())
         settle(board)
         writer = stack.enter_context(board.writer("to_pl", depth=1))
         reader = stack.enter_context(board.stream("from_pl", depth=1))
@@ -66,7 +66,7 @@ def looped_over_tcp(bench: Run, size: int) -> Iterator[Batch]:
     """The same for a client elsewhere: frames to the manager and back over ZeroMQ and TCP, as copies."""
     with ExitStack() as stack:
         address = f"tcp://127.0.0.1:{free_ports(3)}"
-        stack.enter_context(_serving(bench, size, "--listen", address, "--insecure"))
+        stack.enter_context(serving(bench, size, "--listen", address, "--insecure"))
         board = stack.enter_context(Board(address, timeout=PATIENCE))
         settle(board)
         reader = stack.enter_context(board.stream("from_pl", timeout=PATIENCE))
@@ -82,9 +82,10 @@ def looped_over_tcp(bench: Run, size: int) -> Iterator[Batch]:
         yield timed(trip)
 
 
-def _serving(bench: Run, size: int, *arguments: str) -> AbstractContextManager[Served]:
+def serving(bench: Run, size: int, *arguments: str, picture: bool = False) -> AbstractContextManager[Served]:
+    """A manager in the loop's only mode; frames are of one axis, or a `picture` of one row."""
     schema = bench.place("l") / "loop.yaml"
-    schema.write_text(SCHEMA.format(size=size), encoding="utf-8")
+    schema.write_text(SCHEMA.format(shape=f"1, {size}" if picture else size), encoding="utf-8")
     return serve(bench, "--config", str(schema), "--load", "loop/loopback", *arguments)
 
 

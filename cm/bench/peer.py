@@ -36,6 +36,7 @@ KINDS = {
     "iceoryx2": Kind("cm.bench.peers.iceoryx2_events", "iceoryx2"),
     "zenoh": Kind("cm.bench.peers.zenoh_shm", "zenoh"),
     "cyclonedds": Kind("cm.bench.peers.cyclonedds_echo", "cyclonedds"),
+    "dds_pictures": Kind("cm.bench.peers.dds_pictures", "cyclonedds"),
 }
 
 
@@ -88,11 +89,11 @@ class Peer:
         )
         try:
             self._await_ready(kind)
-            self._near = module.near(folder, size)
+            self.near = module.near(folder, size)
         except BaseException:
             self._end()
             raise
-        self.trip = self._near.trip
+        self.trip = self.near.trip
 
     @property
     def pid(self) -> int:
@@ -118,7 +119,7 @@ class Peer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._near.close()
+        self.near.close()
         self._end()
 
 

@@ -38,6 +38,7 @@ CASES = (
     Case("sync", ("frame_sync",)),
     Case("advisor", ("advisor",)),
     Case("rtl", ("rtl_frames", "rtl_frames_wide", "rtl_registers")),
+    Case("ros2", ("ros2_publish", "ros2_trip")),
     Case("fig4", ("fig4",)),
     Case("fig5", ("fig5",)),
 )

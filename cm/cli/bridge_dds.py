@@ -33,6 +33,9 @@ def add_dds_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     parser.add_argument("--namespace", default="/", help="the node's namespace, such as /kria (/)")
     parser.add_argument("--domain", type=int, metavar="N", help="the DDS domain (default: $ROS_DOMAIN_ID, or 0)")
     parser.add_argument("--guest", default="", metavar="NAME", help="in whose name requests reach the manager")
+    parser.add_argument(
+        "--best-effort", action="store_true", help="hear publishers of best effort too; what is lost of them stays lost"
+    )
     parser.add_argument("--settings", action="store_true", help="print the settings of Cyclone DDS that lose no frames")
     parser.set_defaults(run=run)
 
@@ -79,12 +82,13 @@ def _serve(args: argparse.Namespace, transport: object, name: NodeName) -> None:
     from cm.bridge.follower import Follower
     from cm.client.board import connect
     from cm.ros.node import BoardNode
+    from cm.ros.transport import EVENTS, SENSOR_DATA
 
     def connected(guest: str = "") -> Board:
         return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys, guest=guest)
 
     commands = Commands(connected)
-    node = BoardNode(transport, name, commands, args.guest)  # type: ignore[arg-type]
+    node = BoardNode(transport, name, commands, args.guest, SENSOR_DATA if args.best_effort else EVENTS)  # type: ignore[arg-type]
     follower = Follower(connected, node)
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):

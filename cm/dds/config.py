@@ -11,7 +11,7 @@ _LOG = logging.getLogger("cm.dds")
 SHIPPED = Path(__file__).with_name("cyclonedds.xml")
 _BUFFER = "/proc/sys/net/core/rmem_max"
 _WANTED = 4_000_000  # bytes, as the shipped file has it
-_MINIMUM = '<SocketReceiveBufferSize min="4MB"/>'
+MINIMUM = '<SocketReceiveBufferSize min="4MB"/>'
 
 
 def uri() -> str:
@@ -19,14 +19,19 @@ def uri() -> str:
     given = os.environ.get("CYCLONEDDS_URI")
     if given is not None:
         return given
-    if _allowed() >= _WANTED:
+    if lets_buffers_be_large():
         return SHIPPED.as_uri()
     _LOG.warning(
         "frames of some MiB may be lost: the kernel allows a receive buffer of %d bytes; sysctl -w "
         "net.core.rmem_max=4194304 lets it be large enough", _allowed(),
     )  # fmt: skip
     text = SHIPPED.read_text("utf-8")
-    return text[text.index("<CycloneDDS") :].replace(_MINIMUM, "")
+    return text[text.index("<CycloneDDS") :].replace(MINIMUM, "")
+
+
+def lets_buffers_be_large() -> bool:
+    """Whether the kernel allows a receive buffer that holds a frame of some MiB."""
+    return _allowed() >= _WANTED
 
 
 def _allowed() -> int:

@@ -18,7 +18,7 @@ from cm.ros.action import ChangeModeServer
 from cm.ros.parameters import Parameters
 from cm.ros.services import Services
 from cm.ros.streams import Streams
-from cm.ros.transport import EVENTS, LATCHED, Transport
+from cm.ros.transport import EVENTS, LATCHED, Qos, Transport
 
 _LOOK = 0.25  # seconds between two looks who listens to streams
 _DIAGNOSTICS = 1.0  # seconds between two diagnostics
@@ -49,7 +49,10 @@ class NodeName:
 class BoardNode:
     """A sink of `cm.bridge.follower`. `look` is called a few times a second, by the thread that made it."""
 
-    def __init__(self, transport: Transport, name: NodeName, commands: Commands, guest: str = "") -> None:
+    def __init__(
+        self, transport: Transport, name: NodeName, commands: Commands, guest: str = "", inputs: Qos = EVENTS
+    ) -> None:
+        """`inputs`: of the topics that are written to the hardware; those that offer less are not heard."""
         self._transport = transport
         self._own = name.full
         self._lock = threading.Lock()
@@ -59,7 +62,7 @@ class BoardNode:
         self._problem = ""
         self._next = 0.0
         self._parameters = Parameters(commands, self._own, guest)
-        self._streams = Streams(transport, self._own, commands, Caller(guest))
+        self._streams = Streams(transport, self._own, commands, Caller(guest), inputs)
         self._open_topics()
         for base, (kind, answer) in {**Services(commands, guest).all(), **self._parameters.all()}.items():
             transport.service(f"{self._own}/{base}", kind, answer)

@@ -15,7 +15,7 @@ from cm.bridge.records import Caller, ConfigRecord, FrameRecord, StreamFormat
 from cm.client.board import Board
 from cm.errors import CmError
 from cm.ros import messages
-from cm.ros.transport import IMAGES, SENSOR_DATA, Closing, Publisher, Transport
+from cm.ros.transport import IMAGES, Closing, Publisher, Qos, Transport
 from cm.schema.pictures import misfit
 
 _LOG = logging.getLogger("cm.ros")
@@ -62,7 +62,7 @@ class WritableStream:
     """``NAME/write``, images for a stream of pictures; ``NAME/write_data`` for others."""
 
     def __init__(
-        self, transport: Transport, base: str, stream: StreamFormat, commands: Commands, caller: Caller
+        self, transport: Transport, base: str, stream: StreamFormat, commands: Commands, caller: Caller, inputs: Qos
     ) -> None:
         self._stream = stream
         self._commands = commands
@@ -71,7 +71,7 @@ class WritableStream:
         kind, topic = (
             ("sensor_msgs/msg/Image", "write") if stream.encoding else ("cm_interfaces/msg/Data", "write_data")
         )
-        self._subscription: Closing = transport.subscription(f"{base}/{topic}", kind, SENSOR_DATA, self._take)
+        self._subscription: Closing = transport.subscription(f"{base}/{topic}", kind, inputs, self._take)
 
     def look(self) -> None:
         """Nothing runs but when something comes."""
@@ -118,11 +118,12 @@ class WritableStream:
 class Streams:
     """Those of the mode that runs."""
 
-    def __init__(self, transport: Transport, base: str, commands: Commands, caller: Caller) -> None:
+    def __init__(self, transport: Transport, base: str, commands: Commands, caller: Caller, inputs: Qos) -> None:
         self._transport = transport
         self._base = base
         self._commands = commands
         self._caller = caller
+        self._inputs = inputs
         self._open: dict[str, tuple[Any, ReadableStream | WritableStream]] = {}
 
     def take(self, record: ConfigRecord, board: Board) -> None:
@@ -137,7 +138,7 @@ class Streams:
     def _made(self, stream: StreamFormat, board: Board) -> ReadableStream | WritableStream:
         base = f"{self._base}/{stream.name.replace('-', '_')}"
         if stream.writes:
-            return WritableStream(self._transport, base, stream, self._commands, self._caller)
+            return WritableStream(self._transport, base, stream, self._commands, self._caller, self._inputs)
         return ReadableStream(self._transport, base, stream, board)
 
     def look(self) -> None:

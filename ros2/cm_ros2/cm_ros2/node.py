@@ -14,6 +14,7 @@ from cm.bridge.commands import Commands
 from cm.bridge.follower import Follower
 from cm.client.board import Board, connect
 from cm.ros.node import BoardNode, NodeName
+from cm.ros.transport import EVENTS, SENSOR_DATA, Qos
 from cm_ros2.transport import RclpyTransport
 
 _THREADS = 12  # of which some wait for changes of mode
@@ -30,6 +31,7 @@ class BoardLifecycle(LifecycleNode):
         self.declare_parameter("connect", "")
         self.declare_parameter("keys", "")
         self.declare_parameter("guest", "")
+        self.declare_parameter("best_effort", False)
         self.declare_parameter("autostart", True)
         self._transport: RclpyTransport | None = None
         self._board: BoardNode | None = None
@@ -46,7 +48,7 @@ class BoardLifecycle(LifecycleNode):
         self._transport = RclpyTransport(self)
         self._commands = Commands(self._connected)
         name = NodeName(self.get_name(), self.get_namespace())
-        self._board = BoardNode(self._transport, name, self._commands, self.text("guest"))
+        self._board = BoardNode(self._transport, name, self._commands, self.text("guest"), self._inputs())
         return super().on_configure(state)
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
@@ -79,6 +81,9 @@ class BoardLifecycle(LifecycleNode):
         """As at shutdown, when the process ends."""
         self._stop()
         self._close()
+
+    def _inputs(self) -> Qos:
+        return SENSOR_DATA if self.get_parameter("best_effort").value else EVENTS
 
     def _connected(self, guest: str = "") -> Board:
         return connect(self.text("connect") or None, keys=self.text("keys") or None, guest=guest)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The paper's experiment with ROS 2: images to the accelerator and back over DDS, and what the wrapper adds."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import numpy as np
+
+from cm import child
+from cm.bench.loop import WrongFrame, serving
+from cm.bench.peer import Peer, Unavailable, load
+from cm.bench.result import Goal, Result, unavailable
+from cm.bench.rounds import Batch, Samples, interleave
+from cm.bench.run import IMAGES, Run
+from cm.bench.serving import PATIENCE, settle
+from cm.client.board import Board
+from cm.errors import CmError
+
+GOALS = {"ros2_publish": Goal(1.0), "ros2_trip": None}
+RAN = {
+    "ros2_publish": (
+        "sensor_msgs/Image of 3.96 MiB one way, from a DMA slot of the simulated board to a subscriber in another "
+        "process, by the bridge's publisher; baseline: a plain publisher in Python with two copies, of the same slots"
+    ),
+    "ros2_trip": (
+        "1000 sensor_msgs/Image of each of three sizes from a subscriber in another process to the simulated "
+        "accelerator and back, through cm bridge dds; baseline: a plain echo in Python over the same DDS, with no board"
+    ),
+}
+
+
+def run(bench: Run) -> list[Result]:
+    """Measure `ros2_*`."""
+    try:
+        load("dds_pictures")
+    except Unavailable as why:
+        return [unavailable(name, "µs", ran, str(why), GOALS[name]) for name, ran in RAN.items()]
+    sizes = sorted(IMAGES)[1:2] if bench.quick else sorted(IMAGES)
+    one_way = {size: _one_way(bench, size) for size in sizes}
+    trips = {size: _trips(bench, size) for size in sizes}
+    return [_result("ros2_publish", one_way), _result("ros2_trip", trips)]
+
+
+def _result(name: str, found: dict[int, tuple[dict[str, Samples], dict[str, Any]]]) -> Result:
+    """Of the middle image; the others stand in the details."""
+    middle = sorted(found)[len(found) // 2]
+    ours, plain = found[middle][0]["ours"], found[middle][0]["plain"]
+    series = [
+        {
+            "bytes": size, "ours": s["ours"].plain(), "plain": s["plain"].plain(), "ratio": s["ours"].over(s["plain"]),
+            **more,
+        }
+        for size, (s, more) in found.items()
+    ]  # fmt: skip
+    return Result(
+        name, ours.median, "µs", RAN[name], plain.median, ours.over(plain), GOALS[name], details={"sizes": series}
+    )
+
+
+# ---- one way ------------------------------------------------------------------------------
+
+
+def _one_way(bench: Run, size: int) -> tuple[dict[str, Samples], dict[str, Any]]:
+    with ExitStack() as stack:
+        peer = stack.enter_context(Peer("dds_pictures", bench.place("d"), size))
+        board = stack.enter_context(stack.enter_context(serving(bench, size)).connect())
+        settle(board)
+        writer = stack.enter_context(board.writer("to_pl", depth=1))
+        reader = stack.enter_context(board.stream("from_pl", depth=1))
+        with writer.slot() as slot:
+            slot[...] = np.random.default_rng(1).integers(0, 256, slot.shape, np.uint8)
+        reader.read().release()
+        near: Any = peer.near
+
+        def batch(publish: Any) -> Batch:
+            def trips(count: int) -> tuple[float, ...]:
+                found = []
+                for _ in range(count):
+                    with writer.slot():
+                        pass  # what lies in the slot goes again: the frame that comes was written just now
+                    frame = reader.read()
+                    found.append(publish(frame))
+                    frame.release()
+                return tuple(found)
+
+            return trips
+
+        samples = interleave({"ours": batch(near.ours), "plain": batch(near.plain)}, bench.plan(50))
+        return samples, {"copies": near.copies}
+
+
+# ---- there and back -----------------------------------------------------------------------
+
+
+def _trips(bench: Run, size: int) -> tuple[dict[str, Samples], dict[str, Any]]:
+    from cm.bench.peers import dds_pictures as dds
+
+    with ExitStack() as stack:
+        folder = bench.place("d")
+        stack.enter_context(Peer("dds_pictures", folder, size))
+        served = stack.enter_context(serving(bench, size, picture=True))
+        number = dds.domain(folder)
+        stack.enter_context(_bridging(served.runtime_dir, number))
+        participant = dds.join(number)
+        stack.callback(participant.__del__)
+        ends = {
+            "plain": (dds.writer(participant, dds.THERE), dds.Incoming(participant, dds.BACK)),
+            "ours": (
+                dds.writer(participant, "rt/cm/to_pl/write"),
+                dds.Incoming(participant, "rt/cm/from_pl/image_raw"),
+            ),
+        }
+        _await_ends(ends.values())
+        trips = {name: _Trip(dds, size, *pair) for name, pair in ends.items()}
+        _await_stream(stack.enter_context(served.connect()))
+        for trip in trips.values():
+            trip.warm()
+        return interleave({name: trip.batch for name, trip in trips.items()}, bench.plan(50)), {}
+
+
+@contextmanager
+def _bridging(runtime: Any, number: int) -> Iterator[None]:
+    """`cm bridge dds`, ready."""
+    from cm.dds.local import loopback
+
+    words = child.command("cm.cli.main", "bridge", "dds", "--runtime-dir", str(runtime), "--domain", str(number))
+    environment = {**child.environment(), "CYCLONEDDS_URI": loopback()}
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, env=environment)
+    assert process.stderr is not None
+    try:
+        while b"cm bridge: /" not in (line := process.stderr.readline()):
+            if not line:
+                raise CmError("cm bridge dds did not start")
+        yield
+    finally:
+        process.terminate()
+        process.communicate()
+
+
+def _await_ends(ends: Any) -> None:
+    """Until each is known on the other side."""
+    end = time.monotonic() + PATIENCE
+    for writer, incoming in ends:
+        reader = incoming.readers[0][0]
+        while not (
+            writer.get_publication_matched_status().current_count
+            and reader.get_subscription_matched_status().current_count
+        ):
+            if time.monotonic() > end:
+                raise CmError("DDS found no peer on this machine's loopback")
+            time.sleep(0.01)
+
+
+class _Trip:
+    """Pictures there and back; each is another, and has to come back as it was."""
+
+    def __init__(self, dds: Any, size: int, writer: Any, incoming: Any) -> None:
+        self._plain = dds.Plain(writer)
+        self._incoming = incoming
+        self._pixels = np.random.default_rng(2).integers(0, 256, size, np.uint8)
+
+    def warm(self) -> None:
+        """That we are known to one side does not say that we are to the other: what came before is lost."""
+        for _ in range(60):
+            if self._sent_and_taken(1.0):
+                while self._incoming.take(1.0) is not None:
+                    pass  # of those before
+                return
+        raise CmError("no picture comes back over DDS")
+
+    def batch(self, count: int) -> tuple[float, ...]:
+        """Durations in µs. Raises WrongFrame."""
+        found = []
+        for _ in range(count):
+            self._pixels[:8] = np.frombuffer(os.urandom(8), np.uint8)
+            began = time.monotonic_ns()
+            came = self._sent_and_taken(PATIENCE)
+            found.append((time.monotonic_ns() - began) / 1e3)
+            if came is None or came.find(self._pixels[:8].tobytes(), 0, 256) < 0:
+                raise WrongFrame("the picture that came back over DDS is not the one that was sent")
+        return tuple(found)
+
+    def _sent_and_taken(self, seconds: float) -> bytes | None:
+        self._plain.write(self._pixels, time.time_ns())
+        came = self._incoming.take(seconds)
+        return None if came is None else came[1]
+
+
+def _await_stream(board: Board) -> None:
+    """The bridge reads a stream from when it has seen its subscriber."""
+    end = time.monotonic() + PATIENCE
+    while not next(stream for stream in board.status.streams if stream.name == "from_pl").open:
+        if time.monotonic() > end:
+            raise CmError("the bridge does not read the stream that is subscribed to")
+        time.sleep(0.01)
