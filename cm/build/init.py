@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ from cm.build.boundary import boundary
 from cm.build.boundary.model import Boundary
 from cm.build.errors import BuildError
 from cm.build.given import Given, is_hdl, others, relative
+from cm.build.hdl.flat import Wanted, needs_wrapper
+from cm.build.hdl.flatten import flatten
 from cm.build.hdl.model import Mode, ModuleInfo
 from cm.build.hdl.register_maps import identifier
 from cm.build.platforms import platform_of
@@ -92,13 +94,20 @@ def _from_hdl(files: Sequence[Path], folder: Path, top: str | None) -> list[Give
     chosen = [info for info in hdl.roots(known) if top is None or info.name == top]
     if top is not None and not chosen:
         chosen = [info for info in known if info.name == top]
-    return [Given(info, {"sources": _files(info, known, files, folder)}) for info in chosen]
+    return [Given(_flat(info, files), {"sources": _files(info, known, files, folder)}) for info in chosen]
+
+
+def _flat(info: ModuleInfo, files: Sequence[Path]) -> ModuleInfo:
+    """As the boundary sees it: with interfaces and records as its flat wrapper has them, under its own name."""
+    if not needs_wrapper(info):
+        return info
+    return replace(flatten(info, Wanted(info.name, files, {}, [], {}, {}, {}))[0], name=info.name)
 
 
 def _why_not(info: ModuleInfo) -> str:
     """The module, and what is wrong with it."""
     reasons = [str(problem) for problem in info.problems if problem.fatal]
-    return f"{info.name} ({reasons[0]})" if reasons else info.name
+    return f"{info.name} ({reasons[-1]})" if reasons else info.name
 
 
 def _files(info: ModuleInfo, known: Sequence[ModuleInfo], files: Sequence[Path], folder: Path) -> list[str]:

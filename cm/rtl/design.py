@@ -202,8 +202,10 @@ def _library() -> list[Path]:
 def _unit(one: Implementation, folder: Path, renderer: Renderer) -> Unit:
     """A module in its wrapper; where vendor IP is used, `sim_sources` stand for it."""
     module = one.module
-    if (module.ip or module.tcl) and not module.sim_sources:
-        raise RtlError(f"module {module.name} is made of vendor IP: give sim_sources: with HDL that does the same")
+    if (module.ip or module.tcl or module.hls) and not module.sim_sources:
+        raise RtlError(
+            f"module {module.name} is made of vendor IP or C++: give sim_sources: with HDL that does the same"
+        )
     if module.sim_sources:
         module = replace(module, sources=module.sim_sources, libraries={})
     files = module_files(replace(one, module=module), folder)
@@ -224,7 +226,8 @@ def _of_vhdl(one: Implementation, folder: Path, renderer: Renderer) -> tuple[Pat
     plain = replace(one, module=replace(module, parameters={}))
     path = folder / f"wrappers/{one.name}/{one.region.module}.v"
     _write(path, renderer.render("module.v.j2", {"net": wrapper(plain)}))
-    return (path, as_verilog(module, module.sources), *sorted(RTL.glob("cm_axi_slave_decoupler*.v")))
+    flat = [folder / f"wrappers/{one.name}/{module.flat[0]}"] if module.flat else []
+    return (path, as_verilog(module, (*module.sources, *flat)), *sorted(RTL.glob("cm_axi_slave_decoupler*.v")))
 
 
 def _write(path: Path, text: str) -> None:

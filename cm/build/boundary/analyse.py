@@ -5,13 +5,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from cm.build import hdl
 from cm.build.boundary import boundary
 from cm.build.boundary.model import Boundary
 from cm.build.errors import BuildError, MissingTool
 from cm.build.hdl import UserProtocol
+from cm.build.hdl.flat import Flat, Wanted, needs_wrapper
+from cm.build.hdl.flatten import flatten
 from cm.build.hdl.hls import hls_registers, load_hls
 from cm.build.hdl.model import ModuleInfo, Problem
 from cm.build.hdl.register_maps import read_register_map
@@ -33,6 +35,7 @@ class Analysis:
     modules: Mapping[str, ModuleInfo]
     boundaries: Mapping[str, Boundary]
     differences: Mapping[str, tuple[str, ...]]
+    flat: Mapping[str, Flat] = field(default_factory=dict)  # wrappers of modules whose ports are no vectors
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -70,7 +73,10 @@ class Analysis:
         return replace(project, modules=modules)
 
     def _named(self, spec: ModuleSpec) -> ModuleSpec:
-        """Vendor IP by the name of its instance, which is that of the module that synthesis sees."""
+        """Vendor IP and wrappers by the name of the module that synthesis sees."""
+        if spec.name in self.flat:
+            flat = self.flat[spec.name]
+            return replace(spec, top=flat.name, parameters={}, flat=(flat.file, flat.text))
         known = spec.ip and not spec.readable and spec.component is None
         return replace(spec, top=self.modules[spec.name].name) if known else spec
 
@@ -94,12 +100,26 @@ def analyse(project: Project) -> Analysis:
     protocols = tuple(protocol for path in project.protocols for protocol in hdl.load_protocols(path))
     modules: dict[str, ModuleInfo] = {}
     differences: dict[str, tuple[str, ...]] = {}
+    flat: dict[str, Flat] = {}
     for spec in project.modules.values():
         try:
             modules[spec.name], differences[spec.name] = _module(spec, protocols)
         except hdl.HdlError as error:
             raise fault(project.source, ("modules", spec.name, *_key(spec, error)), str(error)) from None
-    return Analysis(modules, {name: _boundary(project, name, modules) for name in project.regions}, differences)
+        if needs_wrapper(modules[spec.name]) and spec.readable:
+            modules[spec.name], wrapper = flatten(modules[spec.name], _wanted(spec), protocols)
+            flat |= {spec.name: wrapper} if wrapper else {}
+    boundaries = {name: _boundary(project, name, modules) for name in project.regions}
+    return Analysis(modules, boundaries, differences, flat)
+
+
+def _wanted(spec: ModuleSpec) -> Wanted:
+    inner = {
+        port: {name: str(value) for name, value in values.items()} for port, values in spec.interface_parameters.items()
+    }
+    sources, libraries = (spec.readable, {}) if spec.ip and spec.sim_sources else (spec.sources, spec.libraries)
+    parameters = {name: str(value) for name, value in spec.parameters.items()}
+    return Wanted(spec.top, sources, libraries, spec.include_dirs, spec.defines, parameters, inner)
 
 
 def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:

@@ -37,7 +37,8 @@ def module_files(one: Implementation, out: Path) -> dict[str, Any]:
     """Sources of a module in its wrapper, with its macros and include folders."""
     module = one.module
     library = [out / f"hdl/lib/{path.name}" for path in sorted(RTL.glob("cm_axi_slave_decoupler*.v"))]
-    sources = by_language([out / f"wrappers/{one.name}/{one.region.module}.v", *library, *module.sources])
+    flat = [out / f"wrappers/{one.name}/{module.flat[0]}"] if module.flat else []
+    sources = by_language([out / f"wrappers/{one.name}/{one.region.module}.v", *library, *module.sources, *flat])
     defines = [name if value == "1" else f"{name}={value}" for name, value in module.defines.items()]
     include_dirs = list(dict.fromkeys([*module.include_dirs, *(path.parent for path in sources["header"])]))
     context: dict[str, Any] = {"name": one.name, "module": module, "region": one.region}

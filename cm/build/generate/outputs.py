@@ -70,6 +70,8 @@ def _hardware(system: System, out: Path) -> Iterator[Output]:
         yield Output(f"hdl/{region.module}.v", "module.v.j2", {"net": black_box(region)})
     for one in system.implementations:
         yield Output(f"wrappers/{one.name}/{one.region.module}.v", "module.v.j2", {"net": wrapper(one)})
+        if one.module.flat:
+            yield Output(f"wrappers/{one.name}/{one.module.flat[0]}", "json.j2", {"text": one.module.flat[1]})
     yield Output("constraints/static.xdc", "static.xdc.j2", {})
     pins = {"placements": placements(system)[0], "kit": system.project.kit}
     yield Output("constraints/pins.xdc", "pins.xdc.j2", pins)

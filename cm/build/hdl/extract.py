@@ -18,6 +18,7 @@ from cm.build.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
 
 _FEW = 8  # names in a sentence
 _NONE: Mapping[str, str] = MappingProxyType({})
+_NO_FILES: Mapping[Path, str] = MappingProxyType({})
 _ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECASE)
 
 
@@ -57,14 +58,17 @@ def read(
     defines: Mapping[str, str] = _NONE,
     parameters: Mapping[str, str] = _NONE,
     protocols: Sequence[UserProtocol] = (),
+    generated: Mapping[Path, str] = _NO_FILES,
 ) -> Reading:
-    """As `extract`, and tells the problems of files without modules too."""
+    """As `extract`, and tells the problems of files without modules too; `generated` are files that are texts yet."""
     paths = [Path(file) for file in files]
     # Headers are often given among the sources: their folders are searched last.
     folders = dict.fromkeys([*(Path(path) for path in include_dirs), *(path.parent for path in paths)])
     sources = _Sources(list(folders), defines)
     for path in paths:
-        sources.add(path)
+        sources.add(path, _read_text(path))
+    for path, text in generated.items():
+        sources.add(path, text)
     sources.check(top)
     detector = Detector(protocols)
     modules = [detector.detect(module) for module in sources.evaluate(top, parameters)]
@@ -92,9 +96,8 @@ class _Sources:
         self._errors: dict[Path, tuple[Problem, ...]] = {}  # of files with modules
         self.problems: list[Problem] = []
 
-    def add(self, path: Path) -> None:
+    def add(self, path: Path, text: str) -> None:
         self._paths.append(path)
-        text = _read_text(path)
         if _ENCRYPTED.search(text):
             what = "parts of this file are encrypted (`protect) and not seen: a component.xml tells more"
             self.problems.append(Problem(what, str(path)))

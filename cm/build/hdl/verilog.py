@@ -78,6 +78,7 @@ class VerilogReader:
         self._defines = [f"{name}={value}" for name, value in (defines or {}).items()]
         self._trees: list[Tree] = []
         self._headers: list[Path] = []
+        self._kept: list[Any] = []
 
     def parse(self, path: Path, text: str) -> Tree:
         """Parse one file and keep it for `read`."""
@@ -140,6 +141,15 @@ class VerilogReader:
             for instance in compilation.getRoot().topInstances
             for tree, below in [owners[instance.name]]
         ]
+
+    def elaborate(self, name: str, parameters: Mapping[str, str]) -> Any:
+        """slang's body of a module as a top, with `parameters` as expressions. Raises `HdlError`."""
+        compilation = self._compile({name}, parameters)
+        self._kept.append(compilation)  # what it hands out does not hold it
+        for instance in compilation.getRoot().topInstances:
+            if instance.name == name:
+                return instance.body
+        raise HdlError(f"module {name} could not be elaborated")
 
     def _compile(self, names: set[str], parameters: Mapping[str, str]) -> Any:
         ast = self._slang.ast

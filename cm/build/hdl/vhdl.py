@@ -123,6 +123,16 @@ class VhdlReader:
         wanted = [self._entities[name.lower()] for name in names]
         return [_Evaluation(entity, constants, self._subtypes, parameters or {}).info() for entity in wanted]
 
+    def entity(self, name: str) -> Entity:
+        """An entity that was parsed; KeyError where there is none of that name."""
+        return self._entities[name.lower()]
+
+    def scope(self, name: str, parameters: Mapping[str, str]) -> tuple[Mapping[str, Value | None], Subtypes]:
+        """Values of constants and of an entity's generics, and subtypes, as its ports see them."""
+        evaluation = _Evaluation(self._entities[name.lower()], self._evaluate_constants(), self._subtypes, parameters)
+        evaluation.info()
+        return evaluation.names, self._subtypes
+
     def _evaluate_constants(self) -> dict[str, Value | None]:
         values: dict[str, Value | None] = {}
         for name, declaration in self._constants.items():
@@ -141,6 +151,11 @@ class _Evaluation:
         self._subtypes = subtypes
         self._given = {name.lower(): value for name, value in given.items()}
         self._problems = list(entity.errors)
+
+    @property
+    def names(self) -> Mapping[str, Value | None]:
+        """Values of constants and generics."""
+        return self._names
 
     def info(self) -> ModuleInfo:
         entity = self._entity

@@ -39,6 +39,14 @@ def width_of(indication: str, names: Mapping[str, Value | None], subtypes: Subty
     raise NotFlat(f"its type {indication} is no vector of std_logic: needs a flat wrapper")
 
 
+def base_type(indication: str, subtypes: Subtypes, depth: int = 0) -> str:
+    """The type behind subtypes, in lower case: ``std_logic_vector``, ``unsigned`` …"""
+    kind = indication.partition("(")[0].strip().lower().rpartition(".")[2]
+    if kind in subtypes and depth < _MAX_CHAIN:
+        return base_type(subtypes[kind], subtypes, depth + 1)
+    return kind
+
+
 def _vector(indication: str, inside: str | None, names: Mapping[str, Value | None]) -> int:
     match = _RANGE.fullmatch(inside.strip()) if inside else None
     if match is None:

@@ -216,7 +216,7 @@ class _Builder:
 
     def _module(self, name: str, spec: dict[str, Any], regions: tuple[str, ...]) -> ModuleSpec:
         where: KeyPath = ("modules", name)
-        many = {
+        many: dict[str, Any] = {
             key: self._files.many(spec.get(key), (*where, key))
             for key in ("sources", "include_dirs", "ip", "ip_repositories", "tcl", "constraints", "sim_sources")
         }
@@ -227,6 +227,7 @@ class _Builder:
             regions=tuple(spec.get("regions", regions if len(regions) == 1 else ())),
             defines={key: macro(value) for key, value in (spec.get("defines") or {}).items()},
             parameters=spec.get("parameters") or {},
+            interface_parameters=spec.get("interface_parameters") or {},
             hls=self._hls(spec.get("hls"), (*where, "hls")),
             component=self._files.one(spec.get("component"), (*where, "component")),
             model=spec.get("model"),

@@ -145,6 +145,8 @@ class ModuleSpec:
     include_dirs: tuple[Path, ...] = ()
     defines: Mapping[str, str] = field(default_factory=empty)
     parameters: Mapping[str, int | float | str | bool] = field(default_factory=empty)
+    interface_parameters: Mapping[str, Mapping[str, int | str]] = field(default_factory=empty)  # by port
+    flat: tuple[str, str] | None = None  # file and text of a generated wrapper, which is the top then
     hls: HlsSpec | None = None
     ip: tuple[Path, ...] = ()
     ip_repositories: tuple[Path, ...] = ()
