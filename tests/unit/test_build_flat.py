@@ -100,6 +100,14 @@ def test_init_takes_a_top_with_interfaces(tmp_path: Path) -> None:
     assert "top: " not in path.read_text()
 
 
+def test_an_interface_inside_a_module_is_no_module_that_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    path = of_interfaces(tmp_path, TOP.replace("assign level", "stream_if between ();\n    assign level"))
+    assert main(["build", "check", str(path)]) == 0
+    assert "no file has" not in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

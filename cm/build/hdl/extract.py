@@ -112,6 +112,7 @@ class _Sources:
         self._verilog = self._verilog or VerilogReader(self._include_dirs, self._defines)
         tree = self._verilog.parse(path, text)
         self._register(tree.modules, tree.language, path)
+        self._below |= {name.lower(): () for name in tree.interfaces}
         if tree.modules:
             self._errors[path] = tree.errors
         else:

@@ -40,6 +40,7 @@ class Tree:
     syntax: Any
     errors: tuple[Problem, ...]
     modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, names of what it instantiates
+    interfaces: tuple[str, ...] = ()
 
 
 def load_slang() -> ModuleType:
@@ -113,7 +114,8 @@ class VerilogReader:
             syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, _utf8(path), name, bag)
         except RuntimeError as error:  # slang's answer to nesting without end
             raise HdlError(f"{path}: the parser gave up: {error or 'too deeply nested'}") from error
-        return Tree(path, language, syntax, tuple(self._problems(path, syntax)), tuple(_modules(syntax.root)))
+        problems, root = tuple(self._problems(path, syntax)), syntax.root
+        return Tree(path, language, syntax, problems, tuple(_modules(root)), tuple(_interfaces(root)))
 
     def _problems(self, path: Path, syntax: Any) -> Iterator[Problem]:
         for diagnostic in syntax.diagnostics:
@@ -164,9 +166,19 @@ class VerilogReader:
         return compilation
 
 
+def _declarations(root: Any) -> Iterable[Any]:
+    found: Iterable[Any] = root.members if root.kind.name == "CompilationUnit" else (root,)
+    return found
+
+
+def _interfaces(root: Any) -> Iterator[str]:
+    for declaration in _declarations(root):
+        if declaration.kind.name == "InterfaceDeclaration":
+            yield declaration.header.name.valueText
+
+
 def _modules(root: Any) -> Iterator[tuple[str, tuple[str, ...]]]:
-    declarations = root.members if root.kind.name == "CompilationUnit" else (root,)
-    for declaration in declarations:
+    for declaration in _declarations(root):
         if declaration.kind.name == "ModuleDeclaration" and declaration.header.name.valueText:
             yield declaration.header.name.valueText, tuple(dict.fromkeys(_instances(declaration.members)))
 
