@@ -30,6 +30,8 @@ def as_dict(project: Project, analysis: Analysis, system: System | None) -> dict
         found["runs"] = [dict(run) for run in system.runs]
         found["fewest"] = {"runs": len(system.runs), "bound": system.cover.bound, "proved": system.cover.exact}
         found["notes"] = list(system.notes)
+        if system.switch is not None:
+            found["routes"] = {name: dict(mode.routes) for name, mode in system.project.modes.items()}
     return found
 
 
@@ -103,6 +105,7 @@ def lines(project: Project, analysis: Analysis, system: System | None) -> Iterat
     for region, boundary in analysis.boundaries.items():
         yield from _region_lines(region, boundary, analysis, system)
     if system is not None:
+        yield from _switch_lines(system)
         yield f"{system.cover}"
         for number, run in enumerate(system.runs, 1):
             yield f"  run_{number}: " + ", ".join(f"{region}: {module}" for region, module in run.items())
@@ -133,6 +136,18 @@ def _region_lines(region: str, boundary: Boundary, analysis: Analysis, system: S
             yield f"    {analysis.placed(adaptation.module, sentence)}"
         for note in adaptation.notes:
             yield f"    {note}"
+
+
+def _switch_lines(system: System) -> Iterator[str]:
+    """The stream switch, and what each mode puts in a row."""
+    switch = system.switch
+    if switch is None:
+        return
+    ends = f"{len(switch.sources)} sources, {len(switch.sinks)} sinks, {switch.width} bits"
+    yield f"switch: {ends}, registers at {switch.window.base:#x}, on {switch.clock}"
+    for mode in system.project.modes.values():
+        routes = ", ".join(f"{source} → {sink}" for sink, source in mode.routes.items())
+        yield f"  {mode.name}: {routes or 'no route'}"
 
 
 def _clock_lines(region: RegionPlan, system: System) -> Iterator[str]:

@@ -41,6 +41,7 @@ class DmaChannel:
     """One direction of a DMA engine; `base` is that of the engine's registers, `width` bits of its stream.
 
     Of an axi_dma: `scatter_gather` (Enable Scatter Gather Engine), and `length_bits` of its length register (PG021).
+    An axi_mcdma has up to 16 of each direction, by `number`.
     """
 
     instance: str
@@ -50,6 +51,13 @@ class DmaChannel:
     width: int
     scatter_gather: bool = True
     length_bits: int = 26
+    number: int = 0
+
+    @property
+    def interrupt_port(self) -> str:
+        """The engine's port that tells it."""
+        channel = f"_ch{self.number + 1}" if self.kind == "axi_mcdma" else ""
+        return f"{self.direction}{channel}_introut"
 
     @property
     def longest(self) -> int:
@@ -164,9 +172,17 @@ def dma_channels(hwh: Hwh) -> tuple[DmaChannel, ...]:
                     width = module.parameters.get(f"C_{stream}_TDATA_WIDTH", "")
                     base = _base(hwh, module.instance)
                     bits = int(width) if width.isdecimal() else 0
-                    engine = _engine(module) if module.type == "axi_dma" else (True, 26)
-                    found.append(DmaChannel(module.instance, module.type, direction, base, bits, *engine))
+                    engine = _engine(module) if module.type != "axi_vdma" else (True, 26)
+                    for number in range(_channels(module, direction)):
+                        found.append(DmaChannel(module.instance, module.type, direction, base, bits, *engine, number))
     return tuple(found)
+
+
+def _channels(module: ModuleInstance, direction: str) -> int:
+    """How many an engine has of a direction."""
+    name = f"C_NUM_{direction.upper()}_CHANNELS"
+    text = module.parameters.get(name) or module.parameters.get(name.lower(), "")
+    return min(max(int(text), 1), 16) if module.type == "axi_mcdma" and text.isdecimal() else 1
 
 
 def _engine(module: ModuleInstance) -> tuple[bool, int]:
@@ -176,7 +192,8 @@ def _engine(module: ModuleInstance) -> tuple[bool, int]:
     """
     values = {key.lower(): value for key, value in module.parameters.items()}
     bits = values.get("c_sg_length_width", "")
-    return values.get("c_include_sg", "1") != "0", min(max(int(bits), 8), 26) if bits.isdecimal() else 14
+    scattered = module.type == "axi_mcdma" or values.get("c_include_sg", "1") != "0"
+    return scattered, min(max(int(bits), 8), 26) if bits.isdecimal() else 14
 
 
 def decouplers(hwh: Hwh) -> tuple[DecouplerInfo, ...]:

@@ -106,7 +106,8 @@ def _streams(hwh: Hwh, notes: list[str]) -> dict[str, Stream]:
     names, found = Names(), {}
     for channel in handoff.dma_channels(hwh):
         if channel.kind == "axi_mcdma":
-            notes.append(f"{channel.instance}: a multichannel DMA; its channels are left out")
+            note = f"{channel.instance}: a multichannel DMA; its channels are left out"
+            notes += [note] if note not in notes else []
             continue
         name = names.take(f"{channel.instance}_{channel.direction}".lower())
         doc = f"{channel.kind} {channel.instance}, {channel.width} bits wide"

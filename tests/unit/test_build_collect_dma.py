@@ -160,6 +160,69 @@ def test_an_engine_without_scatter_gather_says_what_it_cannot_do(theirs: Path) -
     assert "scatter/gather" not in found.config.streams["axi_vdma_0"].doc
 
 
+MC_LINES = tuple(("mc", f"{way}_ch{n}_introut") for way, n in (("mm2s", 1), ("mm2s", 2), ("s2mm", 1), ("s2mm", 2)))
+
+
+def multichannel(*lines: tuple[str, str]) -> bytes:
+    """An AXI MCDMA of two channels each way."""
+    concat = ports(*(port(f"In{index}", "I", line) for index, line in enumerate(lines)))
+    clocks = port("FCLK_CLK0", "O", ("mc", "s_axi_aclk"), kind="clk")
+    interrupt = port("IRQ_F2P", "I", ("concat", "dout"), kind="INTERRUPT", bits=len(lines))
+    pins = [port(pin, "I", ("ps", "FCLK_CLK0"), kind="clk") for pin in ("s_axi_lite_aclk", "s_axi_aclk")]
+    counts = {"C_NUM_MM2S_CHANNELS": "2", "C_NUM_S2MM_CHANNELS": "2", "C_SG_LENGTH_WIDTH": "26"}
+    return hwh(
+        module("ps", "processing_system7", memory(("mc", 0x40400000, 0x10000)), ports(interrupt, clocks)),
+        module("concat", "xlconcat", concat),
+        module("mc", "axi_mcdma", ports(*pins), parameters=counts),
+        device="7z020",
+    )
+
+
+def test_a_multichannel_engine_has_a_stream_for_every_channel() -> None:
+    found = handoff.parse(multichannel(*MC_LINES))
+    (engine,) = engines(found, ZYNQ7000).found
+    assert [(c.stream, c.number, c.spi) for c in engine.channels] == [
+        ("mc_mm2s_0", 0, 29),
+        ("mc_mm2s_1", 1, 30),
+        ("mc_s2mm_0", 16, 31),
+        ("mc_s2mm_1", 17, 32),
+    ]
+    assert list(streams(found)) == [channel.stream for channel in engine.channels]
+    names = ["s_axi_lite_aclk", "m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk"]
+    assert [(clock.pin, clock.source) for clock in engine.clocks] == [(name, "&clkc 15") for name in names]
+
+
+def test_a_direction_of_a_multichannel_engine_that_lacks_an_interrupt_is_left_out() -> None:
+    found = engines(handoff.parse(multichannel(*MC_LINES[:3])), ZYNQ7000)
+    assert [c.stream for c in found.found[0].channels] == ["mc_mm2s_0", "mc_mm2s_1"]
+    assert any("stream mc_s2mm_1: the interrupt of mc goes nowhere" in note for note in found.notes)
+    assert any("mc_s2mm_0 cannot be told either" in note for note in found.notes)
+
+
+@needs("dtc")
+@needs("fdtget")
+def test_the_node_of_a_multichannel_engine_is_as_the_kernels_binding_has_it(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in/top.hwh").write_bytes(multichannel(*MC_LINES))
+    (tmp_path / "in/top.bit").write_bytes(bitstream(None))
+    found = collect([tmp_path / "in"])
+    path = tmp_path / "static.dtbo"
+    path.write_bytes(found.files["top_static.dtbo"])
+
+    def get(node: str, key: str, kind: str = "i") -> str:
+        command = ["fdtget", "-t", kind, str(path), f"/fragment@0/__overlay__/{node}", key]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    engine = "dma-controller@40400000"
+    assert get(engine, "compatible", "s") == "xlnx,axi-mcdma-1.00.a"
+    assert get(f"{engine}/dma-channel@40400500", "compatible", "s") == "xlnx,axi-dma-s2mm-channel"
+    assert get(f"{engine}/dma-channel@40400500", "dma-channels") == "2"
+    assert get(f"{engine}/dma-channel@40400500", "interrupts") == "0 31 4 0 32 4"
+    assert get("cm-streams", "dmas").split()[1::2] == ["0", "1", "16", "17"]
+    assert get("cm-streams", "fpga-cm,directions") == "1 1 2 2"
+    assert get("cm-streams", "dma-names", "s").split() == [stream.channel for stream in found.config.streams.values()]
+
+
 # parts of boards, as their board files in Xilinx/XilinxBoardStore 20bbb12 have them
 BOARDS = {
     "Ultra96 v2": ("xczu3eg-sbva484-1-i", "zynqmp"),

@@ -121,6 +121,11 @@ def test_the_overlay_names_each_channel_as_the_kernels_driver_counts_them(
         assert children == lines
 
 
+def test_channels_that_share_lines_are_noted(tmp_path: Path) -> None:
+    notes = built(tmp_path, "twelve regions with engines of their own")[0].system.notes
+    assert any("24 DMA channels share 14 of the 16 interrupt lines" in note for note in notes)
+
+
 def test_engines_are_what_their_streams_need(tmp_path: Path) -> None:
     kinds = {}
     for number, name in enumerate(DESIGNS):

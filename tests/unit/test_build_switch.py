@@ -13,6 +13,7 @@ from cm import schema
 from cm.build.check.rules import check_system
 from cm.build.errors import BuildError
 from cm.build.generate.tree import Design, generate, load_design, output_folder
+from cm.cli.main import main
 from cm.schema import SchemaError
 
 CHAIN = """\
@@ -72,6 +73,14 @@ def test_a_design_with_a_switch_has_no_finding_and_replays(tmp_path: Path) -> No
     assert len(design.system.engines) == 3
     status, said, _ = replay(out, scripts(out)[0], tmp_path)
     assert status == 0, said
+
+
+def test_check_lists_the_switch_with_the_routes_of_each_mode(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["build", "check", str(project(tmp_path, CHAIN))]) == 0
+    said = capsys.readouterr().out
+    assert "switch: 3 sources, 3 sinks, 32 bits, registers at 0x40001000, on fclk0" in said
+    assert "  both: into → left.s_axis, left.m_axis → right.s_axis, right.m_axis → out" in said
+    assert "  s_axis: axis slave, 32 bits\n" in said
 
 
 def test_the_switch_is_a_device_of_the_static_overlay(tmp_path: Path) -> None:

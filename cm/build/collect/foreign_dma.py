@@ -2,11 +2,13 @@
 """DMA engines of a design that is not ours, from its .hwh, as its device-tree overlay needs them.
 
 Properties after the kernel's binding dma/xilinx/xilinx_dma.txt; which parameter of the IP gives which is
-told by Xilinx/device-tree-xlnx ac65e01, axi_dma.tcl and axi_vdma.tcl.
+told by Xilinx/device-tree-xlnx ac65e01, axi_dma.tcl and axi_vdma.tcl. An MCDMA has one clock for all but its
+registers, which stands under the three names that the driver looks for.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -14,11 +16,14 @@ from cm import hwh
 from cm.build.hdl.register_maps import identifier
 from cm.build.platforms import Platform
 
-KINDS = {"axi_dma": 1, "axi_vdma": 2}  # as fpga-cm,types counts them
+KINDS = {"axi_dma": 1, "axi_vdma": 2, "axi_mcdma": 1}  # as fpga-cm,types counts them
 _CLOCK_PINS = {
     "axi_dma": ("s_axi_lite_aclk", "m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk"),
     "axi_vdma": ("s_axi_lite_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk", "m_axis_mm2s_aclk", "s_axis_s2mm_aclk"),
+    "axi_mcdma": ("s_axi_lite_aclk", "s_axi_aclk"),
 }
+_NAMES = {("axi_mcdma", "s_axi_aclk"): ("m_axi_sg_aclk", "m_axi_mm2s_aclk", "m_axi_s2mm_aclk")}
+_S2MM_FIRST = {"axi_mcdma": 16}  # the driver's number of the first S2MM channel; 1 of the others
 PS_CLOCKS = {f"FCLK_CLK{i}": f"&clkc {15 + i}" for i in range(4)} | {
     f"pl_clk{i}": f"&zynqmp_clk {71 + i}" for i in range(4)
 }
@@ -35,11 +40,7 @@ class Channel:
     spi: int
     width: int  # bits of a beat
     realigns: bool
-
-    @property
-    def number(self) -> int:
-        """The cell of ``dmas``."""
-        return 1 if self.direction == "s2mm" else 0
+    number: int  # the cell of ``dmas``
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,13 @@ class Engine:
         """As ``fpga-cm,types`` counts."""
         return KINDS[self.kind]
 
+    @property
+    def groups(self) -> list[tuple[int, tuple[Channel, ...]]]:
+        """Channels by direction, with the address of that direction's registers."""
+        offsets = {"mm2s": 0, "s2mm": 0x500 if self.kind == "axi_mcdma" else 0x30}
+        found = [(self.base + at, tuple(c for c in self.channels if c.direction == d)) for d, at in offsets.items()]
+        return [(at, channels) for at, channels in found if channels]
+
 
 @dataclass(slots=True)
 class Engines:
@@ -87,24 +95,25 @@ class Engines:
     @property
     def max_length(self) -> int:
         """Most bytes of one transfer that every engine takes."""
-        bits = [engine.length_bits for engine in self.found if engine.kind == "axi_dma"]
+        bits = [engine.length_bits for engine in self.found if engine.kind != "axi_vdma"]
         return (1 << min(bits, default=23)) - 1
 
 
-def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[tuple[str, str], str]:
-    """(instance, direction) → stream: the engine's name, with the direction where it has both; each once."""
+def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[hwh.DmaChannel, str]:
+    """Channel → stream: the engine's name, with direction and number where it has several; each once."""
     listed = list(channels)
-    found: dict[tuple[str, str], str] = {}
+    found: dict[hwh.DmaChannel, str] = {}
     for channel in listed:
-        both = sum(other.instance == channel.instance for other in listed) > 1
-        end = f"_{channel.direction}" if both else ""
+        mine = [other for other in listed if other.instance == channel.instance]
+        several = sum(other.direction == channel.direction for other in mine) > 1
+        end = (f"_{channel.direction}" if len(mine) > 1 else "") + (f"_{channel.number}" if several else "")
         name = identifier(design.modules[channel.instance].name)[: _NAME_LENGTH - len(end)] + end
         if name in found.values():  # of the same name in another hierarchy
             name = identifier(channel.instance)[: _NAME_LENGTH - len(end)] + end
         number = 2
         while name in found.values():
             name, number = f"{name[: _NAME_LENGTH - 3]}_{number}", number + 1
-        found[channel.instance, channel.direction] = name
+        found[channel] = name
     return found
 
 
@@ -123,22 +132,34 @@ def engines(design: hwh.Hwh, platform: Platform) -> Engines:
             result.notes.append(f"{instance} {why}: its streams need a DMA node in the board's own tree")
             continue
         channels = tuple(_channels(mine, names, lines, platform, module, result.notes))
+        if module.type == "axi_mcdma":
+            channels, alone = _whole(channels, mine)
+            if alone:
+                left = ", ".join(channel.stream for channel in alone)
+                result.notes.append(f"{instance}: without all interrupts of a direction {left} cannot be told either")
         if channels:
             result.found.append(_engine(module, window, channels, design))
     return result
 
 
+def _whole(there: tuple[Channel, ...], mine: list[hwh.DmaChannel]) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
+    """Channels of directions whose channels all have an interrupt, and the others: the driver counts by interrupts."""
+    wanted = Counter(channel.direction for channel in mine)
+    whole = {way for way, count in Counter(c.direction for c in there).items() if count == wanted[way]}
+    return tuple(c for c in there if c.direction in whole), tuple(c for c in there if c.direction not in whole)
+
+
 def _channels(
     mine: list[hwh.DmaChannel],
-    names: Mapping[tuple[str, str], str],
+    names: Mapping[hwh.DmaChannel, str],
     lines: Mapping[tuple[str, str], hwh.InterruptLine],
     platform: Platform,
     module: hwh.ModuleInstance,
     notes: list[str],
 ) -> Iterator[Channel]:
     for channel in mine:
-        name = names[channel.instance, channel.direction]
-        line = lines.get((channel.instance, f"{channel.direction}_introut"))
+        name = names[channel]
+        line = lines.get((channel.instance, channel.interrupt_port))
         spi = platform.spi_at(line.pin, line.index) if line and line.controller is None else None
         if spi is None:
             why = f"goes to {line.controller or line.pin}" if line else "goes nowhere"
@@ -148,7 +169,8 @@ def _channels(
             )
             continue
         realigns = module.parameters.get(f"C_INCLUDE_{channel.direction.upper()}_DRE") == "1"
-        yield Channel(name, channel.direction, spi, channel.width or 32, realigns)
+        first = _S2MM_FIRST.get(channel.kind, 1) if channel.direction == "s2mm" else 0
+        yield Channel(name, channel.direction, spi, channel.width or 32, realigns, first + channel.number)
 
 
 def _engine(
@@ -181,10 +203,11 @@ def _clocks(module: hwh.ModuleInstance, design: hwh.Hwh) -> Iterator[ClockInput]
         if port is None or not (drivers or port.rate):
             continue
         known = next((PS_CLOCKS[end.port] for end in drivers if end.port in PS_CLOCKS), None)
-        if known is not None:
-            yield ClockInput(pin, known)
-        elif port.rate:
-            yield ClockInput(pin, f"&cm_clock_{port.rate}", port.rate)
+        for name in _NAMES.get((module.type, pin), (pin,)):
+            if known is not None:
+                yield ClockInput(name, known)
+            elif port.rate:
+                yield ClockInput(name, f"&cm_clock_{port.rate}", port.rate)
 
 
 def _drives(design: hwh.Hwh, end: hwh.ConnectedPort) -> bool:

@@ -161,7 +161,7 @@ def streams(design: hwh.Hwh) -> dict[str, Stream]:
     names = stream_names(channels, design)
     found: dict[str, Stream] = {}
     for channel in channels:
-        name = names[channel.instance, channel.direction]
+        name = names[channel]
         doc = f"{channel.kind} {channel.instance}" + (f", {channel.width} bits a beat" if channel.width else "")
         if channel.limits:
             doc += f"; {channel.limits}"
@@ -173,7 +173,7 @@ def limits(design: hwh.Hwh) -> list[str]:
     """A sentence about each stream whose engine has no scatter/gather."""
     channels = hwh.dma_channels(design)
     names = stream_names(channels, design)
-    return [f"stream {names[c.instance, c.direction]}: {c.instance} has {c.limits}" for c in channels if c.limits]
+    return [f"stream {names[c]}: {c.instance} has {c.limits}" for c in channels if c.limits]
 
 
 def clocks(design: hwh.Hwh) -> dict[str, Clock]:

@@ -15,7 +15,7 @@ from cm.build.plan.cover import Cover, cover
 from cm.build.plan.engines import Dma
 from cm.build.plan.frames import check_frames
 from cm.build.plan.shells import check_shells, first_run
-from cm.build.plan.streams import place, stream_bus
+from cm.build.plan.streams import crowding, place, stream_bus
 from cm.build.plan.switch import check_switched, own_streams, plan_switch, switch_width
 from cm.build.plan.system import (
     Domain,
@@ -88,6 +88,7 @@ class _Planner:
         self._check_lines()
         own = own_streams(project, self._width) if project.switch else ()
         regions, own, icap = place(project, regions, own, icap, self._addresses, self._platform.irq_count)
+        self._notes += crowding(regions, own, self._platform.irq_count)
         switch = self._switch(regions, own)
         check_frames(project, regions, switch)
         covered = self._cover()

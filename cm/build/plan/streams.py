@@ -178,6 +178,17 @@ def _channels(members: list[_Member], kind: EngineKind) -> Iterator[Dma]:
             yield replace(dma, number=number, length_bits=bits, width=own)
 
 
+def crowding(regions: tuple[RegionPlan, ...], own: tuple[StreamBus, ...], lines: int) -> Iterator[str]:
+    """A note where channels share interrupt lines."""
+    buses = (*(bus for region in regions for bus in region.streams), *own)
+    used = [bus.dma.line for bus in buses if bus.dma]
+    if len(set(used)) < len(used):
+        yield (
+            f"{len(used)} DMA channels share {len(set(used))} of the {lines} interrupt lines from the PL: the driver "
+            "looks at each channel of a line"
+        )
+
+
 def _lines(channels: list[Dma], first: int, count: int) -> Iterator[int]:
     """A line for each channel from `first` on; where they are too few, neighbours share one."""
     room = count - first
