@@ -16,7 +16,7 @@ pthread_mutex_t cm_guard_lock = PTHREAD_MUTEX_INITIALIZER;
 /* Only pages of descriptors that were used are memory. */
 static struct cm_guard_place places[DESCRIPTORS];
 static int first = -1;
-struct cm_guard_limits cm_guard_limits;
+static struct cm_guard_limits limits;
 static struct cm_guard_counts counts;
 static uint64_t serials;
 int cm_guard_spare = -1;
@@ -85,14 +85,13 @@ static int cause_against(const struct cm_guard_peer *peer)
 	}
 	if (peer->fd >= DESCRIPTORS ||
 	    (!getrlimit(RLIMIT_NOFILE, &most) && most.rlim_cur != RLIM_INFINITY &&
-	     (uint64_t)peer->fd + cm_guard_limits.descriptors >= most.rlim_cur))
+	     (uint64_t)peer->fd + limits.descriptors >= most.rlim_cur))
 		return CM_GUARD_DESCRIPTORS;
-	if ((cm_guard_limits.each && held >= cm_guard_limits.each) ||
-	    (cm_guard_limits.connections && user >= cm_guard_limits.connections / 4 * 3))
+	if ((limits.each && held >= limits.each) ||
+	    (limits.connections && user >= limits.connections / 4 * 3))
 		return CM_GUARD_EACH;
-	if (cm_guard_limits.connections &&
-	    counts.connections + (held < FEW ? 0 : cm_guard_limits.newcomers) >=
-		    cm_guard_limits.connections)
+	if (limits.connections &&
+	    counts.connections + (held < FEW ? 0 : limits.newcomers) >= limits.connections)
 		return CM_GUARD_FULL;
 	return -1;
 }
@@ -101,7 +100,13 @@ static void enter(const struct cm_guard_peer *peer)
 {
 	struct cm_guard_place *place = cm_guard_place(peer->fd);
 
-	*place = (struct cm_guard_place){ .peer = *peer, .next = first, .before = -1 };
+	place->peer = *peer;
+	place->next = first;
+	place->before = -1;
+	place->held_s = 0;
+	cm_guard_begin(&place->stream);
+	atomic_store(&place->large, 0); /* one by one: somebody may be told of the one before */
+	atomic_store(&place->frames, 0);
 	if (first >= 0)
 		places[first].before = peer->fd;
 	first = peer->fd;
@@ -139,10 +144,20 @@ void cm_guard_leave(struct cm_guard_place *place)
 void cm_guard_limit(const struct cm_guard_limits *wanted)
 {
 	pthread_mutex_lock(&cm_guard_lock);
-	cm_guard_limits = *wanted;
+	limits = *wanted;
 	if (cm_guard_spare < 0)
 		cm_guard_spare = open("/dev/null", O_RDONLY | O_CLOEXEC);
 	pthread_mutex_unlock(&cm_guard_lock);
+}
+
+struct cm_guard_limits cm_guard_bounds(void)
+{
+	struct cm_guard_limits now;
+
+	pthread_mutex_lock(&cm_guard_lock);
+	now = limits;
+	pthread_mutex_unlock(&cm_guard_lock);
+	return now;
 }
 
 void cm_guard_expect(uint32_t kind)
@@ -179,9 +194,9 @@ int cm_guard_peer(int fd, struct cm_guard_peer *peer)
 
 uint64_t cm_guard_serial(int fd)
 {
-	struct cm_guard_place *place = cm_guard_place(fd);
+	struct cm_guard_peer peer;
 
-	return place && atomic_load(&place->kind) ? place->peer.serial : 0;
+	return cm_guard_peer(fd, &peer) ? 0 : peer.serial;
 }
 
 int cm_guard_cut(int fd)

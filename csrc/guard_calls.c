@@ -95,12 +95,13 @@ static int64_t seconds(void)
  * As much as may wait of this connection does: let its peer wait. libzmq asks again at once, since the descriptor is
  * readable still, so it is kept for a moment. A message that is encrypted may be one without end, which nobody can take.
  */
-static bool holds_back(struct cm_guard_place *place)
+static bool holds_back(struct cm_guard_place *place, const struct cm_guard_limits *limits)
 {
-	uint64_t waits =
-		place->stream.large - atomic_load_explicit(&place->large, memory_order_relaxed);
+	/* Below zero: a message was taken of one that had this descriptor before. */
+	int64_t waits = (int64_t)(place->stream.large -
+				  atomic_load_explicit(&place->large, memory_order_relaxed));
 
-	if (!cm_guard_limits.bytes || waits <= 2 * cm_guard_limits.bytes ||
+	if (!limits->bytes || waits <= (int64_t)(2 * limits->bytes) ||
 	    !cm_guard_between(&place->stream)) {
 		place->held_s = 0;
 		return false;
@@ -125,10 +126,13 @@ ssize_t cm_guard_recv(int fd, void *data, size_t size, int flags)
 	struct cm_guard_place *place = cm_guard_place(fd);
 	uint32_t kind =
 		place ? atomic_load_explicit(&place->kind, memory_order_relaxed) : CM_GUARD_NONE;
+	struct cm_guard_limits limits = { 0 };
 	ssize_t got;
 	int cause;
 
-	if (kind == CM_GUARD_REQUESTS && holds_back(place)) {
+	if (kind)
+		limits = cm_guard_bounds();
+	if (kind == CM_GUARD_REQUESTS && holds_back(place, &limits)) {
 		if (place->stream.curve && seconds() - place->held_s > PATIENCE)
 			return ended(place, CM_GUARD_BYTES);
 		errno = EAGAIN;
@@ -137,7 +141,7 @@ ssize_t cm_guard_recv(int fd, void *data, size_t size, int flags)
 	got = recv(fd, data, size, flags);
 	if (got <= 0 || !kind)
 		return got;
-	cause = cm_guard_follow(&place->stream, kind, &cm_guard_limits, data, (size_t)got,
+	cause = cm_guard_follow(&place->stream, kind, &limits, data, (size_t)got,
 				kind == CM_GUARD_TOPICS ? seconds() : 0);
 	if (cause < 0 && kind == CM_GUARD_REQUESTS && place->stream.curve &&
 	    place->stream.frames - atomic_load_explicit(&place->frames, memory_order_relaxed) >

@@ -28,6 +28,9 @@ struct cm_guard_stream {
 	_Atomic uint32_t frames; /* that began */
 };
 
+/* At the beginning of what a peer sends. */
+void cm_guard_begin(struct cm_guard_stream *stream);
+
 /* Whether no frame is half read. */
 bool cm_guard_between(const struct cm_guard_stream *stream);
 
@@ -53,9 +56,11 @@ struct cm_guard_place {
 };
 
 extern pthread_mutex_t cm_guard_lock; /* of all that follows, but what is atomic */
-extern struct cm_guard_limits cm_guard_limits;
 extern int cm_guard_spare; /* a descriptor that makes room for one that is refused; -1: none */
 extern _Thread_local uint32_t cm_guard_expected;
+
+/* The limits as they are now. */
+struct cm_guard_limits cm_guard_bounds(void);
 
 /* NULL for a descriptor that is too high to be known. */
 struct cm_guard_place *cm_guard_place(int fd);

@@ -14,6 +14,17 @@
 
 enum phase { IN_GREETING, AT_FLAGS, IN_LENGTH, IN_BODY };
 
+void cm_guard_begin(struct cm_guard_stream *stream)
+{
+	stream->phase = IN_GREETING;
+	stream->flags = stream->got = 0;
+	stream->curve = false;
+	stream->left = stream->bytes = stream->large = 0;
+	stream->parts = stream->credit = 0;
+	stream->credit_s = 0;
+	atomic_store(&stream->frames, 0);
+}
+
 bool cm_guard_between(const struct cm_guard_stream *stream)
 {
 	return stream->phase == AT_FLAGS;

@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
 import socket
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +18,10 @@ from flood import descriptors, idle_connections, resident_mib
 from manager_process import Manager, served, short_folder, until
 
 import cm
+from cm.cli.keys import read_key_file
 from cm.cli.main import main
+from cm.messages.requests import Upload
+from cm.wire.encode import decode_reply, encode_request
 
 NOFILE = 1024
 
@@ -181,3 +186,76 @@ def test_a_message_as_long_as_may_be_arrives(guarded: Guarded) -> None:
         client.send_multipart([b"cm_write_data", b"", bytes((8 << 20) - 64)])
         assert client.poll(60_000)
         assert client.recv_multipart()[0] == b"cm_write_data"
+
+
+# ---- the same by who has a key: what it sends is encrypted, and cannot be followed so closely ----
+
+
+@contextmanager
+def with_keys(guarded: Guarded) -> Iterator[zmq.Socket[bytes]]:
+    """A DEALER that was let in, and notices when it is hung up on."""
+    keys, (host, port) = read_key_file(guarded.keys), guarded.tcp
+    with zmq.Context() as context, context.socket(zmq.DEALER) as made:
+        made.linger = 0
+        made.curve_serverkey, made.curve_publickey = keys["server-public"], keys["public"]
+        made.curve_secretkey = keys["secret"]
+        made.setsockopt(zmq.SNDHWM, 0)
+        monitor = made.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        made.connect(f"tcp://{host}:{port + 2}")
+        made.send_multipart([b"", b"cm_status", b""])
+        assert made.poll(60_000)
+        made.recv_multipart()
+        yield made
+        made.disable_monitor()
+        monitor.close(0)
+
+
+def hung_up(guarded: Guarded, cause: bytes) -> None:
+    """The manager says why it ended a connection, and serves on."""
+    assert guarded.manager.process is not None
+    assert guarded.manager.process.stderr is not None
+    os.set_blocking(guarded.manager.process.stderr.fileno(), False)
+    said = bytearray()
+
+    def told() -> bool:
+        with suppress(BlockingIOError):
+            said.extend(os.read(guarded.manager.process.stderr.fileno(), 65536))  # type: ignore[union-attr]
+        return cause in said
+
+    until(told, 60)
+    with cm.connect("tcp://{}:{}".format(*guarded.tcp), keys=guarded.keys, timeout=60) as board:
+        assert works(board)
+
+
+def test_encrypted_parts_without_end_are_ended_too(guarded: Guarded) -> None:
+    before = resident_mib(guarded.pid)
+    with with_keys(guarded) as peer:
+        peer.send(b"", zmq.SNDMORE)
+        for _ in range(100_000):
+            peer.send(b"x", zmq.SNDMORE)
+        peer.send(b"x")
+        hung_up(guarded, b"parts")
+    assert resident_mib(guarded.pid) < before + 32
+
+
+def test_an_encrypted_message_that_is_too_long_is_ended(guarded: Guarded) -> None:
+    before = resident_mib(guarded.pid)
+    with with_keys(guarded) as peer:
+        peer.send_multipart([b"", b"cm_upload", bytes(9 << 20)])
+        hung_up(guarded, b"too long")
+    assert resident_mib(guarded.pid) < before + 32
+
+
+def test_what_is_encrypted_and_within_bounds_arrives_however_much_it_is(guarded: Guarded) -> None:
+    """64 MiB in messages of 4: no more than 16 wait at a time."""
+    before = resident_mib(guarded.pid)
+    with with_keys(guarded) as peer:
+        data = bytes(4 << 20)
+        for number in range(16):
+            part = Upload(f"u{number}", len(data), 0, data)
+            peer.send_multipart([b"", *encode_request(part)])
+            peer.send_multipart([b"", *encode_request(Upload(f"u{number}", len(data), discard=True))])
+        for _ in range(32):
+            assert peer.poll(60_000)
+            assert decode_reply(peer.recv_multipart()[1:]).error is None
+    assert resident_mib(guarded.pid) < before + 64
