@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
-import json
 import re
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
 from vmboard.booted import COMMAND_S, Booted
+from vmboard.errors import VmError
+from vmboard.remote import free_ports
 
 import cm
 
@@ -65,18 +67,24 @@ class Board:
         """Bitstreams that the configuration port has taken since the boot."""
         return int(self.do("cat /sys/kernel/debug/cm_plsim/*/icap/loads"), 0)
 
-    def status(self, user: str = "root") -> dict[str, object]:
-        """What `cm status` tells a user."""
-        told = json.loads(self.do("cm status --json", user))
-        assert isinstance(told, dict)
-        return told
-
     def keys(self, client: str) -> Path:
         """A client's key file, carried from the board to here."""
         here = self._folder / f"{client}.key"
+        here.touch(0o600)
         here.write_text(self.do(f"cat /etc/cm/keys/{client}.key"))
-        here.chmod(0o600)
         return here
+
+    def twin(self, name: str) -> Board:
+        """Another board with the disk that this one would have if its power went now; switched off."""
+        first = free_ports()
+        ports = {first + index: there for index, there in enumerate(self.booted.machine.forwards.values())}
+        return Board(self.booted.twin(self._folder / name, ports), first, self._folder)
+
+    def close(self) -> None:
+        """Keep the journal, and switch off."""
+        with suppress(VmError):  # it was never on
+            (self.booted.console.parent / "journal").write_text(self.run("journalctl -b --no-pager").said)
+        self.booted.close()
 
     def connected(self, keys: Path | None) -> cm.Board:
         """A connection from this machine."""

@@ -13,16 +13,24 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from beside import Beside, Twins
 from board import RELEASE, Board, documented
 from vmboard.booted import Booted
 
+# One board for nearly all: what was begun beside it goes on while others are tried.
+ORDER = ("installed", "users", "service", "beside", "upgrade", "power_cut", "write_protected")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: ORDER.index(item.path.stem.removeprefix("test_")))
+
 
 @pytest.fixture(scope="session")
-def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Board]:
+def board() -> Iterator[Board]:
     """The board after the commands of the README, given by the user alice in a folder of release artefacts."""
     place = Path(os.environ["CM_VM_PLACE"])
     machine = pickle.loads((place / "machine").read_bytes())
-    board = Board(Booted(machine, place), min(machine.forwards), tmp_path_factory.mktemp("keys"))
+    board = Board(Booted(machine, place), min(machine.forwards), place)
     try:
         board.start()
         board.do("echo 'APT::Get::Assume-Yes \"true\";' >/etc/apt/apt.conf.d/91yes")  # apt asks; its owner says yes
@@ -31,8 +39,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Board]:
         (place / "install.log").write_text(said)
         yield board
     finally:
-        (place / "journal").write_text(board.run("journalctl -b --no-pager").said)
-        board.booted.close()
+        board.close()
 
 
 @pytest.fixture(scope="session")
@@ -40,3 +47,17 @@ def laptop(board: Board) -> Path:
     """Keys of a client on another machine, made as the documentation says."""
     board.do("bash -exs", "alice", given=documented("docs/install.md", "cm keygen /etc/cm/keys laptop"))
     return board.keys("laptop")
+
+
+@pytest.fixture(scope="session")
+def beside(board: Board) -> Beside:
+    """What was begun with the first test that asks for this."""
+    return Beside(board)
+
+
+@pytest.fixture(scope="session")
+def twins(board: Board, laptop: Path) -> Iterator[Twins]:
+    """Boards that lost their power, and start beside the tests from the first that asks for this."""
+    twins = Twins(board, laptop)
+    yield twins
+    twins.close()

@@ -5,14 +5,7 @@ from __future__ import annotations
 
 import re
 
-from board import RELEASE, Board
-
-SIMULATED = """
-cm serve --sim --runtime-dir $HOME/sim --state-dir $HOME/state 2>log &
-for i in $(seq 600); do grep -q 'ready at' log && break; sleep 0.2; done
-cm status --runtime-dir $HOME/sim || cat log
-kill %1; wait
-"""
+from board import Board
 
 
 def test_the_service_runs_as_its_own_user_with_one_capability(board: Board) -> None:
@@ -46,11 +39,3 @@ def test_a_package_manager_finds_nothing_amiss(board: Board) -> None:
 
 def test_the_settings_that_were_installed_are_right(board: Board) -> None:
     board.do("cm check --settings")
-
-
-def test_the_simulated_board_is_a_package_of_its_own(board: Board) -> None:
-    refused = board.run("cm serve --sim --runtime-dir /tmp/sim", "bob")
-    assert refused.status != 0
-    assert "fpga-cm-sim" in refused.said
-    board.do(f"apt-get install -y {RELEASE}/fpga-cm-sim_*.deb")
-    assert "camera/default" in board.do("bash -s", "bob", given=SIMULATED)

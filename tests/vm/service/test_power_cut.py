@@ -5,18 +5,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from board import Board
+from beside import Twins
 
 
-def test_imports_and_keys_outlast_a_power_cut_and_what_was_loaded_does_not(board: Board, laptop: Path) -> None:
-    board.do("cm load camera edge_detection")
-    board.do("cm import archive /opt/cm/second.tar.gz")
-    board.booted.cut_power()
-    board.start()
-    board.until(lambda: board.unit("ActiveState") == "active")
-    status = board.status()
-    assert not status.get("config_name")
+def test_imports_and_keys_outlast_a_power_cut_and_what_was_loaded_does_not(twins: Twins, laptop: Path) -> None:
+    board = twins.restarted.result()
     with board.connected(laptop) as connected:
+        assert not connected.status.config_name
         assert {"camera", "second"} <= set(connected.configs)
         connected.load("second", "default")
         assert connected.mode == "default"

@@ -16,11 +16,11 @@ def test_an_upgrade_loads_nothing_and_the_frames_come_back(board: Board, laptop:
             connected.configure_stream("camera", enable=True)
             stream.read()
             loads, pid = board.loads, board.unit("MainPID")
-            board.do("apt-get install -y /opt/cm/later/fpga-cm_*.deb")
+            board.do("dpkg --install /opt/cm/later/fpga-cm_*.deb")
             board.until(lambda: board.unit("ActiveState") == "active" and board.unit("MainPID") != pid)
             version = board.do("dpkg-query -W -f '${Version}' fpga-cm")
             assert version.endswith("+later")
-            assert (board.status()["mode"], board.loads) == ("edge_detection", loads)
+            assert (connected.mode, board.loads) == ("edge_detection", loads)
             after = stream.read()
         assert after.info.mode == "edge_detection"
         assert connected.registers["threshold"] == 9

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from beside import Beside
 from board import Board
 
 from cm.errors import CmError
 
 
-def test_a_member_of_the_group_loads_the_camera_and_sees_a_frame(board: Board) -> None:
+def test_a_member_of_the_group_loads_the_camera_and_sees_a_frame(board: Board, beside: Beside) -> None:
     assert board.do("cm load camera", "alice").startswith("camera/default")
     read = "s = b.stream('camera', timeout=300); b.configure_stream('camera', enable=True); print(s.read().shape)"
     assert board.do(f'python3 -c "import cm; b = cm.connect(timeout=300); {read}"', "alice").strip() == "(48, 64)"

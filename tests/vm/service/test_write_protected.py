@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A root file system that is never written to; state on a tmpfs. Comes last: the board stays so."""
+"""A root file system that is never written to; state on a tmpfs."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from board import Board
+from beside import Twins
 
 
-def test_the_service_runs_on_a_read_only_root_with_its_state_in_memory(board: Board, laptop: Path) -> None:
-    board.booted.shut_down()
-    board.start("ro", "systemd.volatile=state")
+def test_the_service_runs_on_a_read_only_root_with_its_state_in_memory(twins: Twins, laptop: Path) -> None:
+    board = twins.write_protected.result()
     assert "ro" in board.do("findmnt -no OPTIONS /").strip().split(",")
     assert board.do("findmnt -no FSTYPE /var").strip() == "tmpfs"
-    board.until(lambda: board.unit("ActiveState") == "active")
     with board.connected(laptop) as connected:
         connected.load("camera", "default")
         with connected.stream("camera", timeout=board.patience) as stream:

@@ -28,6 +28,14 @@ class Done:
         return self.out + self.err
 
 
+@dataclass(frozen=True, slots=True)
+class Program:
+    """One that was started."""
+
+    pid: object  # as the agent knows it
+    command: list[str]
+
+
 class Agent:
     """One connection to the agent behind a socket of QEMU."""
 
@@ -54,17 +62,25 @@ class Agent:
 
     def run(self, command: list[str], patience_s: float, given: str = "") -> Done:
         """Run a program to its end; raises VmError where that takes longer than `patience_s`."""
+        return self.end(self.begin(command, patience_s, given), patience_s)
+
+    def begin(self, command: list[str], patience_s: float, given: str = "") -> Program:
+        """Start a program, that runs beside others until its `end`."""
         arguments: dict[str, object] = {"path": command[0], "arg": command[1:], "capture-output": True}
         if given:
             arguments["input-data"] = base64.b64encode(given.encode()).decode()
-        deadline = time.monotonic() + patience_s
-        process = self._call("guest-exec", arguments, patience_s)
+        return Program(self._call("guest-exec", arguments, patience_s)["pid"], command)
+
+    def end(self, program: Program, patience_s: float) -> Done:
+        """Wait until a program has ended; raises VmError where that takes longer than `patience_s`."""
+        deadline, pause = time.monotonic() + patience_s, 0.05
         while time.monotonic() < deadline:
-            state = self._call("guest-exec-status", {"pid": process["pid"]}, patience_s)
+            state = self._call("guest-exec-status", {"pid": program.pid}, patience_s)
             if state["exited"]:
                 return Done(_status(state), _text(state, "out-data"), _text(state, "err-data"))
-            time.sleep(0.1)
-        raise VmError(f"the board did not come to the end of {' '.join(command)} in {patience_s:.0f} s")
+            time.sleep(pause)
+            pause = min(2 * pause, 0.4)  # each question is work for the board
+        raise VmError(f"the board did not come to the end of {' '.join(program.command)} in {patience_s:.0f} s")
 
     def _call(self, name: str, arguments: dict[str, object], patience_s: float) -> dict[str, object]:
         self._send(name, arguments)

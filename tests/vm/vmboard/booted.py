@@ -5,17 +5,24 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+import signal
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from . import qemu
 from .agent import Agent, Done
 from .errors import VmError
+from .shell import run
 
 BOOT_S = 50.0  # until the agent answers, times the board's slowness
 COMMAND_S = 30.0  # for a program, times the board's slowness
+
+
+def _line(command: str, user: str) -> list[str]:
+    return ["/bin/sh", "-c", command] if user == "root" else ["/sbin/runuser", "-l", user, "-c", command]
 
 
 class Booted:
@@ -62,10 +69,19 @@ class Booted:
 
     def run(self, command: str, user: str = "root", given: str = "", patience_s: float = 0) -> Done:
         """A shell's command line, as a user who has just logged in; `patience_s` is for what takes very long."""
+        return self._running.run(_line(command, user), patience_s or COMMAND_S * self.machine.slow, given)
+
+    def begin(self, command: str, user: str = "root", given: str = "") -> Callable[[], Done]:
+        """The same beside what follows; the result waits for its end."""
+        agent, patience_s = self._running, COMMAND_S * self.machine.slow
+        program = agent.begin(_line(command, user), patience_s, given)
+        return lambda: agent.end(program, patience_s)
+
+    @property
+    def _running(self) -> Agent:
         if self._agent is None:
             raise VmError("the board is switched off")
-        line = ["/bin/sh", "-c", command] if user == "root" else ["/sbin/runuser", "-l", user, "-c", command]
-        return self._agent.run(line, patience_s or COMMAND_S * self.machine.slow, given)
+        return self._agent
 
     def do(self, command: str, user: str = "root", given: str = "", patience_s: float = 0) -> str:
         """The same where an error is a failure; what the command wrote to its standard output."""
@@ -73,6 +89,18 @@ class Booted:
         if done.status:
             raise VmError(f"{user}: {command}: status {done.status}\n{done.said}")
         return done.out
+
+    def twin(self, place: Path, forwards: dict[int, int]) -> Booted:
+        """Another board, switched off, with the disk that this one would have if its power went now."""
+        if self._process is None:
+            raise VmError("the board is switched off")
+        place.mkdir(parents=True)
+        self._process.send_signal(signal.SIGSTOP)
+        try:
+            run(["cp", "--reflink=auto", "--sparse=always", self.machine.root, place / "root.ext4"])
+        finally:
+            self._process.send_signal(signal.SIGCONT)
+        return Booted(dataclasses.replace(self.machine, root=place / "root.ext4", forwards=forwards), place)
 
     def cut_power(self) -> None:
         """End QEMU without a word to the board: what its kernel had not written is lost."""

@@ -16,7 +16,7 @@ from .arch import Arch
 from .cache import Cache
 from .errors import VmError
 from .kernel import Kernel
-from .packages import Apt, unpack
+from .packages import Apt, inflated, unpack
 from .payload import copy_modules
 from .progress import say
 from .shell import run
@@ -103,11 +103,14 @@ def _build(cache: Cache, arch: Arch, place: Path) -> None:
     copy_modules(root, _kernel(arch, place), DRIVERS)
     _first_files(root)
     run(["mke2fs", "-q", "-t", "ext4", "-L", "cm-root", "-d", root, place / "root.ext4", SIZE])
-    run(["mke2fs", "-q", "-t", "ext4", "-O", "^has_journal", "-d", place / "debs", place / "debs.ext4", "1G"])
+    (place / "inflated").mkdir()
+    for deb in debs:
+        inflated(deb, place / "inflated" / deb.name)
+    run(["mke2fs", "-q", "-t", "ext4", "-O", "^has_journal", "-d", place / "inflated", place / "debs.ext4", "2G"])
     shutil.rmtree(root)
     change(cache, System(_kernel(arch, place), place / "root.ext4"), place / "debs.ext4", "/bootstrap", place)
-    shutil.rmtree(place / "debs")
-    shutil.rmtree(place / "image")
+    for folder in ("debs", "inflated", "image"):
+        shutil.rmtree(place / folder)
     (place / "debs.ext4").unlink()
 
 

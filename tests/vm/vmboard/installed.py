@@ -23,6 +23,7 @@ BOARD = REPOSITORY / "tests/vm/guest/installed"  # what stands in for the PL, an
 SHARED = REPOSITORY / "tests/vm/guest/board.sh"
 SOURCES = ("cm", "csrc", "kmod", "debian", "release", "system", "setup.py", "pyproject.toml", "MANIFEST.in")
 WHEELS = {"arm64": "aarch64", "armhf": "armv7l"}
+MODULES = "fpga-cm-dkms_*.deb"
 COMPILING_S = 3600.0  # an emulated processor compiles for minutes
 MOUNT = "mount -o ro /dev/disk/by-id/virtio-cm-payload /opt/cm"
 
@@ -82,14 +83,22 @@ def _newer(deb: Path, root: Path) -> None:
 def with_modules(cache: Cache, tier: Tier) -> System:
     """The board's Debian with our kernel modules, as DKMS built them there from our package."""
     plain = system(cache, tier.arch)
-    inputs = [plain.folder.name, REPOSITORY / "kmod", REPOSITORY / "debian/rules", BOARD, SHARED]
+    package = [REPOSITORY / "debian" / name for name in ("rules", "control", "changelog", "fpga-cm-dkms.postinst")]
+    inputs = [plain.folder.name, REPOSITORY / "kmod", *package, BOARD, SHARED]
     place = cache.entry(f"modules-{tier.arch.label}", inputs, lambda out: _install(cache, tier, plain, out))
     return System(plain.kernel, place / "root.ext4")
 
 
+def release(arch: Arch, root: System) -> list[Path]:
+    """The artefacts, with the modules' package that the system has: one with another changelog would be built again."""
+    built = next(root.folder.glob(MODULES))
+    return [built if path.match(MODULES) else path for path in artefacts(arch)]
+
+
 def _install(cache: Cache, tier: Tier, plain: System, place: Path) -> None:
     copy(plain.root, place / "root.ext4")
-    image = disk(artefacts(tier.arch), place)
+    files = artefacts(tier.arch)
+    image = disk(files, place)
     board = Booted(machine(cache, tier, System(plain.kernel, place / "root.ext4"), image), place / "log")
     board.boot()
     try:
@@ -102,7 +111,9 @@ def _install(cache: Cache, tier: Tier, plain: System, place: Path) -> None:
         board.shut_down()
     finally:
         board.close()
-    image.unlink()
+    shutil.copy2(next(path for path in files if path.match(MODULES)), place)
+    for made in (image, place / "disk", place / "newer"):
+        shutil.rmtree(made) if made.is_dir() else made.unlink()
 
 
 def copy(image: Path, target: Path) -> None:

@@ -90,8 +90,9 @@ def _device(machine: Machine, name: str) -> str:
 
 
 def _disk(machine: Machine, image: Path, serial: str, *, keep: bool = False) -> list[str]:
-    # a disk that stays reaches the host's page cache in order, so that killing QEMU is a power cut
-    lasting = "cache=writeback" if keep else "snapshot=on,cache=unsafe"
+    # what a disk that stays has taken is in the host's page cache, so that killing QEMU is a power cut; the host's own
+    # disk need not be waited for
+    lasting = "cache=unsafe" if keep else "snapshot=on,cache=unsafe"
     drive = f"if=none,id={serial},file={image},format=raw,{lasting}"
     return ["-drive", drive, "-device", f"{_device(machine, 'virtio-blk')},drive={serial},serial={serial}"]
 

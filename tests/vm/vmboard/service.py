@@ -24,7 +24,7 @@ def machine(cache: Cache, tier: Tier, place: Path, forwards: dict[int, int]) -> 
     made = installed.with_modules(cache, tier)
     place.mkdir(parents=True, exist_ok=True)
     installed.copy(made.root, place / "root.ext4")
-    payload = installed.disk(installed.artefacts(tier.arch), place)
+    payload = installed.disk(installed.release(tier.arch, made), place)
     return installed.machine(cache, tier, System(made.kernel, place / "root.ext4"), payload, forwards)
 
 
@@ -47,9 +47,9 @@ def test(board: Machine, place: Path, keyword: str) -> report.Results:
     command += ["--timeout", str(200 * board.slow), *(["-k", keyword] if keyword else []), str(TESTS)]
     with (place / "pytest.log").open("wb") as log:
         status = subprocess.run(command, env=environment, cwd=REPOSITORY, stdout=log, stderr=log, check=False)
-    consoles = sorted(place.glob("boot-*/console.log"))
+    consoles = sorted(place.rglob("boot-*/console.log"))
     (place / "console.log").write_bytes(b"".join(path.read_bytes() for path in consoles))
     results = report.of_host(xml, place / "console.log", status.returncode)
-    for image in (board.root, board.payload):
-        image.unlink(missing_ok=True)
+    for image in place.rglob("*.ext4"):
+        image.unlink()
     return results

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -49,11 +50,21 @@ def _out_of_reach(cache: Cache, tier: Tier) -> str:
 
 def build(cache: Cache, names: list[str]) -> None:
     """Everything the named boards need, from the cache or now."""
-    for name in names:
-        if TIERS[name].installed:
-            installed.with_modules(cache, TIERS[name])
-        else:
-            machine(cache, TIERS[name])
+    make: dict[bool, Callable[[Cache, Tier], object]] = {True: installed.with_modules, False: machine}
+    with ThreadPoolExecutor(2) as pool:
+        for made in [pool.submit(_all, make[kind], cache, tiers) for kind, tiers in _kinds(names).items()]:
+            made.result()
+
+
+def _kinds(names: list[str]) -> dict[bool, list[Tier]]:
+    """By whether a Debian is installed on the board, which takes minutes of one core while kernels are compiled."""
+    tiers = [TIERS[name] for name in names]
+    return {kind: [tier for tier in tiers if tier.installed == kind] for kind in (True, False)}
+
+
+def _all(make: Callable[[Cache, Tier], object], cache: Cache, tiers: list[Tier]) -> None:
+    for tier in tiers:
+        make(cache, tier)
 
 
 def machine(
@@ -97,15 +108,9 @@ def _tree(cache: Cache, tier: Tier, kernel: Kernel) -> Path | None:
 
 def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) -> int:
     """Run the boards and print what they found: 0 where all are good, 1 where one is not, else 77 for a skipped one."""
-    machines: dict[str, qemu.Machine] = {}
-    skipped = []
-    for name in names:
-        try:
-            shutil.rmtree(output / name, ignore_errors=True)
-            machines[name] = _for_test(cache, TIERS[name], keyword, output / name)
-        except MissingError as missing:
-            say(f"SKIPPED {name}: {missing}")
-            skipped.append(name)
+    with ThreadPoolExecutor(2) as pool:
+        made = [pool.submit(_machines, cache, tiers, keyword, output) for tiers in _kinds(names).values()]
+        machines = {name: board for some in made for name, board in some.result().items()}
     if not machines:
         raise MissingError("no board can run here")
     with step(f"running {', '.join(machines)}"), ThreadPoolExecutor(jobs) as pool:
@@ -115,7 +120,19 @@ def test(cache: Cache, names: list[str], output: Path, jobs: int, keyword: str) 
         _print(name, result, output / name)
     if not all(result.good for result in results.values()):
         return 1
-    return EXIT_MISSING if skipped else 0
+    return EXIT_MISSING if len(machines) < len(names) else 0
+
+
+def _machines(cache: Cache, tiers: list[Tier], keyword: str, output: Path) -> dict[str, qemu.Machine]:
+    """Those that can be had here; says which cannot."""
+    machines = {}
+    for tier in tiers:
+        try:
+            shutil.rmtree(output / tier.name, ignore_errors=True)
+            machines[tier.name] = _for_test(cache, tier, keyword, output / tier.name)
+        except MissingError as missing:
+            say(f"SKIPPED {tier.name}: {missing}")
+    return machines
 
 
 def _for_test(cache: Cache, tier: Tier, keyword: str, place: Path) -> qemu.Machine:

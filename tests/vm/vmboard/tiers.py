@@ -90,7 +90,7 @@ TIERS = {
         replace(SILICON, name="silicon-6.12", driver=Source("trixie", "linux-source-6.12"), cases=ENGINES),
         ZYNQ,
         Tier("remote", ARM64, CUSTOM, FULL, memory_mb=512, slow=6, remote=True),
-        Tier("service", ARM64, (), (), memory_mb=1024, slow=6, installed=True, optional=True),
+        Tier("service", ARM64, (), (), memory_mb=1024, slow=6, installed=True),
         Tier("service-armhf", ARMMP, (), (), memory_mb=1024, slow=6, installed=True, optional=True),
         Tier("x86", AMD64, (), BASIC, memory_mb=768, slow=6, kvm=True),
     )
