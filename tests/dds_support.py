@@ -135,16 +135,20 @@ class Client:
         assert ddspy_write(self._writer._ref, bytes(sample).ljust(len(sample) + -len(sample) % 4, b"\0")) >= 0
         return self._count
 
-    def receive(self, number: int) -> dict[str, Any]:
-        """The reply to one."""
+    def receive(self, number: int, seconds: float = PATIENCE) -> dict[str, Any] | None:
+        """The reply to one; None if none comes."""
         from cyclonedds.util import duration
 
-        for sample in self._reader.take_iter(timeout=duration(seconds=PATIENCE)):
+        for sample in self._reader.take_iter(timeout=duration(seconds=seconds)):
             reader = cdr.Reader(sample.data)
             if (reader.take("Q", 8), reader.take("q", 8)) == (self._guid, number):
                 return cdr.read(self._replied, reader)
-        raise AssertionError(f"no reply of {self._replied} came")
+        return None
 
     def call(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Ask and wait."""
-        return self.receive(self.send(request))
+        """Ask and wait; ask again as users do, for the service may not have met us when we first asked."""
+        for _ in range(4):
+            reply = self.receive(self.send(request), PATIENCE / 4)
+            if reply is not None:
+                return reply
+        raise AssertionError(f"no reply of {self._replied} came")

@@ -28,12 +28,12 @@ class Dispatcher:
         self._waitset = WaitSet(participant)
         self._wake = GuardCondition(participant)
         self._waitset.attach(self._wake)
-        self._readers: tuple[tuple[DataReader, ReadCondition, Callable[[bytes], None]], ...] = ()
+        self._readers: tuple[tuple[DataReader, ReadCondition, Callable[[Raw], None]], ...] = ()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
-    def add(self, reader: DataReader, take: Callable[[bytes], None]) -> None:
-        """`take` gets each sample's bytes; what it raises as CmError is logged."""
+    def add(self, reader: DataReader, take: Callable[[Raw], None]) -> None:
+        """`take` gets each sample; what it raises as CmError is logged."""
         condition = ReadCondition(reader, _ANY)
         self._readers = (*self._readers, (reader, condition, take))
         self._waitset.attach(condition)
@@ -57,11 +57,11 @@ class Dispatcher:
             self._thread.join()
 
 
-def _hand_on(reader: DataReader, take: Callable[[bytes], None]) -> None:
+def _hand_on(reader: DataReader, take: Callable[[Raw], None]) -> None:
     while samples := reader.take(N=_MANY):
         for sample in samples:
             if isinstance(sample, Raw):  # no notice of a writer that has gone
                 try:
-                    take(sample.data)
+                    take(sample)
                 except CmError as error:
                     _LOG.warning("%s", error)

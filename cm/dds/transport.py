@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import struct
 import threading
 from collections.abc import Callable
 from typing import Any
@@ -16,13 +15,13 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from cm.dds import config
+from cm.dds import config, service
 from cm.dds.dispatcher import Dispatcher
 from cm.dds.graph import Graph
 from cm.dds.library import Library
 from cm.dds.publisher import DdsPublisher
 from cm.dds.qos import qos
-from cm.dds.types import sample_type
+from cm.dds.types import Raw, sample_type
 from cm.errors import InvalidRequest
 from cm.ros import cdr
 from cm.ros.node import NodeName
@@ -30,7 +29,6 @@ from cm.ros.transport import SERVICES, Qos, Values
 from cm.ros.typehash import type_hash
 
 _REQUESTS = 32  # that are worked on at a time; others wait in their reader
-_HEADER = struct.Struct("<Qq")  # of requests and replies: who asked, and its number
 
 
 class DdsTransport:
@@ -69,38 +67,21 @@ class DdsTransport:
         """Listen to a topic."""
         reader = self._reader(f"rt{topic}", kind, qos(quality, type_hash(kind)))
         self._graph.add(readers=(reader,))
-        made = _Subscription(self, reader, lambda data: take(cdr.decode(kind, data)))
+        made = _Subscription(self, reader, lambda sample: take(cdr.decode(kind, sample.data)))
         self._subscriptions.add(made)
         return made
 
     # ---- services -------------------------------------------------------------------------
 
     def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> None:
-        """Serve, as rmw_cyclonedds has it: who asked and its number stand before request and reply."""
-        asked, replied = f"{kind}_Request", f"{kind}_Response"
-        mark = "serviceid=" + ".".join(f"{byte:x}" for byte in os.urandom(16)) + ";"
+        """Serve, to who uses rmw_cyclonedds."""
+        asked, replied, mark = f"{kind}_Request", f"{kind}_Response", service.mark()
         writer = self._writer(f"rr{name}Reply", replied, qos(SERVICES, type_hash(replied), mark), service=True)
         reader = self._reader(f"rq{name}Request", asked, qos(SERVICES, type_hash(asked), mark), service=True)
         self._graph.add(readers=(reader,), writers=(writer,))
         replies = DdsPublisher(writer, replied, None, self._closed)
         self._publishers.add(replies)
-
-        def reply(header: bytes, values: dict[str, Any]) -> None:
-            try:
-                sample = bytearray(cdr.HEADER) + header
-                cdr.put(replied, sample, answer(values))
-                replies.write_bytes(sample)
-            finally:
-                self._busy.release()
-
-        def take(data: bytes) -> None:
-            request = cdr.Reader(data)
-            header = _HEADER.pack(request.take("Q", 8), request.take("q", 8))
-            values = cdr.read(asked, request)
-            self._busy.acquire()
-            threading.Thread(target=reply, args=(header, values), name=name, daemon=True).start()
-
-        self._requests.add(reader, take)
+        self._requests.add(reader, service.Service(kind, reader, replies, answer, self._busy).take)
 
     # ---- entities -------------------------------------------------------------------------
 
@@ -129,7 +110,7 @@ class DdsTransport:
 
 
 class _Subscription:
-    def __init__(self, owner: DdsTransport, reader: DataReader, take: Callable[[bytes], None]) -> None:
+    def __init__(self, owner: DdsTransport, reader: DataReader, take: Callable[[Raw], None]) -> None:
         self._owner = owner
         self._reader: DataReader | None = reader
         self._dispatcher = Dispatcher(owner._participant, "subscription")

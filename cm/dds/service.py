@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A service as rmw_cyclonedds has it: who asked and its number stand before request and reply, in two plain topics."""
+
+from __future__ import annotations
+
+import logging
+import os
+import struct
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from cyclonedds.core import Policy
+from cyclonedds.sub import DataReader
+
+from cm.dds.publisher import DdsPublisher
+from cm.dds.types import Raw
+from cm.errors import CmError
+from cm.ros import cdr
+from cm.ros.transport import Values
+
+_LOG = logging.getLogger("cm.dds")
+_HEADER = struct.Struct("<Qq")
+_MET = 10.0  # seconds that a reply waits until DDS has found the reader of who asked; it would be lost
+_LOOK = 0.005
+_CLIENT = b"clientid="
+
+
+def mark() -> str:
+    """By which the two ends of a service belong together."""
+    return "serviceid=" + ".".join(f"{byte:x}" for byte in os.urandom(16)) + ";"
+
+
+class Service:
+    """Answers requests, each in a thread of its own, `busy` of them at a time."""
+
+    def __init__(
+        self,
+        kind: str,
+        requests: DataReader,
+        replies: DdsPublisher,
+        answer: Callable[[dict[str, Any]], Values],
+        busy: threading.Semaphore,
+    ) -> None:
+        self._asked, self._replied = f"{kind}_Request", f"{kind}_Response"
+        self._requests, self._replies = requests, replies
+        self._answer = answer
+        self._busy = busy
+
+    def take(self, sample: Raw) -> None:
+        """A request. Raises InvalidRequest for what is none."""
+        request = cdr.Reader(sample.data)
+        header = _HEADER.pack(request.take("Q", 8), request.take("q", 8))
+        values = cdr.read(self._asked, request)
+        self._busy.acquire()
+        arguments = (header, values, sample.sample_info.publication_handle)
+        threading.Thread(target=self._reply, args=arguments, name=self._asked, daemon=True).start()
+
+    def _reply(self, header: bytes, values: dict[str, Any], client: int) -> None:
+        try:
+            sample = bytearray(cdr.HEADER) + header
+            cdr.put(self._replied, sample, self._answer(values))
+            if self._is_met(client):
+                self._replies.write_bytes(sample)
+        except CmError as error:
+            _LOG.warning("%s: %s", self._asked, error)
+        finally:
+            self._busy.release()
+
+    def _is_met(self, client: int) -> bool:
+        """Whether who asked can hear: its writer may be known before its reader. False where it has gone."""
+        until = time.monotonic() + _MET
+        while (asking := self._requests.get_matched_publication_data(client)) is not None:
+            name = _client_of(asking)
+            if not name or name in self._listening():
+                return True
+            if time.monotonic() > until:
+                _LOG.warning("%s: DDS does not find the reader of who asked", self._asked)
+                return False
+            time.sleep(_LOOK)
+        return False
+
+    def _listening(self) -> set[bytes]:
+        writer = self._replies.writer
+        if writer is None:
+            return set()
+        ends = (writer.get_matched_subscription_data(handle) for handle in writer.get_matched_subscriptions())
+        return {_client_of(end) for end in ends if end is not None}
+
+
+def _client_of(end: Any) -> bytes:
+    """The mark of a client's end; empty for clients of old, which have none."""
+    data = end.qos[Policy.Userdata].data if Policy.Userdata in end.qos else b""
+    found = next((part for part in data.split(b";") if part.startswith(_CLIENT)), b"")
+    return bytes(found)
