@@ -173,18 +173,19 @@ def assemble(
     date: str = "2024/01/01",
     time: str = "00:00:00",
     version: str = "cm",
+    user_id: int = 0xFFFF_FFFF,
 ) -> bytes:
     """Return a whole `.bit` file that writes `runs`, spread in order over `sections` sections.
 
     `part` is the full part name of the header (the device's name if None); `date` and `time` are
-    given, not taken from a clock, so that equal input gives equal bytes.
+    given, not taken from a clock, so that equal input gives equal bytes. `user_id`: all ones means none.
     """
     known = _known(device)
     if not 1 <= sections <= max(1, len(runs)):
         raise ValueError(f"{len(runs)} runs cannot fill {sections} sections")
     size = -(-len(runs) // sections)
     groups = [runs[start : start + size] for start in range(0, len(runs), size)]
-    fields = {"UserID": "0XFFFFFFFF", **({"PARTIAL": "TRUE"} if partial else {}), "Version": version}
+    fields = {"UserID": f"0X{user_id:08X}", **({"PARTIAL": "TRUE"} if partial else {}), "Version": version}
     header = BitHeader(
         design=_UNPRINTABLE.sub("_", design),
         fields=tuple(fields.items()),

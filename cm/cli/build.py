@@ -10,6 +10,7 @@ from cm.cli.build_configure import add_configure_parser
 from cm.cli.build_generate import add_check_parser, add_generate_parser
 from cm.cli.build_init import add_init_parser
 from cm.cli.build_interfaces import add_interfaces_parser
+from cm.cli.build_open import add_tools_parser
 from cm.cli.build_pack import add_pack_parsers
 from cm.cli.build_partition import add_partition_parser
 from cm.cli.build_run import add_run_parser
@@ -34,3 +35,4 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_pack_parsers(actions)
     add_collect_parser(actions)
     add_partition_parser(actions)
+    add_tools_parser(actions)

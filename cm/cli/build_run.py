@@ -16,6 +16,7 @@ from cm.build.run.make import run_flow
 from cm.build.run.steps import Flow, Planned, State
 from cm.build.run.vivado import find_vivado
 from cm.cli.build_common import add_out_option, add_schema_argument
+from cm.cli.build_open import run_open
 from cm.cli.common import add_json_option, print_json, print_table
 
 
@@ -23,16 +24,20 @@ def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     """Add the action."""
     parser = actions.add_parser(
         "run",
-        help="run the flow in Vivado, or what of it has to be run again",
+        help="run the flow in Vivado or with open tools, or what of it has to be run again",
         description="Run the generated flow. Steps whose inputs have the same content as before are left out; started"
-        " again after an error or an interruption, it goes on where it ended.",
+        " again after an error or an interruption, it goes on where it ended. --flow open takes yosys, nextpnr and"
+        " Project X-Ray's database in place of Vivado (docs/open-flow.md).",
     )
     add_schema_argument(parser)
     add_out_option(parser)
+    parser.add_argument("--flow", choices=("vivado", "open"), default="vivado", help="default: vivado")
     parser.add_argument("--vivado", metavar="PATH", help="the program or its folder (default: XILINX_VIVADO, PATH)")
     parser.add_argument("-j", "--jobs", type=int, default=2, metavar="N", help="steps at once (default: 2)")
     more = "only what this module's bitstream needs (may be repeated)"
     parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of nextpnr; equal seeds give equal bits")
+    parser.add_argument("--tools", type=Path, metavar="DIR", help="folder that cm build tools --fetch filled")
     parser.add_argument("--dry-run", action="store_true", help="list the steps and which would run")
     add_json_option(parser)
     parser.set_defaults(run=run_run)
@@ -42,6 +47,8 @@ def run_run(args: argparse.Namespace) -> int:
     """Run or list the steps."""
     project = load_project(args.schema)
     out = output_folder(project, args.out)
+    if args.flow == "open":
+        return run_open(args, out)
     planned = Flow(out).plan(args.module)
     stale = _stale(args.schema, out)
     if args.dry_run:

@@ -27,11 +27,17 @@ _KINDS = ("SLICE", "RAMB18", "RAMB36")
 class BoundaryBit:
     """One wire of a boundary: bit `bit` of port `port`; `into` the region, or out of it."""
 
+    region: int  # its index
     index: int
     port: str
     bit: int
     width: int
     into: bool
+
+    @property
+    def label(self) -> str:
+        """Names it among all wires of all regions."""
+        return f"{self.region}_{self.index}"
 
     @property
     def signal(self) -> str:
@@ -81,7 +87,7 @@ def boundary_bits(region: RegionPlan, ports: Sequence[Signal]) -> tuple[Boundary
     clocks = set(region.clocks)
     wires = [(port, bit) for port in ports if port.name not in clocks for bit in range(port.width)]
     return tuple(
-        BoundaryBit(index, port.name, bit, port.width, port.direction is PortDirection.IN)
+        BoundaryBit(region.index, index, port.name, bit, port.width, port.direction is PortDirection.IN)
         for index, (port, bit) in enumerate(wires)
     )
 

@@ -15,7 +15,6 @@ from cm.build.plan.system import RegionPlan, System
 
 TOP, MODULE_TOP = "cm_open_top", "cm_open_module"
 ANCHOR, HARNESS = "cm_anchor_", "cm_harness_"
-SPINE = f"{HARNESS}spine_"
 _SYSTEM = ("awaddr", "awprot", "awvalid", "awready", "wdata", "wstrb", "wvalid", "wready", "bresp", "bvalid", "bready")
 _SYSTEM_READ = ("araddr", "arprot", "arvalid", "arready", "rdata", "rresp", "rvalid", "rready")
 
@@ -54,9 +53,9 @@ def static_side(region: RegionPlan) -> Netlist:
     net.black_box = False
     net.doc = f"Region {region.name}: anchors of its boundary, and flip-flops in the place of a module."
     bits = bits_of_region(region)
-    _harness_clock(net)
+    _harness_clock(net, region)
     for number, clock in enumerate(region.clocks):  # a clock is brought to the region's rows, whatever stands there
-        _flip_flop(net, f"{SPINE}{number}", "cm_toggle", None, clock)
+        _flip_flop(net, f"{HARNESS}{region.index}_spine{number}", "cm_toggle", None, clock)
     for bit in bits:
         if bit.into:
             _arrives(net, bit, bit.signal)
@@ -74,7 +73,7 @@ def module_side(region: RegionPlan) -> Netlist:
     for port in black_box(region).ports:
         if port.name not in pins:
             pins[port.name] = net.wire(port.name, port.width)
-    _harness_clock(net)
+    _harness_clock(net, region)
     net.instance("BUFG", "cm_clock_buffer", {"I": "1'b0", "O": "cm_clock"})
     for bit in bits:
         if bit.into:
@@ -87,27 +86,29 @@ def module_side(region: RegionPlan) -> Netlist:
 
 def _arrives(net: Netlist, bit: BoundaryBit, signal: str) -> None:
     """A signal ends here: anchor, a look-up table that keeps tools from packing it, a flip-flop."""
-    anchored, hop = net.wire(f"cm_a{bit.index}"), net.wire(f"cm_h{bit.index}")
-    _lut(net, f"{ANCHOR}{bit.index}", signal, anchored)
-    _lut(net, f"{HARNESS}lut_{bit.index}", anchored, hop)
-    _flip_flop(net, f"{HARNESS}ff_{bit.index}", hop, None)
+    anchored, hop = net.wire(f"cm_a{bit.label}"), net.wire(f"cm_h{bit.label}")
+    _lut(net, f"{ANCHOR}{bit.label}", signal, anchored)
+    _lut(net, f"{HARNESS}{bit.label}_lut", anchored, hop)
+    _flip_flop(net, f"{HARNESS}{bit.label}_ff", hop, None)
 
 
 def _departs(net: Netlist, bit: BoundaryBit, signal: str) -> None:
     """A signal begins here: a flip-flop, then the anchor."""
-    begun = net.wire(f"cm_b{bit.index}")
-    _flip_flop(net, f"{HARNESS}ff_{bit.index}", "cm_toggle", begun)
-    _lut(net, f"{ANCHOR}{bit.index}", begun, signal)
+    begun = net.wire(f"cm_b{bit.label}")
+    _flip_flop(net, f"{HARNESS}{bit.label}_ff", "cm_toggle", begun)
+    _lut(net, f"{ANCHOR}{bit.label}", begun, signal)
 
 
-def _harness_clock(net: Netlist) -> None:
+def _harness_clock(net: Netlist, region: RegionPlan) -> None:
     """A clock of the harness's own, made of a look-up table: its paths are told apart by it."""
     net.wire("cm_toggle_clock")
     net.wire("cm_toggle")
     net.wire("cm_toggle_next")
-    _lut(net, f"{HARNESS}clock", "cm_toggle", "cm_toggle_clock")
-    net.instance("LUT1", f"{HARNESS}invert", {"I0": "cm_toggle", "O": "cm_toggle_next"}, {"INIT": "2'b01"})
-    _flip_flop(net, f"{HARNESS}toggle_ff", "cm_toggle_next", "cm_toggle")
+    _lut(net, f"{HARNESS}{region.index}_clock", "cm_toggle", "cm_toggle_clock")
+    net.instance(
+        "LUT1", f"{HARNESS}{region.index}_invert", {"I0": "cm_toggle", "O": "cm_toggle_next"}, {"INIT": "2'b01"}
+    )
+    _flip_flop(net, f"{HARNESS}{region.index}_toggle", "cm_toggle_next", "cm_toggle")
 
 
 def _lut(net: Netlist, name: str, source: str, target: str) -> None:

@@ -17,11 +17,11 @@ Pip = tuple[str, str]  # name in nextpnr (X85Y13/DESTINATION/SOURCE), name of th
 
 @dataclass(frozen=True)
 class Routed:
-    """The dump of `inside/dump.py`; `inputs` are the anchors (by number) whose input side this run has."""
+    """The dump of `inside/dump.py`; `inputs` are the anchors (by label) whose input side this run has."""
 
     cells: Mapping[str, tuple[str, str]]  # name → type, place
     nets: Mapping[str, Mapping[str, Any]]
-    inputs: frozenset[int]
+    inputs: frozenset[str]
 
     def place(self, last: str) -> str:
         """The place of the cell whose name ends in `last`."""
@@ -32,24 +32,29 @@ class Routed:
         last = _last(cell)
         if last.startswith(HARNESS):
             return False
-        return not last.startswith(ANCHOR) or int(last.removeprefix(ANCHOR)) in self.inputs
+        return not last.startswith(ANCHOR) or last.removeprefix(ANCHOR) in self.inputs
 
     def pips(self) -> tuple[frozenset[Pip], frozenset[Pip]]:
         """The pips that the design needs, and those that only the harness needs."""
         kept: set[Pip] = set()
         every: set[Pip] = set()
         for net in self.nets.values():
-            wires = net["wires"]
-            every |= {(way[0], wire) for wire, way in wires.items() if way}
-            if _last(net["driver"]).startswith(HARNESS):
-                continue
-            for cell, _, sink in net["users"]:
-                if self.own(cell):
-                    kept |= set(_way(wires, sink))
+            every |= {(way[0], wire) for wire, way in net["wires"].items() if way}
+            kept |= self._needed(net)
         return frozenset(kept), frozenset(every - kept)
 
+    def pips_of(self, net: Mapping[str, Any]) -> frozenset[str]:
+        """The names of the pips of a net that the design needs."""
+        return frozenset(pip for pip, _ in self._needed(net))
 
-def read_routed(path: Path, inputs: frozenset[int]) -> Routed:
+    def _needed(self, net: Mapping[str, Any]) -> set[Pip]:
+        if _last(net["driver"]).startswith(HARNESS):
+            return set()
+        wires = net["wires"]
+        return {pip for cell, _, sink in net["users"] if self.own(cell) for pip in _way(wires, sink)}
+
+
+def read_routed(path: Path, inputs: frozenset[str]) -> Routed:
     """Read a dump. Raises OSError, ValueError."""
     found = json.loads(path.read_text(encoding="utf-8"))
     return Routed({name: (kind, place) for name, (kind, place) in found["cells"].items()}, found["nets"], inputs)

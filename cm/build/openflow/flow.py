@@ -1,0 +1,195 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`cm build run --flow open`: the generated tree → full and partial bitstreams."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from cm.build.errors import BuildError
+from cm.build.generate.inputs import module_files
+from cm.build.openflow import images
+from cm.build.openflow.job import labels, module_job, pins_xdc, static_job
+from cm.build.openflow.layout import layouts
+from cm.build.openflow.merge import CLOCK, Side, module_features, static_features, strays, two_drivers
+from cm.build.openflow.netlists import MODULE_TOP, TOP, module_side, open_top, static_side
+from cm.build.openflow.place import SCRIPTS, Files, place_and_route, read_side, timing
+from cm.build.openflow.rules import refuse_open
+from cm.build.openflow.steps import OpenStepFailed, Steps, Tell, key_of, write_whole
+from cm.build.openflow.synth import Sources, resolved, script, synthesise
+from cm.build.openflow.timing import slacks
+from cm.build.openflow.tools import Tools
+from cm.build.plan.pins import placements
+from cm.build.plan.system import Implementation, System
+from cm.build.render import Renderer
+from cm.xray import Database, Feature, Wires
+
+Judge = Callable[[], list[str]]
+OWN_RTL = tuple(sorted((Path(__file__).parent / "rtl").glob("*.v")))
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How the flow runs: first seed, how many to try, how many programs at once."""
+
+    seed: int = 1
+    tries: int = 4
+    jobs: int = 2
+
+
+class OpenFlow:
+    """A run of the flow over the tree that was generated in `out`; what is made between lies in ``open/`` there."""
+
+    def __init__(self, system: System, out: Path, tools: Tools, tell: Tell, settings: Settings) -> None:
+        refuse_open(system)
+        self.system = system
+        self.out = out.absolute()
+        self.folder = self.out / "open"
+        self.tools = tools
+        self.settings = settings
+        self.tell = tell
+        self.database = Database.open(system.project.part, tools.database)
+        self.wires = Wires(self.database)
+        self.layouts = layouts(system, self.database)
+        self.steps = Steps(self.folder, tell)
+        (clock,) = {region.spec.clock for region in system.regions}
+        self.rate = system.project.clocks[clock].rate
+
+    def run(self) -> list[str]:
+        """Do what has to be done; returns the names of the steps that ran."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        (self.out / "bitstreams").mkdir(exist_ok=True)
+        with ThreadPoolExecutor(self.settings.jobs) as pool:
+            tasks = [pool.submit(self._synthesise, name, sources) for name, sources in self._all_sources().items()]
+            for task in tasks:
+                task.result()
+        static = self._static()
+        features = static_features(self.database, self.layouts.values(), static)
+        with ThreadPoolExecutor(self.settings.jobs) as pool:
+            runs = [pool.submit(self._module, one, static, features) for one in self.system.implementations]
+            modules = {one.name: run.result() for one, run in zip(self.system.implementations, runs, strict=True)}
+        self._bitstreams(features, modules)
+        return self.steps.ran
+
+    def _all_sources(self) -> dict[str, Sources]:
+        renderer = Renderer(self.system.project.folder, self.out, f"Generated from {self.system.project.source.name}.")
+        library = sorted((self.out / "hdl/lib").glob("*.v"))
+        made = [self._written(renderer, f"static_{r.name}", static_side(r)) for r in self.system.regions]
+        made.append(self._written(renderer, TOP, open_top(self.system)))
+        spec = self.system.project.static
+        plain = [path for path in spec.sources if path.suffix == ".v"]
+        verilog = resolved([*made, self.out / "hdl/cm_static.v", *OWN_RTL, *library, *plain])
+        later = tuple(path for path in spec.sources if path.suffix == ".sv")
+        found = {"static": Sources(TOP, verilog, later, include_dirs=spec.include_dirs, pads=True)}
+        for one in self.system.implementations:
+            top = self._written(renderer, f"module_{one.region.name}", module_side(one.region))
+            files = module_files(one, self.out)
+            found[one.name] = Sources(
+                MODULE_TOP,
+                resolved([top, *files["verilog"]]),
+                resolved(files["systemverilog"]),
+                resolved(files["header"]),
+                resolved(files["include_dirs"]),
+                tuple(files["defines"]),
+            )
+        return found
+
+    def _written(self, renderer: Renderer, name: str, net: object) -> Path:
+        path = self.folder / f"{name}.v"
+        text = renderer.render("module.v.j2", {"net": net}).encode()
+        if not path.is_file() or path.read_bytes() != text:
+            write_whole(path, text)
+        return path
+
+    def _synthesise(self, name: str, sources: Sources) -> None:
+        out = self.folder / f"{name}.json"
+        commands = script(sources, out).replace(str(self.out), "")
+        key = key_of(commands, self.tools.versions, *sources.files)
+        work = partial(synthesise, self.tools.yosys, sources, out, name)
+        self.steps.step(f"synth_{name}", f"synthesis of {name} by yosys", key, [out], work)
+
+    def _static(self) -> Side:
+        inputs = labels(self.layouts.values())[True]
+        job = static_job(self.database, list(self.layouts.values()))
+        files = Files(self.folder, "static")
+        xdc = pins_xdc(placements(self.system)[0])
+
+        def judge() -> list[str]:
+            read = timing(files)
+            return [] if read.inside <= 1e9 / self.rate else [f"static: its longest path takes {read.inside:.2f} ns"]
+
+        self._placed(files, job, xdc, judge, "the static part")
+        return read_side(files, inputs, static=True)
+
+    def _module(self, one: Implementation, static: Side, features: frozenset[Feature]) -> frozenset[Feature]:
+        layout = self.layouts[one.region.name]
+        inputs = labels([layout])[False]
+        job = module_job(self.database, self.wires, layout, static.routed, static.routed.place(CLOCK))
+        files = Files(self.folder, one.name)
+
+        def judge() -> list[str]:
+            side = read_side(files, inputs, static=False)
+            told = strays(self.database, layout, side, features)
+            left = slacks(timing(Files(self.folder, "static")), timing(files), 1e9 / self.rate)
+            return told[:3] + [f"{what}: {-value:.2f} ns too long" for what, value in left.items() if value < 0]
+
+        self._placed(files, job, "", judge, f"module {one.name}")
+        return module_features(self.database, layout, read_side(files, inputs, static=False))
+
+    def _placed(self, files: Files, job: dict[str, object], xdc: str, judge: Judge, what: str) -> None:
+        """Place and route with one seed after another, until nothing is wrong with what came out."""
+        first, part = self.settings.seed, self.system.project.part
+        key = key_of(job, xdc, self.rate, first, self.tools.versions, files.file("json"), *SCRIPTS)
+
+        def work() -> None:
+            wrong = []
+            for seed in range(first, first + self.settings.tries):
+                try:
+                    place_and_route(self.tools.nextpnr, part, files, job, xdc, self.rate / 1e6, seed)
+                    told = judge()
+                except OpenStepFailed as problem:
+                    told = [str(problem)]
+                if not told:
+                    return
+                wrong += [f"seed {seed}: {sentence}" for sentence in told]
+                self.tell(f"{files.name}: another seed, because of {told[0].splitlines()[0]}")
+            raise OpenStepFailed(f"{what} could not be placed and routed:\n  " + "\n  ".join(wrong))
+
+        title = f"place and route of {what} by nextpnr, from seed {first}"
+        self.steps.step(f"place_{files.name}", title, key, files.outputs, work)
+
+    def _bitstreams(self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]]) -> None:
+        system, name = self.system, self.system.project.name
+        outputs = {one: self.out / f"bitstreams/{one}.bit" for one in (name, *modules)}
+        key = key_of(sorted(static), {one: sorted(found) for one, found in modules.items()})
+        self.steps.step("bitstreams", "frames and bitstreams", key, list(outputs.values()),
+                        partial(self._write, static, modules, outputs))  # fmt: skip
+        self.tell(f"{system.project.name}: {len(modules)} partial bitstreams in {self.out / 'bitstreams'}")
+
+    def _write(
+        self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]], outputs: dict[str, Path]
+    ) -> None:
+        device, part, name = self.system.device, self.system.project.part, self.system.project.name
+        base = images.frames_of(self.database, static | self.database.required, "the static part")
+        number = images.user_id(base)
+        first = self.system.runs[0]
+        whole = static | self.database.required | {f for one in first.values() for f in modules[one]}
+        for one in self.system.implementations:
+            self._checked(one, static | modules[one.name])
+            columns = self.layouts[one.region.name].columns
+            frames = images.frames_of(self.database, static | self.database.required | modules[one.name], one.name)
+            beyond = images.outside(columns, base, frames)
+            if beyond:
+                raise BuildError(f"module {one.name} changes frame {beyond[0]:08X}, which is not of its region")
+            data = images.partial_image(device, part, one.name, frames, columns, number)
+            write_whole(outputs[one.name], data)
+        frames = images.frames_of(self.database, whole, name)
+        write_whole(outputs[name], images.full_image(device, part, name, frames, number))
+
+    def _checked(self, one: Implementation, features: Iterable[Feature]) -> None:
+        told = two_drivers(self.database, features)
+        if told:
+            raise BuildError(f"module {one.name} and the static part do not go together: {told[0]}")

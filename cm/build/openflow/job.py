@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What nextpnr is told beside the netlist: places, areas, wires that are others', pins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from cm.build.openflow.layout import Layout
+from cm.build.openflow.netlists import ANCHOR, HARNESS
+from cm.build.openflow.routed import Routed, tile_of
+from cm.build.plan.pins import Placement
+from cm.xray import Database, Tile, Wires
+
+Job = dict[str, Any]
+
+
+def static_job(database: Database, layouts: Sequence[Layout]) -> Job:
+    """The static part keeps out of the regions; its anchors and harnesses stand in them."""
+    inside = {name for layout in layouts for name in layout.tiles}
+    areas = {_harness(layout): _harness_places(layout) for layout in layouts}
+    areas["static"] = [_at(tile) for tile in database.tiles.values() if tile.sites and tile.name not in inside]
+    cells = [[_harness(layout), _harness(layout)] for layout in layouts] + [["", "static"]]
+    return {"bels": _anchor_bels(layouts), "areas": areas, "cells": cells, "blocked": []}
+
+
+def module_job(database: Database, wires: Wires, layout: Layout, static: Routed, clock_buffer: str) -> Job:
+    """A module keeps to its region, and leaves alone what the static part uses there."""
+    areas = {_harness(layout): _harness_places(layout), "module": [_at(tile) for tile in layout.logic_tiles]}
+    bels = [*_anchor_bels([layout]), ["cm_clock_buffer", clock_buffer]]
+    blocked = fence(database, wires, layout) | passing(database, wires, layout, static)
+    cells = [[_harness(layout), _harness(layout)], ["", "module"]]
+    return {"bels": bels, "areas": areas, "cells": cells, "blocked": sorted(blocked)}
+
+
+def fence(database: Database, wires: Wires, layout: Layout) -> set[str]:
+    """Wires that begin in a region and can be tapped outside it: nextpnr cannot confine routes, but leaves these."""
+    found = set()
+    for tile in layout.tiles.values():
+        if not tile.kind.startswith("INT_"):
+            continue
+        for wire in {pip.destination for pip in wires.kind(tile.kind).pips.values()}:
+            node = wires.node(tile.name, wire)
+            if any(name not in layout.tiles and _taps(database, name) for name, _ in node):
+                found.add(f"{_at(tile)}/{wire}")
+    return found
+
+
+def passing(database: Database, wires: Wires, layout: Layout, static: Routed) -> set[str]:
+    """Wires of the static part that touch the region."""
+    kept, _ = static.pips()
+    found = set()
+    for _, wire in kept:
+        place, _, name = wire.partition("/")
+        tile = tile_of(database, place)
+        if tile is not None and "." not in name and any(there in layout.tiles for there, _ in wires.node(tile, name)):
+            found.add(wire)
+    return found
+
+
+def pins_xdc(placements: Iterable[Placement]) -> str:
+    """Package pins as nextpnr reads them."""
+    lines = []
+    for one in placements:
+        target = f"{{{one.target}}}" if "[" in one.target else one.target
+        lines.append(f"set_property LOC {one.pin.location} [get_ports {target}]")
+        lines.append(f"set_property IOSTANDARD {one.pin.iostandard} [get_ports {target}]")
+    return "".join(f"{line}\n" for line in lines)
+
+
+def labels(layouts: Iterable[Layout]) -> Mapping[bool, frozenset[str]]:
+    """The labels of all anchors by whether they lead into a region."""
+    anchors = [anchor for layout in layouts for anchor in layout.anchors]
+    return {into: frozenset(a.bit.label for a in anchors if a.bit.into == into) for into in (True, False)}
+
+
+def _anchor_bels(layouts: Iterable[Layout]) -> list[list[str]]:
+    return [[f"{ANCHOR}{anchor.bit.label}", anchor.bel] for layout in layouts for anchor in layout.anchors]
+
+
+def _harness(layout: Layout) -> str:
+    return f"{HARNESS}{layout.region.index}_"
+
+
+def _harness_places(layout: Layout) -> list[str]:
+    return [f"{_at(tile)}/SLICE_X1Y0" for tile in layout.anchor_tiles]
+
+
+def _taps(database: Database, tile: str) -> bool:
+    return database.tiles[tile].kind in ("INT_L", "INT_R")
+
+
+def _at(tile: Tile) -> str:
+    return f"X{tile.x}Y{tile.y}"

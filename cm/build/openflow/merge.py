@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Static part and module, placed and routed apart, as one set of features; and what must not have happened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from cm.build.openflow.layout import Anchor, Layout
+from cm.build.openflow.routed import Routed, feature_of
+from cm.xray import Database, Feature, Wires
+
+CLOCK = "cm_clock_buffer"
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One run: the features that nextpnr wrote, what it routed, whether it is the static part's."""
+
+    features: frozenset[Feature]
+    routed: Routed
+    static: bool
+
+
+def static_features(database: Database, layouts: Iterable[Layout], side: Side) -> frozenset[Feature]:
+    """The static part without what stood in the regions' place: all outside them; in them wires that pass, anchors."""
+    _, dropped = _pips(database, side.routed)
+    regions = list(layouts)
+    inside = {name for layout in regions for name in layout.tiles}
+    own = {feature for feature in side.features if feature.tile not in inside}
+    own |= {
+        feature for feature in side.features if feature.tile in inside and feature.tile.startswith("INT_")
+    } - dropped
+    return frozenset(own | {f for layout in regions for f in _anchored(layout, side)})
+
+
+def module_features(database: Database, layout: Layout, side: Side) -> frozenset[Feature]:
+    """What a module adds: its region's tiles, without the harness."""
+    _, dropped = _pips(database, side.routed)
+    taken = {tile.name for tile in layout.anchor_tiles}
+    own = {f for f in side.features if f.tile in layout.tiles and f.tile not in taken} - dropped
+    return frozenset(own | set(_anchored(layout, side)))
+
+
+def strays(database: Database, layout: Layout, side: Side, static: frozenset[Feature]) -> list[str]:
+    """Sentences on ways of a module outside its region; its clock may come as it does in the static part."""
+    found = []
+    for name, net in side.routed.nets.items():
+        if any(cell.endswith(CLOCK) for cell, _, _ in net["users"]):
+            continue  # to the clock's buffer, which is the static part's
+        clock = net["driver"].endswith(CLOCK)
+        for pip in side.routed.pips_of(net):
+            feature = feature_of(database, pip)
+            if feature is None or feature.tile in layout.tiles or feature in static:
+                continue
+            if not _has_bits(database, feature):
+                continue  # between tiles that have no choice
+            what = "the clock comes another way than in the static part" if clock else f"net {name} leaves the region"
+            found.append(f"{what}: {feature}")
+    return found
+
+
+def two_drivers(database: Database, features: Iterable[Feature]) -> list[str]:
+    """Sentences on wires that two pips drive."""
+    wires = Wires(database)
+    drivers: dict[tuple[str, str], Feature] = {}
+    found = []
+    for feature in sorted(features):
+        if not feature.tile.startswith("INT_"):
+            continue
+        wire = feature.name.partition(".")[0]
+        node = min(wires.node(feature.tile, wire))
+        other = drivers.setdefault(node, feature)
+        if other != feature:
+            found.append(f"{feature.tile}.{wire} has two drivers: {other} and {feature}")
+    return found
+
+
+def _has_bits(database: Database, feature: Feature) -> bool:
+    tile = database.tiles[feature.tile]
+    return any(feature.name in database.segbits(segment.kind, segment.block).features for segment in tile.segments)
+
+
+def _pips(database: Database, routed: Routed) -> tuple[frozenset[Feature], frozenset[Feature]]:
+    """The features of pips that the design needs, and of those that only the harness needs."""
+    kept, dropped = (
+        frozenset(feature for pip, _ in pips if (feature := feature_of(database, pip))) for pips in routed.pips()
+    )
+    return kept, dropped - kept
+
+
+def _anchored(layout: Layout, side: Side) -> Iterator[Feature]:
+    """Of each anchor the table where this side gives its input, and the way out where it takes its output."""
+    sides = {(anchor.tile.name, anchor.site_name, anchor.letter): anchor for anchor in layout.anchors}
+    names = {anchor.tile.name for anchor in layout.anchors}
+    for feature in side.features:
+        if feature.tile not in names:
+            continue
+        site, _, rest = feature.name.partition(".")
+        anchor = sides.get((feature.tile, site, rest[:1]))
+        if anchor is not None and _belongs(anchor, rest[1:], side):
+            yield feature
+
+
+def _belongs(anchor: Anchor, what: str, side: Side) -> bool:
+    gives_input = anchor.bit.into == side.static
+    return gives_input if what.startswith("LUT") else what.startswith("OUTMUX") and not gives_input

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Netlist → features, routes and a timing report, by nextpnr."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cm.build.openflow.merge import Side
+from cm.build.openflow.routed import read_routed
+from cm.build.openflow.steps import run_tool
+from cm.build.openflow.timing import Timing, read_timing
+from cm.build.openflow.tools import Tool
+from cm.xray import read_features
+
+INSIDE = Path(__file__).parent / "inside"
+SCRIPTS = tuple(INSIDE / f"{name}.py" for name in ("place", "block", "dump"))
+
+
+@dataclass(frozen=True, slots=True)
+class Files:
+    """The files of one run, by its name, in a folder."""
+
+    folder: Path
+    name: str
+
+    def file(self, ending: str) -> Path:
+        """A file of the run."""
+        return self.folder / f"{self.name}.{ending}"
+
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """What a run leaves behind."""
+        return tuple(self.file(ending) for ending in ("fasm", "route.json", "report.json"))
+
+
+def place_and_route(
+    nextpnr: Tool, part: str, files: Files, job: Mapping[str, Any], xdc: str, megahertz: float, seed: int
+) -> None:
+    """Run nextpnr on ``<name>.json``. Raises OpenStepFailed. Timing is judged by who calls."""
+    told = {**job, "result": str(files.file("route.json"))}
+    files.file("job.json").write_text(json.dumps(told), encoding="utf-8")
+    files.file("xdc").write_text(xdc or "\n", encoding="utf-8")
+    place, block, dump = map(str, SCRIPTS)
+    options = ["--device", part, "--json", str(files.file("json")), "--seed", str(seed)]
+    options += ["--freq", f"{megahertz:g}", "--router", "router2", "--timing-allow-fail", "--quiet"]
+    options += ["--pre-place", place, "--pre-route", block, "--post-route", dump, "--detailed-timing-report"]
+    options += ["--report", str(files.file("report.json")), "--log", str(files.file("nextpnr.log"))]
+    options += ["-o", f"xdc={files.file('xdc')}", "-o", f"fasm={files.file('fasm')}"]
+    environment = {"CM_OPEN_JOB": str(files.file("job.json"))}
+    run_tool(nextpnr, options, files.file("nextpnr.out"), environment, f"{files.name}, seed {seed}")
+
+
+def read_side(files: Files, inputs: frozenset[str], static: bool) -> Side:
+    """What a run gave; `inputs` are the labels of the anchors whose input side it has."""
+    lines = files.file("fasm").read_text("utf-8").splitlines()
+    features = read_features(lines, str(files.file("fasm")))
+    return Side(features, read_routed(files.file("route.json"), inputs), static)
+
+
+def timing(files: Files) -> Timing:
+    """What nextpnr reports of a run."""
+    return read_timing(files.file("report.json"))

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the open tools cannot do, told before they run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from cm.bitstream.geometry import geometry_of
+from cm.build.check.finding import Finding
+from cm.build.errors import BuildError
+from cm.build.plan.floorplan import rectangle
+from cm.build.plan.system import Implementation, RegionPlan, System
+from cm.build.project.model import in_libraries
+
+RULE = "open flow"
+DEVICES = ("xc7z010", "xc7z020")
+# What yosys gives and nextpnr places, tried in a region or in a static part
+CELLS = re.compile(
+    r"LUT[1-6]|FD[RSCP]E(_1)?|CARRY4|MUXF[78]|INV|SRL16E|SRLC16E|SRLC32E|RAM(32|64|128|256)\w*|RAMB(18|36)E1|BUFG|PS7|"
+    r"[IO]BUF|GND|VCC|\$scopeinfo"
+)
+
+
+def check_open(system: System) -> list[Finding]:
+    """What of a system the open flow cannot do, with its place in the build schema."""
+    found = [Finding(RULE, key, message, hint) for key, message, hint in _system(system)]
+    for region in system.regions:
+        found += [
+            Finding(RULE, ("regions", region.name, *key), message, hint) for key, message, hint in _region(region)
+        ]
+    for one in system.implementations:
+        key = ("modules", one.module.name)
+        found += [Finding(RULE, key, message, hint) for message, hint in _module(one)]
+    return found
+
+
+def refuse_open(system: System) -> None:
+    """Raise BuildError with all that the open flow cannot do."""
+    told = [finding.text(system.project.source) for finding in check_open(system)]
+    if told:
+        raise BuildError("the open tools cannot build this design:\n  " + "\n  ".join(told))
+
+
+def check_cells(netlist: dict[str, Any], top: str, what: str) -> None:
+    """Raise BuildError where synthesis gave cells that are not known to be placed and routed."""
+    cells = netlist["modules"][top]["cells"]
+    wrong = {name: cell["type"] for name, cell in cells.items() if not CELLS.fullmatch(cell["type"])}
+    if wrong:
+        few = ", ".join(f"{name} is a {kind}" for name, kind in sorted(wrong.items())[:3])
+        raise BuildError(
+            f"{what}: {len(wrong)} cells that the open flow has not been tried with: {few}; it takes look-up tables, "
+            "flip-flops, carry chains, wide multiplexers, shift registers, distributed and block RAM"
+        )
+
+
+def _system(system: System) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
+    project = system.project
+    if system.device not in DEVICES or geometry_of(system.device) is None:
+        yield ("project",), f"{system.device}: nextpnr has no data of it", f"it works for {', '.join(DEVICES)}"
+    if len(system.domains) != 1:
+        hint = "give all regions one clock"
+        yield ("clocks",), f"{len(system.domains)} clocks with registers: there is a bridge for one", hint
+    if system.icap is not None:
+        hint = "loader: fpga_manager"
+        yield ("regions",), "the ICAP is fed by a DMA engine, which is the vendor's IP", hint
+    spec = project.static
+    if in_libraries(spec.libraries) or any(path.suffix in (".vhd", ".vhdl") for path in spec.sources):
+        yield ("static",), "VHDL: yosys reads Verilog", "give Verilog"
+    if spec.block_design:
+        yield ("static", "block_design"), "a block design needs the vendor's tools", "leave it out"
+
+
+def _region(region: RegionPlan) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
+    areas = [rectangle(text) for text in region.spec.pblock]
+    if not areas or any(area is None for area in areas):
+        yield ("pblock",), "the open flow wants ranges of sites", "such as SLICE_X22Y50:SLICE_X31Y99"
+    if any(area is not None and area.kind.startswith("DSP") for area in areas):
+        yield (
+            ("pblock",),
+            "DSP48: nextpnr's have not been tried; multipliers go to look-up tables",
+            "choose columns without",
+        )
+    for bus in region.streams:
+        if bus.dma is not None:
+            key = ("interfaces", bus.interface.name)
+            yield key, "a stream to memory needs a DMA engine, which is the vendor's IP", "connect: external, or none"
+    for memory in region.memory:
+        yield (
+            ("interfaces", memory.interface.name),
+            "a master to memory needs the vendor's SmartConnect",
+            "connect: none",
+        )
+    if len(region.clocks) != 1:
+        yield ("clocks",), f"{len(region.clocks)} clocks at the boundary", "one clock a region"
+    if any(bus.full for bus in region.registers):
+        yield ("interfaces",), "an AXI4 slave of bursts: the bridge gives AXI4-Lite", "AXI4-Lite"
+
+
+def _module(one: Implementation) -> Iterator[tuple[str, str]]:
+    module = one.module
+    if module.ip or module.tcl or module.ip_repositories or module.component:
+        yield "vendor IP cannot be synthesised by yosys", "give its Verilog"
+    if in_libraries(module.libraries) or any(path.suffix.lower() in (".vhd", ".vhdl") for path in module.sources):
+        yield "VHDL: yosys reads Verilog", "give Verilog"

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Steps that are left out where their input is the same: each keeps a hash of what it was made from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import time
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import ClassVar
+
+from cm.build.errors import BuildError
+from cm.build.openflow.tools import Tool
+
+Tell = Callable[[str], None]
+_LINES = 6
+
+
+class OpenStepFailed(BuildError):
+    """A program of the open flow ended with an error; the sentence holds what it said, and its log."""
+
+    code: ClassVar[str] = "step_failed"
+
+
+class Steps:
+    """The steps of a flow in a folder; `tell` gets a sentence when one begins and ends."""
+
+    def __init__(self, folder: Path, tell: Tell) -> None:
+        self.folder = folder
+        self.ran: list[str] = []
+        self._tell = tell
+
+    def fresh(self, name: str, key: str, outputs: Iterable[Path]) -> bool:
+        """Whether a step was done with this key, and its outputs are there."""
+        stamp = self.folder / f"{name}.key"
+        return stamp.is_file() and stamp.read_text("utf-8") == key and all(path.is_file() for path in outputs)
+
+    def step(self, name: str, title: str, key: str, outputs: Sequence[Path], work: Callable[[], None]) -> None:
+        """Do `work` unless it was done; its stamp is written last, so that a killed step is begun anew."""
+        if self.fresh(name, key, outputs):
+            return
+        stamp = self.folder / f"{name}.key"
+        stamp.unlink(missing_ok=True)
+        self._tell(f"{name}: {title}")
+        began = time.monotonic()
+        work()
+        write_whole(stamp, key.encode())
+        self.ran.append(name)
+        self._tell(f"{name}: done in {time.monotonic() - began:.0f} s")
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """Write a file at once or not at all."""
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    aside.write_bytes(data)
+    aside.rename(path)
+
+
+def key_of(*parts: object) -> str:
+    """A hash of numbers, texts, JSON values and the content of files; a file that is not there counts as empty."""
+    total = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, Path):
+            data = part.read_bytes() if part.is_file() else b""
+            total.update(f"{part.name} {len(data)} ".encode() + data)
+        else:
+            total.update(json.dumps(part, sort_keys=True, default=str).encode() + b"\n")
+    return total.hexdigest()
+
+
+def run_tool(tool: Tool, arguments: Sequence[str], log: Path, environment: dict[str, str], what: str) -> None:
+    """Run a program with its output in `log`. Raises OpenStepFailed with its errors, or its last lines."""
+    surroundings = {**os.environ, **dict(tool.environment), **environment, "LC_ALL": "C"}
+    with log.open("wb") as file:
+        done = subprocess.run(
+            [*tool.command, *arguments],
+            stdout=file,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            env=surroundings,
+            check=False,
+        )
+    said = log.read_text("utf-8", errors="replace").splitlines()
+    errors = [line for line in said if "ERROR" in line or "what():" in line or "Error:" in line]
+    if done.returncode or any(line.startswith("ERROR") for line in errors):
+        told = errors[:_LINES] or [line for line in said if line.strip()][-_LINES:]
+        raise OpenStepFailed(f"{what}: {tool.name} failed; {log} says:\n" + "\n".join(f"    {line}" for line in told))

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verilog → netlist of the device's cells, by yosys."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.build.errors import BuildError
+from cm.build.openflow.netlists import ANCHOR, HARNESS
+from cm.build.openflow.rules import check_cells
+from cm.build.openflow.separate import separate
+from cm.build.openflow.steps import run_tool, write_whole
+from cm.build.openflow.tools import Tool
+
+_PLAIN = re.compile(r"[^\s;\"']+")
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """What is read for a top: Verilog, SystemVerilog, folders of headers, macros; `pads`: with I/O buffers."""
+
+    top: str
+    verilog: tuple[Path, ...]
+    systemverilog: tuple[Path, ...] = ()
+    headers: tuple[Path, ...] = ()
+    include_dirs: tuple[Path, ...] = ()
+    defines: tuple[str, ...] = ()
+    pads: bool = False
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Everything whose content counts."""
+        return (*self.verilog, *self.systemverilog, *self.headers)
+
+
+def script(sources: Sources, out: Path) -> str:
+    """The commands for yosys."""
+    options = [f"-I{path}" for path in sources.include_dirs] + [f"-D{name}" for name in sources.defines]
+    lines = []
+    for switch, paths in (("", sources.verilog), (" -sv", sources.systemverilog)):
+        if paths:
+            lines.append(f"read_verilog{switch} {' '.join([*map(_word, options), *map(_word, paths)])}")
+    lines += [
+        "read_verilog -lib +/xilinx/cells_sim.v +/xilinx/cells_xtra.v",
+        f"hierarchy -check -top {sources.top}",
+        f"setattr -set keep 1 c:*{ANCHOR}* c:*{HARNESS}*",
+        f"synth_xilinx -flatten -abc9 -nodsp -noclkbuf -arch xc7 -top {sources.top}"
+        + ("" if sources.pads else " -noiopad"),
+        f"write_json {_word(out)}",
+    ]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def synthesise(yosys: Tool, sources: Sources, out: Path, what: str) -> None:
+    """Write the netlist. Raises OpenStepFailed; BuildError for cells that have not been tried."""
+    raw, commands = out.with_suffix(".raw.json"), out.with_suffix(".ys")
+    commands.write_text(script(sources, raw), encoding="utf-8")
+    run_tool(yosys, ["-q", "-s", str(commands)], out.with_suffix(".yosys.log"), {}, what)
+    netlist = json.loads(raw.read_text("utf-8"))
+    check_cells(netlist, sources.top, what)
+    separate(netlist, sources.top)
+    write_whole(out, json.dumps(netlist).encode())
+    raw.unlink()
+
+
+def counts(netlist: Path, top: str) -> Mapping[str, int]:
+    """Cells by kind."""
+    found: dict[str, int] = {}
+    for cell in json.loads(netlist.read_text("utf-8"))["modules"][top]["cells"].values():
+        found[cell["type"]] = found.get(cell["type"], 0) + 1
+    return found
+
+
+def _word(item: Path | str) -> str:
+    text = str(item)
+    if not _PLAIN.fullmatch(text):
+        raise BuildError(f"{text!r}: yosys takes no path with spaces, quotes or semicolons")
+    return text
+
+
+def resolved(paths: Sequence[Path]) -> tuple[Path, ...]:
+    """Absolute paths, in order, each once."""
+    return tuple(dict.fromkeys(path.absolute() for path in paths))
