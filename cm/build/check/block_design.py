@@ -3,7 +3,8 @@
 
 Engines have a module of their own (`cm.build.check.dma`). Sources of the other ranges: PG247 1.0, "Design Parameters"
 (SmartConnect: NUM_SI and NUM_MI 1 to 16, NUM_CLKS 1 to 33; "Features": instances may be cascaded),
-PG082 (Zynq-7000: FCLK_CLK 0.1 to 250 MHz), PG201 (Zynq UltraScale+: which ports there are).
+the customisation of processing_system7 (FCLK_CLK: its table says "0.100000 : 250.000000" MHz; no page of PG082 was
+found), PG201 3.4, "Programmable Logic Clocks and Interrupts" (UltraScale+: 16 interrupts), UG585 7.2.3 (Zynq-7000).
 """
 
 from __future__ import annotations
