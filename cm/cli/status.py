@@ -25,11 +25,14 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         metavar="SECONDS",
         help="for a manager that is starting: wait until it answers and no change runs, so long at most (default: 30)",
     )
+    parser.add_argument("--clients", action="store_true", help="what each client takes of the manager, instead")
     parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Print the status; the exit status."""
+    if args.clients:
+        return run_clients(args)
     with connected(args) if args.wait is None else awaited(args, args.wait) as board:
         status = board.status if args.wait is None else settled(board, args.wait)
     if args.json:
@@ -37,6 +40,39 @@ def run(args: argparse.Namespace) -> int:
     else:
         show(status)
     return 0
+
+
+def run_clients(args: argparse.Namespace) -> int:
+    """Print what each client takes; the exit status."""
+    with connected(args) if args.wait is None else awaited(args, args.wait) as board:
+        clients = board.clients()
+    if args.json:
+        print_json([plain(client) for client in clients])
+        return 0
+    rows = [
+        (
+            x.name,
+            x.account or "-",
+            x.connections,
+            x.leases,
+            x.slots,
+            x.waiting,
+            _mebibytes(x.waiting_bytes),
+            _mebibytes(x.upload_bytes),
+            _mebibytes(x.memory_bytes),
+            f"{x.loop_seconds:.3f}",
+            x.requests,
+            x.refused,
+        )
+        for x in clients
+    ]
+    heads = ("CLIENT", "ACCOUNT", "CONNECTIONS", "LEASES", "SLOTS", "WAITING", "WAITING MIB", "SENT MIB", "MEMORY MIB")
+    print_table(rows, (*heads, "LOOP S", "REQUESTS", "REFUSED"))
+    return 0
+
+
+def _mebibytes(count: int) -> str:
+    return f"{count / (1 << 20):.1f}" if count else "0"
 
 
 def show(status: Status) -> None:

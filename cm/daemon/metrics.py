@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Protocol
 
+from cm.budgets.registry import with_holdings
 from cm.daemon.handlers import Services
 from cm.messages.status import SensorStatus, Status
 from cm.metrics.counts import LAG_SECONDS, ChangeCounts, Histogram, Moved
@@ -117,7 +118,8 @@ class Metrics:
         kinds = [({"scope": scope, "how": how}, float(count)) for (scope, how), count in sorted(held.items())]
         yield single("cm_leases", "gauge", "Leases that are held.", held.total())
         yield many("cm_leases_by_scope", "gauge", "The same, by what they cover.", kinds)
-        clients = {client.name: client for client in self._s.connections.budgets.snapshot()}
+        held_by = self._s.manager.leases.told(), self._s.streams.status(), self._s.streams.allocated()
+        clients = {client.name: client for client in with_holdings(self._s.connections.budgets.snapshot(), *held_by)}
         taken: dict[str, tuple[str, Mapping[str, float]]] = {
             "connections": ("Connections over ZeroMQ.", {n: c.connections for n, c in clients.items()}),
             "waiting_bytes": (
@@ -126,7 +128,9 @@ class Metrics:
             ),
             "upload_bytes": ("Bytes sent in parts and not used yet.", {n: c.upload_bytes for n, c in clients.items()}),
             "waiting": ("Requests that wait for their turn.", {n: c.waiting for n, c in clients.items()}),
-            "memory_bytes": ("Bytes of memory for masters in the PL.", self._s.streams.allocated()),
+            "memory_bytes": ("Bytes of memory for masters in the PL.", {n: c.memory_bytes for n, c in clients.items()}),
+            "leases": ("Leases that it holds.", {n: c.leases for n, c in clients.items()}),
+            "slots": ("Slots of streams that it may hold.", {n: c.slots for n, c in clients.items()}),
             "loop_seconds": ("The loop's time for its requests.", {n: c.loop_seconds for n, c in clients.items()}),
         }
         for name, (text, values) in taken.items():

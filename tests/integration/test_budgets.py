@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 from collections import Counter
 from collections.abc import Iterator
 from typing import Any
@@ -13,6 +15,7 @@ from flood import resident_mib
 from manager_process import Manager, served, until
 
 import cm
+from cm.cli.main import main
 from cm.messages import requests as rq
 from cm.messages.status import Reply
 from cm.wire.encode import decode_reply, encode_request
@@ -105,6 +108,20 @@ def test_what_waits_of_a_client_has_a_limit_in_bytes(manager: Manager, context: 
         assert codes[""] >= 4
         assert codes["too_much_waiting"] == 30 - codes[""]
         assert resident_mib(pid_of(manager)) < before + 64
+
+
+def test_the_command_line_shows_who_takes_what(manager: Manager, capsys: pytest.CaptureFixture[str]) -> None:
+    with manager.connected() as board, board.lease("registers:led", seconds=60):
+        where = ["--runtime-dir", str(manager.runtime)]
+        assert main(["status", "--clients", *where]) == 0
+        head, *rows = capsys.readouterr().out.splitlines()
+        assert head.split()[:4] == ["CLIENT", "ACCOUNT", "CONNECTIONS", "LEASES"]
+        (mine,) = [row for row in rows if row.startswith(f"pid {os.getpid()} ")]
+        assert f"uid:{os.getuid()}" in mine
+        assert main(["status", "--clients", "--json", *where]) == 0
+        (told,) = [one for one in json.loads(capsys.readouterr().out) if one["leases"]]
+        assert told["name"].startswith(f"pid {os.getpid()} ")
+        assert (told["account"], told["leases"]) == (f"uid:{os.getuid()}", 1)
 
 
 def test_what_clients_take_is_told_to_who_asks(manager: Manager, context: zmq.Context[Any]) -> None:

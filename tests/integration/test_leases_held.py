@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import zmq
 from flood import descriptors
-from manager_process import Manager, served
+from manager_process import Manager, served, until
 
 from cm.cli.main import main
 from cm.client.errors import RequestBusy, RequestNotFound
@@ -64,6 +64,20 @@ def test_a_client_holds_so_many_and_their_descriptors_come_back(manager: Manager
     assert descriptors(manager.process.pid) <= before + 32 + 16
     for reply in taken[:32]:
         assert code(lease(context, manager, id=reply.body.id, release=True)) == ""  # type: ignore[union-attr]
+    assert descriptors(manager.process.pid) <= before + 16
+    with manager.connected() as board:
+        assert board.status.leases == ()
+
+
+def test_leases_whose_time_is_over_keep_no_descriptor(manager: Manager, context: zmq.Context[Any]) -> None:
+    """980 short ones and a connection ended the manager."""
+    assert manager.process is not None
+    before = descriptors(manager.process.pid)
+    for _ in range(980):
+        taken = lease(context, manager, scope="registers:focus", seconds=0.001, pid=os.getpid(), holder="me")
+        assert code(taken) in ("", "too_many_leases")
+        assert descriptors(manager.process.pid) <= before + 32 + 16
+    until(lambda: code(lease(context, manager, scope="registers:focus", seconds=0.001)) == "", 60)
     assert descriptors(manager.process.pid) <= before + 16
     with manager.connected() as board:
         assert board.status.leases == ()

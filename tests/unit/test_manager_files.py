@@ -20,6 +20,7 @@ from manager_support import Rig, rig
 
 from cm.bitstream import Container, assemble_module, convert
 from cm.bitstream.errors import BadContainer, FootprintOutside, Sha256Mismatch
+from cm.daemon.folders import UnsafeFolder
 from cm.daemon.host.bitstreams import MAX_BYTES
 from cm.daemon.host.files import BoardFiles, Footprints, Lesson
 from cm.errors import InvalidRequest
@@ -201,6 +202,15 @@ def test_copies_are_not_written_through_a_folder_that_is_a_link(duo: Config, tmp
     with pytest.raises(InvalidRequest, match="symbolic link"):
         copy_of(opened(tmp_path), duo, "a0", firmware)
     assert list(elsewhere.iterdir()) == []
+
+
+def test_copies_are_not_put_where_everybody_may_write(duo: Config, tmp_path: Path, firmware: Path) -> None:
+    folder = firmware / "cm-converted"
+    folder.mkdir(parents=True)
+    folder.chmod(0o777)
+    with pytest.raises(UnsafeFolder, match="can be written by everybody"):
+        copy_of(opened(tmp_path), duo, "a0", firmware)
+    assert list(folder.iterdir()) == []
 
 
 def test_a_copy_that_does_not_fit_on_the_disk_leaves_nothing(

@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 
 from cm.bitstream import Container, convert
 from cm.bitstream.errors import BitstreamError, Sha256Mismatch
+from cm.daemon.folders import own_folder
 from cm.daemon.host.bitstreams import BitstreamReader
 from cm.errors import InvalidRequest
 from cm.manager.ports import Image
@@ -107,7 +108,7 @@ class FirmwareFolder:
         folder = base / _CONVERTED
         if folder.is_symlink():
             raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
-        folder.mkdir(parents=True, exist_ok=True)
+        own_folder(folder, mode=0o755)  # the kernel reads there what we say: nobody else may write
         target = base / self.private_name(image)
         if not self._is_good(target, image):
             _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))
