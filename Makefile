@@ -22,7 +22,7 @@ SEED ?= 1
 MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs web-picture demo demo-ros device-suite test test-c test-node test-rtl test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup docs web-picture demo demo-ros device-suite test test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -71,6 +71,10 @@ test-node: $(STAMP) ## the client for Node.js: built, and its tour over ipc and 
 	$(if $(NODE),npm install --prefix build/node$(NODE) --no-save --silent node@$(NODE))
 	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=$(abspath $(BIN))/cm npm test --silent
 	$(OTHER_NODE) $(BIN)/cm conformance -- node clients/node/dist/test/driver.js
+
+test-open: $(STAMP) ## modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
+	$(call install,rtl)
+	$(PYTEST) tests/open $(PYTEST_ARGS)
 
 test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
 	$(call install,rtl)

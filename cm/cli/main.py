@@ -20,7 +20,15 @@ EXIT_FAILED = 1
 EXIT_USAGE = 2
 EXIT_INTERRUPTED = 130
 EXIT_PIPE = 141
-_PACKAGES = {"data": "sim", "demo": "sim", "rtl": "sim", "dds": "bridge", "fleet": "bridge", "ros": "bridge"}
+_PACKAGES = {
+    "data": "sim",
+    "demo": "sim",
+    "rtl": "sim",
+    "bits": "sim",
+    "dds": "bridge",
+    "fleet": "bridge",
+    "ros": "bridge",
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -31,6 +31,8 @@ from cm.errors import InvalidRequest
 from cm.settings.model import FILE as SETTINGS_FILE
 from cm.settings.model import Settings as Defaults
 
+_HDL = ("rtl", "bits")  # kinds of simulated board that run a design's HDL
+
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
@@ -51,8 +53,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--settings", type=Path, metavar="FILE", help=f"settings (default: {SETTINGS_FILE} where it is); flags override"
     )
-    parser.add_argument("--sim", nargs="?", const="models", default="", choices=("models", "rtl"), metavar="KIND",
-        help="on a simulated board (no hardware, no root): models in software, or rtl, the design's HDL")  # fmt: skip
+    parser.add_argument("--sim", nargs="?", const="models", default="", choices=("models", *_HDL), metavar="KIND",
+        help="on a simulated board (no hardware): models, rtl (a design's HDL), bits (what is loaded)")  # fmt: skip
     parser.add_argument("--sim-traces", action="store_true",
         help="with --sim=rtl: compiled so that 'cm sim trace' can write what its signals do (slower)")  # fmt: skip
     parser.add_argument("--sim-coverage", type=Path, metavar="DIR",
@@ -103,9 +105,9 @@ def _mebibytes(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Serve; the exit status."""
-    if (args.build or args.sim_traces or args.sim_coverage or args.sim_time_scale) and args.sim != "rtl":
+    if (args.build or args.sim_traces or args.sim_coverage or args.sim_time_scale) and args.sim not in _HDL:
         raise InvalidRequest(
-            "--build, --sim-traces, --sim-coverage and --sim-time-scale are about a design's RTL: give --sim=rtl too"
+            "--build, --sim-traces, --sim-coverage, --sim-time-scale are about a design's RTL: add --sim=rtl (or bits)"
         )
     settings = settings_of(args)
     _log_to(_level(args, settings), service=settings is not None)
@@ -220,7 +222,7 @@ def _simulated_schemas(args: argparse.Namespace, runtime: Path) -> list[Path]:
         from cm.cli.simboard import schema_of_build
 
         return [schema_of_build(args.build, runtime)]
-    return [data / ("examples/camera/config" if args.sim == "rtl" else "camera")]
+    return [data / ("examples/camera/config" if args.sim in _HDL else "camera")]
 
 
 def _absolute(source: str) -> str:
@@ -243,5 +245,5 @@ def _simulated_root(args: argparse.Namespace, runtime: Path, paths: list[Path], 
     arguments += ["--time-scale", args.sim_time_scale] if args.sim_time_scale else []
     root = Path(args.root) if args.root else runtime / "board"
     starter = stack.enter_context(ThreadPoolExecutor(1, "cm-board"))
-    program = "cm.rtl" if args.sim == "rtl" else "cm.sim"
+    program = f"cm.{args.sim}" if args.sim in _HDL else "cm.sim"
     return starter.submit(stack.enter_context, simulated_board(runtime, root, paths, arguments, program))

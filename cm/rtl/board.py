@@ -7,6 +7,7 @@ import contextlib
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeAlias
 
 from cm.rtl.design import RtlDesign
 from cm.rtl.errors import RtlError
@@ -19,15 +20,29 @@ SLOT = 64 << 20  # bytes of the arena for each stream, and before them for every
 _log = logging.getLogger(__name__)
 
 
+Libraries: TypeAlias = Callable[[Region], Path | None]  # what runs in a region now; None: nothing that is known
+
+
+def of_modules(modules: Mapping[tuple[str, str], Path]) -> Libraries:
+    """Libraries of modules, by region and name."""
+
+    def found(region: Region) -> Path | None:
+        if region.module is None or region.loading:
+            return None
+        library = modules.get((region.name, region.module.name))
+        if library is None:
+            _log.error("the design has no module %s for region %s", region.module.name, region.name)
+        return library
+
+    return found
+
+
 class RunningDesign:
     """The engine and the regions of the fabric, kept alike."""
 
-    def __init__(
-        self, parts: LogicParts, design: RtlDesign, process: EngineProcess, modules: Mapping[tuple[str, str], Path]
-    ) -> None:
-        """`modules`: their libraries, by region and name."""
+    def __init__(self, parts: LogicParts, design: RtlDesign, process: EngineProcess, libraries: Libraries) -> None:
         self.design, self.process = design, process
-        self._loop, self._modules, self._seed = parts.loop, modules, parts.seed
+        self._loop, self._libraries, self._seed = parts.loop, libraries, parts.seed
         self._hears = False  # already asked to
         self._applied: dict[str, object] = dict.fromkeys(design.regions)
         self._outputs = dict.fromkeys(design.outputs, 0)
@@ -85,7 +100,7 @@ class RunningDesign:
         self.stopped.pop(region.name, None)
         self._seed += 1
         self.mark(f"{region.name}: {region.module.name if region.module else wanted or 'empty'}")
-        library = self._library(region)
+        library = self._libraries(region)
         if wanted == "loading":
             self._do(Op.UNDEFINE, number)
         elif library is not None:
@@ -100,14 +115,6 @@ class RunningDesign:
         for number in range(len(self._applied)):
             self._do(Op.EMPTY, number)
         self._do(Op.RESET)
-
-    def _library(self, region: Region) -> Path | None:
-        if region.module is None or region.loading:
-            return None
-        library = self._modules.get((region.name, region.module.name))
-        if library is None:
-            _log.error("the design has no module %s for region %s", region.module.name, region.name)
-        return library
 
     def _stop(self, region: str, why: str) -> None:
         self.stopped[region] = why

@@ -6,10 +6,9 @@ from __future__ import annotations
 import contextlib
 import errno
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cm.rtl.board import RunningDesign
+from cm.rtl.board import Libraries, RunningDesign
 from cm.rtl.bus import RtlBus
 from cm.rtl.design import RtlDesign, StreamEnd
 from cm.rtl.errors import RtlError
@@ -62,14 +61,12 @@ class RtlInterrupts(InterruptWiring):
 class RtlLogic:
     """Bus, streams, interrupts and configuration port of a design that runs."""
 
-    def __init__(
-        self, parts: LogicParts, design: RtlDesign, process: EngineProcess, modules: Mapping[tuple[str, str], Path]
-    ) -> None:
+    def __init__(self, parts: LogicParts, design: RtlDesign, process: EngineProcess, libraries: Libraries) -> None:
         self._parts, self._design, self._process = parts, design, process
         missing = parts.fabric.regions.keys() - set(design.regions)
         if missing:
             raise SimError(f"the design has no region {', '.join(sorted(missing))}; it has {', '.join(design.regions)}")
-        self._running = RunningDesign(parts, design, process, modules)
+        self._running = RunningDesign(parts, design, process, libraries)
         self.bus = RtlBus(self._running, parts.fabric, parts.faults)
         self.interrupts = RtlInterrupts(parts)
         self._running.on_interrupt = self.interrupts.level

@@ -7,11 +7,13 @@ import argparse
 import logging
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 from cm.errors import CmError
+from cm.rtl.board import Libraries, of_modules
 from cm.rtl.compile import NOTHING, Watched, compile_engine, compile_units
 from cm.rtl.design import RtlDesign, load_rtl_design, wiring
 from cm.rtl.errors import ToolMissing
@@ -22,10 +24,19 @@ from cm.sim.hardware.logic import LogicParts, MakeLogic, SoftwareLogic
 from cm.sim.process.arguments import add_arguments
 from cm.sim.process.main import run as run_board
 
+MakeLibraries: TypeAlias = Callable[[Tools, RtlDesign, Watched, LogicParts], Libraries]
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """``python -m cm.rtl``; the exit status."""
     parser = argparse.ArgumentParser("python -m cm.rtl", description="a simulated board whose logic is a design's RTL")
+    add_rtl_arguments(parser)
+    logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
+    return run(parser.parse_args(argv))
+
+
+def add_rtl_arguments(parser: argparse.ArgumentParser) -> None:
+    """Those of `cm.sim` and of what runs HDL."""
     add_arguments(parser)
     parser.add_argument("--build", type=Path, default=example_build(), metavar="FILE",
         help="build schema (default: the shipped camera)")  # fmt: skip
@@ -35,12 +46,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--time-scale", type=_scale, metavar="N",
         help="a second of simulated time takes N seconds at least, clocks and configuration port alike")  # fmt: skip
-    logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
-    return run(parser.parse_args(argv))
 
 
-def run(args: argparse.Namespace) -> int:
-    """Serve until a signal or the linger time ends it."""
+def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:
+    """Serve until a signal or the linger time ends it. `make` says what runs in regions (default: modules)."""
     with tempfile.TemporaryDirectory(prefix="cm-rtl-") as folder:
         try:
             design = load_rtl_design(args.build, Path(folder))
@@ -48,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
                 args.coverage.mkdir(parents=True, exist_ok=True)
             if args.time_scale and args.icap_rate is None:
                 args.icap_rate = _port_rate(design) / args.time_scale
-            start = _maker(design, Path(folder), args)
+            start = _maker(design, Path(folder), args, make or _modules)
             if not args.config:
                 args.config = [_schema(design, Path(folder))]
         except ToolMissing as error:
@@ -94,23 +103,31 @@ def _port_rate(design: RtlDesign) -> float:
     return 4.0 * (design.system.project.clocks[icap.clock].rate if icap else 100e6)
 
 
-def _maker(design: RtlDesign, folder: Path, args: argparse.Namespace) -> MakeLogic:
+def _maker(design: RtlDesign, folder: Path, args: argparse.Namespace, make: MakeLibraries) -> MakeLogic:
     """What makes the logic; the models in software where nothing here compiles HDL."""
     try:
         tools = find_tools()
     except ToolMissing as error:
         logging.getLogger(__name__).warning("the RTL %s; models in software stand in for it", error)
         return SoftwareLogic
-    return partial(_start, tools, design, folder, args)
+    return partial(_start, tools, design, folder, args, make)
 
 
-def _start(tools: Tools, design: RtlDesign, folder: Path, args: argparse.Namespace, parts: LogicParts) -> RtlLogic:
+def _modules(tools: Tools, design: RtlDesign, watched: Watched, parts: LogicParts) -> Libraries:  # noqa: ARG001
+    libraries = compile_units(tools, design.modules.values(), watched)
+    return of_modules(dict(zip(design.modules, libraries, strict=True)))
+
+
+def _start(
+    tools: Tools, design: RtlDesign, folder: Path, args: argparse.Namespace, make: MakeLibraries, parts: LogicParts
+) -> RtlLogic:
     watched = Watched(args.traces, args.coverage is not None)
-    static, *libraries = compile_units(tools, [design.static, *design.modules.values()], watched)
+    (static,) = compile_units(tools, [design.static], watched)
+    libraries = make(tools, design, watched, parts)
     lines = folder / "wiring"
     text = wiring(design, static, parts.seed)
     text += f"coverage {args.coverage.absolute()}\n" if args.coverage else ""
     text += f"pace {args.time_scale}\n" if args.time_scale else ""
     lines.write_text(text, encoding="utf-8")
     process = EngineProcess(compile_engine(tools), lines)
-    return RtlLogic(parts, design, process, dict(zip(design.modules, libraries, strict=True)))
+    return RtlLogic(parts, design, process, libraries)

@@ -66,6 +66,7 @@ MAY = {
     "importers": BASE | {"fdt", "native", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim", "xray"},
     "rtl": BASE | {"build", "loop", "schema", "sim"},
+    "bits": BASE | {"bitstream", "build", "rtl", "sim", "xray"},
     "bridge": BASE | {"client", "messages", "schema", "wire"},
     "ros": BASE | {"bridge", "client", "messages", "schema.pictures"},
     "dds": BASE | {"bridge", "ros"},

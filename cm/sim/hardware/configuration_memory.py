@@ -61,6 +61,8 @@ class ConfigMemory:
 
     def settle(self, ok: bool, stream: memoryview) -> None:
         """The load is over: regions that it covered run their module if it went well, others nothing."""
+        if ok:
+            self._fabric.configured(stream)
         for name, touched in self._touched.items():
             region = self._fabric.regions[name]
             module = self._module(region.spec, touched, stream) if ok else None

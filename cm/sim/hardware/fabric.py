@@ -36,6 +36,7 @@ class Fabric:
         self.changed: Callable[[], None] = lambda: None  # called when data may flow that did not
         self.answering: Callable[[Region], None] = lambda _: None  # called when a region answers, or does not any more
         self.loaded: Callable[[Region], None] = lambda _: None  # called when another module runs, or none any more
+        self.configured: Callable[[memoryview], None] = lambda _: None  # called with each bitstream that went in well
         self.resetting: Callable[[], None] = lambda: None  # called when all is about to be as after power-up
         self._by_name: dict[str, list[Cell]] = {}
         self._seed = seed

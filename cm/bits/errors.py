@@ -1,0 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the reading of configured logic."""
+
+from __future__ import annotations
+
+from cm.errors import CmError
+
+
+class BitsError(CmError):
+    """Frames cannot be run; the text says what is configured that is not understood."""
+
+    code = "bits_error"

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The process of a simulated board whose regions run what the bits of their bitstreams configure."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import shutil
+import tempfile
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from cm.bits.errors import BitsError
+from cm.bits.memory import FrameMemory
+from cm.bits.regions import LoadedBits
+from cm.bitstream import device_by_name, to_dma_words
+from cm.build.generate.tree import output_folder
+from cm.build.openflow.layout import layouts
+from cm.build.project.load import load_project
+from cm.rtl.board import Libraries
+from cm.rtl.compile import Watched
+from cm.rtl.design import RtlDesign
+from cm.rtl.main import add_rtl_arguments
+from cm.rtl.main import run as run_rtl
+from cm.rtl.tools import Tools
+from cm.sim.hardware.logic import LogicParts
+from cm.xray import Database
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """``python -m cm.bits``; the exit status."""
+    parser = argparse.ArgumentParser("python -m cm.bits", description="a simulated board whose regions run their bits")
+    add_rtl_arguments(parser)
+    parser.add_argument("--bitstreams", type=Path, metavar="DIR", help="of the open flow (default: where it puts them)")
+    logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
+    args = parser.parse_args(argv)
+    with tempfile.TemporaryDirectory(prefix="cm-bits-") as folder:
+        return run_rtl(args, partial(_libraries, args, Path(folder)))
+
+
+def _libraries(
+    args: argparse.Namespace, folder: Path, tools: Tools, design: RtlDesign, watched: Watched, parts: LogicParts
+) -> Libraries:
+    system = design.system
+    bitstreams = args.bitstreams or output_folder(load_project(args.build), None) / "bitstreams"
+    found = sorted(bitstreams.glob("*.bit"))
+    if not found:
+        raise BitsError(f"{bitstreams} has no bitstreams: `cm build run --flow open {args.build}` makes them")
+    device = device_by_name(system.device)
+    if device is None:
+        raise BitsError(f"{system.device} is no device that bitstreams are known of")
+    database = Database.open(system.project.part)
+    loaded = LoadedBits(database, FrameMemory(device), layouts(system, database), tools, watched, folder)
+    loaded.prepare(to_dma_words(path) for path in found if path.stem != system.project.name)
+    _install(found, Path(args.root) / "lib/firmware/cm" / system.project.name)
+    parts.fabric.configured = loaded.take
+    return loaded
+
+
+def _install(found: Sequence[Path], firmware: Path) -> None:
+    """Where the manager looks for them; what is there stays."""
+    firmware.mkdir(parents=True, exist_ok=True)
+    for path in found:
+        if not (firmware / path.name).exists():
+            shutil.copyfile(path, firmware / path.name)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What runs in the regions of a simulated board: what the bits that were loaded configure."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from cm.bits.errors import BitsError
+from cm.bits.extract import Boundary, extract
+from cm.bits.memory import FrameMemory
+from cm.bits.verilog import Port, verilog
+from cm.build.generate.wrapper import black_box
+from cm.build.hdl.model import PortDirection
+from cm.build.openflow.layout import Layout
+from cm.errors import CmError
+from cm.rtl.compile import Unit, Watched, compile_units
+from cm.rtl.tools import Tools
+from cm.sim.hardware.cells import Region
+from cm.xray import Database, Wires, decode
+
+_log = logging.getLogger(__name__)
+_COLUMN = 7  # bits of a frame address below its column
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A region on the device: its frames, its wires, and the module that stands for what is in it."""
+
+    columns: frozenset[int]
+    boundary: Boundary
+    module: str
+    ports: tuple[Port, ...]
+    clock: str
+
+    @classmethod
+    def of(cls, layout: Layout) -> Place:
+        """BitsError where a region has several clocks: bits say which line a register has, not whose clock it is."""
+        region = layout.region
+        clocks = tuple(region.clocks)
+        if len(clocks) != 1:
+            raise BitsError(f"region {region.name} has {len(clocks)} clocks; only one can be run by its bits")
+        inputs = {(at.tile.name, at.site_name, at.letter): at.bit.signal for at in layout.anchors if at.bit.into}
+        outputs = {at.bit.signal: (at.tile.name, at.site_name, at.letter) for at in layout.anchors if not at.bit.into}
+        ports = tuple(
+            Port(port.name, port.width, port.direction is PortDirection.IN) for port in black_box(region).ports
+        )
+        return cls(layout.columns, Boundary(inputs, outputs), region.module, ports, clocks[0])
+
+
+class LoadedBits:
+    """The device's frames, and the compiled logic of each region that a bitstream has filled."""
+
+    def __init__(
+        self, database: Database, memory: FrameMemory, layouts: Mapping[str, Layout], tools: Tools, watched: Watched,
+        folder: Path,
+    ) -> None:  # fmt: skip
+        """`folder` is for the Verilog that goes to the compiler."""
+        self._database, self._wires, self._memory = database, Wires(database), memory
+        self._places = {name: Place.of(layout) for name, layout in layouts.items()}
+        self._tools, self._watched, self._folder = tools, watched, folder
+        self._filled: set[str] = set()
+
+    def take(self, stream: memoryview) -> None:
+        """A bitstream went in without an error: words in memory order."""
+        written = {address >> _COLUMN for address in self._memory.load(bytes(stream))}
+        self._filled |= {name for name, place in self._places.items() if not written.isdisjoint(place.columns)}
+
+    def __call__(self, region: Region) -> Path | None:
+        """The library of what is in a region; None while it is written, and before it ever was."""
+        if region.loading:
+            self._filled.discard(region.name)
+        if region.name not in self._filled:
+            return None
+        try:
+            return self._compiled(region.name)
+        except CmError as error:
+            _log.error("region %s: %s", region.name, error)
+            return None
+
+    def prepare(self, streams: Iterable[bytes]) -> None:
+        """Compile what bitstreams will leave in the regions, so that loading them takes no time."""
+        for stream in streams:
+            before = dict(self._memory.frames)
+            written = {address >> _COLUMN for address in self._memory.load(stream)}
+            for name, place in self._places.items():
+                if not written.isdisjoint(place.columns):
+                    self._compiled(name)
+            self._memory.frames.clear()
+            self._memory.frames.update(before)
+
+    def _compiled(self, name: str) -> Path:
+        place, frames = self._places[name], self._memory.frames
+        own = {address: frame for address, frame in frames.items() if frame and address >> _COLUMN in place.columns}
+        key = hashlib.sha256(repr(sorted(own.items())).encode()).hexdigest()[:16]
+        path = self._folder / f"{name}-{key}.v"
+        if not path.exists():
+            netlist = extract(self._database, self._wires, decode(self._database, frames).features, place.boundary)
+            for note in netlist.notes[:20]:
+                _log.warning("region %s: %s", name, note)
+            clocks = dict.fromkeys(range(12), place.clock)
+            path.write_text(verilog(netlist, place.module, place.ports, clocks), encoding="utf-8")
+        (library,) = compile_units(self._tools, [Unit(f"the bits in {name}", place.module, (path,))], self._watched)
+        return library

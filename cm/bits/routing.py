@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a wire's value comes from: back through the pips that are on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+from cm.xray import Database, Feature, Pip, SitePins, Wires
+
+_SPINE = "HCLK_CK_BUFHCLK"  # wires of a row of clock regions, by number
+_CONSTANTS = {"VCC_WIRE": True, "GND_WIRE": False}
+
+
+class SitePin(NamedTuple):
+    """An output of a site: where a value is made."""
+
+    tile: str
+    kind: str  # of the site
+    column: int  # of the site in its tile
+    pin: str
+
+
+class ClockLine(NamedTuple):
+    """One of the twelve lines that bring clocks to a row of clock regions."""
+
+    number: int
+
+
+class Constant(NamedTuple):
+    """The constant wires of an interconnect tile."""
+
+    value: bool
+
+
+Source = SitePin | ClockLine | Constant
+
+
+class Routing:
+    """The pips that features switch on. What was asked once is kept."""
+
+    def __init__(self, database: Database, wires: Wires, features: Iterable[Feature]) -> None:
+        self._database, self._wires = database, wires
+        self._on: dict[str, set[str]] = {}
+        for feature in features:
+            self._on.setdefault(feature.tile, set()).add(feature.name)
+        self._into: dict[str, Mapping[str, list[Pip]]] = {}
+        self._made: dict[str, Mapping[str, tuple[SitePins, str]]] = {}
+
+    def features(self, tile: str) -> set[str]:
+        """What is on in a tile."""
+        return self._on.get(tile, set())
+
+    def sources(self, tile: str, wire: str) -> tuple[Source, ...]:
+        """All that drive a wire: none of an unconnected one, several where configuration makes them fight."""
+        found: dict[Source, None] = {}
+        seen = set()
+        todo = [(tile, wire)]
+        while todo:
+            node = self._wires.node(*todo.pop())
+            if node in seen:
+                continue
+            seen.add(node)
+            for here, name in node:
+                end = self._end(here, name)
+                if end is not None:
+                    found[end] = None
+                    break
+            else:
+                todo += [(here, pip.source) for here, name in node for pip in self._driving(here, name)]
+        return tuple(found)
+
+    def _end(self, tile: str, wire: str) -> Source | None:
+        if wire in _CONSTANTS:
+            return Constant(_CONSTANTS[wire])
+        if wire.startswith(_SPINE) and tile.startswith("HCLK"):
+            return ClockLine(int(wire.removeprefix(_SPINE)))
+        made = self._outputs(self._database.tiles[tile].kind).get(wire)
+        return None if made is None else SitePin(tile, made[0].type, made[0].x, made[1])
+
+    def _driving(self, tile: str, wire: str) -> Iterator[Pip]:
+        kind = self._database.tiles[tile].kind
+        into = self._pips(kind).get(wire, ())
+        if not into:
+            return
+        on, free = self.features(tile), self._database.ppips(kind)
+        chosen = [pip for pip in into if pip.feature in on or free.get(pip.feature) == "always"]
+        yield from chosen or (pip for pip in into if free.get(pip.feature) == "default")
+
+    def _pips(self, kind: str) -> Mapping[str, list[Pip]]:
+        if kind not in self._into:
+            found: dict[str, list[Pip]] = {}
+            for pip in self._wires.kind(kind).pips.values():
+                if not pip.pseudo:
+                    found.setdefault(pip.destination, []).append(pip)
+            self._into[kind] = found
+        return self._into[kind]
+
+    def _outputs(self, kind: str) -> Mapping[str, tuple[SitePins, str]]:
+        """By wire; of slices, and of what else makes signals."""
+        if kind not in self._made:
+            self._made[kind] = {
+                wire: (site, pin)
+                for site in self._wires.kind(kind).sites
+                for pin, wire in site.pins.items()
+                if not site.type.startswith("SLICE") or pin in SLICE_OUTPUTS
+                if site.type.startswith("SLICE") or _drives(self._wires, kind, wire)
+            }
+        return self._made[kind]
+
+
+SLICE_OUTPUTS = frozenset(f"{letter}{kind}" for letter in "ABCD" for kind in ("", "MUX", "Q")) | {"COUT"}
+
+
+def _drives(wires: Wires, kind: str, wire: str) -> bool:
+    """Whether a pin of another site is an output: real pips lead away from it, none to it."""
+    pips = [pip for pip in wires.kind(kind).pips.values() if not pip.pseudo]
+    return any(pip.source == wire for pip in pips) and not any(pip.destination == wire for pip in pips)

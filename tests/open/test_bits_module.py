@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A module that others' tools have placed and routed behaves, by its bits, as its Verilog does."""
+
+from __future__ import annotations
+
+import random
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from routed import HERE, Routed
+
+from cm.bits import FlipFlop, LutMemory, Netlist, Port, Simulation, extract, verilog
+from cm.bits.memory import FrameMemory
+from cm.bitstream import device_by_name, to_dma_words
+from cm.build.packages.tree import PackageTree
+from cm.xray import Wires, decode
+from cm.xray.frames import words
+
+pytestmark = pytest.mark.timeout(600)
+PORTS = (Port("clk", 1, True), Port("a", 8, True), Port("y", 8, False))
+CYCLES = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def netlist(routed: Routed) -> Netlist:
+    decoded = decode(routed.database, routed.frames)
+    assert not decoded.unexplained
+    return extract(routed.database, Wires(routed.database), decoded.features, routed.boundary)
+
+
+def run_rtl(folder: Path, values: list[int]) -> list[int]:
+    """What the Verilog puts out after each clock, by Icarus."""
+    steps = "".join(f"a = {value}; #1 clk = 1; #1 clk = 0; #1 $display(y);\n" for value in values)
+    steps = f"initial begin\n{steps}end\n"
+    bench = f"module bench; reg clk = 0; reg [7:0] a = 0; wire [7:0] y; everything m (clk, a, y);\n{steps}endmodule\n"
+    (folder / "bench.v").write_text(bench)
+    compiled = ["iverilog", "-o", str(folder / "bench"), str(folder / "bench.v"), str(HERE / "hdl/everything.v")]
+    subprocess.run(compiled, check=True)
+    return [int(line) for line in subprocess.run([folder / "bench"], check=True, capture_output=True).stdout.split()]
+
+
+def test_everything_that_the_module_is_made_of_is_found(netlist: Netlist) -> None:
+    assert not netlist.notes
+    stores = [cell for cell in netlist.cells if isinstance(cell, FlipFlop)]
+    tables = [cell for cell in netlist.cells if isinstance(cell, LutMemory)]
+    assert {cell.synchronous for cell in stores} == {True, False}
+    assert {cell.value for cell in stores} == {cell.init for cell in stores} == {True, False}
+    assert {(cell.shifts, cell.small) for cell in tables} == {(False, True), (True, True), (True, False)}
+
+
+def test_it_does_what_its_verilog_does_cycle_by_cycle(netlist: Netlist, tmp_path: Path) -> None:
+    source = random.Random(1)
+    values = [source.getrandbits(8) & (0x7F if source.random() < 0.9 else 0xFF) for _ in range(300)]
+    run = Simulation(netlist)
+    found = []
+    for value in values:
+        run.set({f"a[{bit}]": bool(value >> bit & 1) for bit in range(8)})
+        run.clock()
+        found.append(sum(run.output(f"y[{bit}]") << bit for bit in range(8)))
+    assert found == run_rtl(tmp_path, values)
+    assert not run.unsettled
+
+
+def test_a_million_cycles_of_its_bits_as_verilog_equal_those_of_its_own(netlist: Netlist, tmp_path: Path) -> None:
+    (tmp_path / "bits.v").write_text(verilog(netlist, "bits", PORTS, dict.fromkeys(range(12), "clk")))
+    (tmp_path / "both.v").write_text("""
+module both (input wire clk, output reg wrong, output wire [7:0] seen);
+    reg [31:0] noise = 32'h1234_5678;
+    wire [7:0] a = noise[31:24] & {&noise[5:3], 7'h7F}, one, two;
+    everything rtl (.clk(clk), .a(a), .y(one));
+    bits frames (.clk(clk), .a(a), .y(two));
+    assign seen = one;
+    always @(posedge clk) begin
+        noise <= {noise[30:0], noise[31] ^ noise[21] ^ noise[1] ^ noise[0]};
+        wrong <= one != two;
+    end
+endmodule
+""")
+    (tmp_path / "main.cpp").write_text(f"""
+#include "Vboth.h"
+#include <cstdio>
+int main() {{
+    Vboth top;
+    long wrong = 0, changes = 0;
+    unsigned before = 0;
+    for (long cycle = 0; cycle < {CYCLES}; cycle++) {{
+        top.clk = 1; top.eval();
+        wrong += top.wrong;
+        changes += top.seen != before;
+        before = top.seen;
+        top.clk = 0; top.eval();
+    }}
+    printf("%ld wrong of {CYCLES}, %ld changes\\n", wrong, changes);
+}}
+""")
+    sources = [*(str(tmp_path / name) for name in ("both.v", "bits.v", "main.cpp")), str(HERE / "hdl/everything.v")]
+    command = ["verilator", "--cc", "--exe", "--build", "-O3", "-Wno-fatal", "-Wno-lint", "--top-module", "both"]
+    subprocess.run([*command, "--Mdir", str(tmp_path / "v"), *sources], check=True, capture_output=True)
+    said = subprocess.run([tmp_path / "v/Vboth"], check=True, capture_output=True, text=True).stdout
+    assert said.startswith(f"0 wrong of {CYCLES}")
+    changes = re.search(r"(\d+) changes", said)
+    assert changes is not None
+    assert int(changes[1]) > CYCLES // 2
+
+
+def test_frames_of_a_full_bitstream_of_others_are_taken_to_their_addresses(
+    routed: Routed, packages: PackageTree, tmp_path: Path
+) -> None:
+    lines = (f"0x{at:08X} " + ",".join(f"0x{word:08X}" for word in words(frame)) for at, frame in routed.frames.items())
+    (tmp_path / "frames").write_text("\n".join(sorted(lines)) + "\n")
+    part = routed.database.family / routed.database.part
+    options = [f"--part_name={part.name}", f"--part_file={part / 'part.yaml'}", f"--frm_file={tmp_path / 'frames'}"]
+    command = packages.command("xc7frames2bit", *options, f"--output_file={tmp_path / 'full.bit'}")
+    subprocess.run(command, check=True, capture_output=True)
+    device = device_by_name("xc7z010")
+    assert device is not None
+    memory = FrameMemory(device)
+    written = memory.load(to_dma_words(tmp_path / "full.bit"))
+    assert {at: frame for at, frame in memory.frames.items() if frame} == {
+        at: frame for at, frame in routed.frames.items() if frame
+    }
+    assert len(written) > 5000
