@@ -8,6 +8,7 @@ from itertools import islice
 
 from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+from cm.cli.following import followed
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -40,7 +41,8 @@ def run_list(args: argparse.Namespace) -> int:
 def run_wait(args: argparse.Namespace) -> int:
     """Print each interrupt as it comes; the exit status."""
     with connected(args) as board:
-        for irq in islice(board.interrupts[args.name].events(args.timeout), args.count):
+        events = board.interrupts[args.name].events(args.timeout)
+        for irq in islice(events if args.timeout else followed(board, events), args.count):
             if args.json:
                 print_json(plain(irq), lines=True)
             else:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from cm.cli.client import connected, number, plain
 from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
+from cm.cli.following import followed
 from cm.client.core import registers
 from cm.errors import NotFound
 from cm.messages.status import RegisterInfo
@@ -126,7 +127,7 @@ def _written(board: Board, names: tuple[str, ...]) -> Iterator[tuple[str, int]]:
         if name not in known:
             near = get_close_matches(name, known, 1)
             raise NotFound(f"no register {name!r} in this mode" + (f"; did you mean {near[0]!r}?" if near else ""))
-    for event in board.registers.events(*(name.partition(".")[0] for name in names)):
+    for event in followed(board, board.registers.events(*(name.partition(".")[0] for name in names))):
         for register in event.values:
             values = {register.name: register.value, **{f"{register.name}.{f}": v for f, v in register.fields}}
             yield from ((name, values[name]) for name in (names or (register.name,)) if name in values)

@@ -8,6 +8,7 @@ import sys
 
 from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, print_json
+from cm.cli.following import followed
 from cm.cli.status import headline, show
 from cm.messages.status import Status
 
@@ -29,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Print each status until interrupted; the exit status."""
     live = sys.stdout.isatty() and not args.json
     with connected(args) as board:
-        for number, status in enumerate(board.watch(), 1):
+        for number, status in enumerate(followed(board, board.watch()), 1):
             if args.json:
                 print_json(plain(status), lines=True)
             elif live:

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+import select
+import signal
 import subprocess
 import sys
 import threading
@@ -48,6 +50,27 @@ def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
         assert (said["change"], said["config_name"], said["mode"]) == (change.number, "camera", "default")
         assert main(["cancel", *place]) == 0
         assert capsys.readouterr().out == "no change is under way; the board is at camera/default\n"
+
+
+@pytest.mark.parametrize("words", [("watch",), ("reg", "watch", "focus")], ids=lambda words: words[0])
+def test_a_manager_that_goes_away_is_told_once_and_waited_for(
+    own: tuple[Manager, SimBoard], words: tuple[str, ...]
+) -> None:
+    manager, _ = own
+    command = [sys.executable, "-m", "cm", *words, "--runtime-dir", str(manager.runtime)]
+    with manager.connected() as board:
+        board.load("camera", "default")
+        watch = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment())
+        while not select.select([watch.stdout], [], [], 0.05)[0]:  # until it listens
+            board.registers["focus"] = 3
+    with watch:
+        assert watch.stderr is not None
+        manager.kill()
+        assert watch.stderr.readline() == "cm: the manager does not answer; waiting for it\n"
+        manager.start()
+        assert watch.stderr.readline() == "cm: the manager answers again\n"
+        watch.send_signal(signal.SIGINT)
+        watch.communicate(timeout=60)
 
 
 def test_writes_of_registers_are_watched_by_name(board: cm.Board, manager: Manager) -> None:
