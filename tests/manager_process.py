@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
 import signal
 import subprocess
 import tempfile
@@ -61,13 +60,8 @@ class Manager:
         command = child.command("cm.cli.main", "serve", "--runtime-dir", str(self.runtime), *self.arguments)
         options = {"start_new_session": True, "preexec_fn": _as_a_service} if self.service else {}
         self.process = subprocess.Popen(command, stderr=subprocess.PIPE, env=self.env, cwd="/", **options)  # type: ignore[call-overload]
-        assert self.process.stderr is not None
-        self.log = b""
-        while b"ready at" not in self.log:
-            ready, _, _ = select.select([self.process.stderr], [], [], 30)
-            piece = os.read(self.process.stderr.fileno(), 65536) if ready else b""
-            assert piece, f"the manager did not start: {self.log.decode()}"
-            self.log += piece
+        ready, self.log = child.said_until(self.process, b"ready at", 60)
+        assert ready, f"the manager did not start: {self.log.decode()}"
         return self
 
     def kill(self) -> None:
@@ -83,7 +77,6 @@ class Manager:
 
     def _reap(self) -> int:
         assert self.process is not None
-        assert self.process.stderr is not None
         assert self.process.stderr is not None
         try:
             status = self.process.wait(timeout=30)

@@ -15,7 +15,7 @@ from pathlib import Path
 from cm import child
 from cm.bench.run import Run
 from cm.client.board import Board
-from cm.errors import CmError, NotFound, Timeout
+from cm.errors import CmError, Timeout
 
 PATIENCE = 60.0  # seconds, on a loaded machine
 
@@ -50,7 +50,7 @@ def serve(run: Run, *arguments: str, sim: bool = True) -> Iterator[Served]:
         words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=environment(run)
     )
     try:
-        _await_reply(process, folder, started + PATIENCE)
+        _await_reply(process, folder)
         seconds = time.monotonic() - started
         yield Served(process, folder, seconds, cpu_seconds(process.pid))
     finally:
@@ -64,21 +64,14 @@ def environment(run: Run) -> dict[str, str]:
     return {**kept, "PYTHONPYCACHEPREFIX": str(run.bytecode)}
 
 
-def _await_reply(process: subprocess.Popen[bytes], folder: Path, until: float) -> None:
-    while time.monotonic() < until:
-        if process.poll() is not None:
-            assert process.stderr is not None
-            said = process.stderr.read().decode(errors="replace").strip()
-            raise CmError(f"cm serve ended with status {process.returncode}: {said}")
-        if (folder / "req").exists():
-            try:
-                with Board(runtime_dir=folder, timeout=until - time.monotonic()) as board:
-                    _ = board.status
-            except NotFound:
-                continue
-            return
-        time.sleep(0.001)
-    raise Timeout(f"cm serve did not answer within {PATIENCE:.0f} s")
+def _await_reply(process: subprocess.Popen[bytes], folder: Path) -> None:
+    ready, said = child.said_until(process, b"ready at", PATIENCE)
+    if not ready and process.poll() is None:
+        raise Timeout(f"cm serve did not say within {PATIENCE:.0f} s that it is ready: {said.decode(errors='replace')}")
+    if not ready:
+        raise CmError(f"cm serve ended with status {process.returncode}: {said.decode(errors='replace').strip()}")
+    with Board(runtime_dir=folder, timeout=PATIENCE) as board:
+        _ = board.status
 
 
 def settle(board: Board) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from cm.build.generate.inputs import RTL, module_files
 from cm.build.generate.netlist import Netlist, Signal
-from cm.build.generate.outputs import identified, render_all
+from cm.build.generate.outputs import identified, render_identified, render_schema
 from cm.build.generate.static_part.module import static_part
 from cm.build.generate.tree import load_design
 from cm.build.generate.wrapper import wrapper
@@ -82,7 +82,7 @@ def load_rtl_design(schema: Path, folder: Path) -> RtlDesign:
     be simulated.
     """
     system = identified(load_design(schema).system)
-    files = render_all(system, folder, Answers())
+    files = render_identified(system, folder, Answers())
     for name, text in files.items():
         _write(folder / name, text)
     static = simulated_static(system)
@@ -101,8 +101,7 @@ def load_rtl_design(schema: Path, folder: Path) -> RtlDesign:
 def runtime_schema(schema: Path) -> tuple[str, str]:
     """Name and text of the runtime schema that `cm build` makes of a build schema."""
     system = load_design(schema).system
-    files = render_all(system, schema.parent / "build", Answers())
-    return system.project.name, files[f"config/{system.project.name}.yaml"]
+    return system.project.name, render_schema(system, Answers())
 
 
 def simulated_static(system: System) -> Netlist:

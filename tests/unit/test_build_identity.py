@@ -17,7 +17,7 @@ from cm.bitstream import assemble_module
 from cm.build.collect.collected import Collected
 from cm.build.collect.collection import collect_ours
 from cm.build.errors import BuildError
-from cm.build.generate.outputs import identified
+from cm.build.generate.outputs import identified, render_schema
 from cm.build.generate.tree import Design, generate, load_design
 from cm.build.runtime.answers import Answers
 from cm.sim.errors import SimError
@@ -93,6 +93,7 @@ def test_register_and_runtime_schema_have_the_same_identity(tmp_path: Path) -> N
     assert found is not None
     assert static.identity == int(found[1], 16) == identified(design.system).static_identity
     assert (static.base_address, static.offset, static.width) == (design.system.control.base, 0x1C, 32)
+    assert render_schema(design.system, Answers()) == (out / "config/two_regions.yaml").read_text()
 
 
 @pytest.fixture

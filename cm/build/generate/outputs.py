@@ -36,7 +36,19 @@ class Output:
 
 def render_all(system: System, out: Path, answers: Answers) -> dict[str, str]:
     """Every generated file: path below `out` → text."""
-    system, renderer = identified(system), _renderer(system, out)
+    return render_identified(identified(system), out, answers)
+
+
+def render_schema(system: System, answers: Answers) -> str:
+    """The runtime schema alone, as `render_all` has it."""
+    system, wanted = identified(system), f"config/{system.project.name}.yaml"
+    renderer = _renderer(system, system.project.folder / "build")
+    return next(renderer.render(t, context) for name, t, context in software_outputs(system, answers) if name == wanted)
+
+
+def render_identified(system: System, out: Path, answers: Answers) -> dict[str, str]:
+    """As `render_all`, of a system that has the identity of its static part."""
+    renderer = _renderer(system, out)
     files = {output.path: renderer.render(output.template, output.context) for output in _hardware(system, out)}
     for path in sorted(inputs.RTL.glob("*.v")):
         files[f"hdl/lib/{path.name}"] = path.read_text(encoding="utf-8")
