@@ -244,6 +244,29 @@ def _await_feedback(feedback: queue.Queue[dict[str, Any]], send: Client, result:
     assert all(step["step"] and 0 <= step["fraction"] <= 1 for step in steps)
 
 
+def test_a_goal_that_is_cancelled_ends_as_cancelled_and_the_board_is_back(
+    own: tuple[Manager, SimBoard], peer: Peer
+) -> None:
+    manager, sim = own
+    with manager.connected() as board:
+        board.load("camera", "default")
+        bridge = Bridge(manager.runtime, "--name", "third")
+        base, kind = "/third/change_mode/_action", "cm_interfaces/action/ChangeMode"
+        ends = {
+            name: peer.client(f"{base}/{name}", f"{kind}_{part}")
+            for name, part in (("send_goal", "SendGoal"), ("get_result", "GetResult"))
+        }
+        cancel = peer.client(f"{base}/cancel_goal", "action_msgs/srv/CancelGoal")
+        uuid = {"uuid": os.urandom(16)}
+        sim.control.inject("icap_hang", count=1)
+        assert ends["send_goal"].call({"goal_id": uuid, "goal": {"mode": "edge_detection"}})["accepted"]
+        until(lambda: board.status.fpga_busy, PATIENCE)
+        assert cancel.call({"goal_info": {"goal_id": uuid}})["return_code"] == 0
+        assert ends["get_result"].call({"goal_id": uuid})["status"] == 5
+        assert board.mode == "default"
+        assert bridge.stop()[0] == 0
+
+
 def test_diagnostics_tell_of_the_board(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
     told = peer.next("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", EVENTS)
     row = told["status"][0]
