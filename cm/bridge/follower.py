@@ -114,7 +114,7 @@ class Follower:
         stamp = time.time_ns()
         self._sink.status(StatusRecord(self._identity, stamp, status))
         place = _place(status)
-        if place != self._place:
+        if place != self._place and not status.fpga_busy:  # within a change, mode and streams may be of two modes
             self._place = place
             config = board.config() if status.config_name else ConfigInfo()
             self._sink.config(config_record(status, config, stamp))
