@@ -31,6 +31,8 @@ from cm.build.project.model import ConnectionSpec, Project
 from cm.build.project.where import fault
 from cm.schema.model import Direction, LoaderKind
 
+MAX_INTERRUPTS = 128  # of all modules: cm_control.v
+
 
 def plan_system(project: Project, boundaries: Mapping[str, Boundary]) -> System:
     """The system around `project`'s regions; BuildError where something cannot be connected."""
@@ -58,8 +60,9 @@ class _Planner:
             for index, region in enumerate(project.regions.values())
         )
         self._notes += planner.notes
-        if planner.bits > 32:
-            raise BuildError(f"the modules have {planner.bits} interrupts, the concentrator holds 32")
+        if planner.bits > MAX_INTERRUPTS:
+            message = f"the modules have {planner.bits} interrupts, the concentrator holds {MAX_INTERRUPTS}"
+            raise BuildError(f"{message}: connect some to external or none")
         own = own_streams(project, width) if project.switch else ()
         regions, own, icap = place(project, regions, own, icap, self._addresses, self._platform.irq_count)
         self._notes += crowding(regions, own, self._platform.irq_count)

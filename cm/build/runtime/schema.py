@@ -37,7 +37,7 @@ from cm.schema.problems import did_you_mean
 REGION_BLOCK = 0x100  # of cm_control.v
 REGION_STRIDE = 0x10
 IDENTITY = 0xC
-IRQ_STATUS, IRQ_ENABLE = 0x08, 0x0C
+IRQ_STATUS, IRQ_BANK = 0x08, 0x10  # lines 32 and up: 0x20, 0x24, and every 0x10 behind
 STATIC_ID = 0x1C
 
 
@@ -210,17 +210,27 @@ def _static_registers(system: System) -> dict[str, Register]:
         "cm_id": Register("cm_id", base, 0, access=Access.RO, doc="0x434D3031: the generated static part"),
         "cm_shape": Register("cm_shape", base, 4, access=Access.RO, doc="regions, interrupt lines"),
     }
-    if system.lines:
-        mask = (1 << len(system.lines)) - 1
-        doc = "interrupts that happened, write 1 to clear"
-        status = Register("irq_status", base, IRQ_STATUS, access=Access.W1C, volatile=True, doc=doc)
-        enable = Register("irq_enable", base, IRQ_ENABLE, default=mask, maximum=mask, doc="interrupts that are told")
-        found |= {"irq_status": status, "irq_enable": enable}
+    for bank in range(-(-len(system.lines) // 32)):
+        found |= _interrupt_bank(base, bank, min(32, len(system.lines) - 32 * bank))
     if system.switch:
         found |= _switch_registers(system.switch)
     for name, spec in system.project.static.registers.items():
         found[name] = _register(spec, 0, None)
     return found
+
+
+def _interrupt_bank(base: int, bank: int, lines: int) -> dict[str, Register]:
+    """Status and enable registers of 32 interrupt lines, or fewer."""
+    mask = (1 << lines) - 1
+    status, enable = _bank_name("irq_status", bank), _bank_name("irq_enable", bank)
+    doc = "interrupts that happened, write 1 to clear"
+    at = IRQ_BANK * (bank + 1) if bank else IRQ_STATUS
+    told = Register(enable, base, at + 4, default=mask, maximum=mask, doc="interrupts that are told")
+    return {status: Register(status, base, at, access=Access.W1C, volatile=True, doc=doc), enable: told}
+
+
+def _bank_name(name: str, bank: int) -> str:
+    return f"{name}_{bank}" if bank else name
 
 
 def _streams(system: System, answers: Answers) -> list[Stream]:
@@ -242,4 +252,5 @@ def _streams(system: System, answers: Answers) -> list[Stream]:
 
 
 def _interrupt(system: System, name: str, bit: int) -> Interrupt:
-    return Interrupt(name, system.control.base, status="irq_status", bit=bit, acknowledge=True)
+    status = _bank_name("irq_status", bit // 32)
+    return Interrupt(name, system.control.base, status=status, bit=bit % 32, acknowledge=True)
