@@ -7,7 +7,8 @@
 #   OECORE=DIR tests/bitbake/run.sh [scarthgap|wrynose]…
 #   CHECK_LAYER=1                     yocto-check-layer too, more than a quarter of an hour
 #
-# DIR holds git repositories (with all branches) openembedded-core, bitbake and meta-openembedded. BitBake refuses to be
+# DIR holds git repositories (with all branches) openembedded-core, bitbake, meta-openembedded, and meta-ros if the
+# recipes for ROS 2 are to be tried. BitBake refuses to be
 # root: as root it is run as $OEUSER (nobody). Recipes of the other layers are masked, so that a parse takes seconds;
 # what they would build counts as there.  Exit status 77 where something is missing.
 set -eu
@@ -122,6 +123,28 @@ without_systemd() { # series: the script of an older init, and what it takes
 	sed -i 's/^INIT_MANAGER = .*/INIT_MANAGER = "systemd"/' "$work/$1/build/conf/local.conf"
 }
 
+with_ros() { # series: what is there for ROS 2, where meta-ros is given too
+	[ -e "$OECORE/meta-ros" ] || { echo "no meta-ros: its recipes are not tried" && return; }
+	place=$work/$1
+	clone meta-ros "$1" "$place/meta-ros"
+	cp "$place/build/conf/bblayers.conf" "$place/build/conf/local.conf" "$place/"
+	sed -i "s|$work/meta-cm\"|$place/meta-ros/meta-ros-common $place/meta-ros/meta-ros2 $place/meta-ros/meta-ros2-jazzy &|" \
+		"$place/build/conf/bblayers.conf"
+	# no Fortran, whose compiler it would want here
+	printf 'ROS_DISTRO = "jazzy"\nROS_WORLD_SKIP_GROUPS:append = " fortran"\nBBMASK += "/meta-ros/"\n' >>"$place/build/conf/local.conf"
+	[ "$(id -u)" != 0 ] || chown -R "$user" "$place"
+	for name in cm-interfaces cm-ros2; do
+		if in_build "$1" "bitbake -e $name" >"$work/log" 2>&1; then
+			echo "good: $name, for ROS 2 Jazzy"
+		else
+			echo "FAILED: $name, for ROS 2 Jazzy"
+			grep "^ERROR" "$work/log" || tail -20 "$work/log"
+			status=1
+		fi
+	done
+	mv "$place/bblayers.conf" "$place/local.conf" "$place/build/conf/"
+}
+
 check_layer() { # series
 	echo "yocto-check-layer"
 	layers="--dependency ../oe-core/meta ../meta-oe/meta-oe ../meta-oe/meta-python --no-auto-dependency"
@@ -152,6 +175,7 @@ for series; do
 		fi
 	done
 	without_systemd "$series"
+	with_ros "$series"
 	[ -z "${CHECK_LAYER:-}" ] || check_layer "$series"
 	if [ -z "${CHECK_LAYER:-}" ]; then
 		prepare "$series"

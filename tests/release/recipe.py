@@ -42,11 +42,13 @@ OPTIONAL = {
 
 
 def variables(recipe: Path) -> dict[str, str]:
-    """Plain assignments of a recipe; later ones with += are joined."""
+    """Plain assignments of a recipe and of what it requires; later ones with += are joined."""
     found: dict[str, str] = {}
-    for name, operator, value in _ASSIGNMENT.findall(recipe.read_text()):
-        text = " ".join(value.replace("\\\n", " ").split())
-        found[name] = f"{found[name]} {text}" if operator == "+" and name in found else text
+    required = re.findall(r"^require (\S+)$", recipe.read_text(), re.MULTILINE)
+    text = "".join(path.read_text() for path in (*(recipe.parent / name for name in required), recipe))
+    for name, operator, value in _ASSIGNMENT.findall(text):
+        words = " ".join(value.replace("\\\n", " ").split())
+        found[name] = f"{found[name]} {words}" if operator == "+" and name in found else words
     return found
 
 

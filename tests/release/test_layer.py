@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from recipe import LAYER, PACKAGE, ROOT, depends, files_of, needed, owner, variables
@@ -66,7 +67,8 @@ def test_every_folder_of_the_package_is_in_one_package() -> None:
 @pytest.mark.parametrize("recipe", RECIPES, ids=lambda path: path.stem)
 def test_licence_checksums_are_those_of_the_texts(recipe: Path) -> None:
     values = variables(recipe)
-    below = ROOT / "kmod" if values.get("S", "").endswith("/kmod") else ROOT
+    folder = values.get("S", "").partition("${PV}")[2].strip("/")
+    below = ROOT / re.sub(r"\$\{(\w+)\}", lambda found: values[found[1]], folder)
     for name, digest in re.findall(r"file://(\S+);md5=(\w+)", values.get("LIC_FILES_CHKSUM", "")):
         assert hashlib.md5((below / name).read_bytes()).hexdigest() == digest, name
     assert "LIC_FILES_CHKSUM" in values or "inherit packagegroup" in recipe.read_text() or values["LICENSE"] == "MIT"
@@ -154,6 +156,14 @@ def test_the_layer_says_what_yocto_check_layer_asks_for() -> None:
     assert re.search(r"[\w.]+@[\w.]+", text)
     assert series is not None
     assert series[1].split() == list(SERIES)
+
+
+def test_what_is_there_for_ros_takes_what_its_packages_say() -> None:
+    for recipe in (LAYER / "dynamic-layers/ros2").rglob("*.bb"):
+        values = variables(recipe)
+        said = ElementTree.parse(ROOT / "ros2" / values["ROS_BPN"] / "package.xml")
+        wanted = {node.text for kind in ("depend", "exec_depend") for node in said.findall(kind)}
+        assert set(values["ROS_EXEC_DEPENDS"].split()) == {str(name).replace("_", "-") for name in wanted}
 
 
 def test_kas_files_are_there_for_each_series() -> None:
