@@ -22,7 +22,7 @@ SEED ?= 1
 MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs web-picture demo demo-ros device-suite test test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup docs web-picture demo demo-ros demo-fleet device-suite test test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -84,6 +84,10 @@ test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Ica
 
 test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
+
+demo-fleet: $(STAMP) ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR)
+	$(call install,zenoh)
+	@$(BIN)/cm demo --fleet --out $(if $(filter demo,$(OUT)),demo-fleet,$(OUT))
 
 device-suite: $(STAMP) ## tests of the device layer: BOARD=sim, or BOARD=hw TARGET=user@host (or LAB=labgrid.yaml; BOARD_FILE, BOARD_PYTHON)
 ifeq ($(BOARD),hw)

@@ -22,6 +22,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write to")
     parser.add_argument("--keep-frames", action="store_true", help="also write the raw frames (frames.npz)")
     parser.add_argument("--rtl", action="store_true", help="on the modules' Verilog instead of models in software")
+    parser.add_argument("--fleet", action="store_true", help="three boards over zenoh instead, one of which is killed")
     parser.set_defaults(run=run)
 
 
@@ -31,9 +32,14 @@ def run(args: argparse.Namespace) -> int:
         from PIL import Image  # noqa: F401 (asked for before anything is started)
     except ModuleNotFoundError:
         raise InvalidRequest("the demo writes a picture with Pillow: pip install 'fpga-cm[demo]'") from None
+    started = time.monotonic()
+    if args.fleet:
+        from cm.demo.fleet import run_fleet_demo
+
+        print(f"wrote     {run_fleet_demo(args.out)} after {time.monotonic() - started:.1f} s")
+        return 0
     from cm.demo.runner import run_demo
 
-    started = time.monotonic()
     sheet = run_demo(args.images, args.out, args.keep_frames, "rtl" if args.rtl else "models")
     print(f"wrote     {sheet} after {time.monotonic() - started:.1f} s")
     return 0

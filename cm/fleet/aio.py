@@ -13,6 +13,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from cm.client.core.calls import write_data, write_registers
+from cm.client.errors import request_error
+from cm.client.frame import Frame, frame_of
 from cm.errors import CmError, InvalidRequest
 from cm.fleet import asking, bundles, names
 from cm.fleet.asking import absent
@@ -23,9 +26,10 @@ from cm.fleet.looking import ALL, Looker
 from cm.fleet.network import Network, from_environment, session, zenoh_module
 from cm.fleet.presence import Presence
 from cm.messages.fleet import BundleState, FleetRecord, Policy
-from cm.messages.status import ErrorInfo, RegValues
+from cm.messages.status import ErrorInfo, FrameInfo, RegValues
 from cm.wire import fleet as wire
-from cm.wire.encode import decode_reply, encode_request
+from cm.wire import topics
+from cm.wire.encode import decode_event, decode_reply, encode_request
 
 
 def connect(
@@ -105,12 +109,29 @@ class Fleet(Looker):
         self, values: Mapping[str, int | str], boards: Iterable[str] = ALL
     ) -> dict[str, RegValues | ErrorInfo]:
         """Write registers on each board, in order; each board does all of it or nothing."""
-        from cm.client.core.calls import write_registers
-
         message = bytes(encode_request(write_registers(values).request)[1])
         chosen = await self.chosen(boards)
         answers = await asyncio.gather(*(self.do("reg", name, message) for name in chosen))
         return {n: _registers(a) for n, a in zip(chosen, answers, strict=True)}
+
+    async def frame(self, board: str, stream: str) -> Frame:
+        """The next frame of a stream of one board, as an array. Raises RequestFailed."""
+        found = await asking.get(self.session, names.key(board, "frames", stream), timeout=self.timeout)
+        answer = found[0] if found else asking.Answer(board, "", b"", error=absent(board, board in await self.boards()))
+        if answer.error is not None:
+            raise request_error(answer.error)
+        info = decode_event([topics.READ_DATA, answer.attachment])
+        if not isinstance(info, FrameInfo):
+            raise InvalidRequest(f"{board}: no frame came back")
+        return frame_of(info, answer.payload)
+
+    async def send(self, board: str, stream: str, data: Any) -> None:
+        """An array or bytes for a stream of one board; returns when the hardware has taken it. Raises RequestFailed."""
+        frames = encode_request(write_data(stream, data, "").request)
+        answer = await self.do("data", board, bytes(frames[1]), bytes(frames[2]))
+        error = answer.error or decode_reply([b"", answer.payload]).error
+        if error is not None:
+            raise request_error(error)
 
     async def load(
         self,

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, TypeVar
 
+from cm.client.frame import Frame
 from cm.fleet import aio
 from cm.fleet.changing import Course
 from cm.fleet.clocks import Reading
@@ -113,6 +114,14 @@ class Fleet:
     def write(self, values: Mapping[str, int | str], boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
         """Write registers on each board; each does all of it or nothing."""
         return self._loop.wait_for(self._fleet.write(values, boards))
+
+    def frame(self, board: str, stream: str) -> Frame:
+        """The next frame of a stream of one board, as an array. Raises RequestFailed."""
+        return self._loop.wait_for(self._fleet.frame(board, stream))
+
+    def send(self, board: str, stream: str, data: Any) -> None:
+        """An array or bytes for a stream of one board; returns when the hardware has taken it. Raises RequestFailed."""
+        self._loop.wait_for(self._fleet.send(board, stream, data))
 
     def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
         """How far each board's clock may be off."""

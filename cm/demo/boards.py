@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated boards with managers and bridges, and a router: a whole fleet in processes of this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import subprocess
+import threading
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+
+from cm import child
+from cm.errors import CmError, Timeout
+
+_PATIENCE = 120.0  # seconds, on a loaded machine
+_END = 20.0
+_SETTINGS = 'access:\n  guests: {"*": operate}\n'
+
+
+class FleetFailed(CmError):
+    """A process of the fleet did not start."""
+
+    code = "fleet_failed"
+
+
+def free_port() -> int:
+    """A TCP port that is free now."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def started(words: bytes, *arguments: str) -> subprocess.Popen[bytes]:
+    """A command of ours, once it has said these words. Raises FleetFailed."""
+    process = subprocess.Popen(
+        child.command("cm.cli.main", *arguments),
+        stderr=subprocess.PIPE,
+        env=child.environment(),
+        start_new_session=True,  # Ctrl-C reaches it through us, in order
+    )
+    there, said = child.said_until(process, words, _PATIENCE)
+    if not there:
+        process.kill()
+        process.communicate()
+        raise FleetFailed(f"cm {' '.join(arguments[:2])} did not start: {said.decode(errors='replace')[-500:]}")
+    threading.Thread(target=_drain, args=(process,), daemon=True).start()
+    return process
+
+
+def _drain(process: subprocess.Popen[bytes]) -> None:
+    """What it says further is read, so that it never waits for us."""
+    assert process.stderr is not None
+    with process.stderr as pipe, contextlib.suppress(OSError):
+        while pipe.read(4096):
+            pass
+
+
+def ended(process: subprocess.Popen[bytes] | None, number: int = signal.SIGTERM) -> None:
+    """End a process; none is fine. A simulated board may outlive its manager for a while."""
+    if process is None:
+        return
+    process.send_signal(number)
+    try:
+        process.wait(timeout=_END)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+        raise Timeout(f"process {process.pid} did not end") from None
+
+
+@dataclass
+class BoardProcesses:
+    """One board: `cm serve --sim` and `cm bridge zenoh`."""
+
+    name: str
+    folder: Path
+    router: str
+    manager: subprocess.Popen[bytes] | None = None
+    bridge: subprocess.Popen[bytes] | None = None
+
+    @property
+    def runtime_dir(self) -> Path:
+        """Where its manager's sockets lie."""
+        return self.folder / "run"
+
+    def start(self) -> BoardProcesses:
+        """Both; again after `kill`, from what is on the disk."""
+        self.folder.mkdir(exist_ok=True)
+        settings = self.folder / "cm.yaml"
+        settings.write_text(_SETTINGS, encoding="utf-8")
+        run, state = str(self.runtime_dir), str(self.folder / "state")
+        self.manager = started(
+            b"ready at", "serve", "--sim", "--runtime-dir", run, "--state-dir", state, "--name", self.name,
+            "--settings", str(settings),
+        )  # fmt: skip
+        self.bridge = started(
+            b"ready as", "bridge", "zenoh", "--runtime-dir", run, "--router", self.router,
+            "--state-dir", str(self.folder / "fleet"),
+        )  # fmt: skip
+        return self
+
+    def kill(self) -> None:
+        """As a loss of power does it; the simulated hardware goes with its manager."""
+        bridge, manager, self.bridge, self.manager = self.bridge, self.manager, None, None
+        ended(bridge, signal.SIGKILL)
+        ended(manager, signal.SIGKILL)
+
+    def stop(self) -> None:
+        """End both in order."""
+        bridge, manager, self.bridge, self.manager = self.bridge, self.manager, None, None
+        ended(bridge)
+        ended(manager)
+
+
+class LocalFleet:
+    """A router and boards, as a context manager."""
+
+    def __init__(self, names: Iterable[str], folder: Path, at_once: int = 4) -> None:
+        self.router = f"tcp/127.0.0.1:{free_port()}"
+        self.boards = {name: BoardProcesses(name, folder / name, self.router) for name in names}
+        self._at_once = at_once
+        self._stack = ExitStack()
+
+    def __enter__(self) -> LocalFleet:
+        try:
+            self._stack.callback(ended, started(b"ready", "fleet", "router", "--listen", self.router))
+            with ThreadPoolExecutor(self._at_once) as threads:
+                for board in self.boards.values():
+                    self._stack.callback(board.stop)
+                list(threads.map(BoardProcesses.start, self.boards.values()))
+        except BaseException:
+            self._stack.close()
+            raise
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+        self._stack.close()
