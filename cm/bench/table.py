@@ -39,6 +39,7 @@ CASES = (
     Case("advisor", ("advisor",)),
     Case("rtl", ("rtl_frames", "rtl_frames_wide", "rtl_registers")),
     Case("ros2", ("ros2_publish", "ros2_trip")),
+    Case("fleet", ("fleet_discovery", "fleet_status", "fleet_change", "fleet_model")),
     Case("fig4", ("fig4",)),
     Case("fig5", ("fig5",)),
 )

@@ -13,9 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.common import add_connection_options
+from cm.cli.fleet_options import add_network_options
 from cm.errors import InvalidRequest
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from cm.fleet.aio import Fleet
     from cm.web.server import Options
 
 PORT = 8470
@@ -39,6 +43,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--name", action="append", default=[], help="a name by which browsers reach this machine")
     parser.add_argument("--tls", nargs=2, type=Path, metavar=("CERT", "KEY"), help="serve over TLS: PEM files")
     parser.add_argument("--insecure", action="store_true", help="allow other machines without TLS")
+    parser.add_argument("--fleet", action="store_true", help="show the boards of a fleet, too (docs/fleet.md)")
+    add_network_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -79,8 +85,20 @@ def _options(args: argparse.Namespace) -> Options:
     gate = Gate.of(_token(args.token_file), [*args.name, host])
     return Options(
         lambda: aio.connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys),
-        gate, host, port, args.control, tls,
+        gate, host, port, args.control, tls, _fleet(args),
     )  # fmt: skip
+
+
+def _fleet(args: argparse.Namespace) -> Callable[[], Fleet] | None:
+    """How to reach the fleet, where one is given; None for one board alone."""
+    if not (args.fleet or args.router or args.zenoh_config):
+        return None
+    from cm.fleet import aio as fleet
+    from cm.fleet.network import endpoint, zenoh_module
+
+    zenoh_module()  # said at once where it is missing
+    routers = tuple(map(endpoint, args.router))
+    return lambda: fleet.connect(routers, config=args.zenoh_config)
 
 
 def _address(text: str) -> tuple[str, int]:

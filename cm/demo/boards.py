@@ -128,7 +128,8 @@ class LocalFleet:
 
     def __enter__(self) -> LocalFleet:
         try:
-            self._stack.callback(ended, started(b"ready", "fleet", "router", "--listen", self.router))
+            self.router_process = started(b"ready", "fleet", "router", "--listen", self.router)
+            self._stack.callback(ended, self.router_process)
             with ThreadPoolExecutor(self._at_once) as threads:
                 for board in self.boards.values():
                     self._stack.callback(board.stop)

@@ -7,9 +7,9 @@ import asyncio
 import os
 import ssl
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from aiohttp import web
 
@@ -19,6 +19,9 @@ from cm.web.gate import Gate, is_loopback
 from cm.web.hub import Connect, Hub
 from cm.web.session import Session
 from cm.web.watching import Watching
+
+if TYPE_CHECKING:
+    from cm.fleet.aio import Fleet
 
 STATIC = Path(__file__).with_name("static")
 _PAGES = 32  # at once
@@ -46,6 +49,7 @@ class Options:
     port: int = 8080
     control: bool = False
     tls: ssl.SSLContext | None = None
+    fleet: Callable[[], Fleet] | None = None  # whose boards are shown beside the one
 
 
 class PageServer:
@@ -91,12 +95,16 @@ class PageServer:
         return app
 
     async def _follow(self, _: web.Application) -> AsyncIterator[None]:
-        task = asyncio.create_task(self._hub.run())
+        tasks = [asyncio.create_task(self._hub.run())]
+        if self._options.fleet is not None:
+            from cm.web.fleet import FleetWatch  # zenoh is there only where a fleet is
+
+            tasks.append(asyncio.create_task(FleetWatch(self._options.fleet, self._hub.topics).run()))
         yield
         await self._watching.close()
-        task.cancel()
-        with suppress(asyncio.CancelledError):
-            await task
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _hang_up(self, _: web.Application) -> None:
         for socket in tuple(self._open):

@@ -12,6 +12,7 @@ import pytest
 import zenoh
 from fleet_support import FleetBoard, Router, fleet_of
 from manager_process import until
+from web_support import chromium, page_of, web_server
 
 import cm.fleet
 from cm.cli.main import main
@@ -277,3 +278,25 @@ def test_a_router_that_is_killed_in_the_midst_of_it_ends_in_one_mode(
     until(lambda: set(fleet.boards()) == set(boards), 60.0)
     until(lambda: all(_is_free(status) for status in fleet.status().values()), 60.0)
     assert modes(boards) == wanted
+
+
+# ---- the page -----------------------------------------------------------------------------
+
+
+def test_the_page_shows_the_boards_of_the_fleet(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
+    """In a browser, beside the one board that it is about."""
+    router = ("--router", three[0].endpoint)
+    with (
+        web_server(boards["b1"].manager.runtime, *router) as server,
+        chromium() as browser,
+        page_of(browser, server) as page,
+    ):
+        for name in boards:
+            page.wait_for_selector(f"[data-fleet-board={name}] .pill[data-state=idle]")
+        assert "3 of 3 are there" in page.text_content("#fleet-about")
+        assert "north" in page.text_content("[data-fleet-board=c3]")
+        three[2].mode("edge_detection", ["c3"])
+        page.wait_for_selector("[data-fleet-board=c3] >> text=camera / edge_detection")
+        boards["c3"].bridge.end()
+        page.wait_for_selector("[data-fleet-board=c3] >> text=gone")
+    boards["c3"].bridge.start()

@@ -61,7 +61,7 @@ MAY = {
     "client": BASE | {"messages", "wire", "native", "multipart"},
     "fleet": BASE | {"client", "messages", "wire"},
     "view": BASE,
-    "web": BASE | {"client", "messages", "view", "wire"},
+    "web": BASE | {"client", "fleet", "messages", "view", "wire"},
     "sim": BASE | {"child", "fdt", "loop", "native", "schema", "bitstream", "hwh"},
     "importers": BASE | {"fdt", "native", "schema", "bitstream", "hwh"},
     "build": BASE | {"fdt", "schema", "bitstream", "hwh", "sim", "xray"},

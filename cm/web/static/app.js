@@ -9,6 +9,7 @@ import { Changes } from "./changes.js";
 import { Registers } from "./registers.js";
 import { Beside } from "./beside.js";
 import { Charts } from "./charts.js";
+import { Fleet } from "./fleet.js";
 import { theme } from "./theme.js";
 
 const state = { link: { up: false, control: false }, server: "connecting" };
@@ -40,6 +41,7 @@ const changes = new Changes({ ask, failed, control });
 const registers = new Registers(byId("registers"), { ask, failed, control });
 const beside = new Beside();
 const charts = new Charts(byId("charts"));
+const fleet = new Fleet();
 
 const handlers = {
   link() {
@@ -63,6 +65,7 @@ const handlers = {
   interrupts: () => beside.interrupts(state.interrupts),
   errors: () => beside.errors(state.errors),
   changes: () => changes.show(state),
+  fleet: () => fleet.show(state.fleet),
   history: (points) => charts.begin(points),
   point: (point) => charts.add(point),
 };
@@ -77,7 +80,7 @@ function head() {
   byId("link").title = up ? "" : manager.problem || "";
   text(byId("rights"), state.link.control ? "" : "read-only");
   if (server === "down") banner("The page's server is not there. What you see is as it was; it is tried again.", "link");
-  else if (server === "up" && !manager.up) banner(`No manager: ${manager.problem}. It is tried again.`, "link");
+  else if (server === "up" && !manager.up && !state.fleet) banner(`No manager: ${manager.problem}. It is tried again.`, "link");
   else if (byId("banner").dataset.of === "link") banner("");
   if (!status) return;
   text(byId("board"), status.board || "fpga-cm");

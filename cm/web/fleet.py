@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The boards of a fleet, told to pages."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from cm.errors import CmError
+from cm.fleet.aio import Fleet
+from cm.fleet.change import member
+from cm.fleet.clocks import said_apart
+from cm.messages.fleet import BoardStatus
+from cm.messages.status import Status
+from cm.web.topics import Topics
+
+_AGAIN = 2.0  # seconds between two tries to reach the fleet
+_PAUSE = 0.25  # seconds between two tables
+_SHOWN = 500  # boards; the number of all is told
+
+
+class FleetWatch:
+    """Follows a fleet, and tells pages a table of its boards: the topic ``fleet``."""
+
+    def __init__(self, connect: Callable[[], Fleet], topics: Topics) -> None:
+        self._connect = connect
+        self._topics = topics
+        self._rows: dict[str, dict[str, Any]] = {}
+        self._statuses: dict[str, BoardStatus] = {}
+
+    async def run(self) -> None:
+        """Until it is cancelled."""
+        self._tell("not connected yet")
+        while True:
+            try:
+                async with self._connect() as fleet:
+                    await self._follow(fleet)
+            except (CmError, OSError) as error:
+                self._tell(str(error))
+            await asyncio.sleep(_AGAIN)
+
+    async def _follow(self, fleet: Fleet) -> None:
+        self._rows, self._statuses = {}, {}
+        self._tell("")
+        teller = asyncio.create_task(self._tell_on())
+        try:
+            async with fleet.watch() as statuses:
+                async for name, status in statuses:
+                    self._take(name, status)
+        finally:
+            teller.cancel()
+            await asyncio.gather(teller, return_exceptions=True)
+
+    def _take(self, name: str, status: BoardStatus | None) -> None:
+        if status is None:
+            self._statuses.pop(name, None)
+            self._rows[name] = {**self._rows.get(name, row(name, BoardStatus(Status()))), "state": "gone"}
+        else:
+            self._statuses[name] = status
+            self._rows[name] = row(name, status)
+
+    async def _tell_on(self) -> None:
+        while True:
+            await asyncio.sleep(_PAUSE)
+            self._tell("")
+
+    def _tell(self, problem: str) -> None:
+        apart = said_apart({name: status.clock for name, status in self._statuses.items()}) if self._statuses else None
+        shown = [self._rows[name] for name in sorted(self._rows)[:_SHOWN]]
+        self._topics.tell("fleet", {"boards": shown, "count": len(self._rows), "problem": problem, "apart_ns": apart})
+
+
+def row(name: str, status: BoardStatus) -> dict[str, Any]:
+    """A board as the page shows it."""
+    own, record = status.status, status.fleet
+    note = own.last_error.message if own.last_error else ""
+    if record is not None and not member.ended(record):
+        note = f"change {record.id} of {record.caller}: {record.state}"
+    return {
+        "name": name,
+        "loaded": f"{own.config_name} / {own.mode}" if own.mode else "",
+        "state": own.pr_mode.value,
+        "fraction": own.progress.fraction if own.progress else None,
+        "labels": list(status.labels),
+        "clock_ns": status.clock.error_ns if status.clock.synchronised else None,
+        "note": note,
+    }

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// The boards of a fleet, where the server was given one.
+
+import { byId, empty, h, keyed, text } from "./dom.js";
+
+const STATES = { idle: "idle", partial: "reconfiguring", full: "reconfiguring", error: "error", gone: "gone" };
+
+export class Fleet {
+  show(fleet) {
+    byId("fleet").hidden = false;
+    const there = fleet.boards.filter((board) => board.state !== "gone").length;
+    const more = fleet.count > fleet.boards.length ? ` The first ${fleet.boards.length} of ${fleet.count} are shown.` : "";
+    text(byId("fleet-about"), fleet.problem || `${there} of ${fleet.count} are there. ${agreement(fleet)}${more}`);
+    const node = byId("fleet-boards");
+    keyed(node, fleet.boards, (board) => board.name, (board) => {
+      const parts = { loaded: h("span"), labels: h("span", { class: "muted small" }), note: h("span", { class: "muted small" }),
+        clock: h("span", { class: "muted small" }), state: h("span", { class: "pill" }) };
+      const line = h("div", { class: "row line", "data-fleet-board": board.name }, h("code", { text: board.name }), parts.state,
+        parts.loaded, parts.labels, h("span", { class: "stretch" }), parts.note, parts.clock);
+      return { node: line, parts };
+    }, ({ parts }, board) => {
+      const share = board.fraction === null ? "" : ` ${Math.round(board.fraction * 100)} %`;
+      text(parts.state, `${STATES[board.state] ?? board.state}${share}`);
+      parts.state.dataset.state = board.state === "gone" ? "error" : board.state;
+      text(parts.loaded, board.loaded || "nothing loaded");
+      text(parts.labels, board.labels.join(" "));
+      text(parts.note, board.note);
+      text(parts.clock, board.clock_ns ? `±${(board.clock_ns / 1e6).toPrecision(2)} ms` : "");
+    });
+    empty(node, !fleet.boards.length, "No board's bridge is there.");
+  }
+}
+
+function agreement(fleet) {
+  if (fleet.apart_ns === null) return "How far their clocks agree is not known of all.";
+  return `Their clocks agree to ${(fleet.apart_ns / 1e6).toPrecision(2)} ms.`;
+}
