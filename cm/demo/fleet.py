@@ -9,13 +9,13 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from cm.demo.boards import LocalFleet
+from cm.demo.course import Course, Picture
 from cm.errors import Timeout
 from cm.fleet.blocking import Fleet, connect
 from cm.fleet.errors import ChangeFailed
@@ -25,36 +25,6 @@ EYE, MIND, HAND = "eye", "mind", "hand"
 PICTURE = "fleet.png"
 BUSY = 0.10  # share of strong edges above which a closer look is worth it
 _PATIENCE = 120.0  # seconds
-
-Picture = np.ndarray[Any, np.dtype[np.uint8]]
-
-
-@dataclass
-class Course:
-    """What happened: `said` with the second of each, modes of boards by time (empty: gone), and pictures."""
-
-    begun: float = field(default_factory=time.monotonic)
-    said: list[tuple[float, str, str]] = field(default_factory=list)
-    modes: dict[str, list[tuple[float, str]]] = field(default_factory=dict)
-    pictures: list[tuple[str, Picture]] = field(default_factory=list)
-    ended: float = 0.0
-
-    @property
-    def now(self) -> float:
-        """Seconds since it began."""
-        return time.monotonic() - self.begun
-
-    def say(self, board: str, text: str) -> None:
-        """Note it, and print it at once."""
-        self.said.append((self.now, board, text))
-        print(f"{self.now:7.3f} s  {board:6}  {text}", flush=True)
-
-    def saw(self, board: str, status: BoardStatus | None) -> None:
-        """A status, or that the board has gone."""
-        mode = status.status.mode or "…" if status else ""
-        lane = self.modes.setdefault(board, [])
-        if not lane or lane[-1][1] != mode:
-            lane.append((self.now, mode))
 
 
 def run_fleet_demo(out: Path) -> Path:

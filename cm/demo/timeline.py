@@ -4,12 +4,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PIL import Image, ImageDraw
 
-if TYPE_CHECKING:
-    from cm.demo.fleet import Course
+from cm.demo.course import Course
 
 _WIDTH, _MARGIN, _LANE, _NAME, _LINE = 1200, 16, 44, 70, 18
 _BACKGROUND, _INK, _FAINT = (24, 26, 30), (230, 230, 230), (120, 124, 132)
