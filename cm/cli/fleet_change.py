@@ -43,6 +43,11 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
             help="after which a board that hears nothing more asks what was decided (twice --phase)",
         )
         parser.set_defaults(run=run)
+    settle = actions.add_parser("settle", help="tell boards what was decided, where the seat never comes back")
+    settle.add_argument("change", metavar="CHANGE", help="as `cm fleet status` names it")
+    settle.add_argument("decision", choices=("keep", "revert"))
+    add_fleet_options(settle)
+    settle.set_defaults(run=run_settle)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,6 +71,17 @@ def run(args: argparse.Namespace) -> int:
             return 1
     _show(args, course.outcome, course)
     return 0
+
+
+def run_settle(args: argparse.Namespace) -> int:
+    """Decide in the seat's place; 0 where every board has done it."""
+    from cm.messages.status import ErrorInfo
+
+    with connected_fleet(args) as fleet:
+        found = fleet.settle(args.change, args.decision == "keep", args.boards)
+    rows = [(n, "", r.message) if isinstance(r, ErrorInfo) else (n, r.state, "") for n, r in found.items()]
+    print_table(rows, ("BOARD", "STATE", ""))
+    return int(any(isinstance(record, ErrorInfo) for record in found.values()))
 
 
 def _nothing(*_: object) -> None:

@@ -25,7 +25,7 @@ from cm.fleet.errors import ChangeFailed, FleetRefused
 from cm.fleet.looking import ALL, Looker
 from cm.fleet.network import Network, from_environment, session, zenoh_module
 from cm.fleet.presence import Presence
-from cm.messages.fleet import BundleState, FleetRecord, Policy
+from cm.messages.fleet import BundleState, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo, FrameInfo, RegValues
 from cm.wire import fleet as wire
 from cm.wire import topics
@@ -170,13 +170,14 @@ class Fleet(Looker):
 
     async def _step(self, ask: Ask, timeout: float) -> FleetRecord | ErrorInfo:
         answer = await self.do(ask.verb.value, ask.board, wire.encode_step(ask.step), timeout=timeout)
-        if answer.error is not None:
-            return answer.error
-        try:
-            found = wire.decode_answer(answer.payload)
-        except InvalidRequest as error:
-            return ErrorInfo(error.code, str(error))
-        return found if isinstance(found, (FleetRecord, ErrorInfo)) else ErrorInfo("network", "no record came back")
+        return _record(answer)
+
+    async def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
+        """Tell boards what was decided, in place of a seat that never comes back: if it does, it may say else."""
+        message = wire.encode_step(FleetStep(change, keep=keep))
+        chosen = await self.chosen(boards)
+        answers = await asyncio.gather(*(self.do("decide", name, message, timeout=60.0) for name in chosen))
+        return {n: _record(a) for n, a in zip(chosen, answers, strict=True)}
 
     async def push(
         self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
@@ -205,6 +206,16 @@ def _registers(answer: asking.Answer) -> RegValues | ErrorInfo:
     if reply.error is not None:
         return reply.error
     return reply.body if isinstance(reply.body, RegValues) else ErrorInfo("network", "no registers came back")
+
+
+def _record(answer: asking.Answer) -> FleetRecord | ErrorInfo:
+    if answer.error is not None:
+        return answer.error
+    try:
+        found = wire.decode_answer(answer.payload)
+    except InvalidRequest as error:
+        return ErrorInfo(error.code, str(error))
+    return found if isinstance(found, (FleetRecord, ErrorInfo)) else ErrorInfo("network", "no record came back")
 
 
 def _bundle(answer: asking.Answer) -> BundleState | ErrorInfo:

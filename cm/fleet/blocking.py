@@ -17,7 +17,7 @@ from cm.fleet import aio
 from cm.fleet.changing import Course
 from cm.fleet.clocks import Reading
 from cm.fleet.looking import ALL
-from cm.messages.fleet import BoardStatus, BundleState
+from cm.messages.fleet import BoardStatus, BundleState, FleetRecord
 from cm.messages.status import ErrorInfo, PlanInfo, RegValues
 
 _T = TypeVar("_T")
@@ -134,6 +134,10 @@ class Fleet:
     def mode(self, mode: str, boards: Iterable[str] = ALL, **options: Any) -> Course:
         """Take all boards to a mode of what they have loaded; as `load`."""
         return self._loop.wait_for(self._fleet.mode(mode, boards, **options))
+
+    def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
+        """Tell boards what was decided, in place of a seat that never comes back: if it does, it may say else."""
+        return self._loop.wait_for(self._fleet.settle(change, keep, boards))
 
     def push(
         self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, timeout: float = 600.0

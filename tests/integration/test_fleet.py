@@ -3,15 +3,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import select
 import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
 import pytest
 import zenoh
 from fleet_support import FleetBoard, Router, fleet_of
-from manager_process import until
+from manager_process import Manager, environment, until
 from web_support import chromium, page_of, web_server
 
 import cm.fleet
@@ -99,13 +104,25 @@ def test_registers_of_all_boards_are_written_and_read_and_errors_have_their_boar
     )
 
 
-def test_who_asks_stands_in_the_managers_log(boards: Boards, fleet: Fleet) -> None:
-    fleet.write({"led": 1}, ["b1"])
-    board = boards["b1"]
-    board.manager.stop()
-    assert b"zenoh:anna through" in board.manager.log
-    board.manager.start()
-    until(lambda: isinstance(fleet.status(["b1"])["b1"], BoardStatus))
+def test_who_asks_stands_in_the_managers_log_and_holds_its_leases(boards: Boards, fleet: Fleet) -> None:
+    manager, holders = boards["b1"].manager, []
+
+    def tell(phase: str, board: str, answer: object) -> None:
+        if phase == "prepare" and board == "b1":
+            with manager.connected() as client:
+                holders.extend(lease.holder.rpartition(" ")[2] for lease in client.status.leases)
+
+    fleet.mode("edge_detection", ["b1"], tell=tell)
+    assert holders == ["anna"]
+    until(lambda: b"zenoh:anna through" in _more_of_the_log(manager))
+
+
+def _more_of_the_log(manager: Manager) -> bytes:
+    assert manager.process is not None
+    assert manager.process.stderr is not None
+    if select.select([manager.process.stderr], [], [], 0)[0]:
+        manager.log += os.read(manager.process.stderr.fileno(), 65536)
+    return manager.log
 
 
 def test_watching_tells_changes_and_boards_that_come_and_go(boards: Boards, fleet: Fleet) -> None:
@@ -241,18 +258,52 @@ def test_a_bridge_killed_in_the_midst_of_it_comes_back_to_the_fleets_mode(boards
     until(lambda: modes(boards) == {"edge_detection"}, 60.0)
 
 
-def test_a_client_that_ends_before_the_decision_leaves_all_in_the_old_mode(boards: Boards, fleet: Fleet) -> None:
-    class Ended(Exception):
-        pass
+CLIENT = """
+import sys, time, cm.fleet
 
-    def tell(phase: str, board: str, answer: object) -> None:
-        if phase == "apply":
-            raise Ended
+def tell(phase, *_):
+    print(phase, flush=True)
+    if phase == sys.argv[2]:
+        time.sleep(3600)
 
-    with pytest.raises(Ended):
-        fleet.mode("edge_detection", settle=1.0, tell=tell)
+cm.fleet.connect(sys.argv[1], caller="anna").mode("edge_detection", settle=1.0, tell=tell)
+"""
+
+
+@pytest.mark.parametrize(("phase", "mode"), [("apply", "default"), ("seat", "edge_detection")])
+def test_a_client_killed_before_the_decision_leaves_the_old_mode_and_after_it_the_new(
+    boards: Boards, three: tuple[Router, Boards, Fleet], phase: str, mode: str
+) -> None:
+    command = [sys.executable, "-c", CLIENT, three[0].endpoint, phase]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=environment(), cwd="/") as client:
+        assert client.stdout is not None
+        while client.stdout.readline().decode().strip() != phase:
+            pass
+        client.kill()
+    until(lambda: all(_is_free(status) for status in three[2].status().values()), 60.0)
+    assert modes(boards) == {mode}
+
+
+@pytest.mark.parametrize(("who", "phase"), [("manager", "prepare"), ("manager", "apply"), ("bridge", "apply")])
+def test_whoever_is_killed_on_one_board_all_end_in_one_mode(boards: Boards, fleet: Fleet, who: str, phase: str) -> None:
+    victim = boards["b2"]
+    killed: list[str] = []
+
+    def tell(now: str, board: str, answer: object) -> None:
+        if now == phase and board == "b2" and not killed:
+            killed.append(board)
+            if who == "bridge":
+                victim.bridge.end()
+                victim.bridge.start()
+            else:
+                victim.manager.kill()
+                victim.manager.start()
+
+    with contextlib.suppress(ChangeFailed):
+        fleet.mode("edge_detection", timeout=20.0, settle=1.0, tell=tell)
+    assert killed
     until(lambda: all(_is_free(status) for status in fleet.status().values()), 60.0)
-    assert modes(boards) == {"default"}
+    assert len(modes(boards)) == 1
 
 
 def _is_free(status: BoardStatus | ErrorInfo) -> bool:
@@ -262,9 +313,10 @@ def _is_free(status: BoardStatus | ErrorInfo) -> bool:
 def test_a_router_that_is_killed_in_the_midst_of_it_ends_in_one_mode(
     boards: Boards, three: tuple[Router, Boards, Fleet], fleet: Fleet
 ) -> None:
-    router = three[0]
+    router, asked = three[0], []
 
     def tell(phase: str, board: str, answer: object) -> None:
+        asked.append((phase, board, answer))
         if phase == "prepare" and board == "b2":
             router.kill()
             router.start()
@@ -277,7 +329,7 @@ def test_a_router_that_is_killed_in_the_midst_of_it_ends_in_one_mode(
         wanted = {"edge_detection"}
     until(lambda: set(fleet.boards()) == set(boards), 60.0)
     until(lambda: all(_is_free(status) for status in fleet.status().values()), 60.0)
-    assert modes(boards) == wanted
+    assert modes(boards) == wanted, (asked, fleet.status())
 
 
 # ---- the page -----------------------------------------------------------------------------

@@ -95,6 +95,7 @@ class Board:
         self.name = name
         self.world = world
         self.reachable = True
+        self.held = False
         self.desk = self._desk()
 
     def _desk(self) -> Desk:
@@ -114,9 +115,11 @@ class Board:
 
     async def hold(self, record: FleetRecord) -> None:
         self.fate.may_end()
+        self.held = True
 
     async def release(self, record: FleetRecord) -> None:
         self.fate.may_end()
+        self.held = False
 
     async def load(self, config: str, mode: str, caller: str) -> float:
         self.fate.may_end()
@@ -349,6 +352,7 @@ def judge(world: World, coordinator: Coordinator, finished: bool) -> None:
             assert board.place == OLD, name
             continue
         assert member.ended(record), (name, record)
+        assert not board.held, (name, record)
         assert record.decision is decision, (name, record)
         if not member.differs(record):
             assert board.place == (NEW if decision is Decision.KEEP else OLD), (name, record)

@@ -24,4 +24,7 @@ def test_a_change_takes_as_long_as_the_client_and_the_slowest_board() -> None:
 
 def test_what_breaks_first_is_named() -> None:
     assert reckoned(SMALL, 50)["first"] == "nothing"
-    assert reckoned(SMALL, 100_000)["first"] in ("the client's processor", "policy all: somebody is always away")
+    assert reckoned(SMALL, 10_000)["first"] == "the client's processor"
+    assert reckoned(SMALL, 100_000)["first"] == "policy all: somebody is always away"
+    quick = Measured(50, 0.05, 500.0, 1e-6, 5e-7, 2e-6, 0.01, 4.0)
+    assert reckoned(quick, 10_000)["first"] == "discovery at one router"

@@ -28,6 +28,11 @@ class _Timex(ctypes.Structure):
     ]
 
 
+def now_ns() -> int:
+    """CLOCK_REALTIME."""
+    return time.time_ns()
+
+
 def read() -> ClockSync:
     """The state now; asks chronyd or ptp4l where their tools are there."""
     return _chrony() or _ptp() or kernel()
@@ -93,8 +98,3 @@ def parse_ptp(text: str) -> ClockSync | None:
         return None
     master = pairs.get("gmIdentity", "").strip()
     return ClockSync("ptp4l", present, offset if present else 0, master, time.time_ns())
-
-
-def now_ns() -> int:
-    """CLOCK_REALTIME."""
-    return time.time_ns()

@@ -10,6 +10,7 @@ from cm.client.aio.relay import Relay
 from cm.errors import Busy, CmError, NotFound
 from cm.fleet import names
 from cm.fleet.bridge.managed import ManagedBoard
+from cm.fleet.change import member
 from cm.fleet.change.desk import Desk, Unsettled
 from cm.fleet.verbs import VERBS
 from cm.messages.fleet import BundleState, FetchBundle, FleetRecord, FleetStep
@@ -74,6 +75,9 @@ class Commands:
         async with self._one:
             try:
                 await self._desk.go_on()
+                record = self._desk.record
+                if record is not None and not member.ended(record):
+                    await self._managed.keep_holding(record)
             except (Unsettled, CmError, OSError) as error:
                 return str(error)
         return ""

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 
 from cm.client.aio.relay import Relay
 from cm.client.core import calls
@@ -24,6 +25,7 @@ class ManagedBoard:
         self._relay = relay
         self._records = records
         self._own_name = own_name
+        self._held = 0.0  # when the lease was taken or renewed last, CLOCK_MONOTONIC
 
     def guest(self, caller: str) -> str:
         """The name of a caller at the manager."""
@@ -46,6 +48,7 @@ class ManagedBoard:
 
     async def hold(self, record: FleetRecord) -> None:
         """Take the lease on the board, or renew it."""
+        self._held = time.monotonic()
         held = self._records.lease(record.id)
         if held and await self._renewed(held, record.caller):
             return
@@ -54,6 +57,11 @@ class ManagedBoard:
             calls.lease(rq.TakeLease("board", True, HOLD, holder, 0)), self.guest(record.caller)
         )
         self._records.keep_lease(record.id, lease.id)
+
+    async def keep_holding(self, record: FleetRecord) -> None:
+        """Renew it in time while the change is open. Raises what the manager refuses with."""
+        if time.monotonic() - self._held > HOLD / 3:
+            await self.hold(record)
 
     async def _renewed(self, lease: str, caller: str) -> bool:
         try:

@@ -163,7 +163,10 @@ class Desk:
     async def go_on(self) -> None:
         """At the start, and from time to time: whatever the record says is to be done. Raises Unsettled."""
         record = self._store.last()
-        if record is None or member.ended(record):
+        if record is None:
+            return
+        if member.ended(record):  # as the seat it may have ended without waiting, or somebody before us was killed
+            await self._board.release(record)
             return
         if member.todo(record, self._now()) is Todo.ASK_SEAT:
             record = await self._ask_seat(record)
