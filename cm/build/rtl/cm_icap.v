@@ -2,8 +2,10 @@
 //
 // AXI4-Stream to the internal configuration access port. Words come as a little-endian bus
 // delivers a word-swapped .bin (AA995566 is the sync word); the port wants the bits of every
-// byte reversed (UG470 and UG570, "Bit Swapping"). Loads that were aborted show in `status`
-// where the primitive tells (ICAPE3: PRERROR; ICAPE2: the status word's bits on O).
+// byte reversed (UG470 and UG570, "Bit Swapping"). RDWRB never changes, which would abort. A word
+// waits as long as AVAIL is low, also when that falls in the very clock in which it was taken from the
+// stream. Loads that failed show in `status` where the primitive tells (ICAPE3: PRERROR; ICAPE2: the
+// status word's bits on O).
 `default_nettype none
 
 module cm_icap #(
@@ -18,9 +20,8 @@ module cm_icap #(
     output wire [1:0]  status,  // [0] the last load ended, [1] error
     output reg  [31:0] words    // of the running or last load
 );
-    reg         csib;
     reg  [31:0] word;
-    reg         done, fresh;
+    reg         pending, last, done, fresh;
     wire        available, failed;
 
     function [31:0] swap(input [31:0] x);
@@ -32,23 +33,31 @@ module cm_icap #(
         end
     endfunction
 
-    assign s_tready = available;
+    wire csib = !(pending && available);
+    assign s_tready = !pending || available;
     assign status   = {failed, done};
 
     always @(posedge clk) begin
         if (!resetn) begin
-            csib  <= 1'b1;
-            word  <= 32'd0;
-            words <= 32'd0;
-            done  <= 1'b0;
-            fresh <= 1'b1;
+            pending <= 1'b0;
+            last    <= 1'b0;
+            word    <= 32'd0;
+            words   <= 32'd0;
+            done    <= 1'b0;
+            fresh   <= 1'b1;
         end else begin
-            csib <= !(s_tvalid && s_tready);
+            if (!csib) begin
+                pending <= 1'b0;
+                done    <= last;
+            end
             if (s_tvalid && s_tready) begin
-                word  <= swap(s_tdata);
-                words <= fresh ? 32'd1 : words + 32'd1;
-                done  <= s_tlast;
-                fresh <= s_tlast;
+                pending <= 1'b1;
+                word    <= swap(s_tdata);
+                last    <= s_tlast;
+                words   <= fresh ? 32'd1 : words + 32'd1;
+                fresh   <= s_tlast;
+                if (fresh)
+                    done <= 1'b0;
             end
         end
     end
@@ -66,9 +75,10 @@ module cm_icap #(
             wire [31:0] out;
             ICAPE2 #(.ICAP_WIDTH("X32")) port (.CLK(clk), .CSIB(csib), .RDWRB(1'b0), .I(word), .O(out));
             assign available = 1'b1;
-            // UG470 table 2-7: O[7] is CFGERR_B
-            assign failed = !out[7] && done;
-            wire unused = &{1'b0, out[31:8], out[6:0]};
+            // UG470: O[7] is CFGERR_B of a status word, whose bits 3, 1 and 0 are 1. The vendor's simulation
+            // model shows 0 while RDWRB is low, which tells nothing.
+            assign failed = done && !out[7] && out[3] && out[1] && out[0];
+            wire unused = &{1'b0, out[31:8], out[6:4], out[2]};
         end
     endgenerate
 endmodule

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The configuration port of 7 series in the simulated board: words go to the engine, which knows whether
-// the port shows an error (UG470 table 2-7: O[7] is CFGERR_B, active low).
+// The configuration port of 7 series in the simulated board: words go to the engine too, which knows whether the port
+// shows an error that was injected (UG470: O[7] is CFGERR_B, active low).
 `default_nettype none
 
 module ICAPE2 #(
@@ -15,10 +15,18 @@ module ICAPE2 #(
 );
     import "DPI-C" function int cm_configured(input int word, input int taken);
 
-    reg failed = 1'b0;
-    always @(posedge CLK) failed <= cm_configured(I, {31'd0, !CSIB && !RDWRB}) != 0;
-    assign O = {24'd0, !failed, 7'h1F};
-    wire unused = ICAP_WIDTH != "X32";
+    reg injected = 1'b0;
+    always @(posedge CLK) injected <= cm_configured(I, {31'd0, !CSIB && !RDWRB}) != 0;
+
+    wire [7:0] status;
+    wire synced, failed, aborting, prdone;
+    cm_config_port core (
+        .clk(CLK), .csib(CSIB), .rdwrb(RDWRB), .i(I), .status(status),
+        .synced(synced), .failed(failed), .aborting(aborting), .prdone(prdone)
+    );
+    // 0xFFFFFF5B was measured of a device that had refused a load
+    assign O = {24'hFFFFFF, status[7] && !injected, status[6:0]};
+    wire unused = &{ICAP_WIDTH != "X32", synced, failed, aborting, prdone};
 endmodule
 
 `default_nettype wire

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// The configuration port of UltraScale+ in the simulated board: words go to the engine, which knows whether
-// the port shows an error (UG570: PRERROR).
+// The configuration port of UltraScale+ in the simulated board: words go to the engine too, which knows whether the port
+// shows an error that was injected (UG570: PRERROR).
 `default_nettype none
 
 module ICAPE3 (
@@ -16,12 +16,19 @@ module ICAPE3 (
 );
     import "DPI-C" function int cm_configured(input int word, input int taken);
 
-    reg failed = 1'b0;
-    always @(posedge CLK) failed <= cm_configured(I, {31'd0, !CSIB && !RDWRB}) != 0;
-    assign O       = 32'd0;
+    reg injected = 1'b0;
+    always @(posedge CLK) injected <= cm_configured(I, {31'd0, !CSIB && !RDWRB}) != 0;
+
+    wire [7:0] status;
+    wire synced, failed, aborting;
+    cm_config_port core (
+        .clk(CLK), .csib(CSIB), .rdwrb(RDWRB), .i(I), .status(status),
+        .synced(synced), .failed(failed), .aborting(aborting), .prdone(PRDONE)
+    );
+    assign O       = RDWRB && aborting ? {24'd0, status} : 32'd0;
     assign AVAIL   = 1'b1;
-    assign PRDONE  = 1'b0;
-    assign PRERROR = failed;
+    assign PRERROR = failed || injected;
+    wire unused = &{1'b0, synced};
 endmodule
 
 `default_nettype wire

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Stand-in of the vendor primitive's ports, for lint and simulation only.
+// Stand-in of the vendor primitive, for lint and simulation: what its port does, and what a test does to it.
 `default_nettype none
 
 module ICAPE2 #(
@@ -12,11 +12,17 @@ module ICAPE2 #(
     input  wire [31:0] I,
     output wire [31:0] O
 );
-    reg [31:0] last = 32'd0;
-    reg cfgerr_b = 1'b1; // UG470 table 2-7, O[7]: a test sets it
-    always @(posedge CLK) if (!CSIB && !RDWRB) last <= I;
-    assign O = {24'd0, cfgerr_b, 7'h1F} | (last & 32'd0);
-    wire unused = ICAP_WIDTH != "X32";
+    reg cfgerr_b = 1'b1;  // O[7]: a test sets it
+
+    wire [7:0] status;
+    wire synced, failed, aborting, prdone;
+    cm_config_port core (
+        .clk(CLK), .csib(CSIB), .rdwrb(RDWRB), .i(I), .status(status),
+        .synced(synced), .failed(failed), .aborting(aborting), .prdone(prdone)
+    );
+    // 0xFFFFFF5B was measured of a device that had refused a load
+    assign O = {24'hFFFFFF, status[7] && cfgerr_b, status[6:0]};
+    wire unused = &{ICAP_WIDTH != "X32", synced, failed, aborting, prdone};
 endmodule
 
 `default_nettype wire

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 //
-// Stand-in of the vendor primitive's ports, for lint and simulation only.
+// Stand-in of the vendor primitive, for lint and simulation: what its port does, and what a test does to it.
 `default_nettype none
 
 module ICAPE3 (
@@ -8,15 +8,24 @@ module ICAPE3 (
     input  wire        CSIB,
     input  wire        RDWRB,
     input  wire [31:0] I,
-    output reg  [31:0] O,
+    output wire [31:0] O,
     output wire        AVAIL,
     output wire        PRDONE,
     output wire        PRERROR
 );
-    always @(posedge CLK) if (!CSIB && !RDWRB) O <= I;
-    assign AVAIL   = 1'b1;
-    assign PRDONE  = 1'b0;
-    assign PRERROR = 1'b0;
+    reg stall   = 1'b0;  // a test sets these
+    reg prerror = 1'b0;
+
+    wire [7:0] status;
+    wire synced, failed, aborting;
+    cm_config_port core (
+        .clk(CLK), .csib(CSIB || stall), .rdwrb(RDWRB), .i(I), .status(status),
+        .synced(synced), .failed(failed), .aborting(aborting), .prdone(PRDONE)
+    );
+    assign O       = RDWRB && aborting ? {24'd0, status} : 32'd0;
+    assign AVAIL   = !stall;
+    assign PRERROR = failed || prerror;
+    wire unused = &{1'b0, synced};
 endmodule
 
 `default_nettype wire
