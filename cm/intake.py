@@ -59,14 +59,14 @@ class _Source:
 
 
 class Intake:
-    """What came and was not served yet. The loop's thread; one message is served in each of its turns."""
+    """What came and was not served yet. The loop's thread, in each turn of which one message is served."""
 
     def __init__(self, budgets: Budgets, soon: Callable[[Callable[[], None]], None]) -> None:
         """`soon` has something called in the next turn of the loop, which then does not wait."""
         self._budgets = budgets
         self._soon = soon
         self._sources: list[_Source] = []
-        self._turns: Turns[Budget, tuple[_Source, Message, int]] = Turns()
+        self._turns: Turns[Budget, tuple[Callable[[], None], int]] = Turns()
         self._called = False
 
     def add(
@@ -91,11 +91,31 @@ class Intake:
             self._go_on()
         else:  # nobody else wants anything
             budget.is_alone()
-            self._serve(source, message, budget, began)
+            self._serve(budget, began, source.serve, message, budget)
 
-    def _serve(self, source: _Source, message: Message, budget: Budget, began: int) -> None:
+    def put(self, connection: str, key: Hashable, call: Callable[[], None]) -> None:
+        """Have something else done for whose connection that is, in its turn, and in a later one of the loop.
+
+        What has the same `key` is done in order. Raises TooMuchWaiting.
+        """
+        budget = self._budgets.of(connection)
+        budget.requests += 1
         try:
-            source.serve(message, budget)
+            budget.queue(_KEEPING)
+        except TooMuchWaiting:
+            budget.refused += 1
+            raise
+        self._turns.add(budget, key, (call, _KEEPING))
+        self._come_back()
+
+    def _come_back(self) -> None:
+        if not self._called:
+            self._called = True
+            self._soon(self._go_on)
+
+    def _serve(self, budget: Budget, began: int, call: Callable[..., None], *arguments: object) -> None:
+        try:
+            call(*arguments)
         finally:
             budget.charge(monotonic_ns() - began)
 
@@ -110,7 +130,7 @@ class Intake:
             source.refuse(message, budget, error)
             news = False
         else:
-            news = self._turns.add(budget, (source, sender), (source, message, size))
+            news = self._turns.add(budget, (source, sender), (partial(source.serve, message, budget), size))
         budget.charge(monotonic_ns() - began)
         return source.came(sender, news)
 
@@ -132,12 +152,11 @@ class Intake:
             self._take_in(source)
         if not self._turns:
             return
-        budget, (source, message, size) = self._turns.take()
+        budget, (call, size) = self._turns.take()
         budget.unqueue(size)
         if not budget.waiting:  # it may have sent more
             for each in self._sources:
                 each.quiet = 0
         if self._turns:
-            self._called = True
-            self._soon(self._go_on)
-        self._serve(source, message, budget, monotonic_ns())
+            self._come_back()
+        self._serve(budget, monotonic_ns(), call)

@@ -19,6 +19,7 @@ from cm.budgets.names import Who, place_of
 from cm.budgets.registry import Budgets
 from cm.daemon.limits import Limits
 from cm.daemon.uploads import Uploads
+from cm.intake import Intake
 from cm.native import guard
 from cm.native.guard import REQUESTS, TOPICS
 
@@ -63,13 +64,21 @@ def listening(kind: int) -> Iterator[None]:
 class Connections:
     """Sets the bounds, knows what each client takes, and tells once in a while of connections that were refused."""
 
-    def __init__(self, limits: Limits, who: Callable[[str], Who], folder: Path) -> None:
+    def __init__(
+        self,
+        limits: Limits,
+        who: Callable[[str], Who],
+        folder: Path,
+        soon: Callable[[Callable[[], None]], None],
+    ) -> None:
+        """`soon` has something called in the loop's next turn."""
         raise_descriptors()
         if not guard.install():
             _LOG.warning("connections cannot be limited here: libzmq does not call the C library by its tables")
         guard.limit(bounds(limits))
         each = Bounds(limits.waiting_bytes, limits.replies_bytes)
         self.budgets = budgets = Budgets(each, who, guard.taken, guard.peers, limits.shares)
+        self.intake = Intake(budgets, soon)
         self.uploads = Uploads(folder, limits.upload_bytes, limits.uploads_bytes, budgets.upload_bytes)
         self._message_bytes = limits.message_bytes
         self._told = guard.counts().refused

@@ -18,7 +18,6 @@ from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.replies import Respond, refusal
 from cm.errors import Busy, CmError, InvalidRequest
-from cm.intake import Intake
 from cm.manager.access.lease_scopes import scopes_written
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
@@ -168,7 +167,7 @@ class Dispatcher:
     ) -> None:
         self._loop = loop
         self._sockets = sockets
-        self._gate, self._budgets = handlers.gate, handlers.budgets
+        self._gate, intake = handlers.gate, handlers.intake
         self._order = Order(handlers, manager)
         self._read_cache = read_cache
         self._publisher = publisher
@@ -176,7 +175,6 @@ class Dispatcher:
         self._note_error = note_error
         self.taken = 0
         self.refused = Counter[str]()  # by the error's code
-        intake = Intake(self._budgets, loop.call_soon)
         # For messages on the ROUTER: they are answered, now or when their work has ended.
         self.on_request = intake.add(sockets.req, self._answer, self._turn_away, lambda came: bytes(came.frames[0]))
         # For those on the SUB: as above without a reply; what is wrong shows in the status.

@@ -10,7 +10,7 @@ from functools import partial
 from typing import NoReturn, TypeVar
 
 from cm.budgets.budget import Budget
-from cm.budgets.registry import Budgets, with_holdings
+from cm.budgets.registry import with_holdings
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.config_handlers import SentConfigs
 from cm.daemon.connections import Connections
@@ -26,6 +26,7 @@ from cm.daemon.replies import Respond, refusal
 from cm.daemon.sessions import Sessions
 from cm.daemon.streams.registry import Streams
 from cm.errors import CmError
+from cm.intake import Intake
 from cm.manager.access.lease_scopes import check_scope_names_something
 from cm.manager.errors import UnknownInterrupt
 from cm.manager.execution.worker import Change
@@ -99,9 +100,9 @@ class Handlers:
         return isinstance(request, (rq.ReadReg, rq.WriteReg)) and takes_long(request, self._s.manager.registers)
 
     @property
-    def budgets(self) -> Budgets:
-        """Who takes what."""
-        return self._s.connections.budgets
+    def intake(self) -> Intake:
+        """Where requests wait for their turn."""
+        return self._s.connections.intake
 
     def handle(self, connection: str, request: rq.Request, respond: Respond, began: Began) -> None:
         """Do what a request over a connection asks; whatever goes wrong becomes an error reply.

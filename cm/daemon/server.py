@@ -61,7 +61,7 @@ class Server:
         self._locks = Locks(options.runtime_dir, options.root, options.group)
         self._loop = Loop()
         gate = Gate(options.access, system_users())
-        self._connections = Connections(options.limits, gate.principal, options.state_dir)
+        self._connections = Connections(options.limits, gate.principal, options.state_dir, self._loop.call_soon)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         own_folder(options.state_dir)
@@ -77,8 +77,9 @@ class Server:
         self._streams = Streams(self._loop, self._devices, *told)
         self._manager = Manager(configs, self._environment(), leases)
         self._sessions = Sessions(gate, options.runtime_dir, self._sockets.tcp, self._manager)
-        local = self._streams.open_local, *self._streams.memories, self._sessions.check_open, options.group
-        self._acceptor = Acceptor(self._loop, options.runtime_dir, *local)
+        local = self._streams.open_local, *self._streams.memories, self._sessions
+        taken = self._connections.intake, options.group
+        self._acceptor = Acceptor(self._loop, options.runtime_dir, *local, *taken)
         self._interrupts = InterruptWatch(
             self._loop, options.root, self._manager, self._publisher.interrupt, self._note_error
         )

@@ -47,10 +47,14 @@ class Sessions:
         manager, state = self._manager, self._manager.state
         return Scene(manager.loaded_config(), state.mode, lambda r: target(r, manager.configs, state.config))
 
+    def whose(self, connection: socket.socket) -> str:
+        """Who is at the other end of a connection to the data socket, as the gate has it. Raises OSError."""
+        pid, uid, gid = _credentials(connection)
+        return of_process(DATA, uid, gid, pid).id
+
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
         """Raise Forbidden where a connection to the data socket asks for what it has no right to."""
-        pid, uid, gid = _credentials(connection)
-        who, writes = of_process(DATA, uid, gid, pid).id, wanted.write or wanted.allocate
+        who, writes = self.whose(connection), wanted.write or wanted.allocate
         try:
             self.gate.check(who, opening(wanted.name, writes, self.scene()))
         except Forbidden as error:

@@ -3,19 +3,20 @@
 
 from __future__ import annotations
 
+import socket
 import statistics
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 import zmq
-from manager_process import CAMERA, environment, short_folder
+from manager_process import CAMERA, environment, short_folder, until
 
 import cm
 from cm.budgets.budget import Budget
@@ -29,8 +30,10 @@ from cm.messages.status import Reply
 from cm.schema import load_folder
 from cm.sim import Board as SimBoard
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.plane_packets import Open, encode_open
 
 CONNECTIONS, EACH = 200, 40
+ECHO = encode_open(Open("", echo=True, length=4096, depth=1))
 
 # Opens so many connections, and asks so often over each of them when it is told to; reads all answers.
 HOSTILE = """
@@ -70,10 +73,10 @@ class Order:
         serve = Intake._serve
         patch.setattr("cm.intake.monotonic_ns", lambda: self._now)
 
-        def noted(intake: Intake, source: Any, message: Any, budget: Budget, began: int) -> None:
+        def noted(intake: Intake, budget: Budget, began: int, *call: Any) -> None:
             self.served.append(budget.name)
             self._now = began + self.cost.get(budget.name, self.usual)
-            serve(intake, source, message, budget, began)
+            serve(intake, budget, began, *call)
 
         patch.setattr(Intake, "_serve", noted)
 
@@ -228,6 +231,52 @@ def test_who_asks_for_what_takes_long_is_served_less_often(order: Order, context
         (now,) = [client for client in told_clients(other) if client.name == mine.name]
         assert now.requests == mine.requests + 51
         assert now.loop_seconds == pytest.approx(mine.loop_seconds + 51e-6)
+
+
+def test_who_opens_streams_again_and_again_waits_behind_others(order: Order) -> None:
+    """It makes the slots of a stream, or memory, while the loop waits; so that is done by turns as well."""
+    with (
+        serving() as (server, runtime),
+        hostile(runtime, 40) as flood,
+        cm.connect(runtime_dir=runtime, timeout=60) as board,
+        ExitStack() as opened,
+    ):
+        assert board.configs == ("camera",)
+        ours = order.served[-1]
+        data = [opened.enter_context(data_socket(runtime)) for _ in range(20)]
+        until(lambda: len(server._acceptor._waiting) == 20)
+        with held(server):
+            tell(flood, b"sent\n")
+            order.served.clear()
+            for connection in data:
+                connection.send(ECHO)
+        assert not [answer for answer in [one.recv(4096) for one in data] if b"busy\0" in answer]
+        assert order.served.count(ours) == 20  # each was charged to us
+        assert max(order.between(ours)) <= 16
+        (mine,) = [client for client in board.clients() if client.name == ours]
+        assert mine.requests >= 20
+
+
+def test_more_than_may_wait_for_their_turn_are_refused_on_the_data_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+    with serving() as (server, runtime), hostile(runtime, 40) as flood, ExitStack() as opened:
+        data = [opened.enter_context(data_socket(runtime)) for _ in range(20)]
+        until(lambda: len(server._acceptor._waiting) == 20)
+        with held(server):
+            tell(flood, b"sent\n")
+            monkeypatch.setattr("cm.daemon.streams.acceptor._WAITING", 8)
+            for connection in data:
+                connection.send(ECHO)
+        answers = [connection.recv(4096) for connection in data]
+        refused = [answer for answer in answers if b"wait for their turn" in answer]
+        assert len(refused) == 12
+
+
+@contextmanager
+def data_socket(runtime: Path) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as made:
+        made.settimeout(60)
+        made.connect(str(runtime / "data"))
+        yield made
 
 
 def told_clients(socket: zmq.Socket[bytes]) -> Any:

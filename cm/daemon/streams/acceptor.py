@@ -7,19 +7,32 @@ import os
 import socket
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 from cm.daemon.folders import share
 from cm.daemon.loop import Loop
 from cm.daemon.streams.allocations import Allocations
 from cm.daemon.streams.echo import Echoes
 from cm.daemon.streams.peer import Peer
-from cm.errors import CmError
+from cm.errors import Busy, CmError
+from cm.intake import Intake
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Open, decode_open, encode_refused
 
 _BACKLOG = 64
 _WAITING = 64  # connections that have not said yet what they want; the oldest makes room
+
+
+class Doorkeeper(Protocol):
+    """Who is who, and may do what (`cm.daemon.sessions.Sessions`)."""
+
+    def whose(self, connection: socket.socket) -> str:
+        """The id of who is at the other end."""
+
+    def check_open(self, connection: socket.socket, wanted: Open) -> None:
+        """Raise Forbidden for what that has no right to."""
 
 
 class Acceptor:
@@ -32,18 +45,21 @@ class Acceptor:
         enter: Callable[[socket.socket, Open], None],
         echoes: Echoes,
         allocations: Allocations,
-        check: Callable[[socket.socket, Open], None],
+        sessions: Doorkeeper,
+        intake: Intake,
         group: int | None = None,
     ) -> None:
-        """`check` raises Forbidden for what a connection has no right to; `group` may connect beside ourselves."""
+        """`intake`: where what is asked for waits for its turn; `group` may connect beside ourselves."""
         self._loop = loop
         self._path = folder.absolute() / packets.SOCKET
         self._enter = enter
         self._echoes = echoes
         self._allocations = allocations
-        self._check = check
+        self._sessions = sessions
+        self._intake = intake
         self._group = group
         self._waiting: dict[int, socket.socket] = {}
+        self._queued: set[socket.socket] = set()  # have said it, and wait for their turn
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 
     def open(self) -> None:
@@ -71,10 +87,31 @@ class Acceptor:
 
     def _first(self, connection: socket.socket) -> None:
         self._forget(connection)
-        with connection, suppress(OSError):
+        try:
             packet = connection.recv(packets.PACKET_MAX)
-            if not packet:
-                return
+            if packet:
+                self._queued.add(connection)
+                self._queue(connection, packet)
+            else:
+                connection.close()
+        except OSError:
+            self._queued.discard(connection)
+            connection.close()
+
+    def _queue(self, connection: socket.socket, packet: bytes) -> None:
+        """Streams are opened, and memory is made, while the loop waits: by turns, as requests are served."""
+        try:
+            if len(self._queued) > _WAITING:
+                raise Busy(f"{_WAITING} connections to this socket wait for their turn; try again")
+            self._intake.put(self._sessions.whose(connection), connection, partial(self._serve, connection, packet))
+        except Busy as error:
+            self._queued.discard(connection)
+            with connection:
+                connection.send(encode_refused(error.code, str(error)))
+
+    def _serve(self, connection: socket.socket, packet: bytes) -> None:
+        self._queued.discard(connection)
+        with connection, suppress(OSError):
             try:
                 self._admit(connection, decode_open(packet))
             except CmError as error:
@@ -83,7 +120,7 @@ class Acceptor:
                 connection.send(encode_refused("device_error", str(error)))
 
     def _admit(self, connection: socket.socket, wanted: Open) -> None:
-        self._check(connection, wanted)
+        self._sessions.check_open(connection, wanted)
         if wanted.echo:
             self._echoes.open(os.dup(connection.fileno()), wanted, Peer.of(connection))
         elif wanted.allocate:
@@ -100,3 +137,6 @@ class Acceptor:
             self._loop.remove(number)
             connection.close()
         self._waiting.clear()
+        for connection in self._queued:
+            connection.close()
+        self._queued.clear()
