@@ -168,5 +168,5 @@ class Budget(Client):
 
 
 def _is_full(own: int, more: int, most: int, of_all: Callable[[], int]) -> bool:
-    """Whether so many bytes more are too many; never for who has none."""
+    """Whether so many more bytes are too many; never for a client that has none."""
     return own > 0 and (own + more > most or of_all() + more > most * 3 // 2)

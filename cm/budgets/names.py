@@ -29,7 +29,7 @@ class Who(Protocol):
 
     @property
     def address(self) -> str:
-        """Of somebody elsewhere."""
+        """Of a client elsewhere."""
 
     @property
     def name(self) -> str:

@@ -70,7 +70,7 @@ class Budgets:
         return iter(self._named.values())
 
     def came(self, message: Message) -> Budget:
-        """The budget of who sent a message, which counts as taken off its connection."""
+        """The budget of a message's sender; the message counts as taken off its connection."""
         if message.source >= 0:
             self._taken(message.source, message.large)
         found = self.of(message.connection)

@@ -188,5 +188,5 @@ class Turns(Generic[_C, _T]):
 
 
 def least(clients: Iterable[_C]) -> _C | None:
-    """Who of them has spent least, by account first; of equals, the first. None where there is nobody."""
+    """Who of them has spent least, by account first; of equals, the first. None where there is none."""
     return min(clients, key=lambda client: (client.account.spent, client.spent), default=None)

@@ -192,7 +192,7 @@ class Dispatcher:
     def _answer(self, came: Message, budget: Budget) -> None:
         self.taken += 1
         envelope, message = split_envelope(came.frames)
-        if len(envelope) > 2:  # a bridge may say there for whom it asks
+        if len(envelope) > 2:  # a bridge may name there the guest that it asks for
             came = came._replace(connection=self._gate.guest(came.connection, guest_named(envelope)))
         sender, again = bytes(envelope[0]), len(message) == 2 and message[0] == READ_REG
         again = again and self._gate.everywhere(came.connection) >= Role.OBSERVE  # it may read what others read

@@ -156,7 +156,7 @@ class Sockets:
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IPV6, 1)
             socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
-            socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # where nobody answers who may enter, nobody may
+            socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without an answer to who may enter, no one may
             socket.setsockopt(zmq.MAXMSGSIZE, limits.message_bytes)
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE)
         for socket in (self.sub, self.req):

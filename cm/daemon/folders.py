@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders that must be ours: nobody else may have put in them what we open, or put a link in their place."""
+"""Folders that must be ours: no other user can have put the files there that we open, or a link in their place."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FOLDER_MODE, SOCKET_MODE = 0o750, 0o660
 
 
 class UnsafeFolder(CmError, PermissionError):
-    """A folder that somebody else could have prepared."""
+    """A folder that another user could have prepared."""
 
     code = "unsafe_folder"
 
@@ -21,7 +21,7 @@ class UnsafeFolder(CmError, PermissionError):
 def own_folder(folder: Path, group: int | None = None, mode: int = FOLDER_MODE) -> None:
     """Make a folder where there is none; with a group, give it that. Raises UnsafeFolder if it is another's.
 
-    Ours is one that belongs to this user (or, which nobody can better, to root), is no link, and that no others may
+    Ours is one that belongs to this user (or to root, who can do anything anyway), is no link, and that no others may
     write to. A link further up is followed only where all above it is safe too: /var/run is one on most systems.
     """
     folder.mkdir(mode=mode, parents=True, exist_ok=True)

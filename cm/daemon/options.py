@@ -37,7 +37,7 @@ class Options:
     firmware_dir: Path | None = None  # for copies that the kernel reads; None: where it looks anyway
     quota: Quota = Quota()  # noqa: RUF009 (frozen)
     example: bool = False  # `configs` are the shipped ones, which clients may replace
-    unsigned: bool = True  # whether clients may provision configurations, which nobody can have signed
+    unsigned: bool = True  # whether clients may provision configurations, which cannot be signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
     changed: Callable[[], object] | None = None  # what is other once settings or keys are; asked every second
     settings: Settings = Settings()  # noqa: RUF009 (frozen)

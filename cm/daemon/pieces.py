@@ -42,7 +42,7 @@ class _Job:
         """Whether it has ended, and with what."""
         try:
             return self._work.step(), None
-        except Exception as error:  # noqa: BLE001 (handed to who asked)
+        except Exception as error:  # noqa: BLE001 (handed to the asker)
             return True, error
 
 

@@ -87,7 +87,7 @@ class Wires(Protocol):
 
 
 class Subscriptions:
-    """Topics that somebody subscribes to; each counts for the connection that named it first.
+    """Topics with a subscriber; each counts for the connection that named it first.
 
     A connection that names too many is ended, and where all together are too many, the one that named most of them:
     libzmq keeps a node for each byte, for as long as the connection lasts. Memory is given back as they go.

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Connections that are there, and what becomes of them when the policy changes: who has other rights is hung up on.
+"""Open connections, and what becomes of them when the policy changes: those whose rights differ are closed.
 
-libzmq ends no connection of a client on request. All of them are descriptors of this process, though, and the kernel
-says of each where it leads: so those that are to end are shut down below it. Honest clients connect again, and have
-the rights that they have now.
+libzmq has no call that closes one client's connection. But every connection is a descriptor of this process, and the
+kernel says where each leads: so those that have to end are shut down beneath libzmq. Honest clients connect again,
+and get the rights that they have now.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Sessions:
         self._manager = manager
 
     def scene(self) -> Scene:
-        """What requests are understood by, for who may not do everything."""
+        """What requests are understood by, where the client may not do everything."""
         manager, state = self._manager, self._manager.state
         return Scene(manager.loaded_config(), state.mode, lambda r: target(r, manager.configs, state.config))
 
@@ -62,7 +62,7 @@ class Sessions:
             raise
 
     def renew(self, access: Access) -> None:
-        """Another policy from now on; sessions of those whose rights are others end."""
+        """Another policy from now on; sessions whose rights differ under it end."""
         self._end(self.gate.renew(access))
 
     def look(self) -> None:
@@ -75,7 +75,7 @@ class Sessions:
     def _end(self, meant: Callable[[Principal], bool]) -> None:
         ended = 0
         for connection in _connections():
-            with connection, suppress(OSError):  # of one that listens, or has just ended
+            with connection, suppress(OSError):  # one that listens, or has just ended
                 if any(meant(who) for who in self._behind(connection)):
                     connection.shutdown(socket.SHUT_RDWR)
                     ended += 1
@@ -83,7 +83,7 @@ class Sessions:
             _LOG.warning("rights have changed: %d connections ended", ended)
 
     def _behind(self, connection: socket.socket) -> Iterable[Principal]:
-        """Who may be at the other end of a connection of ours: over TCP all that came from there. Raises OSError."""
+        """Who may be at the other end: over TCP, all who connected from that address. Raises OSError."""
         peer, here = connection.getpeername(), connection.getsockname()
         if connection.family == socket.AF_UNIX:
             pid, uid, gid = _credentials(connection) if here in self._paths else (0, -1, 0)
@@ -103,7 +103,7 @@ def _connections() -> Iterator[socket.socket]:
 
 
 def _credentials(connection: socket.socket) -> tuple[int, int, int]:
-    """pid, uid, gid of who connected."""
+    """pid, uid, gid of the process that connected."""
     raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     pid, uid, gid = _CREDENTIALS.unpack(raw)
     return pid, uid, gid

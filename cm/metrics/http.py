@@ -4,7 +4,7 @@
 Each connection is one request, which has to be short and to come soon, and one reply. There are never more than
 `CONNECTIONS` of them: the oldest goes when one more comes. All who have asked get the same page, which is made for
 them, not sooner than `_REST` times what making it took since the last one, so that whoever asks as often as he can
-takes a small share of the loop's time; until then nobody new is let in.
+takes a small share of the loop's time; until then no new connection is accepted.
 """
 
 from __future__ import annotations

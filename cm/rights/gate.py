@@ -23,7 +23,7 @@ _KEPT = 4096  # connections whose rights are remembered
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """Somebody, what it may do, and the highest role that nothing narrows."""
+    """A client, what it may do, and the highest role that nothing narrows."""
 
     who: Principal
     rights: Rights
@@ -34,7 +34,7 @@ _UNKNOWN = _Known(NOBODY, policy.NOTHING, Role.NONE)
 
 
 class Gate:
-    """Knows who somebody is and what it may do; forgets all of that when the policy is renewed.
+    """Knows who a client is and what it may do; forgets all of that when the policy is renewed.
 
     A `connection` is the id of its principal, as it stands beside each of its messages.
     """
@@ -49,7 +49,7 @@ class Gate:
         self.audit = Audit()
 
     def renew(self, access: Access) -> Callable[[Principal], bool]:
-        """Another policy from now on; tells of anybody whether its rights are others than they were."""
+        """Another policy from now on; tells of any client whether its rights differ from those before."""
         before, self._access = self._access, access
         self._known.clear()
 
@@ -84,7 +84,7 @@ class Gate:
         return self._current(connection).everywhere
 
     def enter(self, domain: str, address: str, mechanism: str, key: str) -> str | None:
-        """The id of a new connection; None for who may do nothing at all.
+        """The id of a new connection; None for a client that may do nothing at all.
 
         Over the socket of what is published, only who may look at everything: ZeroMQ hands out by prefixes, and has
         no safe way to refuse one of them to one subscriber (docs/security.md).
@@ -105,7 +105,7 @@ class Gate:
         return who.id
 
     def guest(self, bridge: str, name: str) -> str:
-        """The connection of somebody for whom a bridge speaks; the bridge's own where none is named.
+        """The connection of the guest that a bridge speaks for; the bridge's own where none is named.
 
         Nothing may be asked over it where the bridge has no right to speak for that name.
         """
@@ -155,7 +155,7 @@ class Gate:
     def _narrowly(
         self, connection: str, known: _Known, request: Request, need: Need, scene: Callable[[], Scene]
     ) -> Request:
-        """As `admit`, for who may not do everything."""
+        """As `admit`, for clients that may not do everything."""
         if known.rights.role < need.role:
             raise Forbidden(_sentence(self.principal(connection), need))
         seen = scene()

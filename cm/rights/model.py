@@ -49,7 +49,7 @@ class Grant:
     regions: tuple[str, ...] = ALL
     registers: tuple[str, ...] = ALL
     data: tuple[str, ...] = ALL
-    guests: tuple[str, ...] = ()  # for whom its holder may speak
+    guests: tuple[str, ...] = ()  # names that its holder may speak for
 
     def allows(self, need: Need) -> bool:
         """Whether this grant alone is enough."""
@@ -73,9 +73,9 @@ def _match(name: str | None, patterns: tuple[str, ...]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Rights:
-    """What somebody may do: whatever one of the grants allows. `until`: CLOCK_REALTIME seconds.
+    """What a client may do: whatever one of the grants allows. `until`: CLOCK_REALTIME seconds.
 
-    `under`: rights that must allow it too, of a bridge that speaks for somebody.
+    `under`: rights that must allow it too, those of the bridge that speaks for the client.
     """
 
     grants: tuple[Grant, ...] = ()
@@ -97,7 +97,7 @@ class Rights:
         return min(own, self.under.everywhere) if self.under else own
 
     def speaks_for(self, name: str) -> bool:
-        """Whether a bridge with these rights may speak for somebody."""
+        """Whether a bridge with these rights may speak for the guest of that name."""
         return any(grant.role >= Role.ADMIN or any(fnmatchcase(name, p) for p in grant.guests) for grant in self.grants)
 
     def allow(self, need: Need) -> bool:
@@ -128,8 +128,8 @@ class Access:
     """Who has which roles. `roles` are narrowed ones, with names of their own; lists of roles add up.
 
     `group` owns the sockets of the runtime folder; `local` is for all who can connect to them and are not named;
-    the manager's own user and root are always admin. `insecure`: over TCP without keys. `guests`: those for whom a
-    bridge speaks, by name; ``*`` for all others.
+    the manager's own user and root are always admin. `insecure`: over TCP without keys. `guests`: those that a
+    bridge speaks for, by name; ``*`` for all others.
     """
 
     group: str = ""

@@ -34,7 +34,7 @@ def known_as(principal: Principal, access: Access, users: Users) -> Principal:
 
 
 def rights_of(principal: Principal, access: Access, users: Users) -> Rights:
-    """What somebody may do. Nothing for who is not known."""
+    """What a client may do: nothing for one that is not known."""
     if principal.transport in (IPC, DATA) and principal.uid is not None:
         return _of_user(principal, access, users)
     if principal.transport == CURVE:
@@ -64,7 +64,7 @@ def _of_user(principal: Principal, access: Access, users: Users) -> Rights:
 
 
 def of_guest(name: str, bridge: Rights, access: Access) -> Rights:
-    """Of somebody for whom a bridge speaks: what `guests` says of the name, and no more than the bridge may do."""
+    """Of a guest that a bridge speaks for: what `guests` says of the name, and no more than the bridge may do."""
     said = access.guests.get(name, access.guests.get("*", ()))
     return Rights(grants(said, access), bridge.until, bridge)
 

@@ -6,12 +6,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 IPC, CURVE, TCP, DATA = "ipc", "curve", "tcp", "data"  # ways in; `data` is the socket of frames without copies
-GUEST = "for"  # begins the id of somebody for whom a bridge speaks
+GUEST = "for"  # begins the id of a guest: a client that a bridge speaks for
 
 
 @dataclass(frozen=True, slots=True)
 class Principal:
-    """A process of this machine, the holder of a key, or somebody over TCP without one.
+    """A process of this machine, the holder of a key, or a client over TCP without one.
 
     `id` is the same for all that one connection asks, and stands beside each of its messages (ZMQ's User-Id).
     `name` is a user's, or that of the key's file. `via`: the id of a bridge that speaks for `name`.
@@ -87,7 +87,7 @@ def from_id(text: str) -> Principal:
 
 
 def on_behalf(bridge: Principal, name: str) -> Principal:
-    """Somebody for whom a bridge speaks."""
+    """A client that a bridge speaks for."""
     return replace(bridge, id=f"{GUEST}:{len(name)}:{name}:{bridge.id}", name=name, via=bridge.id)
 
 

@@ -52,7 +52,7 @@ def made(folder: Path, name: str, make: Callable[[Path, Path], None]) -> Path:
 
 
 def _forget(folder: Path) -> None:
-    """Remove what nobody has asked for in KEPT days; a process that has loaded it keeps it."""
+    """Remove what has not been asked for in KEPT days; a process that has loaded it keeps it."""
     oldest = time.time() - KEPT * 86400
     for entry in folder.iterdir():
         with contextlib.suppress(OSError):

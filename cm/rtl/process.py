@@ -96,7 +96,7 @@ class EngineProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        with contextlib.suppress(BufferError):  # somebody still looks at it
+        with contextlib.suppress(BufferError):  # a view of it is still in use
             self.arena.close()
 
     def _exchanged(self, message: Message) -> bool:

@@ -67,7 +67,7 @@ def _hostname(host: str) -> str | None:
 
 
 def _is_address(name: str) -> bool:
-    """An address leads where it says: nobody can make it lead elsewhere, as a name."""
+    """An address leads where it says; a name can be made to lead elsewhere."""
     try:
         ipaddress.ip_address(name)
     except ValueError:

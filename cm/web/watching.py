@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams that pages look at: each is read once, however many watch it, and not at all when nobody does.
+"""Streams that pages look at: each is read once, however many watch it, and not at all when none does.
 
 Frames are taken off as they come, so that the hardware and other readers lose nothing by us; thirty a second at most
 are made into pictures. Who is slow gets the newest when it has drawn the last.
@@ -19,13 +19,13 @@ from cm.web.hub import Hub
 
 _EVERY = 1 / 30  # seconds between two pictures at least
 _AGAIN = 1.0  # seconds before a stream that could not be read is tried again
-_LINGER = 2.0  # seconds for which a stream is read on when nobody watches: a page that is loaded anew
+_LINGER = 2.0  # seconds that a stream is still read with no page watching: one may just be reloading
 _KINDS = {"raw": pictures.raw, "small": pictures.small}
 OnPicture = Callable[[str], None]
 
 
 class _Watched:
-    """A stream that somebody looks at."""
+    """A stream that at least one page shows."""
 
     def __init__(self) -> None:
         self.watchers: dict[Hashable, tuple[str, OnPicture]] = {}

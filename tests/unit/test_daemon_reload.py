@@ -164,7 +164,8 @@ class Remote:
 
     def __init__(self, daemon: Daemon) -> None:
         (told,) = json.loads((daemon.folder / "run" / "endpoints.json").read_text())["tcp"]
-        self.socket = zmq.Context.instance().socket(zmq.DEALER)
+        self.context = zmq.Context()
+        self.socket = self.context.socket(zmq.DEALER)
         self.socket.linger, self.socket.rcvtimeo = 0, HUNG
         self.monitor = self.socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
         self.monitor.rcvtimeo = HUNG
@@ -177,7 +178,7 @@ class Remote:
     def close(self) -> None:
         self.socket.disable_monitor()
         self.monitor.close(linger=0)
-        self.socket.close()
+        self.context.destroy(linger=0)
 
 
 @pytest.fixture

@@ -108,7 +108,7 @@ class FirmwareFolder:
         folder = base / _CONVERTED
         if folder.is_symlink():
             raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
-        own_folder(folder, mode=0o755)  # the kernel reads there what we say: nobody else may write
+        own_folder(folder, mode=0o755)  # the kernel reads what it is told from there: no other user may write
         target = base / self.private_name(image)
         if not self._is_good(target, image):
             _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))

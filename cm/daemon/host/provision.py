@@ -45,7 +45,7 @@ class Provisioner:
     """
 
     def __init__(self, folder: Path, unsigned: bool = True, quota: Quota = Quota()) -> None:  # noqa: B008 (frozen)
-        """`unsigned`: whether what nobody signed may be used; what comes over the wire is never signed."""
+        """`unsigned`: whether what is not signed may be used; what comes over the wire is never signed."""
         self._folder = folder
         self._unsigned = unsigned
         self._quota = quota
@@ -80,7 +80,7 @@ class Provisioner:
     def standing(self, administrators: Mapping[str, Config], example: bool = False) -> dict[str, Config]:
         """All configurations: the administrator's, and what clients sent under other names.
 
-        `example`: nobody brought the first, they are what there is to play with; what is sent takes their place.
+        `example`: the first are the shipped ones, to play with; what is sent takes their place.
         """
         if example:
             return {**administrators, **self.configs()}

@@ -179,7 +179,7 @@ class Streams:
         return replace(status, overruns=overruns) if overruns else status  # not for nothing: it is half the work
 
     def allocated(self) -> Counter[str]:
-        """Bytes of memory for masters in the PL, by who has them."""
+        """Bytes of memory for masters in the PL, by client."""
         held = self._driver.allocations.budget.held()
         return Counter({f"pid {peer.pid} ({peer.name})": size for peer, size in held.items()})
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many slots of a stream one more client may hold: no one all of them, and some are left for who comes."""
+"""How many slots of a stream one more client may hold: none may hold all of them, and some are left for newcomers."""
 
 from __future__ import annotations
 

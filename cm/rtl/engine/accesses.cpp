@@ -7,7 +7,7 @@
 
 namespace
 {
-constexpr uint64_t BUS_PATIENCE = 100000; // edges until an access that nobody answers is given up
+constexpr uint64_t BUS_PATIENCE = 100000; // edges until an access without an answer is given up
 } // namespace
 
 bool Engine::ends(const Bus &bus, bool write)

@@ -76,7 +76,7 @@ export class Registers {
       if (row.clear) row.clear.disabled = off;
       if (!row.input) continue;
       row.input.disabled = off;
-      if (value === undefined || row.input.matches(":active")) continue; // somebody moves it
+      if (value === undefined || row.input.matches(":active")) continue; // the user is moving it
       if (row.input.type === "checkbox") row.input.checked = value > 0;
       else if (row.input.type === "text") {
         if (document.activeElement !== row.input) row.input.value = hex(value, register.width);

@@ -116,7 +116,7 @@ export class Streams {
     this.watch(all);
   }
 
-  // Drawn with the next repaint, so never in a page that nobody sees: then no more come.
+  // Drawn with the next repaint, so never in a hidden page, which then gets no more.
   picture(header, payload) {
     if (!this.pending.size) requestAnimationFrame(() => this.drawAll());
     this.pending.set(header.stream, [header, payload]);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Light or dark: as the system says, until somebody chooses.
+// Light or dark: as the system says, until the user chooses.
 
 const NAMES = { auto: "◐", light: "☀", dark: "☾" };
 
