@@ -128,12 +128,11 @@ def qualities() -> Any:
 
 
 def test_the_graph_has_the_node_with_its_topics_services_and_hashes(served: None, ros: Node, board: cm.Board) -> None:
-    topics = dict(ros.node.get_publisher_names_and_types_by_node("cm", "/lab"))
-    assert topics["/lab/cm/status"] == ["cm_interfaces/msg/Status"]
-    until(
-        lambda: "/lab/cm/camera/image_raw" in dict(ros.node.get_publisher_names_and_types_by_node("cm", "/lab")),
-        PATIENCE,
-    )
+    def topics() -> dict[str, list[str]]:
+        return dict(ros.node.get_publisher_names_and_types_by_node("cm", "/lab"))
+
+    until(lambda: "/lab/cm/camera/image_raw" in topics(), PATIENCE)  # the last of them
+    assert topics()["/lab/cm/status"] == ["cm_interfaces/msg/Status"]
     services = dict(ros.node.get_service_names_and_types_by_node("cm", "/lab"))
     assert services["/lab/cm/set_mode"] == ["cm_interfaces/srv/SetMode"]
     assert services["/lab/cm/get_parameters"] == ["rcl_interfaces/srv/GetParameters"]

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from importlib import import_module
@@ -78,6 +79,15 @@ def test_our_interfaces_are_those_of_the_files() -> None:
 @pytest.mark.parametrize("name", sorted(PUBLISHED))
 def test_hashes_are_those_that_real_ros_publishes(name: str) -> None:
     assert type_hash(name) == PUBLISHED[name]
+
+
+def test_hashes_of_all_are_those_that_rosidl_of_jazzy_wrote() -> None:
+    """From the .json files beside the interfaces of a workspace in which cm_interfaces was built by colcon."""
+    written = json.loads((ROOT / "tests" / "golden" / "ros_type_hashes.json").read_text())
+    assert written.keys() == set(ALL), (
+        "an interface is another: build the workspace, and take its hashes (docs/ros2.md)"
+    )
+    assert {name: type_hash(name) for name in ALL} == written
 
 
 def test_fields_are_those_of_the_interfaces_as_others_have_them(store: Any) -> None:
