@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers as the node's parameters: ``registers.focus``, and fields as ``registers.led.blink``.
+"""Registers as the node's parameters: ``registers.focus``, and their fields: ``fields.led.blink``.
+
+A parameter's name must not begin another's: ``ros2 param dump`` makes maps of them.
 
 What a register may hold is the parameter's range, a read-only register a read-only parameter. Parameters are signed:
 a value of 64 bits whose highest bit is set shows as a negative number, and is written as one.
@@ -18,7 +20,7 @@ from cm.messages.status import FieldInfo, RegisterInfo, RegValues
 from cm.ros import messages
 from cm.ros.transport import Publisher, Values
 
-PREFIX = "registers."
+_REGISTERS, _FIELDS = "registers.", "fields."
 _NOT_SET, _INTEGER = 0, 2  # rcl_interfaces/msg/ParameterType
 _TOP, _WHOLE = 1 << 63, 1 << 64
 
@@ -36,23 +38,23 @@ class Parameters:
         """Another mode has other registers."""
         known: dict[str, tuple[RegisterInfo, FieldInfo | None]] = {}
         for register in record.registers:
-            known[PREFIX + register.name] = (register, None)
-            known.update({f"{PREFIX}{register.name}.{f.name}": (register, f) for f in register.fields})
+            known[_REGISTERS + register.name] = (register, None)
+            known.update({f"{_FIELDS}{register.name}.{f.name}": (register, f) for f in register.fields})
         self._known = known
 
     def all(self) -> Mapping[str, tuple[str, Callable[[dict[str, Any]], Values]]]:
         """The services that every ROS node has for its parameters."""
         kind = "rcl_interfaces/srv/"
         return {
-            "list_parameters": (f"{kind}ListParameters", self.list),
+            "list_parameters": (f"{kind}ListParameters", self.list_names),
             "describe_parameters": (f"{kind}DescribeParameters", self.describe),
             "get_parameter_types": (f"{kind}GetParameterTypes", self.types),
             "get_parameters": (f"{kind}GetParameters", self.get),
-            "set_parameters": (f"{kind}SetParameters", self.set),
+            "set_parameters": (f"{kind}SetParameters", self.set_each),
             "set_parameters_atomically": (f"{kind}SetParametersAtomically", self.set_atomically),
         }
 
-    def list(self, request: dict[str, Any]) -> Values:
+    def list_names(self, request: dict[str, Any]) -> Values:
         """ListParameters."""
         prefixes, depth = request["prefixes"], request["depth"]
         names = [name for name in self._known if _below(name, prefixes, depth)]
@@ -68,17 +70,21 @@ class Parameters:
 
     def get(self, request: dict[str, Any]) -> Values:
         """GetParameters: what the registers hold now; not set is what cannot be read, or does not exist."""
-        names = [name for name in request["names"] if name in self._known and self._known[name][0].access != "wo"]
-        held: dict[str, int] = {}
-        if names:
-            try:
-                values = self._commands.read_registers(self._caller, *(n.removeprefix(PREFIX) for n in names))
-            except CmError:  # a region that is cut off just now
-                values = RegValues(())
-            held = {PREFIX + value.name: value.value for value in values.values}
+        asked = [name for name in request["names"] if name in self._known and self._known[name][0].access != "wo"]
+        held = self._held(asked)
         return {"values": [_value(held.get(name)) for name in request["names"]]}
 
-    def set(self, request: dict[str, Any]) -> Values:
+    def _held(self, names: list[str]) -> dict[str, int]:
+        """One by one where they cannot be read together: a region may be cut off just now."""
+        if not names:
+            return {}
+        try:
+            values = self._commands.read_registers(self._caller, *map(_register, names)).values
+        except CmError:
+            return {} if len(names) == 1 else {n: v for name in names for n, v in self._held([name]).items()}
+        return {name: value.value for name, value in zip(names, values, strict=True)}
+
+    def set_each(self, request: dict[str, Any]) -> Values:
         """SetParameters: each for itself."""
         return {"results": [self._set([parameter]) for parameter in request["parameters"]]}
 
@@ -88,9 +94,9 @@ class Parameters:
 
     def event(self, values: RegValues, publisher: Publisher) -> None:
         """Tell ``/parameter_events`` of registers that were written, by whomever."""
-        changed = [{"name": PREFIX + v.name, "value": _value(v.value)} for v in values.values]
+        changed = [{"name": _REGISTERS + v.name, "value": _value(v.value)} for v in values.values]
         changed += [
-            {"name": f"{PREFIX}{v.name}.{name}", "value": _value(x)} for v in values.values for name, x in v.fields
+            {"name": f"{_FIELDS}{v.name}.{name}", "value": _value(x)} for v in values.values for name, x in v.fields
         ]
         stamp = messages.time(time.time_ns())
         publisher.write({"stamp": stamp, "node": self._node, "changed_parameters": changed})
@@ -105,7 +111,7 @@ class Parameters:
                 return {"successful": False, "reason": f"{name} takes an integer"}
             width = self._known[name][0].width
             raw = value["integer_value"]
-            writes[name.removeprefix(PREFIX)] = raw % _WHOLE if width == 64 and raw < 0 else raw
+            writes[_register(name)] = raw % _WHOLE if width == 64 and raw < 0 else raw
         try:
             self._commands.write_registers(self._caller, writes)
         except CmError as error:
@@ -127,6 +133,11 @@ class Parameters:
             "read_only": register.access == "ro",
             "integer_range": [{"from_value": first, "to_value": last, "step": 1}],
         }
+
+
+def _register(name: str) -> str:
+    """As the manager calls it: ``led``, ``led.blink``."""
+    return name.partition(".")[2]
 
 
 def _bounds(register: RegisterInfo, field: FieldInfo | None) -> tuple[int, int]:

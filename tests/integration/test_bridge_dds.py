@@ -171,12 +171,15 @@ def test_registers_are_parameters_with_their_ranges(bridge: Bridge, peer: Peer, 
     def call(name: str, kind: str, **request: Any) -> dict[str, Any]:
         return peer.call(f"/lab/cm/{name}", f"rcl_interfaces/srv/{kind}", **request)
 
-    names = call("list_parameters", "ListParameters", prefixes=["registers"])["result"]["names"]
-    assert {"registers.focus", "registers.led", "registers.led.blink", "registers.version"} <= set(names)
+    names = call("list_parameters", "ListParameters")["result"]["names"]
+    assert {"registers.focus", "registers.led", "fields.led.blink", "registers.version"} <= set(names)
     assert "registers.palette" not in names  # of another mode
+    assert not [name for name in names if any(other.startswith(f"{name}.") for other in names)]  # ros2 param dump
+    fields = call("list_parameters", "ListParameters", prefixes=["fields.led"])["result"]
+    assert set(fields["names"]) == {"fields.led.blink", "fields.led.pattern"}
     focus, version, blink = call(
         "describe_parameters", "DescribeParameters",
-        names=["registers.focus", "registers.version", "registers.led.blink"],
+        names=["registers.focus", "registers.version", "fields.led.blink"],
     )["descriptors"]  # fmt: skip
     assert focus["integer_range"] == [{"from_value": 0, "to_value": 15, "step": 1}]
     assert (focus["read_only"], version["read_only"]) == (False, True)
