@@ -134,7 +134,7 @@ with_ros() { # series: what is there for ROS 2, where meta-ros is given too
 	printf 'ROS_DISTRO = "jazzy"\nROS_WORLD_SKIP_GROUPS:append = " fortran"\nBBMASK += "/meta-ros/"\n' >>"$place/build/conf/local.conf"
 	[ "$(id -u)" != 0 ] || chown -R "$user" "$place"
 	for name in cm-interfaces cm-ros2; do
-		if in_build "$1" "bitbake -e $name" >"$work/log" 2>&1; then
+		if in_build "$1" "bitbake -e $name >/dev/null && bitbake -c unpack $name" >"$work/log" 2>&1; then
 			echo "good: $name, for ROS 2 Jazzy"
 		else
 			echo "FAILED: $name, for ROS 2 Jazzy"
