@@ -167,6 +167,12 @@ def _cases() -> Iterator[Case]:
         ({"id": "0123abcd"}, {**_value(focus=3), "generation": 41}),
         plays.leases, check=plays.writes(rq.RegWrite("focus", 3), lease="0123abcd"),
     )  # fmt: skip
+    yield Case(
+        "guest", "a bridge asks in the name of who stands behind it, and gets the reply",
+        ({"do": "as_guest", "guest": "web:anna", "action": _read("focus")}, _read("zoom")),
+        (_value(focus=4), _value(zoom=2)), plays.each(focus=4, zoom=2),
+        check=plays.asked_for(focus="web:anna", zoom=""),
+    )  # fmt: skip
     yield Case("keys", "over TCP with CURVE", ({"do": "status"},), (status,), plays.status, keys="known")
     yield Case(
         "unknown-keys", "who is not let in is told, and does not wait for ever",

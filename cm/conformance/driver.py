@@ -26,7 +26,7 @@ def main() -> None:
         sys.stdout.flush()
 
 
-def _results(reach: Callable[[], Board], actions: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _results(reach: Callable[..., Board], actions: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     try:
         with reach() as board:
             return [_done(reach, board, action) for action in actions]
@@ -38,18 +38,20 @@ def _code(error: Exception) -> str:
     return error.code if isinstance(error, CmError) else "os"
 
 
-def _done(reach: Callable[[], Board], board: Board, action: Mapping[str, Any]) -> dict[str, Any]:
+def _done(reach: Callable[..., Board], board: Board, action: Mapping[str, Any]) -> dict[str, Any]:
     try:
         if action["do"] == "together":  # a board is one thread's: so each has its own connection
             with ThreadPoolExecutor() as pool:
                 return {"results": list(pool.map(partial(_alone, reach), action["actions"]))}
+        if action["do"] == "as_guest":
+            return _alone(partial(reach, guest=action["guest"]), action["action"])
         known = ACTIONS.get(action["do"])
         return known(board, action) if known else {"unsupported": True}
     except (CmError, OSError) as error:
         return {"error": _code(error)}
 
 
-def _alone(reach: Callable[[], Board], action: Mapping[str, Any]) -> dict[str, Any]:
+def _alone(reach: Callable[..., Board], action: Mapping[str, Any]) -> dict[str, Any]:
     with reach() as board:
         return _done(reach, board, action)
 

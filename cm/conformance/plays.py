@@ -10,6 +10,7 @@ from typing import Any
 from cm.conformance.stage import Play, Stage, Taken
 from cm.messages import requests as rq
 from cm.wire import cm_pb2 as pb
+from cm.wire.envelope import guest_named
 
 CAMERA = pb.Status(config_name="camera", mode="default", sequence=7)
 
@@ -36,6 +37,27 @@ def registers(**values: int) -> Play:
         stage.reply(taken, registers=pb.RegValues(values=entries, config_name="camera", mode="default", generation=41))
 
     return play
+
+
+def each(**values: int) -> Play:
+    """Registers that are read one by one."""
+
+    def play(stage: Stage, taken: Taken) -> None:
+        name = taken.request.names[0] if isinstance(taken.request, rq.ReadReg) else ""
+        registers(**{name: values.get(name, 0)})(stage, taken)
+
+    return play
+
+
+def asked_for(**guests: str) -> Callable[[list[Taken]], str]:
+    """In whose name each register was read; nobody's but the client's own where that is empty."""
+
+    def check(taken: list[Taken]) -> str:
+        reads = [t for t in taken if isinstance(t.request, rq.ReadReg)]
+        named = {t.request.names[0]: guest_named(list(t.envelope)) for t in reads if isinstance(t.request, rq.ReadReg)}
+        return "" if named == guests else f"its reads should be in the names of {guests}, and are in those of {named}"
+
+    return check
 
 
 def writes(*want: rq.RegWrite, lease: str = "") -> Callable[[list[Taken]], str]:

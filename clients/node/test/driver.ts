@@ -6,6 +6,8 @@ import { CmError, connect, type Board, type Frame, type Int } from "../src/index
 type Action = Record<string, any>;
 type Result = Record<string, unknown>;
 
+let reach: (guest?: string) => Board; // the manager of the case
+
 const plain = (value: Int) => (typeof value === "bigint" ? String(value) : value);
 const all = (values: Readonly<Record<string, Int>>) =>
   Object.fromEntries(Object.entries(values).map(([name, value]) => [name, plain(value)]));
@@ -56,6 +58,14 @@ const ACTIONS: Record<string, (board: Board, action: Action) => Promise<Result>>
     await board.write(stream as string, Uint8Array.from(data as number[]));
     return {};
   },
+  async as_guest(_, { guest, action }) {
+    const board = reach(guest as string);
+    try {
+      return await done(board, action as Action);
+    } finally {
+      board.close();
+    }
+  },
   together: async (board, { actions }) => ({ results: await Promise.all((actions as Action[]).map((a) => done(board, a))) }),
 };
 
@@ -70,7 +80,8 @@ async function done(board: Board, action: Action): Promise<Result> {
 for await (const line of createInterface({ input: process.stdin })) {
   const asked = JSON.parse(line) as { connect: { folder?: string; endpoint?: string; keys?: string }; timeout: number; do: Action[] };
   const { folder, endpoint, keys } = asked.connect;
-  const board = connect(folder ?? endpoint, keys ? { keys, timeout: asked.timeout } : { timeout: asked.timeout });
+  reach = (guest = "") => connect(folder ?? endpoint, { ...(keys ? { keys } : {}), timeout: asked.timeout, guest });
+  const board = reach();
   const results: Result[] = [];
   for (const action of asked.do) results.push(await done(board, action));
   board.close();
