@@ -120,7 +120,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--peer", type=Path, required=True, help="the compiled ros2/fastdds_peer")
     parser.add_argument("--out", type=Path, default=Path("demo-ros"))
-    parser.add_argument("--domain", type=int, default=101 + os.getpid() % 120)
+    parser.add_argument("--domain", type=int, default=1 + os.getpid() % 100)
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     timeline = Timeline()

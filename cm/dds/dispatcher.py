@@ -65,3 +65,5 @@ def _hand_on(reader: DataReader, take: Callable[[Raw], None]) -> None:
                     take(sample)
                 except CmError as error:
                     _LOG.warning("%s", error)
+                except Exception:  # noqa: BLE001 (the thread is that of others' samples, too)
+                    _LOG.exception("a sample was not taken")

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from cyclonedds.core import Policy
+from cyclonedds.core import DDSException, Policy
 from cyclonedds.sub import DataReader
 
 from cm.dds.publisher import DdsPublisher
@@ -63,7 +63,7 @@ class Service:
             cdr.put(self._replied, sample, self._answer(values))
             if self._is_met(client):
                 self._replies.write_bytes(sample)
-        except CmError as error:
+        except (CmError, DDSException) as error:  # also of ends that were closed meanwhile
             _LOG.warning("%s: %s", self._asked, error)
         finally:
             self._busy.release()

@@ -68,6 +68,7 @@ class WritableStream:
         self._commands = commands
         self._caller = caller
         self._writer: FrameWriter | None = None
+        self._told = ""
         kind, topic = (
             ("sensor_msgs/msg/Image", "write") if stream.encoding else ("cm_interfaces/msg/Data", "write_data")
         )
@@ -82,8 +83,16 @@ class WritableStream:
                 self._writer = self._commands.writer(self._caller, self._stream.name)
             self._writer.write(self._pixels(values))
         except (CmError, OSError) as error:
-            _LOG.warning("a frame for %s was not written: %s", self._stream.name, error)
+            self._tell(str(error))
             self._drop()
+        else:
+            self._told = ""
+
+    def _tell(self, problem: str) -> None:
+        """Once for all frames that have it."""
+        if problem != self._told:
+            self._told = problem
+            _LOG.warning("frames for %s are not written: %s", self._stream.name, problem)
 
     def _pixels(self, values: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """The bytes, without what stands between the end of a row and the next."""

@@ -14,7 +14,7 @@ from cm.ros import cdr
 from cm.ros.messages import image_head
 
 pytest.importorskip("cyclonedds.domain")
-DOMAIN = 230
+DOMAIN = 101
 _LO = "<General><Interfaces><NetworkInterface name='lo'/></Interfaces></General>"
 LOCAL = f"<CycloneDDS><Domain>{_LO}</Domain></CycloneDDS>"
 

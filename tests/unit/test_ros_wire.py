@@ -6,12 +6,15 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cm.errors import InvalidRequest, NotFound
 from cm.ros import cdr
@@ -156,6 +159,22 @@ def test_a_message_that_is_cut_short_is_refused(cut: int) -> None:
     if cut < len(whole):
         with pytest.raises(InvalidRequest):
             cdr.decode("sensor_msgs/msg/Image", whole[:cut])
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(ALL), st.binary(max_size=300), st.booleans())
+def test_bytes_from_anybody_are_a_message_or_refused(name: str, data: bytes, little: bool) -> None:
+    with suppress(InvalidRequest):
+        cdr.decode(name, bytes((0, little, 0, 0)) + data)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.sampled_from(ALL), st.integers(0, 2000), st.integers(0, 255))
+def test_a_byte_that_was_changed_makes_another_message_or_none(name: str, place: int, byte: int) -> None:
+    whole = bytearray(cdr.encode(name, values(name)))
+    whole[4 + place % (len(whole) - 4)] = byte
+    with suppress(InvalidRequest):
+        cdr.decode(name, bytes(whole))
 
 
 def test_a_length_that_cannot_be_is_refused_before_memory_is_taken() -> None:

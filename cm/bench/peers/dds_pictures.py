@@ -44,8 +44,8 @@ _ARRIVED = struct.Struct("<q")
 
 
 def domain(folder: Path) -> int:
-    """A domain for one use, of which others on this machine hardly know."""
-    return 100 + int.from_bytes(str(folder).encode(), "little") % 97
+    """A domain for one use. From 102 on a domain's ports are among Linux's ephemeral ones."""
+    return 1 + int.from_bytes(str(folder).encode(), "little") % 101
 
 
 def join(number: int) -> DomainParticipant:
