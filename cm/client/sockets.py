@@ -48,12 +48,14 @@ class Sockets:
         """Whether the board has been closed."""
         return bool(self._context.closed)
 
-    def requests(self) -> Any:
+    def requests(self, immediate: bool = False) -> Any:
         """A DEALER for requests, its monitor, and what follows that: a manager that went away, or lets us not in.
 
-        Raises BoardClosed.
+        `immediate`: what could not be sent before a connection ended is dropped with it, and never reaches the next
+        manager there. Raises BoardClosed.
         """
         socket = self._new(zmq.DEALER)
+        socket.setsockopt(zmq.IMMEDIATE, int(immediate))
         # A lost peer must be heard of at once on ipc, and within seconds over a dead network.
         socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
         socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)

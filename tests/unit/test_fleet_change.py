@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.fleet.change import member
 from cm.fleet.change.coordinator import Ask, Coordinator, Phase, Verb, first_step
-from cm.fleet.change.desk import Desk, Planned
+from cm.fleet.change.desk import Desk, Planned, Unsettled
 from cm.fleet.change.member import NotNow
 from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo
@@ -70,6 +70,7 @@ class Fate:
     failures: set[int] = field(default_factory=set)
     calls: int = 0
     loads: int = 0
+    away: dict[int, bool] = field(default_factory=dict)  # by load: the manager ends in it; whether it had its effect
 
     def may_end(self) -> None:
         self.calls += 1
@@ -125,7 +126,10 @@ class Board:
         self.fate.may_end()
         if self.fate.load_fails():
             raise LoadFailed("the bitstream did not start")
-        self.place = (config, mode)
+        had_effect = self.fate.away.pop(self.fate.loads, None)
+        self.place = (config, mode) if had_effect is not False else self.place
+        if had_effect is not None:
+            raise Unsettled("the manager went away")
         self.fate.may_end()
         return 0.1
 
@@ -152,6 +156,8 @@ class Board:
             done(self.desk.go_on())
         except Killed:
             self.restart()
+        except Unsettled:
+            pass
 
 
 class World:
@@ -201,7 +207,8 @@ class World:
     def heal(self) -> None:
         """Nothing goes wrong any more, and time passes."""
         for board in self.boards.values():
-            board.fate.kills, board.fate.failures, board.reachable = set(), set(), True
+            board.fate = board.disk._fate = Fate()
+            board.reachable = True
             board.restart()
         for _ in range(3):
             self.now += 100.0
@@ -295,6 +302,31 @@ def test_who_comes_late_is_refused_by_the_seat_that_has_decided_without_knowing(
     assert (coordinator.outcome().decision, world.places) == (Decision.REVERT, {OLD})
 
 
+def test_a_change_that_was_taken_back_is_not_begun_first() -> None:
+    """The manager went away before it did anything; then comes the decision to go back."""
+    world = World(1)
+    board = world.boards["b0"]
+    board.fate.away = {1: False}
+    done(board.desk.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    with pytest.raises(Unsettled):
+        done(board.desk.apply(FleetStep("c1", seat="b0")))
+    assert done(board.desk.decide(FleetStep("c1", seat="b0"))).state == member.OLD
+    assert board.fate.loads == 1
+
+
+def test_what_is_loaded_already_when_somebody_comes_back_is_not_loaded_again() -> None:
+    world = World(1)
+    board = world.boards["b0"]
+    board.fate.away = {1: True}
+    done(board.desk.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    with pytest.raises(Unsettled):
+        done(board.desk.apply(FleetStep("c1", seat="b0")))
+    board.restart()
+    done(board.desk.go_on())
+    assert done(board.desk.decide(FleetStep("c1", seat="b0", keep=True))).state == member.NEW
+    assert board.fate.loads == 1
+
+
 def test_a_second_change_waits_for_the_end_of_the_first() -> None:
     world = World(1)
     desk = world.boards["b0"].desk
@@ -375,6 +407,7 @@ def unnamed(world: World, coordinator: Coordinator) -> set[str]:
     policy=st.sampled_from(list(Policy)),
     kills=st.lists(st.tuples(st.integers(0, 4), st.integers(1, 14)), max_size=4),
     failures=st.lists(st.tuples(st.integers(0, 4), st.integers(1, 2)), max_size=2),
+    away=st.lists(st.tuples(st.integers(0, 4), st.integers(1, 3), st.booleans()), max_size=3),
     ends_after=st.one_of(st.just(10**6), st.integers(0, 16)),
 )
 def test_whatever_ends_and_is_lost_the_fleet_is_old_or_new_or_the_differing_are_named(
@@ -383,6 +416,7 @@ def test_whatever_ends_and_is_lost_the_fleet_is_old_or_new_or_the_differing_are_
     policy: Policy,
     kills: list[tuple[int, int]],
     failures: list[tuple[int, int]],
+    away: list[tuple[int, int, bool]],
     ends_after: int,
 ) -> None:
     world = World(size)
@@ -391,6 +425,8 @@ def test_whatever_ends_and_is_lost_the_fleet_is_old_or_new_or_the_differing_are_
         boards[number % size].fate.kills.add(call)
     for number, load in failures:
         boards[number % size].fate.failures.add(load)
+    for number, load, had_effect in away:
+        boards[number % size].fate.away[load] = had_effect
     coordinator = world.coordinator(policy)
     finished = world.run(coordinator, random.Random(seed), ends_after)
     if finished:

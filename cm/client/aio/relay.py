@@ -46,7 +46,7 @@ class Relay:
         self._waiting: dict[bytes, asyncio.Future[list[bytes]]] = {}
         self._up = asyncio.Event()
         self._changed = changed
-        self._socket, self._monitor, self._handshake = self._sockets.requests()
+        self._socket, self._monitor, self._handshake = self._sockets.requests(immediate=True)
         self._tasks = (asyncio.create_task(self._read()), asyncio.create_task(self._look()))
 
     @property
@@ -64,13 +64,14 @@ class Relay:
         waiting: asyncio.Future[list[bytes]] = asyncio.get_running_loop().create_future()
         self._waiting[number] = waiting
         named = [GUEST + guest.encode()] if guest else []
+        sending = asyncio.ensure_future(self._socket.send_multipart([number, *named, b"", *frames]))
         try:
-            await self._socket.send_multipart([number, *named, b"", *frames])
             return await asyncio.wait_for(waiting, timeout)
         except asyncio.TimeoutError:
             raise NoAnswer(f"the manager gave no answer within {timeout or 0:g} s") from None
         finally:
             self._waiting.pop(number, None)
+            sending.cancel()  # what is not sent by now is not to be
 
     async def ask(self, call: Call[_T], guest: str = "", timeout: float | None = 10.0) -> _T:
         """A request of our own making. Raises what `forward` does, and what the manager refused with."""
@@ -93,6 +94,8 @@ class Relay:
     async def _connected(self) -> None:
         if self._handshake.refused is not None:
             raise self._handshake.refused
+        if self.up:
+            return
         try:
             await asyncio.wait_for(self._up.wait(), _CONNECTING)
         except asyncio.TimeoutError:

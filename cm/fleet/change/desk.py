@@ -140,9 +140,10 @@ class Desk:
             if step.seat != self._name:
                 raise NotNow(f"{self._name} took no part in change {step.id}")
             record = FleetRecord(step.id, member.OPEN, seat=self._name)
+        before = record.state
         record = member.decided(record, Decision.KEEP if step.keep else Decision.REVERT)
         self._store.write(record)
-        return await self._work(record, begun=True)
+        return await self._work(record, begun=before not in (member.APPLYING, member.REVERTING))
 
     def settle(self, change: str) -> FleetRecord:
         """As the seat: what was decided, for a board that was not told. It never waits."""
