@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -135,7 +136,25 @@ def daemon(board: Sequence[str] = (), schemas: Path = CAMERA, **options: Any) ->
     fast = ["--icap-rate", "0", "--pcap-rate", "0"]
     with short_folder() as folder, SimBoard([schemas], root=folder / "board", arguments=[*fast, *board]) as sim:
         made = Daemon(folder, sim, schemas, **options)
-        try:
-            yield made
-        finally:
-            made.close()
+        with defects() as found:
+            try:
+                yield made
+            finally:
+                made.close()
+        assert not found, found
+
+
+@contextlib.contextmanager
+def defects() -> Iterator[list[str]]:
+    """What callbacks of the loop raised, which the loop logs and survives."""
+    found: list[str] = []
+    handler = logging.Handler(logging.ERROR)
+    handler.emit = lambda record: found.append(  # type: ignore[method-assign]
+        f"{record.getMessage()}: {record.exc_info[1]!r}" if record.exc_info else record.getMessage()
+    )
+    log = logging.getLogger("cm.daemon.loop")
+    log.addHandler(handler)
+    try:
+        yield found
+    finally:
+        log.removeHandler(handler)

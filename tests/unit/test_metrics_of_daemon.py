@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole page of metrics of a daemon in a known state: names, labels and words that dashboards are built on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from cm.daemon.loop import Loop
+from cm.daemon.metrics import Metrics
+from cm.messages.status import (
+    ClientStatus,
+    ClockStatus,
+    LeaseStatus,
+    PrMode,
+    RegionStatus,
+    SensorStatus,
+    Status,
+    StreamClient,
+    StreamStatus,
+)
+from cm.metrics.counts import ChangeTotals, Moved
+
+PAGE = Path(__file__).parents[1] / "golden/metrics/page.txt"
+READER = StreamClient(7, "view", depth=3)
+STATUS = Status(
+    "camera", "edges", True, PrMode.ERROR, sequence=42, version="1.2", started_ns=1_500_000_000, board="lab",
+    last_change=9, last_change_seconds=0.25, clocks=(ClockStatus("fclk0", 100, 99), ClockStatus("off", 100)),
+    regions=(RegionStatus("prr0", "edge", "ready"), RegionStatus("prr1", None, "unknown")),
+    streams=(
+        StreamStatus("camera", "dma0", "s2mm", slots=8, open=True, frames=5, rate=30.5, latency_us=250.0,
+                     clients=(READER,), overruns=2),
+        StreamStatus("to_pl", "dma1", "mm2s", slots=4),
+    ),
+    sensors=(
+        SensorStatus("xadc", "temp0", "temperature", 41.5), SensorStatus("xadc", "vccint", "voltage", 0.85),
+        SensorStatus("ina226", "curr1", "current", 0.4), SensorStatus("ina226", "power1", "power", 4.9),
+    ),
+    leases=(
+        LeaseStatus(1, "registers:led", client="pid 7 (view)"),
+        LeaseStatus(2, "board", exclusive=False, client="key robot"),
+    ),
+)  # fmt: skip
+
+
+def totals() -> ChangeTotals:
+    """Of two changes that went well, one that failed, and what a port took."""
+    made = ChangeTotals()
+    made.ended(None, 0.02)
+    made.ended(None, 0.5)
+    made.ended("load_failed", 1.0)
+    made.took("load", 0.25)
+    made.loaded("icap", 1000, 0.125)
+    return made
+
+
+@pytest.fixture
+def page() -> Any:
+    loop = Loop()
+    clients = [ClientStatus("pid 7 (view)", 2, upload_bytes=11, waiting_bytes=12, loop_seconds=0.5, waiting=3)]
+    services: Any = SimpleNamespace(
+        loop=loop,
+        status=lambda: STATUS,
+        manager=SimpleNamespace(
+            totals=totals(), leases=SimpleNamespace(held=lambda: STATUS.leases, told=lambda: STATUS.leases)
+        ),
+        streams=SimpleNamespace(
+            moved=lambda: {"camera": Moved(50, 1, 2, 4000), "gone": Moved(frames=6)},
+            status=lambda: STATUS.streams,
+            allocated=Counter,
+        ),
+        connections=SimpleNamespace(budgets=SimpleNamespace(snapshot=lambda: clients)),
+        interrupts=SimpleNamespace(counts={"done": 17}),
+    )
+    requests: Any = SimpleNamespace(taken=33, refused=Counter({"busy": 4}))
+    yield Metrics(services, requests).page().decode()
+    loop.close()
+
+
+def test_the_page_is_what_dashboards_know(page: str) -> None:
+    """What a process uses differs from run to run: of these lines the words count."""
+    found = [line.rpartition(" ")[0] if line.startswith("process_") else line for line in page.splitlines()]
+    assert found == PAGE.read_text(encoding="utf-8").splitlines(), "look at the difference, then write the page anew"
