@@ -4,7 +4,7 @@
 # can refuse one of the wrong type, and a pin is there only if its cell is configured to have it. Messages
 # with a number are Vivado's; where users have met them is listed in docs/build-vivado.md.
 
-set vivado [dict create project 0 design "" opened 0 cells {} config {} ports {} interfaces {} nets {} pblocks {} segments {} kind {} filled {}]
+set vivado [dict create project 0 design "" opened 0 cells {} config {} ports {} interfaces {} nets {} pblocks {} segments {} kind {} filled {} reconfigurable {}]
 
 proc state {key} { return [dict get $::vivado $key] }
 proc config {object key default} {

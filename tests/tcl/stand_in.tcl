@@ -58,7 +58,24 @@ proc vivado::set_property {given plain} {
             if {[is bd_cell $object] && $key in [read_only [dict get $::vivado cells [name_of $object]]]} {
                 refuse "\[BD 41-737\] Cannot set the parameter [string range $key 7 end] on /[name_of $object]. It is read-only."
             }
+            in_range $object $key $value
+            if {$key eq "HD.RECONFIGURABLE" && [is cell $object]} { dict lappend ::vivado reconfigurable [name_of $object] }
             dict set ::vivado config $object $key $value
+        }
+    }
+}
+# Ranges of parameters, from their product guides (PG021, PG247, PG082, PG201): what is outside is no customisation.
+proc in_range {object key value} {
+    if {![is bd_cell $object]} { return }
+    set ip [dict get $::vivado cells [name_of $object]]
+    foreach {which parameter low high} {
+        axi_dma CONFIG.c_sg_length_width 8 26
+        smartconnect CONFIG.NUM_SI 1 16
+        smartconnect CONFIG.NUM_MI 1 16
+        processing_system7 CONFIG.PCW_FPGA0_PERIPHERAL_FREQMHZ 0.1 250
+    } {
+        if {$ip eq $which && $key eq $parameter && !($value >= $low && $value <= $high)} {
+            refuse "\[IP_Flow 19-3461\] Value '$value' is out of the range for parameter '[string range $key 7 end]' for BD Cell '[name_of $object]' . Valid values are - $low to $high"
         }
     }
 }
@@ -123,10 +140,10 @@ proc vivado::assign_bd_address {given plain} {
     typed assign_bd_address [lindex $plain 0] bd_addr_seg
     set from [expr {[dict get $given -offset]}]
     set size [expr {[dict get $given -range]}]
-    if {$size & ($size - 1) || $from % $size} { refuse "range [dict get $given -range] at [dict get $given -offset] is no aligned power of two" }
+    if {$size & ($size - 1) || $from % $size} { refuse "\[BD 41-1075\] Cannot create master segment for slave segment <[lindex $plain 0]> at offset and range [dict get $given -offset] [dict get $given -range]: no aligned power of two" }
     foreach other [state segments] {
         lassign $other base bytes who
-        if {$from < $base + $bytes && $base < $from + $size} { refuse "[lindex $plain 0] overlaps $who" }
+        if {$from < $base + $bytes && $base < $from + $size} { refuse "\[BD 41-971\] Segment [lindex $plain 0] overlaps $who" }
     }
     dict lappend ::vivado segments [list $from $size [lindex $plain 0]]
 }
@@ -214,6 +231,12 @@ proc vivado::create_pblock {given plain} {
 proc vivado::get_pblocks {given plain} { return [lmap name $plain {if {$name ni [state pblocks]} continue; set name pblock:$name}] }
 proc vivado::resize_pblock {given plain} { typed resize_pblock [lindex $plain 0] pblock }
 proc vivado::add_cells_to_pblock {given plain} { typed add_cells_to_pblock [lindex $plain 0] pblock; typed add_cells_to_pblock [lindex $plain 1] cell }
+proc vivado::opt_design {given plain} {
+    opened opt_design
+    foreach cell [state reconfigurable] {
+        if {$cell ni [state filled]} { refuse "\[DRC INBB-3\] Black Box Instances: Cell '$cell' has undefined contents and is considered a black box. The contents of this cell must be defined for opt_design to complete successfully." }
+    }
+}
 proc vivado::lock_design {given plain} { opened lock_design }
 proc vivado::pr_verify {given plain} {
     readable [list [dict get $given -initial] {*}[dict get $given -additional]]

@@ -184,7 +184,10 @@ def test_a_flow_without_the_block_designs_wrapper_says_what_is_missing(out: Path
             "",
             "BD 41-701",
         ),
-        (r"-offset 0x\w+", "-offset 0x40000004", "is no aligned power of two"),
+        (r"-offset 0x\w+", "-offset 0x40000004", "BD 41-1075"),
+        (r"-range 65536", "-range 65540", "BD 41-1075"),
+        (r"-offset 0x(4|A)4000000", r"-offset 0x\g<1>0000000", "BD 41-971"),
+        (r"c_sg_length_width \{26\}", "c_sg_length_width {27}", "IP_Flow 19-3461"),
     ],
 )
 def test_a_block_design_that_vivado_would_refuse_is_refused(
@@ -199,6 +202,29 @@ def test_a_block_design_that_vivado_would_refuse_is_refused(
         text = text.replace("FREQMHZ {100}", "FREQMHZ {99.5}")
     script.write_text(text)
     status, said, _ = replay(out, "tcl/step_system.tcl", tmp_path)
+    assert status == 1
+    assert message in said
+
+
+@needs("tclsh")
+@pytest.mark.parametrize(
+    ("file", "line", "spoiled", "message"),
+    [
+        ("step_run_1", r"read_checkpoint -cell .*", "", "DRC INBB-3"),
+        ("floorplan", r"(?<=SNAPPING_MODE ON )\[get_pblocks \w+\]", "[get_pblocks other]", "Common 17-55"),
+    ],
+)
+def test_a_run_that_vivado_would_refuse_is_refused(
+    file: str, line: str, spoiled: str, message: str, out: Path, tmp_path: Path
+) -> None:
+    step = "tcl/step_run_1.tcl"
+    before(out, step, tmp_path)
+    script = tmp_path / "work" / out.parent.name / out.name / f"tcl/{file}.tcl"
+    text, count = re.subn(line, spoiled, script.read_text(), count=1)
+    if not count:
+        pytest.skip("UltraScale+ snaps without being told")
+    script.write_text(text)
+    status, said, _ = replay(out, step, tmp_path)
     assert status == 1
     assert message in said
 

@@ -28,6 +28,35 @@ from cm.build.hdl import (
 )
 
 
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("inner i (.a(a), .c(b));", "[Synth 8-448]"),
+        ("assign b = a & nothere[1];", "[Synth 8-1031]"),
+    ],
+)
+def test_what_synthesis_stops_at_inside_a_module_has_its_number(tmp_path: Path, body: str, said: str) -> None:
+    text = "module inner (input wire a, output wire b);\n assign b = a;\nendmodule\n"
+    text += f"module top (input wire a, output wire b);\n {body}\nendmodule\n"
+    (tmp_path / "top.v").write_text(text)
+    (found,) = read([tmp_path / "top.v"], top="top").modules
+    (problem,) = found.problems
+    assert problem.breaks
+    assert said in problem.message
+    assert (problem.file, problem.line) == (str(tmp_path / "top.v"), 5)
+
+
+def test_a_nettype_that_a_file_leaves_behind_counts_for_those_after_it(tmp_path: Path) -> None:
+    """As olofk of chipsalliance/VeeRwolf 2 explains Synth 8-6735."""
+    (tmp_path / "a.v").write_text("`default_nettype none\nmodule a (input wire x);\nendmodule\n")
+    (tmp_path / "b.v").write_text("module b (input x, output wire y);\n assign y = x;\nendmodule\n")
+    (found,) = read([tmp_path / "a.v", tmp_path / "b.v"], top="b").modules
+    assert [problem.message[-14:] for problem in found.problems] == ["[Synth 8-6735]"]
+    (tmp_path / "a.v").write_text("`default_nettype none\nmodule a (input wire x);\nendmodule\n`default_nettype wire\n")
+    (found,) = read([tmp_path / "a.v", tmp_path / "b.v"], top="b").modules
+    assert found.problems == ()
+
+
 def test_module_with_registers_streams_and_an_interrupt_is_told_whole() -> None:
     (camera,) = extract([DATA / "camera_edge.v"], top="camera_edge", include_dirs=[DATA / "include"])
     found = [(i.name, i.protocol, i.mode, i.clock, i.reset, len(i.ports)) for i in camera.interfaces]

@@ -28,6 +28,14 @@ _HINTS = {
     "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include_dirs:, or -I)",
     "DiagCode(UnknownDirective)": ": define it (defines:, or -D), or give the file that does before this one",
 }
+# what synthesis stops at inside a module, with Vivado's number
+_SEMANTIC = {
+    "DiagCode(PortDoesNotExist)": "Synth 8-448",
+    "DiagCode(UndeclaredIdentifier)": "Synth 8-1031",
+    "DiagCode(ImplicitNetPortNoDefault)": "Synth 8-6735",
+}
+_COMMENTS = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+_NETTYPE = re.compile(r"`default_nettype\s+(\w+)")
 _FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePorts", "AllowInvalidTop")
 
 
@@ -80,11 +88,16 @@ class VerilogReader:
         self._trees: list[Tree] = []
         self._headers: list[Path] = []
         self._kept: list[Any] = []
+        self._untyped = False
 
     def parse(self, path: Path, text: str) -> Tree:
         """Parse one file and keep it for `read`."""
         # A file of macros among the sources counts for those after it, as in Vivado's compilation order.
         before = "".join(f'`include "{_utf8(header.resolve())}" ' for header in self._headers)
+        # so does a default_nettype that a file leaves behind
+        before += "`default_nettype none " if self._untyped else ""
+        kinds = _NETTYPE.findall(_COMMENTS.sub(" ", text))
+        self._untyped = kinds[-1] == "none" if kinds else self._untyped
         tree = self._parse(path, before + text)
         self._trees.append(tree)
         if not tree.modules and "`define" in text:
@@ -137,12 +150,42 @@ class VerilogReader:
             return []
         given = {name: expression(value) for name, value in (parameters or {}).items()}
         compilation = self._compile(wanted, given)
+        found = self._semantic(compilation, wanted) if len(wanted) == 1 else ()
         owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
         return [
-            read_instance(compilation, self._sources, instance, tree.path, tree.language, tree.errors, below, given)
+            read_instance(
+                compilation, self._sources, instance, tree.path, tree.language, (*tree.errors, *found), below, given
+            )
             for instance in compilation.getRoot().topInstances
             for tree, below in [owners[instance.name]]
         ]
+
+    def _below(self, names: Iterable[str]) -> list[Tree]:
+        """The files of these modules and of all that they instantiate, at any depth."""
+        owners = {name: (tree, below) for tree in reversed(self._trees) for name, below in tree.modules}
+        seen: dict[str, Tree] = {}
+        todo = list(names)
+        while todo:
+            name = todo.pop()
+            if name in owners and name not in seen:
+                seen[name], below = owners[name]
+                todo += below
+        return list(seen.values())
+
+    def _semantic(self, compilation: Any, wanted: Iterable[str]) -> tuple[Problem, ...]:
+        """What is wrong in the module and all below it that synthesis stops at, once for each place."""
+        problems: dict[Problem, None] = {}
+        names = {str(tree.path.resolve()): str(tree.path) for tree in self._below(wanted)}
+        for diagnostic in compilation.getSemanticDiagnostics():
+            number = _SEMANTIC.get(str(diagnostic.code))
+            if number is None:
+                continue
+            said = str(self._sources.getFileName(diagnostic.location)).partition(" as ")[0]
+            name = names.get(str(Path(said).resolve()))
+            if name is not None:  # of no module that is not used
+                line = self._sources.getLineNumber(diagnostic.location)
+                problems[Problem(f"{self._message(diagnostic)} [{number}]", name, line, breaks=True)] = None
+        return tuple(problems)
 
     def elaborate(self, name: str, parameters: Mapping[str, str]) -> Any:
         """slang's body of a module as a top, with `parameters` as expressions. Raises `HdlError`."""
