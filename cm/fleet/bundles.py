@@ -52,14 +52,15 @@ def part_key(place: str, sha256: str, part: str) -> str:
 def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callable[[], int]]:
     """Hand out the parts of an archive to who asks; gives a function that says how many bytes went out so far."""
     places = {part: number * bundle.part_length for number, part in enumerate(bundle.parts)}
-    handle = os.open(archive, os.O_RDONLY)
     sent = [0]
 
     def answer(query: Any) -> None:
         with query:
             part = str(query.key_expr).split("/")[-1]
             if part in places:
-                data = os.pread(handle, bundle.part_length, places[part])
+                with archive.open("rb") as file:
+                    file.seek(places[part])
+                    data = file.read(bundle.part_length)
                 sent[0] += len(data)
                 query.reply(str(query.key_expr), data)
 
@@ -68,7 +69,6 @@ def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callab
         yield lambda: sent[0]
     finally:
         queryable.undeclare()
-        os.close(handle)
 
 
 class Cache:
