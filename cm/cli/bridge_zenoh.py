@@ -78,7 +78,7 @@ def _options(args: argparse.Namespace) -> Options:
     from cm.fleet.network import endpoint
 
     listen = tuple(map(endpoint, args.listen))
-    network = network_of(args, listen=listen, mode="peer" if listen else "client", lease=args.lease, patient=True)
+    network = network_of(args, listen=listen, mode="peer" if listen else "client", lease=args.lease)
     for label in args.label:
         names.check(label, "label")
     return Options(

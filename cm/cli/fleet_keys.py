@@ -54,7 +54,7 @@ def run_router(args: argparse.Namespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: sys.exit(0))
     connect = tuple(map(endpoint, args.connect))
-    with session(Network("router", connect, listen, args.zenoh_config, patient=True)):
+    with session(Network("router", connect, listen, args.zenoh_config)):
         print("cm fleet router: ready", file=sys.stderr, flush=True)
         while True:
             signal.pause()

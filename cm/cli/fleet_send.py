@@ -59,12 +59,17 @@ def run_cache(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
     from cm.fleet import names
     from cm.fleet.bundles import Cache
-    from cm.fleet.network import session
+    from cm.fleet.network import awaited
 
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: over.set())
-    with session(network_of(args, patient=True)) as network:
+    network = awaited(
+        network_of(args), over, lambda text: print(f"cm fleet cache: {text}", file=sys.stderr, flush=True)
+    )
+    if network is None:
+        return 0
+    with network:
         cache = Cache(network, names.check(args.site, "site"), args.folder)
         print(f"cm fleet cache: ready for {args.site}", file=sys.stderr, flush=True)
         over.wait()

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import json
 import os
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,8 @@ from typing import Any
 from cm.errors import CmError, InvalidRequest
 
 PORT = 7447
+_TRY = 3000  # milliseconds of one try to reach a router
+_AGAIN = 1.0  # seconds between two
 
 
 class NoNetwork(CmError, ConnectionError):
@@ -29,7 +33,6 @@ class Network:
     listen: tuple[str, ...] = ()
     config: Path | None = None
     lease: float = 10.0  # seconds until a process that stopped answering is told to be gone
-    patient: bool = False  # wait for a router that is not there yet
 
 
 def endpoint(text: str) -> str:
@@ -70,6 +73,20 @@ def session(network: Network) -> Any:
         raise NoNetwork(f"{_where(network)}: {_said(error)}") from None
 
 
+def awaited(network: Network, over: threading.Event, say: Callable[[str], None]) -> Any:
+    """The same, tried until there is a router, which is said; None once it is over."""
+    said = ""
+    while not over.is_set():
+        try:
+            return session(network)
+        except NoNetwork as error:
+            if str(error) != said:
+                say(f"{error}; it is tried again")
+            said = str(error)
+            over.wait(_AGAIN)
+    return None
+
+
 def _where(network: Network) -> str:
     return ", ".join((*network.connect, *network.listen)) or str(network.config or "zenoh")
 
@@ -85,7 +102,8 @@ def _settings(network: Network) -> list[tuple[str, Any]]:
     if network.config is None:
         found += [("mode", network.mode), ("scouting/multicast/enabled", not network.connect and not network.listen)]
         found += [("transport/link/tx/lease", int(network.lease * 1000))]
-        found.append(("connect/timeout_ms", -1 if network.patient else 5000))
+        if network.mode == "client":
+            found.append(("connect/timeout_ms", _TRY))
     if network.connect:
         found.append(("connect/endpoints", list(network.connect)))
     if network.listen:

@@ -15,11 +15,12 @@ from collections.abc import Iterator
 
 import pytest
 import zenoh
-from fleet_support import FleetBoard, Router, fleet_of
+from fleet_support import FleetBoard, Router, fleet_of, free_port
 from manager_process import Manager, environment, until
 from web_support import chromium, page_of, web_server
 
 import cm.fleet
+from cm import child
 from cm.cli.main import main
 from cm.fleet.blocking import Fleet
 from cm.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
@@ -330,6 +331,19 @@ def test_a_router_that_is_killed_in_the_midst_of_it_ends_in_one_mode(
     until(lambda: set(fleet.boards()) == set(boards), 60.0)
     until(lambda: all(_is_free(status) for status in fleet.status().values()), 60.0)
     assert modes(boards) == wanted, (asked, fleet.status())
+
+
+def test_a_bridge_waits_for_its_router_and_ends_when_it_is_told_to(boards: Boards) -> None:
+    manager = boards["b1"].manager
+    nowhere = f"tcp/127.0.0.1:{free_port()}"
+    command = child.command(
+        "cm.cli.main", "bridge", "zenoh", "--runtime-dir", str(manager.runtime), "--router", nowhere
+    )
+    with subprocess.Popen(command, stderr=subprocess.PIPE, env=environment(), cwd="/") as bridge:
+        there, said = child.said_until(bridge, b"it is tried again", 60.0)
+        assert there, said
+        bridge.terminate()
+        assert bridge.wait(timeout=60) == 0
 
 
 # ---- the page -----------------------------------------------------------------------------

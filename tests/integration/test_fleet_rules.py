@@ -100,7 +100,7 @@ def test_without_a_certificate_of_the_fleet_nobody_connects(closed: Closed, tmp_
     other.create(("127.0.0.1",), port_of(closed), 30)
     other.add(Member("anna", "client", "operate"), 30)
     path = other.folder / "anna.json5"
-    path.write_text(path.read_text().replace('"timeout_ms": 5000', '"timeout_ms": 1000'))
+    path.write_text(path.read_text().replace('"timeout_ms": 3000', '"timeout_ms": 1000'))
     with pytest.raises(NoNetwork):
         cm.fleet.connect(config=path, timeout=1.0)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -27,7 +28,7 @@ from cm.fleet.bridge.queries import Queries
 from cm.fleet.bridge.reading import Reader
 from cm.fleet.bridge.records import Records
 from cm.fleet.change.desk import Desk
-from cm.fleet.network import Network, session
+from cm.fleet.network import Network, awaited
 from cm.messages.fleet import ClockSync
 from cm.messages.status import ErrorInfo
 from cm.wire import fleet as wire
@@ -68,7 +69,11 @@ class Bridge:
         relay = await self._reach()
         try:
             board = names.check(self.options.name or (await relay.ask(calls.status())).board, "board")
-            network = await asyncio.to_thread(session, self.options.network)
+            over = threading.Event()
+            try:
+                network = await asyncio.to_thread(awaited, self.options.network, over, _LOG.warning)
+            finally:
+                over.set()
             try:
                 await self._serve(board, relay, network)
             finally:

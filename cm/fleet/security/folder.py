@@ -124,7 +124,7 @@ def _member_settings(member: Member, identity: Identity, ca: bytes, endpoint: st
     return {
         "mode": "client",
         "metadata": {"name": member.name, "kind": member.kind},
-        "connect": {"endpoints": [endpoint], "timeout_ms": 5000 if member.kind == "client" else -1},
+        "connect": {"endpoints": [endpoint], "timeout_ms": 3000},
         "scouting": {"multicast": {"enabled": False}},
         "transport": {"link": {"tls": _tls("connect", identity, ca)}},
     }
