@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -72,4 +73,28 @@ def test_the_runs_are_reachable_cover_all_and_are_the_fewest(system: tuple[dict,
         if any(set().union(*chosen) >= wanted for chosen in itertools.combinations(listed, count))
     )
     assert len(found.runs) == fewest
+    assert found.exact
+
+
+@given(systems())
+@settings(max_examples=200, deadline=None)
+def test_where_states_are_too_many_to_list_the_runs_are_reachable_and_cover_all(system: tuple[dict, list]) -> None:
+    regions, modes = system
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("cm.build.plan.cover.MAX_STATES", 0)
+        found = cover(regions, modes, free=False, first=modes[0])
+    names = list(regions)
+    states = reachable(names, modes)
+    assert all(tuple(run.get(name) for name in names) in states for run in found.runs)
+    used = {(region, module) for mode in modes for region, module in mode.items()}
+    assert used <= {pair for run in found.runs for pair in run.items()}
+    assert modes[0].items() <= found.runs[0].items()
+    assert found.exact is (len(found.runs) <= found.bound)
+
+
+def test_eight_regions_of_four_modules_need_four_runs() -> None:
+    regions = {f"r{n}": [f"m{n}_{index}" for index in range(4)] for n in range(8)}
+    modes = [{region: module} for region, modules in regions.items() for module in modules]
+    found = cover(regions, modes, free=False, first=modes[0])  # 65536 states
+    assert len(found.runs) == 4
     assert found.exact

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 State = tuple[str | None, ...]  # module per region, in the order of the regions
 Pair = tuple[int, str]
 
-MAX_STATES = 4_000
-MAX_STEPS = 200_000
+MAX_STATES = 1_000
+MAX_STEPS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,14 +46,19 @@ def cover(
     bound = max((len(modules) for modules in regions.values()), default=0)
     if free:
         return Cover(_in_turn(regions, first), bound, exact=True)
-    names = list(regions)
-    states, complete = _reachable(names, list(modes))
+    names, listed = list(regions), list(modes)
     wanted = {(index, name) for index, region in enumerate(names) for name in regions[region]}
-    possible = {pair for state in states for pair in _pairs(state)} & wanted
-    chosen, searched = _fewest(possible, states, first, names)
+    possible = {(names.index(region), name) for mode in listed for region, name in mode.items()} & wanted
     left_out = sorted((names[index], module) for index, module in wanted - possible)
+    bound = max((sum(index == region for index, _ in possible) for region in range(len(names))), default=0)
+    chosen, exact = _in_sequence(names, listed, possible, first, bound)
+    states, complete = _reachable(names, listed)
+    if complete:
+        fewest, searched = _fewest(possible, _fullest(states), first, names, chosen)
+        if len(fewest) < len(chosen) or searched:
+            chosen, exact = fewest, searched
     runs = tuple(_as_mapping(names, state) for state in chosen)
-    return Cover(runs, bound, exact=complete and searched, left_out=tuple(left_out))
+    return Cover(runs, bound, exact=exact, left_out=tuple(left_out))
 
 
 def _in_turn(regions: Mapping[str, Sequence[str]], first: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
@@ -66,8 +71,35 @@ def _in_turn(regions: Mapping[str, Sequence[str]], first: Mapping[str, str]) -> 
     )
 
 
-def _reachable(names: list[str], modes: list[Mapping[str, str]]) -> tuple[list[State], bool]:
-    """States after any sequence of modes, fullest first; False where there are too many to list."""
+def _in_sequence(
+    names: list[str], modes: list[Mapping[str, str]], possible: set[Pair], first: Mapping[str, str], bound: int
+) -> tuple[list[State], bool]:
+    """States that hold all of `possible`, each built from its last mode back; True where they are as few as `bound`.
+
+    A mode that comes before others counts in the regions that those do not name, so that every state built
+    so is one that the system can be in, and none need be listed. The first run ends with the mode `first`.
+    """
+    left = set(possible)
+    chosen: list[State] = []
+    while left or not chosen:
+        state: dict[str, str] = {} if chosen else dict(first)
+        while len(state) < len(names):
+            added = [{r: m for r, m in mode.items() if r not in state and r in names} for mode in modes]
+            gains = [(sum((names.index(r), m) in left for r, m in new.items()), len(new)) for new in added]
+            best = max(range(len(modes)), key=lambda index: gains[index], default=None)
+            if best is None or not gains[best][1]:
+                break
+            state |= added[best]
+        as_state: State = tuple(state.get(name) for name in names)
+        if chosen and not _pairs(as_state) & left:
+            break
+        chosen.append(as_state)
+        left -= _pairs(as_state)
+    return chosen, len(chosen) <= bound
+
+
+def _reachable(names: list[str], modes: list[Mapping[str, str]]) -> tuple[dict[State, int], bool]:
+    """States after any sequence of modes, in the order of their finding; False where there are too many to list."""
     empty: State = (None,) * len(names)
     seen = {empty: 0}
     queue = [empty]
@@ -76,10 +108,10 @@ def _reachable(names: list[str], modes: list[Mapping[str, str]]) -> tuple[list[S
             after = tuple(mode.get(name, old) for name, old in zip(names, state, strict=True))
             if after not in seen:
                 if len(seen) >= MAX_STATES:
-                    return _fullest(seen), False
+                    return seen, False
                 seen[after] = len(seen)
                 queue.append(after)
-    return _fullest(seen), True
+    return seen, True
 
 
 def _fullest(seen: dict[State, int]) -> list[State]:
@@ -106,15 +138,15 @@ def _as_mapping(names: list[str], state: State) -> dict[str, str]:
 
 
 def _fewest(
-    possible: set[Pair], states: list[State], first: Mapping[str, str], names: list[str]
+    possible: set[Pair], states: list[State], first: Mapping[str, str], names: list[str], known: list[State]
 ) -> tuple[list[State], bool]:
     """The fewest states that hold all of `possible`; the one that fits `first` best comes first."""
     holders = {pair: [state for state in states if state[pair[0]] == pair[1]] for pair in possible}
     search = _Search(holders)
-    start = _greedy(possible, states)
+    start = min(_greedy(possible, states), known, key=len)
     found = search.run(possible, start)
     wanted = {(names.index(region), module) for region, module in first.items() if region in names}
-    found.sort(key=lambda state: (-len(_pairs(state) & wanted), states.index(state)))
+    found.sort(key=lambda state: (-len(_pairs(state) & wanted), states.index(state) if state in states else -1))
     return found, search.complete
 
 
