@@ -232,14 +232,14 @@ def isolate(tools: Tools, regions: Iterable[Region], sealed: Collection[str]) ->
     for region in [] if tools.state.board.static_lost else regions:
         if tools.state.board.region(region.name).phase is RegionPhase.READY:
             continue
-        event = RegionEvent.ABANDON
+        event = RegionEvent.ISOLATE
         try:
             if region.decoupler:
                 drive(tools.registers, region.decoupler, cut=True)
         except (CmError, OSError) as error:
             problems.append(f"{region.name} could not be decoupled: {error}")
             there = region.name in sealed or tools.state.board.region(region.name).phase is RegionPhase.FAILED
-            event = RegionEvent.ABANDON if there else RegionEvent.LOSE
+            event = RegionEvent.ISOLATE if there else RegionEvent.LOSE
         _after(tools, region.name, event)
     return problems
 

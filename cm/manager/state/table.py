@@ -33,7 +33,7 @@ class RegionEvent(str, Enum):
     LOAD_DONE = "load_done"
     LOAD_FAILED = "load_failed"
     RECOUPLE = "recouple"
-    ABANDON = "abandon"
+    ISOLATE = "isolate"
     LOSE = "lose"
 
 
@@ -51,11 +51,11 @@ TRANSITIONS: Mapping[tuple[RegionPhase, RegionEvent], RegionPhase] = MappingProx
         (_P.LOADING, _E.LOAD_FAILED): _P.DECOUPLED,
         (_P.LOADED, _E.RECOUPLE): _P.READY,
         (_P.DECOUPLED, _E.RECOUPLE): _P.READY,
-        (_P.DECOUPLED, _E.ABANDON): _P.FAILED,
-        (_P.LOADED, _E.ABANDON): _P.FAILED,
-        (_P.LOADING, _E.ABANDON): _P.FAILED,
-        (_P.FAILED, _E.ABANDON): _P.FAILED,
-        (_P.UNKNOWN, _E.ABANDON): _P.FAILED,
+        (_P.DECOUPLED, _E.ISOLATE): _P.FAILED,
+        (_P.LOADED, _E.ISOLATE): _P.FAILED,
+        (_P.LOADING, _E.ISOLATE): _P.FAILED,
+        (_P.FAILED, _E.ISOLATE): _P.FAILED,
+        (_P.UNKNOWN, _E.ISOLATE): _P.FAILED,
         (_P.UNKNOWN, _E.LOSE): _P.UNKNOWN,
         (_P.READY, _E.LOSE): _P.UNKNOWN,
         (_P.DECOUPLED, _E.LOSE): _P.UNKNOWN,
@@ -87,8 +87,8 @@ class RegionState:
         phase = TRANSITIONS.get((self.phase, event))
         if phase is None:
             raise IllegalTransition(f"region in phase {self.phase.value} cannot {event.value}")
-        abandoned = self.phase is RegionPhase.FAILED and phase is not RegionPhase.FAILED
-        if abandoned or event in (RegionEvent.LOAD, RegionEvent.LOAD_FAILED, RegionEvent.LOSE):
+        recovers = self.phase is RegionPhase.FAILED and phase is not RegionPhase.FAILED
+        if recovers or event in (RegionEvent.LOAD, RegionEvent.LOAD_FAILED, RegionEvent.LOSE):
             return RegionState(phase)
         return replace(self, phase=phase)
 
