@@ -201,6 +201,32 @@ def test_check_shows_the_bus_of_records(tmp_path: Path, capsys: pytest.CaptureFi
     assert "module one (cm_flat_one, vhdl)\n  s_axi: axi4lite slave, 32 bits\n" in capsys.readouterr().out
 
 
+@needs("ghdl")
+def test_a_top_in_a_library_of_its_own_is_reached_through_a_wrapper(tmp_path: Path) -> None:
+    pytest.importorskip("tree_sitter_vhdl", reason="needs tree-sitter-vhdl: the extra [build] is not installed")
+    vector = "std_logic_vector(31 downto 0)"
+    ports = f"aclk, aresetn, s_axis_tvalid, s_axis_tlast, m_axis_tready : in bit_t; s_axis_tdata : in {vector}; "
+    ports += f"s_axis_tready, m_axis_tvalid, m_axis_tlast : out bit_t; m_axis_tdata : out {vector}"
+    text = "library ieee; use ieee.std_logic_1164.all;\npackage kinds is subtype bit_t is std_ulogic; end package;\n"
+    text += "library ieee; use ieee.std_logic_1164.all; use work.kinds.all;\n"
+    text += (
+        f"entity one is port ({ports}); end entity;\narchitecture a of one is begin\n  m_axis_tdata <= s_axis_tdata;\n"
+    )
+    text += "  m_axis_tvalid <= s_axis_tvalid; m_axis_tlast <= s_axis_tlast; s_axis_tready <= m_axis_tready;\n"
+    text += "end architecture;\n"
+    (tmp_path / "one.vhd").write_text(text)
+    path = project(tmp_path, MINIMAL.replace("sources: [one.v]", "libraries: {filters: [one.vhd]}"))
+    out = written(path)
+    flat = out / "wrappers/one/cm_flat_one.vhd"
+    assert "inner : entity filters.one" in flat.read_text()
+    assert "cm_flat_one inner (" in (out / "wrappers/one/cm_region_prr0.v").read_text()
+    for library, file in (("filters", tmp_path / "one.vhd"), ("work", flat)):
+        command = ["ghdl", "-a", "--std=08", f"--work={library}", str(file)]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stderr) == (0, "")
+    assert subprocess.run(["ghdl", "-e", "--std=08", "cm_flat_one"], cwd=tmp_path, check=False).returncode == 0
+
+
 def test_a_record_with_what_is_no_vector_says_which_field(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     package = PACKAGE.replace("data : word_t; strb", "data : integer; strb")
     assert main(["build", "check", str(of_records(tmp_path, package))]) == 1

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from cm.build import hdl
 from cm.build.boundary import boundary
@@ -15,10 +16,10 @@ from cm.build.hdl import UserProtocol
 from cm.build.hdl.flat import Flat, Wanted, needs_wrapper
 from cm.build.hdl.flatten import flatten
 from cm.build.hdl.hls import hls_registers, load_hls
-from cm.build.hdl.model import ModuleInfo, Problem
+from cm.build.hdl.model import Language, ModuleInfo, Problem
 from cm.build.hdl.register_maps import read_register_map
 from cm.build.hdl.vhdl_units import missing_units
-from cm.build.project.model import ModuleSpec, Project
+from cm.build.project.model import ModuleSpec, Project, in_libraries
 from cm.build.project.where import fault
 
 _SUBJECT = re.compile(r"(?:port )?(\w+)(?:\.(\w+))?")
@@ -106,11 +107,18 @@ def analyse(project: Project) -> Analysis:
             modules[spec.name], differences[spec.name] = _module(spec, protocols)
         except hdl.HdlError as error:
             raise fault(project.source, ("modules", spec.name, *_key(spec, error)), str(error)) from None
-        if needs_wrapper(modules[spec.name]) and spec.readable:
-            modules[spec.name], wrapper = flatten(modules[spec.name], _wanted(spec), protocols)
+        found = modules[spec.name]
+        if spec.readable and (needs_wrapper(found) or _elsewhere(spec, found)):
+            wrapped, wrapper = flatten(found, _wanted(spec), protocols)
             flat |= {spec.name: wrapper} if wrapper else {}
+            modules[spec.name] = wrapped if wrapper or needs_wrapper(found) else found
     boundaries = {name: _boundary(project, name, modules) for name in project.regions}
     return Analysis(modules, boundaries, differences, flat)
+
+
+def _elsewhere(spec: ModuleSpec, info: ModuleInfo) -> bool:
+    """The top is VHDL of a library of its own, where the Verilog round it would not look for it."""
+    return info.language is Language.VHDL and Path(info.file) in in_libraries(spec.libraries)
 
 
 def _wanted(spec: ModuleSpec) -> Wanted:
