@@ -54,12 +54,17 @@ def test_a_new_key_counts_after_a_reload(board: Board, laptop: Path) -> None:
     assert board.unit("MainPID") == before
 
 
-def test_members_of_the_group_have_the_roles_that_the_settings_give_them(board: Board) -> None:
-    board.do("usermod -aG fpga carol; echo 'access: {users: {carol: observe}}' >>/etc/cm/cm.yaml; systemctl reload cm")
+def test_two_members_of_the_group_have_different_roles_and_a_third_has_none(board: Board) -> None:
+    access = "access: {local: [], users: {alice: operate, carol: observe}}"
+    join = "for user in bob carol; do gpasswd -a $user fpga; done"
+    board.do(f"{join}; echo '{access}' >>/etc/cm/cm.yaml; systemctl reload cm")
     try:
         assert "camera" in board.do("cm configs", "carol")
         refused = board.run("cm load camera colorise", "carol")
         assert (refused.status, "operate" in refused.err) == (1, True), refused.said
+        nobody = board.run("cm configs", "bob")
+        assert (nobody.status, "gives this user no role" in nobody.err) == (1, True), nobody.said
         board.do("cm load camera colorise", "alice")
     finally:
-        board.do("gpasswd -d carol fpga; sed -i '/^access:/d' /etc/cm/cm.yaml; systemctl reload cm")
+        leave = "for user in bob carol; do gpasswd -d $user fpga; done"
+        board.do(f"{leave}; sed -i '/^access:/d' /etc/cm/cm.yaml; systemctl reload cm")
