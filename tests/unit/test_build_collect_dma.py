@@ -77,6 +77,15 @@ def test_engines_have_addresses_interrupts_widths_and_clocks() -> None:
     ]
 
 
+@pytest.mark.parametrize(("built", "flushes"), [("1", True), ("0", False)])
+def test_a_vdma_that_flushes_at_frames_of_another_size_is_told_to_the_driver(built: str, *, flushes: bool) -> None:
+    text = design(*BOTH).decode("utf-8-sig")
+    stores = '<PARAMETER NAME="C_NUM_FSTORES" VALUE="5"/>'
+    assert stores in text
+    text = text.replace(stores, f'{stores}<PARAMETER NAME="C_FLUSH_ON_FSYNC" VALUE="{built}"/>')
+    assert engines(handoff.parse(text.encode()), ZYNQ7000).found[1].flushes is flushes
+
+
 def test_the_second_interrupt_pin_of_zynqmp_counts_from_its_own_number() -> None:
     pins = port("pl_ps_irq0", "I", BOTH[0], kind="INTERRUPT") + port("pl_ps_irq1", "I", BOTH[1], kind="INTERRUPT")
     found = engines(handoff.parse(design(*BOTH, processor="zynq_ultra_ps_e", pins=pins)), ZYNQMP)

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import subprocess
+import sys
+import sysconfig
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -90,6 +92,33 @@ def test_every_stream_of_the_runtime_schema_has_a_channel_and_a_line(design: tup
     assert [finding for finding in check_system(system) if finding.error] == []
 
 
+def merged(design: tuple[Design, Path], folder: Path) -> Path:
+    """The board's tree with the static part's overlay in it."""
+    system, out = design[0].system, design[1]
+    board = "zynq-7000" if system.platform.name == "zynq7000" else "kv260"
+    flat = ["cpp", "-nostdinc", "-undef", "-D__DTS__", "-x", "assembler-with-cpp", "-I", str(DTS / "boards"), "-P"]
+    subprocess.run([*flat, str(DTS / "boards" / f"{board}.dts"), str(folder / "board.dts")], check=True)
+    compile_tree(folder / "board.dts", folder / "base.dtb", "-Wno-unit_address_vs_reg")
+    compile_tree(out / f"dts/{system.project.name}_static.dtso", folder / "static.dtbo", *QUIET)
+    return apply(folder / "base.dtb", folder / "static.dtbo")
+
+
+@needs("dtc")
+@needs("fdtoverlay")
+@needs("cpp")
+def test_the_tree_is_what_the_bindings_allow(design: tuple[Design, Path], tmp_path: Path) -> None:
+    tool = Path(sysconfig.get_path("scripts")) / "dt-validate"
+    if not tool.exists():
+        pytest.skip("needs the PyPI package dtschema")
+    tree = merged(design, tmp_path)
+    whole = tree.with_suffix(".merged.dtb")
+    tree.rename(whole)
+    command = [sys.executable, str(tool), "-s", str(DTS / "bindings"), str(whole)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert not [line for line in (done.stdout + done.stderr).splitlines() if str(whole) in line]
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
 @needs("dtc")
 @needs("fdtoverlay")
 @needs("cpp")
@@ -97,13 +126,8 @@ def test_the_overlay_names_each_channel_as_the_kernels_driver_counts_them(
     design: tuple[Design, Path], tmp_path: Path
 ) -> None:
     """xilinx_dma: MM2S from 0; S2MM from 1 of an AXI DMA and VDMA, from 16 of an MCDMA; an interrupt each."""
-    system, out = design[0].system, design[1]
-    board = "zynq-7000" if system.platform.name == "zynq7000" else "kv260"
-    flat = ["cpp", "-nostdinc", "-undef", "-D__DTS__", "-x", "assembler-with-cpp", "-I", str(DTS / "boards"), "-P"]
-    subprocess.run([*flat, str(DTS / "boards" / f"{board}.dts"), str(tmp_path / "board.dts")], check=True)
-    compile_tree(tmp_path / "board.dts", tmp_path / "base.dtb", "-Wno-unit_address_vs_reg")
-    compile_tree(out / f"dts/{system.project.name}_static.dtso", tmp_path / "static.dtbo", *QUIET)
-    tree = apply(tmp_path / "base.dtb", tmp_path / "static.dtbo")
+    system = design[0].system
+    tree = merged(design, tmp_path)
     nodes = sorted(node for node in fdtget(tree, "-l", "/") if node.startswith("cm-streams"))
     names = [name for node in nodes for name in fdtget(tree, f"/{node}", "dma-names")]
     numbers = [int(word) for node in nodes for word in fdtget(tree, f"/{node}", "dmas")[1::2]]
@@ -119,6 +143,8 @@ def test_the_overlay_names_each_channel_as_the_kernels_driver_counts_them(
             children[kind.split("-")[-2]] = [int(spi) for spi in fdtget(tree, f"{node}/{child}", "interrupts")[1::3]]
         lines = {way.value: [system.platform.spi(dma.line) for dma in engine.of(way)] for way in engine.directions}
         assert children == lines
+        if engine.kind is EngineKind.VDMA:  # else a frame of another size ends the channel
+            assert fdtget(tree, node, "xlnx,flush-fsync") == ["1"]
 
 
 def test_channels_that_share_lines_are_noted(tmp_path: Path) -> None:

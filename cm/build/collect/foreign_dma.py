@@ -63,6 +63,7 @@ class Engine:
     address_bits: int
     length_bits: int
     frames: int  # frame stores of a VDMA
+    flushes: bool  # it survives a frame of another size
     clocks: tuple[ClockInput, ...]
     channels: tuple[Channel, ...]
 
@@ -184,6 +185,7 @@ def _engine(
         address_bits=_integer(module, "C_ADDR_WIDTH", 32),
         length_bits=min(_integer(module, "C_SG_LENGTH_WIDTH", _LENGTH_BITS), 26),
         frames=_integer(module, "C_NUM_FSTORES", 3),
+        flushes=(module.parameters.get("C_FLUSH_ON_FSYNC") or module.parameters.get("c_flush_on_fsync", "1")) != "0",
         clocks=tuple(_clocks(module, design)),
         channels=channels,
     )

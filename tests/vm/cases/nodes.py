@@ -19,6 +19,8 @@ DRIVERS = {
     "fpga-cm,decoupler": "cm_decoupler",
     "fpga-cm,icap-loader": "cm_icap",
     "xlnx,axi-dma-1.00.a": "xilinx-vdma",
+    "xlnx,axi-mcdma-1.00.a": "xilinx-vdma",
+    "xlnx,axi-vdma-1.00.a": "xilinx-vdma",
     "fpga-region": "of-fpga-region",
 }
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Engines that streams share, as `cm build generate` made them, under the kernel's own driver.
 
-Nine looped regions: four on one MCDMA, five with both channels of an AXI DMA, and interrupts of several channels on
-one line, which nothing but the driver tells apart.
+Nine looped regions: four on one MCDMA, five with both channels of an AXI DMA; one that makes video, behind a VDMA; and
+interrupts of several channels on one line, which nothing but the driver tells apart.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ def lines(made: Design) -> list[tuple[int, ...]]:
 
 def test_every_stream_is_a_channel_of_its_own(made: Design, applied: device.Overlays) -> None:
     names = {f"{way}_{region}" for region in REGIONS for way in ("to", "from")}
-    assert set(device.list_dma()) == names
+    assert set(device.list_dma()) == {*names, "video"}
     for name in names:
         with device.AxiDma.open(name) as channel:
-            assert channel.info.direction.value == ("mm2s" if name.startswith("to") else "s2mm")
+            assert channel.info.direction.name == ("MM2S" if name.startswith("to") else "S2MM")
 
 
 def test_several_channels_share_a_line(made: Design, applied: device.Overlays) -> None:
@@ -90,6 +90,24 @@ def test_frames_of_all_regions_at_once_come_back_on_their_own_channels(made: Des
     finally:
         for opened in (*rooms.values(), *data.values(), *senders.values(), *receivers.values()):
             opened.close()
+
+
+def test_frames_of_a_region_behind_a_vdma_are_those_that_the_schema_names(
+    made: Design, applied: device.Overlays
+) -> None:
+    """One after another as its camera gives them: each begins with its number, and counts up."""
+    rows, columns = made.config["streams"]["video"]["shape"]
+    with device.AxiDma.open("video") as channel, channel.allocate(rows * columns) as room:
+        assert device.DmaCaps.VIDEO in channel.info.caps
+        before = -1
+        for cookie in range(3):
+            channel.submit_video(room, rows, columns, columns, cookie=cookie)
+            done = channel.wait(PATIENCE)
+            assert (done.cookie, done.status, done.length) == (cookie, 0, rows * columns)
+            got = room.array(0, rows * columns).view("<u4")
+            assert int(got[0]) > before
+            assert np.array_equal(got, np.arange(got[0], got[0] + got.size, dtype="<u4"))
+            before = int(got[0])
 
 
 def test_closing_a_channel_leaves_those_that_share_its_engine_what_they_wait_for(

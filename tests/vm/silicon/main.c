@@ -61,7 +61,8 @@ static void read_line(struct device_node *node, struct axi_channel *channel, con
 static int read_engine(struct device_node *node, struct axi_engine *engine)
 {
 	u32 address, bits = 26, lines[2] = {};
-	int ret;
+	char name[16];
+	int ret, i;
 
 	ret = of_property_read_u32(node, "reg", &address);
 	if (!ret)
@@ -80,6 +81,13 @@ static int read_engine(struct device_node *node, struct axi_engine *engine)
 	engine->channels[1].there = !of_property_read_bool(node, "fpga-cm,no-s2mm");
 	read_line(node, &engine->channels[0], "mm2s", lines[0]);
 	read_line(node, &engine->channels[1], "s2mm", lines[1]);
+	for (i = 0; i < 2 * AXI_MC_CHANNELS && engine->mcdma; i++) {
+		int way = i / AXI_MC_CHANNELS, number = i % AXI_MC_CHANNELS;
+
+		/* as the core's pins are called */
+		snprintf(name, sizeof(name), "%s_ch%d", way ? "s2mm" : "mm2s", number + 1);
+		read_line(node, &engine->mc[way][number], name, lines[way] + number);
+	}
 	return read_pl(node, engine);
 }
 
@@ -124,7 +132,6 @@ static int engine_start(struct device *dev, struct axi_engine *engine, struct ir
 		struct axi_channel *channel = &engine->mc[i / AXI_MC_CHANNELS][i % AXI_MC_CHANNELS];
 
 		channel->engine = engine;
-		channel->irq = engine->channels[i / AXI_MC_CHANNELS].irq + i % AXI_MC_CHANNELS;
 	}
 	if (engine->mcdma)
 		axi_mcdma_reset(engine);

@@ -18,6 +18,7 @@ from .shell import require, run
 from .software import REPOSITORY
 
 EXAMPLE = REPOSITORY / "cm/data/examples/camera"
+LOOP = REPOSITORY / "tests/rtl/loop"
 FRAME = 480 * 640
 INTERVAL_US = 100_000
 STATUS, IDENTITY = 0x14, 0x10C  # of cm_control.v
@@ -26,12 +27,13 @@ PARTS = {"zynq7000": (0x03727093, "intc"), "zynqmp": (0x04A49093, "gic")}  # XC7
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A shipped example for a board."""
+    """A shipped example, or another one, for a board."""
 
     name: str
     platform: str
     base: int  # of its control registers
     change: Callable[[dict[str, Any]], None]  # of its build schema
+    example: Path = EXAMPLE
 
 
 def _as_shipped(schema: dict[str, Any]) -> None:
@@ -54,10 +56,34 @@ def _coherent(schema: dict[str, Any]) -> None:
     schema["static"] = {"coherent": True}
 
 
+def _shared(schema: dict[str, Any]) -> None:
+    """Nine loops: four on an MCDMA, five with both channels of an engine; a VDMA; and more channels than lines."""
+    names = [f"r{number}" for number in range(9)]
+    schema["project"] = {"name": "shared", "board": "kv260"}
+    schema["clocks"] = {"fclk0": {"rate": 100_000_000}}
+    schema["regions"] = {
+        name: {
+            "interfaces": {
+                pin: {"stream": f"{way}_{name}", "engine": "all" if number < 4 else f"loop{number}"}
+                for pin, way in (("s_axis", "to"), ("m_axis", "from"))
+            }
+        }
+        for number, name in enumerate(names)
+    }
+    schema["regions"]["video"] = {"interfaces": {"m_axis": {"stream": "video", "connect": "vdma", "shape": [480, 640]}}}
+    schema["modules"] = {
+        "loop": {"regions": names, "sources": ["hdl/loop.v"]},
+        "frames": {"regions": ["video"], "sources": ["hdl/frames.v"]},
+    }
+    schema["modes"] = {"all": {"modules": {**dict.fromkeys(names, "loop"), "video": "frames"}}}
+    schema["default_mode"] = "all"
+
+
 DESIGNS = (
     Design("camera-pynq-z2", "zynq7000", 0x40000000, _as_shipped),
     Design("camera-kv260", "zynqmp", 0xA0000000, _on_kv260),
     Design("camera-kv260-coherent", "zynqmp", 0xA0000000, _coherent),
+    Design("shared-kv260", "zynqmp", 0xA0000000, _shared, LOOP),
 )
 
 
@@ -75,7 +101,7 @@ DTS_PL = hardware.Pl(FRAME, INTERVAL_US, idcode=0, status=0xA0030110, identity=0
 
 def folder(cache: Cache) -> Path:
     """A folder with one for each design: its runtime schema, its overlays, and its hardware for the model."""
-    inputs = [REPOSITORY / "cm", Path(__file__), Path(hardware.__file__)]
+    inputs = [REPOSITORY / "cm", LOOP, Path(__file__), Path(hardware.__file__)]
     return cache.entry("designs", inputs, _build)
 
 
@@ -83,7 +109,7 @@ def _build(place: Path) -> None:
     require("dtc")
     for design in DESIGNS:
         source = place / f"{design.name}-source"
-        shutil.copytree(EXAMPLE, source)
+        shutil.copytree(design.example, source)
         schema = yaml.safe_load((source / "build.yaml").read_text())
         design.change(schema)
         (source / "build.yaml").write_text(yaml.safe_dump(schema))
@@ -109,9 +135,9 @@ def _dtc(source: Path, target: Path) -> None:
 
 def _compile(design: Design, built: Path, target: Path) -> None:
     target.mkdir()
-    for found in source_files(built / "config"):
-        shutil.copy2(found, target)
-    found = hardware.engines((built / "tcl/block_design.tcl").read_text())
+    for source in source_files(built / "config"):
+        shutil.copy2(source, target)
+    found = hardware.engines((built / "tcl/block_design.tcl").read_text(), (built / "hdl/cm_static.v").read_text())
     idcode, controller = PARTS[design.platform]
     pl = hardware.Pl(FRAME, INTERVAL_US, idcode, design.base + STATUS, design.base + IDENTITY)
     (target / "hardware.dtso").write_text(hardware.overlay(found, pl, design.platform, controller))

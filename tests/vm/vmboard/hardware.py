@@ -15,12 +15,13 @@ FIRST_SPI = {"zynq7000": (29, 52), "zynqmp": (89, 104)}
 
 @dataclass(frozen=True, slots=True)
 class Engine:
-    """One AXI DMA as it was built."""
+    """One AXI DMA, MCDMA or VDMA as it was built."""
 
     name: str
     settings: dict[str, int]  # CONFIG.*
     address: int
-    lines: dict[str, tuple[int, int]]  # mm2s, s2mm → group and input
+    lines: dict[str, tuple[int, int]]  # mm2s, s2mm, mm2s_ch1 … → group and input
+    ip: str = "axi_dma"
 
     @property
     def sends(self) -> bool:
@@ -44,25 +45,42 @@ class Pl:
     identity: int  # address of the region's identity register
 
 
-def engines(tcl: str) -> list[Engine]:
-    """The AXI DMA cells of a block design's Tcl."""
+def engines(tcl: str, static: str = "") -> list[Engine]:
+    """The DMA engines of a block design's Tcl; `static` is the static part's Verilog, which joins lines."""
     addresses = {
         name: int(base, 16) for base, name in re.findall(r"-offset (\S+) .*get_bd_addr_segs (\w+)/S_AXI_LITE/Reg", tcl)
     }
     return [
-        Engine(name, _settings(tcl, name), addresses[name], _lines(tcl, name))
-        for name in re.findall(r"cm_ip axi_dma (\w+)\]", tcl)
+        Engine(name, _settings(tcl, name), addresses[name], _lines(tcl, static, name), ip)
+        for ip, name in re.findall(r"cm_ip (axi_(?:|mc|v)dma) (\w+)\]", tcl)
     ]
 
 
 def _settings(tcl: str, cell: str) -> dict[str, int]:
-    after = tcl.split(f"cm_ip axi_dma {cell}]", 1)[1].split("cm_ip", 1)[0]
+    after = re.split(rf"cm_ip \w+ {cell}\]", tcl, maxsplit=1)[1].split("cm_ip", 1)[0]
     return {name: int(value) for name, value in re.findall(r"CONFIG\.(c_\w+) \{(\d+)\} \$dma", after)}
 
 
-def _lines(tcl: str, cell: str) -> dict[str, tuple[int, int]]:
-    found = re.findall(rf"get_bd_pins {cell}/(\w+)_introut\] \[get_bd_pins interrupt_lines_(\d)/In(\d)\]", tcl)
-    return {channel: (int(group), int(line)) for channel, group, line in found}
+def _lines(tcl: str, static: str, cell: str) -> dict[str, tuple[int, int]]:
+    """Where each interrupt ends: at an input of a bundle, or joined with others in the static part."""
+    inputs = dict(re.findall(r"get_bd_p\w+ (\S+)\] \[get_bd_pins interrupt_lines_(\d/In\d+)\]", tcl))
+    joined = {
+        port: line
+        for line, ports in re.findall(r"assign (irq_line_\d+) = ([^;]*);", static)
+        for port in ports.split(" | ")
+    }
+    found = {}
+    for channel, port in re.findall(rf"get_bd_pins {cell}/(\w+)_introut\] \[get_bd_ports (\w+)\]", tcl):
+        found[channel] = inputs[joined[port]]
+    for pin, bundle in inputs.items():
+        if pin.startswith(f"{cell}/"):
+            found[pin.removeprefix(f"{cell}/").removesuffix("_introut")] = bundle
+    return {channel: _input(bundle) for channel, bundle in found.items()}
+
+
+def _input(bundle: str) -> tuple[int, int]:
+    group, _, number = bundle.partition("/In")
+    return int(group), int(number)
 
 
 def overlay(found: list[Engine], pl: Pl, platform: str, controller: str) -> str:
@@ -90,8 +108,9 @@ def _node(engine: Engine, pl: Pl, first: tuple[int, int], controller: str) -> st
         f"engine@{engine.address:x} {{",
         f"reg = <{engine.address:#x}>;",
         f'label = "{engine.name.removeprefix("dma_")}";',
-        f"fpga-cm,length-width = <{engine.settings['c_sg_length_width']}>;",
-        *(["fpga-cm,sg;"] if engine.settings["c_include_sg"] else []),
+        *(f"fpga-cm,length-width = <{width}>;" for width in [engine.settings.get("c_sg_length_width")] if width),
+        *(["fpga-cm,sg;"] if engine.settings.get("c_include_sg") else []),
+        *([] if engine.ip == "axi_dma" else [f"fpga-cm,{engine.ip.removeprefix('axi_')};"]),
         *([] if engine.sends else ["fpga-cm,no-mm2s;"]),
         *([] if engine.receives else ["fpga-cm,no-s2mm;"]),
         f"interrupts-extended = {interrupts};",

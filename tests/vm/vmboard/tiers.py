@@ -50,7 +50,7 @@ FULL = (*BASIC, "overlay", "fpga", "uio_genirq", "kunit")
 SANITIZERS = ("kasan", "lockdep", "dma_debug")
 CUSTOM = ("custom.config",)
 SANITIZE = (*CUSTOM, "sanitize.config")
-SILICON_CASES = ("silicon", "generated", "overlays", "board", "manager")
+SILICON_CASES = ("silicon", "generated", "shared", "overlays", "board", "manager")
 SILICON = Tier(
     "silicon",
     ARM64,
@@ -66,7 +66,7 @@ SILICON = Tier(
     designs="camera-kv260+camera-kv260-coherent",
     cases=(*(f"vm/cases/test_{name}.py" for name in SILICON_CASES), "device"),
 )
-ENGINES = ("vm/cases/test_silicon.py", "vm/cases/test_generated.py", "device")
+ENGINES = (*(f"vm/cases/test_{name}.py" for name in ("silicon", "generated", "shared")), "device")
 ZYNQ = Tier(
     "zynq",
     ARMHF,
