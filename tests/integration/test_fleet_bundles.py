@@ -21,6 +21,7 @@ from cm.fleet.bundles import Cache, PartMissing, Parts, described, fetched, offe
 from cm.fleet.network import Network, session
 from cm.messages.fleet import BundleState
 from cm.messages.status import ErrorInfo
+from cm.wire import cm_pb2 as pb
 
 EDGE = random.Random(1).randbytes(150_000)
 SCHEMA = f"""
@@ -127,3 +128,39 @@ def test_boards_put_an_archive_in_force_as_their_policy_lets_them(
         assert refused.code == "forbidden"
         assert main(["fleet", "push", str(packed), "b1", "--as", "anna", "--router", router.endpoint]) == 0
         assert "vision" in capsys.readouterr().out
+
+
+MINI = """
+config:
+  name: mini
+  modules:
+    edge: {bitstream: edge.bit, region: prr0}
+  regions: {prr0: {decoupler: {base_address: 0x1000, offset: 0x0, bit: 0}}}
+  modes:
+    contours: {modules: [edge]}
+"""
+
+
+def test_a_configuration_is_sent_in_parts_by_any_client_and_loaded(router: Router) -> None:
+    """With zenoh and the messages of cm.proto alone."""
+    way = ("--router", router.endpoint)
+    with fleet_board("b3", way, guests='{"zenoh:anna": provision}') as board, joined(router) as plain:
+
+        def done(verb: str, message: Any, data: bytes | None = None) -> Any:
+            sent = message.SerializeToString()
+            beside = {} if data is None else {"attachment": sent}
+            (reply,) = plain.get(f"cm/b3/do/{verb}/anna", payload=sent if data is None else data, timeout=60, **beside)
+            found = pb.Reply.FromString(bytes(reply.ok.payload))
+            assert found.ok, found.error
+            return found
+
+        bitstream = next(board.sim.root.rglob("edge.bit")).read_bytes()
+        for offset in range(0, len(bitstream), 100_000):
+            part = bitstream[offset : offset + 100_000]
+            upload = pb.Upload(id="edge", length=len(bitstream), offset=offset)
+            assert done("upload", upload, part).upload.offset == offset + len(part)
+        sha256 = hashlib.sha256(bitstream).hexdigest()
+        file = pb.File(name="edge.bit", length=len(bitstream), sha256=sha256, upload="edge")
+        done("provision", pb.WriteConfig(schema=MINI, files=[file], provision_only=True))
+        done("mode", pb.WriteConfig(config_name="mini", mode="contours"))
+        assert board.place == ("mini", "contours")
