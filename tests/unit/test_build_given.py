@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 from build_support import MINIMAL, STREAM_MODULE, needs, project
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from test_build_sources import XCI
 from test_build_tcl import TCL, replay, scripts
 
@@ -17,6 +20,7 @@ from cm.build.errors import BuildError
 from cm.build.generate.tree import generate, load_design, output_folder
 from cm.build.hdl.errors import HdlError
 from cm.build.hdl.hls import hls_registers, load_hls
+from cm.build.hdl.ipxact_files import component_files
 from cm.build.project.fusesoc import core_files, names
 from cm.build.project.model import HlsSpec
 from cm.cli.main import main
@@ -115,6 +119,25 @@ def test_what_is_no_core_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.core").write_text("CAPI=2:\nname: a\n")
     with pytest.raises(BuildError, match="no target default; there are: none"):
         core_files(tmp_path / "a.core")
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("filesets: [rtl]", "filesets: 3"),
+        ("filesets: [rtl]", "filesets: [[rtl]]"),
+        ("targets:\n", "targets: [default]\nmore:\n"),
+        ("files: [filter.xdc: {file_type: xdc}]", "files: {a: 1}"),
+        ("HIGH: {datatype: int, default: 15, paramtype: vlogparam}", "HIGH: 4"),
+        ("file_type: verilogSource\n    depend", "file_type: [x]\n    depend"),
+    ],
+)
+def test_a_core_of_another_shape_is_refused_or_read(tmp_path: Path, old: str, new: str) -> None:
+    core = cores(tmp_path)
+    assert old in CORE
+    core.write_text(CORE.replace(old, new))
+    with contextlib.suppress(BuildError):
+        core_files(core, roots=[tmp_path])
 
 
 def begun(folder: Path, *words: str) -> dict[str, dict[str, object]]:
@@ -335,3 +358,36 @@ def test_the_flow_runs_vitis_hls_and_makes_an_instance_of_what_it_exports(
     assert status == 0, said
     created = "create_ip -vendor xilinx.com -library hls -name copy -version 1.0 -module_name copy -dir hls/copy_ip"
     assert created in calls
+
+
+def damaged(text: str) -> st.SearchStrategy[str]:
+    """`text` with a piece cut out, doubled, or put in."""
+    place = st.integers(0, len(text))
+    noise = st.text(alphabet='(){}<>[];:,*&"#/\\? \nabc019=', max_size=12)
+    return st.builds(lambda a, b, n: text[: min(a, b)] + n + text[max(a, b) :] * (1 + len(n) % 2), place, place, noise)
+
+
+@given(damaged(AXIS.replace('#include "sizes.h"', "#define WORD 32") + KERNEL), st.sampled_from(["copy", "hbm_kernel"]))
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_damage_of_cpp_is_read_or_refused(tmp_path: Path, text: str, top: str) -> None:
+    (tmp_path / "k.cpp").write_text(text)
+    with contextlib.suppress(HdlError):
+        load_hls(HlsSpec((tmp_path / "k.cpp",)), top)
+    with contextlib.suppress(HdlError):
+        hls_registers(HlsSpec((tmp_path / "k.cpp",)), None)
+
+
+@given(damaged(CORE))
+@settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_damage_of_a_core_is_read_or_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "a.core").write_text(text)
+    with contextlib.suppress(BuildError):
+        core_files(tmp_path / "a.core")
+
+
+@given(damaged(COMPONENT))
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_damage_of_a_component_is_read_or_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "component.xml").write_text(text)
+    with contextlib.suppress(HdlError):
+        component_files(tmp_path / "component.xml")

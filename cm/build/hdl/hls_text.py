@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from cm.build.hdl.errors import HdlError
 from cm.build.hdl.hls_types import split
 
 _COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/|\"(?:\\.|[^\"\\\n])*\"", re.DOTALL)
@@ -75,7 +76,10 @@ def _closing(text: str, start: int) -> int:
 def _declared(text: str) -> Declared:
     text = " ".join(text.split("=")[0].split())
     array = re.search(r"\b(\w+)\s*((?:\[[^\]]*\]\s*)+)$", text)
-    name = array[1] if array else re.findall(r"\w+", text)[-1]
+    words = re.findall(r"\w+", text)
+    if not words:
+        raise HdlError(f"an argument is not understood: {text or 'it is empty'}")
+    name = array[1] if array else words[-1]
     kind = text[: array.start()] if array else text[: text.rindex(name)]
     indirect = bool(array) or "&" in kind or "*" in kind
     return Declared(name, kind.strip(), indirect, bool(re.search(r"\bconst\b", kind)))

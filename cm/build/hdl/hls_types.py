@@ -66,7 +66,7 @@ class Types:
             return self.width(self._types.get(text) or self._values[text], depth + 1)
         template = _TEMPLATE.fullmatch(text)
         if template and template[1].startswith(("ap_uint", "ap_int", "ap_ufixed", "ap_fixed")):
-            return self.number(split(template[2])[0])
+            return self.number(first_of(template[2]))
         return None
 
     def stream(self, kind: str, depth: int = 0) -> Packet | None:
@@ -77,7 +77,7 @@ class Types:
         template = _TEMPLATE.fullmatch(text)
         if template is None or template[1] != "stream":
             return None
-        return self.packet(split(template[2])[0])
+        return self.packet(first_of(template[2]))
 
     def packet(self, kind: str, depth: int = 0) -> Packet | None:
         """A word of a stream: ap_axiu, ap_axis, hls::axis with their side-band signals, or plain data."""
@@ -86,7 +86,7 @@ class Types:
             return self.packet(self._types[text], depth + 1)
         template = _TEMPLATE.fullmatch(text)
         if template and template[1] in ("ap_axiu", "ap_axis", "axis", "axis_data"):
-            first, *rest = split(template[2])
+            first, *rest = split(template[2]) or [""]
             data = self.width(first) if template[1] in ("axis", "axis_data") else self.number(first)
             numbers = [self.number(part) or 0 for part in rest[:3]] + [0, 0, 0]
             return Packet(data, True, *numbers[:3]) if data else None
@@ -132,6 +132,11 @@ def _evaluate(node: ast.expr) -> int:
             raise ValueError
         return value
     raise ValueError
+
+
+def first_of(text: str) -> str:
+    """The first of a template's arguments; empty where there is none."""
+    return next(iter(split(text)), "")
 
 
 def split(text: str, separator: str = ",") -> list[str]:

@@ -28,7 +28,10 @@ class ComponentFiles:
 
 def component_files(path: Path) -> ComponentFiles:
     """The files of synthesis; `HdlError` where one is missing, or another component is needed."""
-    root = component_root(path.read_bytes())
+    try:
+        root = component_root(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise HdlError(f"{path}: cannot be read: {error}") from None
     found = ComponentFiles()
     sets = {_text(node, "name"): node for node in _all(root, "fileSet")}
     for name in _synthesis(root):

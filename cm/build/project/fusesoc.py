@@ -54,9 +54,12 @@ def core_files(path: Path, target: str = "default", roots: Iterable[Path] = ()) 
     core = _read(path)
     targets = core.data.get("targets") or {}
     if target not in targets:
-        raise BuildError(f"{path}: no target {target}; there are: {', '.join(targets) or 'none'}")
+        raise BuildError(f"{path}: no target {target}; there are: {', '.join(map(str, targets)) or 'none'}")
     reader = _Reader(target, [path.parent, *roots])
-    reader.add(core, target, top=True)
+    try:
+        reader.add(core, target, top=True)
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise BuildError(f"{path}: not as CAPI2 has it, or a core that it depends on is not: {error}") from None
     return reader.found
 
 
@@ -180,7 +183,7 @@ class _Reader:
             return  # of another tool, or for people
         if not path.exists():
             fetched = " (its provider would fetch it: fusesoc fetch)" if core.data.get("provider") else ""
-            found.missing.append(f"{core.path}: {path.name} does not exist{fetched}")
+            found.missing.append(f"{core.path}: {path.relative_to(core.path.parent)} does not exist{fetched}")
         elif settings.get("is_include_file"):
             folder = core.path.parent / settings["include_path"] if "include_path" in settings else path.parent
             found.include_dirs += [folder] if folder not in found.include_dirs else []
