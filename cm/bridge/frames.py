@@ -95,17 +95,28 @@ class FrameWriter:
 
     def write(self, data: npt.NDArray[Any]) -> None:
         """One frame, in the stream's shape or as flat bytes. Raises what the manager refused, or InvalidRequest."""
+        flat = data.reshape(-1).view(np.uint8) if data.flags.c_contiguous else np.frombuffer(data.tobytes(), np.uint8)
+        self.fill(flat.nbytes, lambda target: np.copyto(target, flat))
+
+    def fill(self, length: int, fill: Callable[[npt.NDArray[np.uint8]], None]) -> None:
+        """A frame of `length` bytes that `fill` writes into the slot itself. Raises as `write`."""
         writer = self._slots()
         if writer is None:
-            self._board.write(self._name, data, self._lease)
+            flat = np.empty(length, np.uint8)
+            fill(flat)
+            self._board.write(self._name, flat, self._lease)
             return
-        flat = data.reshape(-1).view(np.uint8) if data.flags.c_contiguous else np.frombuffer(data.tobytes(), np.uint8)
         geometry = writer.geometry
         wanted = geometry.frame_length if geometry is not None else 0
-        if wanted and wanted != flat.nbytes:
-            raise InvalidRequest(f"stream {self._name!r} takes frames of {wanted} bytes; this one has {flat.nbytes}")
-        with writer.slot(0 if wanted else flat.nbytes) as slot:
-            slot[...] = flat.view(slot.dtype).reshape(slot.shape)
+        if wanted and wanted != length:
+            raise InvalidRequest(f"stream {self._name!r} takes frames of {wanted} bytes; this one has {length}")
+        with writer.slot(0 if wanted else length) as slot:
+            if slot.flags.c_contiguous:
+                fill(slot.reshape(-1).view(np.uint8))
+            else:
+                flat = np.empty(length, np.uint8)
+                fill(flat)
+                slot[...] = flat.view(slot.dtype).reshape(slot.shape)
 
     def close(self) -> None:
         """Give the slots back; twice is fine."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 import logging
 import threading
 from collections.abc import Callable
+from functools import partial
 
 from cyclonedds.core import GuardCondition, InstanceState, ReadCondition, SampleState, ViewState, WaitSet
 from cyclonedds.domain import DomainParticipant
@@ -28,14 +29,18 @@ class Dispatcher:
         self._waitset = WaitSet(participant)
         self._wake = GuardCondition(participant)
         self._waitset.attach(self._wake)
-        self._readers: tuple[tuple[DataReader, ReadCondition, Callable[[Raw], None]], ...] = ()
+        self._readers: tuple[tuple[ReadCondition, Callable[[], None]], ...] = ()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def add(self, reader: DataReader, take: Callable[[Raw], None]) -> None:
         """`take` gets each sample; what it raises as CmError is logged."""
+        self.watch(reader, lambda: _hand_on(reader, take))
+
+    def watch(self, reader: DataReader, work: Callable[[], None]) -> None:
+        """`work` takes what is there, whenever something has come."""
         condition = ReadCondition(reader, _ANY)
-        self._readers = (*self._readers, (reader, condition, take))
+        self._readers = (*self._readers, (condition, work))
         self._waitset.attach(condition)
         if not self._thread.ident:
             self._thread.start()
@@ -45,9 +50,9 @@ class Dispatcher:
         while not self._closed:
             self._waitset.wait(_EVER)
             self._wake.set(False)
-            for reader, _, take in self._readers:
+            for _, work in self._readers:
                 if not self._closed:
-                    _hand_on(reader, take)
+                    logged(work)
 
     def close(self) -> None:
         """End the thread, and wait for it; twice is fine. The readers stay their owner's."""
@@ -61,9 +66,14 @@ def _hand_on(reader: DataReader, take: Callable[[Raw], None]) -> None:
     while samples := reader.take(N=_MANY):
         for sample in samples:
             if isinstance(sample, Raw):  # no notice of a writer that has gone
-                try:
-                    take(sample)
-                except CmError as error:
-                    _LOG.warning("%s", error)
-                except Exception:  # noqa: BLE001 (the thread is that of others' samples, too)
-                    _LOG.exception("a sample was not taken")
+                logged(partial(take, sample))
+
+
+def logged(work: Callable[[], None]) -> None:
+    """What goes wrong with one sample must not end the thread, which is that of others, too."""
+    try:
+        work()
+    except CmError as error:
+        _LOG.warning("%s", error)
+    except Exception:  # noqa: BLE001
+        _LOG.exception("a sample was not taken")

@@ -8,6 +8,7 @@ expected, `Library.open` gives None, and samples take the way of the Python API.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterator
 from importlib.metadata import version
 from typing import Any
 
@@ -24,7 +25,16 @@ uint32_t ddsi_serdata_size(void *serdata);
 void ddsi_serdata_to_ser(void *serdata, size_t offset, size_t size, void *buffer);
 void ddsi_serdata_unref(void *serdata);
 int32_t dds_writecdr(dds_entity_t writer, void *serdata);
+struct info {
+    uint32_t sample_state, view_state, instance_state;
+    _Bool valid_data;
+    int64_t source_timestamp;
+    uint64_t instance_handle, publication_handle;
+    uint32_t disposed_generations, no_writers_generations, sample_rank, generation_rank, absolute_generation_rank;
+};
+int32_t dds_takecdr(dds_entity_t reader, void **serdata, uint32_t most, struct info *info, uint32_t mask);
 """
+_ANY_STATE = 0x7F  # DDS_ANY_STATE
 
 
 class Library:
@@ -52,6 +62,38 @@ class Library:
     def pieces(self, entity: int) -> Pieces:
         """Samples for a writer. Raises OSError where it has no type."""
         return Pieces(self, entity)
+
+    def taken(self, reader: int) -> Iterator[Taken]:
+        """The samples that are there, each to be used before the next."""
+        found = self.ffi.new("void **")
+        info: Any = self.ffi.new("struct info *")
+        while self.dds.dds_takecdr(reader, found, 1, info, _ANY_STATE) == 1:
+            try:
+                if info.valid_data:
+                    yield Taken(self, found[0])
+            finally:
+                self.dds.ddsi_serdata_unref(found[0])
+
+
+class Taken:
+    """A sample as DDS holds it."""
+
+    def __init__(self, library: Library, serdata: Any) -> None:
+        self._ffi, self._dds, self._serdata = library.ffi, library.dds, serdata
+        self.size = int(self._dds.ddsi_serdata_size(serdata))
+
+    def start(self, length: int) -> bytes:
+        """Its first bytes, `length` at most."""
+        length = min(length, self.size)
+        out = self._ffi.new("char[]", length)
+        self._dds.ddsi_serdata_to_ser(self._serdata, 0, length, out)
+        return bytes(self._ffi.buffer(out))
+
+    def copy(self, offset: int, address: int, length: int) -> None:
+        """A piece to where it is wanted: the one copy. Raises ValueError where there is less."""
+        if offset + length > self.size:
+            raise ValueError(f"{offset + length} bytes are wanted of a sample of {self.size}")
+        self._dds.ddsi_serdata_to_ser(self._serdata, offset, length, self._ffi.cast("void *", address))
 
 
 class Pieces:

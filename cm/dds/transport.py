@@ -15,17 +15,17 @@ from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 
-from cm.dds import config, service
+from cm.dds import config, frames, service
 from cm.dds.dispatcher import Dispatcher
 from cm.dds.graph import Graph
 from cm.dds.library import Library
 from cm.dds.publisher import DdsPublisher
 from cm.dds.qos import qos
-from cm.dds.types import Raw, sample_type
+from cm.dds.types import sample_type
 from cm.errors import InvalidRequest
 from cm.ros import cdr
 from cm.ros.node import NodeName
-from cm.ros.transport import SERVICES, Qos, Values
+from cm.ros.transport import SERVICES, Body, Qos, Values
 from cm.ros.typehash import type_hash
 
 _REQUESTS = 32  # that are worked on at a time; others wait in their reader
@@ -67,7 +67,19 @@ class DdsTransport:
         """Listen to a topic."""
         reader = self._reader(f"rt{topic}", kind, qos(quality, type_hash(kind)))
         self._graph.add(readers=(reader,))
-        made = _Subscription(self, reader, lambda sample: take(cdr.decode(kind, sample.data)))
+        made = _Subscription(self, reader)
+        made.dispatcher.add(reader, lambda sample: take(cdr.decode(kind, sample.data)))
+        self._subscriptions.add(made)
+        return made
+
+    def frames(
+        self, topic: str, kind: str, quality: Qos, take: Callable[[dict[str, Any], Body], None]
+    ) -> _Subscription:
+        """Listen to a topic of frames."""
+        reader = self._reader(f"rt{topic}", kind, qos(quality, type_hash(kind)))
+        self._graph.add(readers=(reader,))
+        made = _Subscription(self, reader)
+        made.dispatcher.watch(reader, frames.taking(self._library, reader, kind, take))
         self._subscriptions.add(made)
         return made
 
@@ -110,16 +122,15 @@ class DdsTransport:
 
 
 class _Subscription:
-    def __init__(self, owner: DdsTransport, reader: DataReader, take: Callable[[Raw], None]) -> None:
+    def __init__(self, owner: DdsTransport, reader: DataReader) -> None:
         self._owner = owner
         self._reader: DataReader | None = reader
-        self._dispatcher = Dispatcher(owner._participant, "subscription")
-        self._dispatcher.add(reader, take)
+        self.dispatcher = Dispatcher(owner._participant, "subscription")
 
     def close(self) -> None:
         """End it; twice is fine."""
         reader, self._reader = self._reader, None
         if reader is not None:
-            self._dispatcher.close()
+            self.dispatcher.close()
             self._owner.gone(self, reader)
             reader.__del__()

@@ -64,6 +64,18 @@ def read(name: str, reader: Reader) -> dict[str, Any]:
     return values
 
 
+def decode_head(name: str, data: bytes | memoryview) -> tuple[dict[str, Any], int, int]:
+    """All fields but the last, which is of bytes: how many there are, and where they begin. Raises InvalidRequest."""
+    reader = Reader(data)
+    *fields, _ = message(name).fields
+    try:
+        values = {field.name: _field_taker(field)(reader) for field in fields}
+        length = int(reader.take("I", 4))
+    except (struct.error, IndexError, UnicodeDecodeError, ValueError) as error:
+        raise InvalidRequest(f"this is no {name}: {error}") from error
+    return values, length, reader.at
+
+
 class Reader:
     """Where in a message one is; of either byte order."""
 
@@ -169,6 +181,7 @@ def _taker(name: str) -> _Take:
     return lambda reader: {key: take(reader) for key, take in parts}
 
 
+@cache
 def _field_taker(field: Field) -> _Take:
     one = _one_taker(field)
     if not field.many:

@@ -8,14 +8,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from cm.bridge.commands import Commands
 from cm.bridge.frames import FrameReader, FrameWriter
 from cm.bridge.records import Caller, ConfigRecord, FrameRecord, StreamFormat
 from cm.client.board import Board
-from cm.errors import CmError
+from cm.errors import CmError, InvalidRequest
 from cm.ros import messages
-from cm.ros.transport import IMAGES, Closing, Publisher, Qos, Transport
+from cm.ros.transport import IMAGES, Body, Closing, Publisher, Qos, Transport
 from cm.schema.pictures import misfit
 
 _LOG = logging.getLogger("cm.ros")
@@ -72,16 +73,19 @@ class WritableStream:
         kind, topic = (
             ("sensor_msgs/msg/Image", "write") if stream.encoding else ("cm_interfaces/msg/Data", "write_data")
         )
-        self._subscription: Closing = transport.subscription(f"{base}/{topic}", kind, inputs, self._take)
+        self._subscription: Closing = transport.frames(f"{base}/{topic}", kind, inputs, self._take)
 
     def look(self) -> None:
         """Nothing runs but when something comes."""
 
-    def _take(self, values: Mapping[str, Any]) -> None:
+    def _take(self, values: Mapping[str, Any], body: Body) -> None:
         try:
             if self._writer is None:
                 self._writer = self._commands.writer(self._caller, self._stream.name)
-            self._writer.write(self._pixels(values))
+            if self._rows_follow_each_other(values, body.length):
+                self._writer.fill(body.length, body.into)
+            else:
+                self._writer.write(self._rows(values, body))
         except (CmError, OSError) as error:
             self._tell(str(error))
             self._drop()
@@ -94,18 +98,23 @@ class WritableStream:
             self._told = problem
             _LOG.warning("frames for %s are not written: %s", self._stream.name, problem)
 
-    def _pixels(self, values: Mapping[str, Any]) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """The bytes, without what stands between the end of a row and the next."""
-        data = np.frombuffer(values["data"], np.uint8)
+    def _rows_follow_each_other(self, values: Mapping[str, Any], length: int) -> bool:
+        """Raises InvalidRequest for what is no picture of this stream."""
         if not self._stream.encoding:
-            return data
+            return True
         if values["encoding"] != self._stream.encoding:
-            raise CmError(f"it is {values['encoding']}; the stream takes {self._stream.encoding}")
+            raise InvalidRequest(f"it is {values['encoding']}; the stream takes {self._stream.encoding}")
         height, step = values["height"], values["step"]
-        row = data.size // height if not step else self._row(values)
-        if not height or data.size < height * step or row > step:
-            raise CmError(f"{data.size} bytes are no {height} rows of {step} bytes")
-        return data if row == step else data[: height * step].reshape(height, step)[:, :row]
+        if not height or length < height * step or (step and self._row(values) > step):
+            raise InvalidRequest(f"{length} bytes are no {height} rows of {step} bytes")
+        return not step or (self._row(values) == step and length == height * step)
+
+    def _rows(self, values: Mapping[str, Any], body: Body) -> npt.NDArray[np.uint8]:
+        """Without what stands between the end of a row and the next."""
+        data = np.empty(body.length, np.uint8)
+        body.into(data)
+        height, step = values["height"], values["step"]
+        return data[: height * step].reshape(height, step)[:, : self._row(values)]
 
     def _row(self, values: Mapping[str, Any]) -> int:
         shape = self._stream.shape

@@ -7,6 +7,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
+import numpy.typing as npt
+
 from cm.bridge.records import FrameRecord
 
 Values = Mapping[str, Any]
@@ -51,6 +54,15 @@ class Closing(Protocol):
         """End it; twice is fine."""
 
 
+class Body(Protocol):
+    """The bytes of a frame that came, wherever they are."""
+
+    length: int
+
+    def into(self, target: npt.NDArray[np.uint8]) -> None:
+        """Copy them all; `target` has as many bytes, in one piece."""
+
+
 class Transport(Protocol):
     """Topics and services of one node; names are whole (``/cm/status``), types as `cm.ros.definitions` has them."""
 
@@ -59,6 +71,9 @@ class Transport(Protocol):
 
     def subscription(self, topic: str, kind: str, qos: Qos, take: Callable[[dict[str, Any]], None]) -> Closing:
         """Listen to a topic: `take` gets each message, in a thread of this subscription's own."""
+
+    def frames(self, topic: str, kind: str, qos: Qos, take: Callable[[dict[str, Any], Body], None]) -> Closing:
+        """Listen to a topic whose last field is a frame's bytes: `take` gets the other fields, and copies these."""
 
     def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> Closing:
         """Serve: `answer` may take its time, since each request has a thread; what it raises is logged."""

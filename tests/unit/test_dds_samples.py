@@ -73,6 +73,34 @@ def test_a_frame_is_sent_as_it_lies(ends: tuple[Any, Any], kind: str, way: str) 
     assert sample.data[: len(wanted)] == wanted
 
 
+@pytest.mark.parametrize("way", ["one copy", "two copies"])
+def test_a_frame_that_comes_is_copied_to_where_it_is_wanted(ends: tuple[Any, Any], way: str) -> None:
+    from cyclonedds._clayer import ddspy_write
+
+    from cm.dds.frames import taking
+    from cm.dds.library import Library
+
+    found: list[tuple[dict[str, Any], bytes]] = []
+
+    def take(values: dict[str, Any], body: Any) -> None:
+        target = np.zeros(body.length, np.uint8)
+        body.into(target)
+        found.append((values, target.tobytes()))
+
+    writer, reader = ends
+    work = taking(Library.open() if way == "one copy" else None, reader, "sensor_msgs/msg/Image", take)
+    for length in (0, 1, 4096, WHOLE.nbytes):
+        data = WHOLE.tobytes()[:length]
+        fields = {"header": {"frame_id": "x" * (length % 7)}, "height": 1, "width": length, "encoding": "mono8"}
+        sample = cdr.encode("sensor_msgs/msg/Image", {**fields, "data": data})
+        ddspy_write(writer._ref, sample.ljust(len(sample) + -len(sample) % 4, b"\0"))
+        work()
+        values, there = found.pop()
+        assert (values["width"], values["header"]["frame_id"], there) == (length, "x" * (length % 7), data)
+    work()
+    assert not found
+
+
 def test_the_pinned_library_makes_samples_from_pieces() -> None:
     from cm.dds.library import Library
 

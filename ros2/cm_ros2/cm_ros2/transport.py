@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from cm.bridge.records import FrameRecord
-from cm.ros.transport import Qos, Values
+from cm.ros.transport import Body, Qos, Values
 from cm_ros2.conversion import fill, interface, values
 
 
@@ -37,6 +37,17 @@ class RclpyTransport:
     ) -> RclpySubscription:
         """Listen to a topic."""
         return RclpySubscription(self._node, interface(kind), topic, _profile(quality), lambda m: take(values(m)))
+
+    def frames(
+        self, topic: str, kind: str, quality: Qos, take: Callable[[dict[str, Any], Body], None]
+    ) -> RclpySubscription:
+        """Listen to a topic of frames."""
+
+        def handed(message: Any) -> None:
+            found = values(message)
+            take(found, _Bytes(found.pop("data")))
+
+        return RclpySubscription(self._node, interface(kind), topic, _profile(quality), handed)
 
     def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> RclpyService:
         """Serve."""
@@ -88,6 +99,17 @@ class RclpyPublisher:
         publisher, self._publisher = self._publisher, None
         if publisher is not None:
             self._node.destroy_publisher(publisher)
+
+
+class _Bytes:
+    """A frame's bytes in its message."""
+
+    def __init__(self, data: memoryview) -> None:
+        self._data, self.length = data, len(data)
+
+    def into(self, target: np.ndarray[Any, np.dtype[np.uint8]]) -> None:
+        """Copy them all."""
+        target[:] = np.frombuffer(self._data, np.uint8)
 
 
 class RclpySubscription:
