@@ -121,4 +121,5 @@ def served(
         try:
             yield manager, sim
         finally:
-            manager.stop()
+            status = manager.stop()
+        assert status == 0, f"the manager ended with status {status}: {manager.log.decode(errors='replace')}"

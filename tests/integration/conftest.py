@@ -85,7 +85,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     names = subprocess.run(["git", "ls-files", "-z"], cwd=REPOSITORY, capture_output=True, check=True).stdout
     tree = folder / "tree"
     tree.mkdir()
-    subprocess.run(["xargs", "-0", "cp", "--parents", "-t", tree], input=names, cwd=REPOSITORY, check=True)
+    subprocess.run(["xargs", "-0", "cp", "-P", "--parents", "-t", tree], input=names, cwd=REPOSITORY, check=True)
     env = {**os.environ, "CM_PURE": "1", "PYTHONWARNINGS": "ignore"}
     done = subprocess.run(
         [sys.executable, "-c", _BUILD, str(folder)], cwd=tree, env=env, capture_output=True, text=True, check=False

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import json
 import select
-import signal
 import subprocess
 import sys
 import threading
@@ -69,7 +68,7 @@ def test_a_manager_that_goes_away_is_told_once_and_waited_for(
         assert watch.stderr.readline() == "cm: the manager does not answer; waiting for it\n"
         manager.start()
         assert watch.stderr.readline() == "cm: the manager answers again\n"
-        watch.send_signal(signal.SIGINT)
+        watch.terminate()
         watch.communicate(timeout=60)
 
 

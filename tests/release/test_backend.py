@@ -71,7 +71,7 @@ def test_repacked_archives_do_not_tell_who_packed_them(tmp_path: Path) -> None:
 def _copy_of_the_tree(place: Path) -> Path:
     names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True).stdout
     place.mkdir()
-    subprocess.run(["xargs", "-0", "cp", "--parents", "-t", place], input=names, cwd=ROOT, check=True)
+    subprocess.run(["xargs", "-0", "cp", "-P", "--parents", "-t", place], input=names, cwd=ROOT, check=True)
     return place
 
 

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+import ast
 import json
-import subprocess
 import sys
 from contextlib import suppress
 from importlib import import_module
@@ -72,11 +72,9 @@ def test_our_interfaces_are_those_of_the_files() -> None:
         text = import_module("write_own").module()
     finally:
         sys.path.remove(str(ROOT / "ros2"))
-    formatted = subprocess.run(
-        [sys.executable, "-m", "ruff", "format", "-"], input=text, capture_output=True, text=True, check=False
-    )
     written = (ROOT / "cm" / "ros" / "own.py").read_text()
-    assert written in (text, formatted.stdout), "run: python ros2/write_own.py"
+    same = ast.dump(ast.parse(written)) == ast.dump(ast.parse(text))  # however it is formatted: ruff need not be here
+    assert same, "run: python ros2/write_own.py"
 
 
 @pytest.mark.parametrize("name", sorted(PUBLISHED))
