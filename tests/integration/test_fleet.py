@@ -346,9 +346,18 @@ def test_a_bridge_waits_for_its_router_and_ends_when_it_is_told_to(boards: Board
         assert bridge.wait(timeout=60) == 0
 
 
+def test_a_second_bridge_of_one_name_is_refused(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
+    where = ("--runtime-dir", str(boards["b1"].manager.runtime), "--router", three[0].endpoint)
+    command = child.command("cm.cli.main", "bridge", "zenoh", "--name", "b1", "--lease", "0.5", *where)
+    done = subprocess.run(command, capture_output=True, text=True, env=environment(), cwd="/", check=False, timeout=90)
+    assert done.returncode == 1
+    assert "a board called 'b1' is in this fleet already: give this one another --name" in done.stderr
+
+
 # ---- the page -----------------------------------------------------------------------------
 
 
+@pytest.mark.timeout(300)  # a browser, each of whose waits may last a minute on a busy machine
 def test_the_page_shows_the_boards_of_the_fleet(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
     """In a browser, beside the one board that it is about."""
     router = ("--router", three[0].endpoint)

@@ -7,6 +7,7 @@ import asyncio
 import logging
 import os
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -104,7 +105,7 @@ class Bridge:
         _LOG.info("the manager is %s", "there" if up else "away")
 
     async def _serve(self, board: str, relay: Relay, network: Any) -> None:
-        await _alone(board, network)
+        await _alone(board, network, self.options.network.lease)
         records = Records(self.options.state / board)
         managed = ManagedBoard(relay, records, self.options.own_name)
         self._desk = Desk(board, records, managed, Others(board, network), _now)
@@ -189,11 +190,22 @@ def _now() -> float:
     return clock.now_ns() / 1e9
 
 
-async def _alone(board: str, network: Any) -> None:
-    """Two bridges of one name would both do what is asked once. Raises Busy."""
-    found = await asyncio.to_thread(lambda: list(network.liveliness().get(names.key(board, "alive"), timeout=2.0)))
-    if any(reply.ok is not None for reply in found):
-        raise Busy(f"a board called {board!r} is in this fleet already: give this one another --name")
+async def _alone(board: str, network: Any, lease: float) -> None:
+    """Two bridges of one name would both do what is asked once. Raises Busy.
+
+    After a loss of power the token of before stays for as long as a process may hang: `lease` seconds.
+    """
+    end = time.monotonic() + 1.5 * lease + 1
+    while await asyncio.to_thread(_is_there, board, network):
+        if time.monotonic() > end:
+            raise Busy(f"a board called {board!r} is in this fleet already: give this one another --name")
+        _LOG.warning("a board called %s is in this fleet: if that was this one, it will be gone soon", board)
+        await asyncio.sleep(_AGAIN)
+
+
+def _is_there(board: str, network: Any) -> bool:
+    replies = network.liveliness().get(names.key(board, "alive"), timeout=2.0)
+    return any(reply.ok is not None for reply in list(replies))
 
 
 def default_state() -> Path:
