@@ -134,29 +134,34 @@ class Intake:
         budget.charge(monotonic_ns() - began)
         return source.came(sender, news)
 
-    def _take_in(self, source: _Source) -> None:
+    def _take_in(self, source: _Source) -> bool:
+        """Take in what came meanwhile; whether there may be more, of which nothing else will tell."""
         if source.quiet:
             source.quiet -= 1
-            return
+            return True
         for _ in range(_AHEAD):
             if not zmq_poll(source.ready, 0):
-                return
+                return False
             began, message = monotonic_ns(), multipart.receive_from(source.socket)
             if self._keep(source, message, self._budgets.came(message), began):
-                return
+                return True
+        return True
 
     def _go_on(self) -> None:
         """Take in what came meanwhile, and serve whose turn it is."""
         self._called = False
-        for source in self._sources:
-            self._take_in(source)
+        try:
+            more = [self._take_in(source) for source in self._sources]
+        finally:
+            if self._turns:  # also where a socket failed
+                self._come_back()
         if not self._turns:
+            if any(more):
+                self._come_back()
             return
         budget, (call, size) = self._turns.take()
         budget.unqueue(size)
         if not budget.waiting:  # it may have sent more
             for each in self._sources:
                 each.quiet = 0
-        if self._turns:
-            self._come_back()
         self._serve(budget, monotonic_ns(), call)

@@ -319,3 +319,25 @@ def test_one_connection_may_send_all_it_has_at_once(order: Order, context: zmq.C
         other.connect(f"ipc://{runtime}/req")
         asked(other, 5000)
         assert all(reply.error is None for reply in answered(other, 5000))
+
+
+def test_nothing_that_is_published_is_left_behind_beside_requests(context: zmq.Context[Any]) -> None:
+    """Its socket tells once that something came; what is not taken then has to be asked for again."""
+    with serving() as (server, runtime), hostile(runtime, 20, 200) as flood:
+        made = [context.socket(zmq.PUB) for _ in range(3)]
+        for socket_ in made:
+            socket_.setsockopt(zmq.SNDHWM, 0)
+            socket_.connect(f"ipc://{runtime}/sub")
+            before = server._dispatcher.taken
+            until(lambda: _published(socket_, server) > before, 60)  # noqa: B023 (called at once)
+        settled = server._dispatcher.taken
+        tell(flood, b"sent\n")
+        for _ in range(500):
+            for socket_ in made:
+                socket_.send_multipart([b"cm_nothing", b""])
+        until(lambda: server._dispatcher.taken >= settled + 1500 + 20 * 200, 60)
+
+
+def _published(socket_: zmq.Socket[bytes], server: daemon.Server) -> int:
+    socket_.send_multipart([b"cm_nothing", b""])
+    return server._dispatcher.taken
