@@ -103,8 +103,9 @@ vm: $(STAMP) ## a shell on that board, with a manager running and its ports forw
 web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
 
-soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, and a minute of killed readers
+soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, a thousand flipped bits
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
+	CM_FLIPS=1000 $(PYTEST) tests/open/test_bits_flips.py $(PYTEST_ARGS)
 
 fuzz: $(STAMP) ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)
 	$(call install,fuzz)

@@ -12,12 +12,11 @@ from functools import partial
 from pathlib import Path
 
 from cm.bits.errors import BitsError
+from cm.bits.files import collected
 from cm.bits.memory import FrameMemory
 from cm.bits.regions import LoadedBits
 from cm.bitstream import device_by_name, to_dma_words
-from cm.build.generate.tree import output_folder
 from cm.build.openflow.layout import layouts
-from cm.build.project.load import load_project
 from cm.rtl.board import Libraries
 from cm.rtl.compile import Watched
 from cm.rtl.design import RtlDesign
@@ -32,7 +31,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     """``python -m cm.bits``; the exit status."""
     parser = argparse.ArgumentParser("python -m cm.bits", description="a simulated board whose regions run their bits")
     add_rtl_arguments(parser)
-    parser.add_argument("--bitstreams", type=Path, metavar="DIR", help="of the open flow (default: where it puts them)")
     logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
     args = parser.parse_args(argv)
     with tempfile.TemporaryDirectory(prefix="cm-bits-") as folder:
@@ -43,24 +41,26 @@ def _libraries(
     args: argparse.Namespace, folder: Path, tools: Tools, design: RtlDesign, watched: Watched, parts: LogicParts
 ) -> Libraries:
     system = design.system
-    bitstreams = args.bitstreams or output_folder(load_project(args.build), None) / "bitstreams"
-    found = sorted(bitstreams.glob("*.bit"))
-    if not found:
-        raise BitsError(f"{bitstreams} has no bitstreams: `cm build run --flow open {args.build}` makes them")
+    folder_of_files = collected(args.build)
     device = device_by_name(system.device)
     if device is None:
         raise BitsError(f"{system.device} is no device that bitstreams are known of")
     database = Database.open(system.project.part)
     loaded = LoadedBits(database, FrameMemory(device), layouts(system, database), tools, watched, folder)
-    loaded.prepare(to_dma_words(path) for path in found if path.stem != system.project.name)
-    _install(found, Path(args.root) / "lib/firmware/cm" / system.project.name)
+    streams = {path.stem: to_dma_words(path) for path in sorted(folder_of_files.glob("*.bin"))}
+    modules = {one.name for one in system.implementations}
+    loaded.prepare(
+        [stream for name, stream in streams.items() if name not in modules],
+        [stream for name, stream in streams.items() if name in modules],
+    )
+    _install(folder_of_files, Path(args.root) / "lib/firmware/cm" / system.project.name)
     parts.fabric.configured = loaded.take
     return loaded
 
 
-def _install(found: Sequence[Path], firmware: Path) -> None:
+def _install(files: Path, firmware: Path) -> None:
     """Where the manager looks for them; what is there stays."""
     firmware.mkdir(parents=True, exist_ok=True)
-    for path in found:
-        if not (firmware / path.name).exists():
+    for path in files.iterdir():
+        if path.is_file() and not (firmware / path.name).exists():
             shutil.copyfile(path, firmware / path.name)

@@ -81,10 +81,12 @@ class LoadedBits:
             _log.error("region %s: %s", region.name, error)
             return None
 
-    def prepare(self, streams: Iterable[bytes]) -> None:
-        """Compile what bitstreams will leave in the regions, so that loading them takes no time."""
-        for stream in streams:
-            before = dict(self._memory.frames)
+    def prepare(self, whole: Iterable[bytes], partial: Iterable[bytes]) -> None:
+        """Take the static part; compile what partial bitstreams will leave in regions, so that loads take no time."""
+        for stream in whole:
+            self._memory.load(stream)
+        before = dict(self._memory.frames)
+        for stream in partial:
             written = {address >> _COLUMN for address in self._memory.load(stream)}
             for name, place in self._places.items():
                 if not written.isdisjoint(place.columns):

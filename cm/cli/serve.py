@@ -105,10 +105,10 @@ def _mebibytes(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     """Serve; the exit status."""
+    if args.sim == "bits" and not args.build:
+        raise InvalidRequest("--sim=bits needs --build FILE, which the open flow has built")
     if (args.build or args.sim_traces or args.sim_coverage or args.sim_time_scale) and args.sim not in _HDL:
-        raise InvalidRequest(
-            "--build, --sim-traces, --sim-coverage, --sim-time-scale are about a design's RTL: add --sim=rtl (or bits)"
-        )
+        raise InvalidRequest("--build, --sim-traces, --sim-coverage, --sim-time-scale: only with --sim=rtl (or bits)")
     settings = settings_of(args)
     _log_to(_level(args, settings), service=settings is not None)
     with ExitStack() as stack:
@@ -221,8 +221,8 @@ def _simulated_schemas(args: argparse.Namespace, runtime: Path) -> list[Path]:
     if args.build:
         from cm.cli.simboard import schema_of_build
 
-        return [schema_of_build(args.build, runtime)]
-    return [data / ("examples/camera/config" if args.sim in _HDL else "camera")]
+        return [schema_of_build(args.build, runtime, args.sim)]
+    return [data / ("examples/camera/config" if args.sim == "rtl" else "camera")]
 
 
 def _absolute(source: str) -> str:

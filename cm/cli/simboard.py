@@ -89,8 +89,16 @@ def _refuse_where_served(runtime: Path) -> None:
         return  # no manager ever served there, or what is wrong is told by the daemon
 
 
-def schema_of_build(build: Path, runtime: Path) -> Path:
-    """The runtime schema of a build schema, written where the simulated board's manager finds it again."""
+def schema_of_build(build: Path, runtime: Path, kind: str) -> Path:
+    """The runtime schema of a build schema, written where the simulated board's manager finds it again.
+
+    For bits that which `cm build collect` has made, as it is.
+    """
+    if kind == "bits":
+        from cm.bits.files import collected
+
+        folder = collected(build)
+        return folder / f"{folder.name}.yaml"
     from cm.rtl.design import runtime_schema
 
     name, text = runtime_schema(build)

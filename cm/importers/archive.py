@@ -21,6 +21,11 @@ from cm.schema import load_folder
 from cm.schema.files import bitstream_path, overlay_path
 from cm.schema.model import Config
 
+try:
+    from lzma import LZMAError
+except ImportError:  # a Python without it opens no such archive
+    LZMAError = zlib.error  # type: ignore[misc,assignment]
+
 Judge: TypeAlias = "Callable[[Path, str, Path], object]"
 MAX_BYTES = 1 << 30  # of all files together, unpacked
 MAX_FILES = 4096
@@ -113,7 +118,7 @@ def _opened(archive: Path) -> Iterator[tarfile.TarFile]:
     try:
         with tarfile.open(archive, "r:*") as tar:
             yield tar
-    except (tarfile.TarError, zlib.error, EOFError, ValueError) as problem:  # what is wrong in the midst of it, too
+    except (tarfile.TarError, zlib.error, LZMAError, EOFError, ValueError) as problem:  # also in its midst
         raise ImportRefused(f"{archive}: no whole tar archive ({problem})") from problem
     except OSError as problem:
         if problem.errno is not None:

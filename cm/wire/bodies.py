@@ -66,7 +66,7 @@ def status_from_pb(m: pb.Status) -> st.Status:
         config_name=m.config_name,
         mode=m.mode,
         fpga_busy=m.fpga_busy,
-        pr_mode=_PR_MODES[m.pr_mode] if m.pr_mode < len(_PR_MODES) else st.PrMode.ERROR,
+        pr_mode=_PR_MODES[m.pr_mode] if 0 <= m.pr_mode < len(_PR_MODES) else st.PrMode.ERROR,
         progress=_progress_from_pb(m.progress) if m.HasField("progress") else None,
         sequence=m.sequence,
         last_error=error_from_pb(m.last_error) if m.HasField("last_error") else None,

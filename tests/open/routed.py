@@ -48,6 +48,12 @@ class Routed:
         return found
 
     @cached_property
+    def routes(self) -> dict[str, list[tuple[str, str, str]]]:
+        """By net: wire, the wire before it, and the pip between them, as nextpnr calls them."""
+        found: dict[str, list[list[str]]] = json.loads((self.folder / "routes.json").read_text())
+        return {net: [(wire, before, pip) for wire, before, pip in ways] for net, ways in found.items()}
+
+    @cached_property
     def boundary(self) -> Boundary:
         """Where place_anchors.py has put the anchors."""
         inputs = {self._place(84, bit): f"a[{bit}]" for bit in range(8)}
@@ -69,28 +75,18 @@ def route(packages: PackageTree, folder: Path, seed: int = 1) -> Routed:
     yosys = ["yosys", "-q", "-p", f"read_verilog {sources}; {flow}; write_json harness.json"]
     subprocess.run(yosys, check=True, cwd=folder, capture_output=True)
     chip = next(packages.path("usr/share/nextpnr").rglob("chipdb-xc7z010.bin"))
-    options = [
-        "--device",
-        PART,
-        "--chipdb",
-        str(chip),
-        "--json",
-        "harness.json",
-        "-o",
-        "xdc=clk.xdc",
-        "--seed",
-        str(seed),
-    ]
-    options += [
-        "-o",
-        "fasm=harness.fasm",
-        "--pre-place",
-        str(HERE / "place_anchors.py"),
-        "--write",
-        "routed.json",
-        "-q",
-    ]
+    options = {
+        "--device": PART,
+        "--chipdb": str(chip),
+        "--json": "harness.json",
+        "--seed": str(seed),
+        "--pre-place": str(HERE / "place_anchors.py"),
+        "--post-route": str(HERE / "dump_routes.py"),
+        "--write": "routed.json",
+    }
+    words = [word for option in options.items() for word in option]
+    words += ["-o", "xdc=clk.xdc", "-o", "fasm=harness.fasm", "-q"]
     environment = {**os.environ, "PYTHONHOME": str(packages.path("usr"))}
-    command = packages.command("nextpnr-himbaechel-xilinx", *options)
+    command = packages.command("nextpnr-himbaechel-xilinx", *words)
     subprocess.run(command, check=True, cwd=folder, env=environment, capture_output=True)
     return Routed(folder, database)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 from cm.build.openflow.netlists import ANCHOR, HARNESS
 from cm.xray import Database, Feature
 
+_TABLE_PIN = re.compile(r"(X\d+Y\d+/SLICE_X\dY0)\.([A-D])([1-6])")
 Pip = tuple[str, str]  # name in nextpnr (X85Y13/DESTINATION/SOURCE), name of the wire it drives
 
 
@@ -51,7 +53,7 @@ class Routed:
         if _last(net["driver"]).startswith(HARNESS):
             return set()
         wires = net["wires"]
-        return {pip for cell, _, sink in net["users"] if self.own(cell) for pip in _way(wires, sink)}
+        return {pip for cell, _, sink in net["users"] if self.own(cell) for pip in _way(wires, _routed_to(wires, sink))}
 
 
 def read_routed(path: Path, inputs: frozenset[str]) -> Routed:
@@ -75,6 +77,17 @@ def tile_of(database: Database, place: str) -> str | None:
     x, _, y = place[1:].partition("Y")
     found = database.tile_at.get((int(x), int(y)))
     return found.name if found else None
+
+
+def _routed_to(wires: Mapping[str, Any], sink: str) -> str:
+    """Where the way to an input of a look-up table ends: the router exchanges them, and the cell's pins are renamed
+    after what they are in the slice, the wires are not."""
+    table = _TABLE_PIN.fullmatch(sink)
+    if table is None:
+        return sink
+    site, letter, number = table.groups()
+    ends = (f"{site}.{letter}{pin}" for pin in range(1, 7))
+    return next((end for end in ends if (wires.get(end) or ("", ""))[1].endswith(f"_{letter}{number}")), sink)
 
 
 def _way(wires: Mapping[str, Any], sink: str) -> Iterator[Pip]:

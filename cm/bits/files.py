@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the files of a design lie that was built with open tools."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cm.bits.errors import BitsError
+from cm.build.project.load import load_project
+
+
+def collected(build: Path) -> Path:
+    """The folder that `cm build collect` has made of a build schema: BitsError where it has not."""
+    project = load_project(build)
+    found = project.folder / "target" / project.name
+    if not (found / f"{project.name}.yaml").is_file():
+        raise BitsError(
+            f"{found} is not there: `cm build run --flow open {build}` and `cm build collect --schema {build}` make it"
+        )
+    return found
