@@ -11,6 +11,6 @@ for name, net in ctx.nets:
     for wire, way in net.wires:
         try:
             ways.append([str(wire), str(ctx.getPipSrcWire(str(way.pip))), str(way.pip)])
-        except Exception:  # noqa: BLE001, S112 - the net's source has no pip, which nextpnr says by a type of its own
+        except Exception:  # noqa: BLE001 - the net's source has no pip, which nextpnr says by a type of its own
             continue
 Path("routes.json").write_text(json.dumps(routes))

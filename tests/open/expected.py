@@ -195,7 +195,8 @@ class Design:
 def run(folder: Path, verilog: str, values: Sequence[int]) -> list[int]:
     """What comes out after each clock, by Icarus."""
     steps = "".join(f"a = {value}; #1 clk = 1; #1 clk = 0; #1 $display(y);\n" for value in values)
-    bench = f"module bench; reg clk = 0; reg [7:0] a = 0; wire [7:0] y; expected m (clk, a, y);\ninitial begin #200\n{steps}end\nendmodule\n"
+    head = "module bench; reg clk = 0; reg [7:0] a = 0; wire [7:0] y; expected m (clk, a, y);"
+    bench = f"{head}\ninitial begin #200\n{steps}end\nendmodule\n"
     (folder / "expected.v").write_text(verilog + bench)
     command = ["iverilog", "-g2012", "-s", "bench", "-o", str(folder / "bench"), str(folder / "expected.v"), str(CELLS)]
     subprocess.run(command, check=True, capture_output=True)
@@ -231,30 +232,22 @@ def _of_kind(cell: Cell, kind: str) -> Cell:
 
 
 def _instance(cell: Cell, pins: Mapping[str, Mapping[int, str]], number: int) -> str:
-    text = []
+    """A cell; a bit of a vector that nothing hangs on gets a wire of its own."""
+    text, wires = [], []
     for name, bits in pins.items():
         if -1 in bits:
             text.append(f".{name}({bits[-1]})")
-        else:
-            text.append(
-                f".{name}({{{', '.join(bits.get(bit, _missing(name)) or _dummy(number, name, bit) for bit in reversed(range(max(bits) + 1)))}}})"
-            )
+            continue
+        values = []
+        for bit in reversed(range(max(bits) + 1)):
+            value = bits.get(bit, "1'b0")
+            if not value:
+                value = f"u{number}_{name}_{bit}"
+                wires.append(f"wire {value};")
+            values.append(value)
+        text.append(f".{name}({{{', '.join(values)}}})")
     init = f"#(.INIT({_literal(cell)})) " if cell.kind.startswith(("LUT", "FD", "SRL")) else ""
-    dummies = " ".join(
-        f"wire {_dummy(number, name, bit)};"
-        for name, bits in pins.items()
-        for bit, value in bits.items()
-        if bit >= 0 and not value
-    )
-    return f"{dummies} {cell.kind} {init}c{number} ({', '.join(text)});"
-
-
-def _missing(name: str) -> str:
-    return "1'b0"
-
-
-def _dummy(number: int, name: str, bit: int) -> str:
-    return f"u{number}_{name}_{bit}"
+    return f"{' '.join(wires)} {cell.kind} {init}c{number} ({', '.join(text)});"
 
 
 def _literal(cell: Cell) -> str:
@@ -262,7 +255,8 @@ def _literal(cell: Cell) -> str:
 
 
 _RAMD32 = """
-module RAMD32 (output wire O, input wire CLK, I, WE, RADR0, RADR1, RADR2, RADR3, RADR4, WADR0, WADR1, WADR2, WADR3, WADR4);
+module RAMD32 (output wire O, input wire CLK, I, WE,
+    input wire RADR0, RADR1, RADR2, RADR3, RADR4, WADR0, WADR1, WADR2, WADR3, WADR4);
     reg [31:0] memory = 32'd0;
     assign O = memory[{RADR4, RADR3, RADR2, RADR1, RADR0}];
     always @(posedge CLK) if (WE) memory[{WADR4, WADR3, WADR2, WADR1, WADR0}] <= I;
