@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -40,11 +41,15 @@ class Proposal:
 def proposal(
     project: Project, analysis: Analysis, problem: Problem, objective: str = "worst", seconds: float = SECONDS
 ) -> Proposal:
-    """The best partition that can be generated; BuildError where there is none."""
+    """The best partition that can be generated; BuildError where there is none.
+
+    `seconds` are for all searches together, but each has one at least.
+    """
     data = project_data(project.source)
     notes: list[str] = []
+    end = time.monotonic() + seconds
     while True:
-        found = advise(problem, objective, seconds)
+        found = advise(problem, objective, max(1.0, end - time.monotonic()))
         text = schema_text(project.source.name, propose(project, data, analysis, found))
         refused = refusals(project, analysis, text)
         if not refused:
