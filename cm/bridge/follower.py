@@ -20,6 +20,7 @@ from cm.messages.status import ConfigInfo, Irq, RegValues, Status
 from cm.wire import topics
 from cm.wire.encode import decode_event
 
+ENDED = "the bridge ends"  # what `link` is told last
 _LOOK = 1.0  # seconds between two looks whether the manager is there, and between two tries to connect
 
 
@@ -66,7 +67,7 @@ class Follower:
                 except (CmError, ConnectionError) as error:
                     self._sink.link(None, str(error))
                 self._stopped.wait(_LOOK)
-            self._sink.link(None, "the bridge ends")
+            self._sink.link(None, ENDED)
         finally:
             os.close(self._wake)
 

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import threading
 import time
 from dataclasses import dataclass
 
 from cm.bridge.commands import Commands
+from cm.bridge.follower import ENDED
 from cm.bridge.records import Caller, ConfigRecord, Identity, InterruptRecord, RegistersRecord, StatusRecord
 from cm.client.board import Board
 from cm.errors import InvalidRequest
@@ -20,6 +22,7 @@ from cm.ros.services import Services
 from cm.ros.streams import Streams
 from cm.ros.transport import EVENTS, LATCHED, Qos, Transport
 
+_LOG = logging.getLogger("cm.ros")
 _LOOK = 0.25  # seconds between two looks who listens to streams
 _DIAGNOSTICS = 1.0  # seconds between two diagnostics
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
@@ -81,6 +84,8 @@ class BoardNode:
 
     def link(self, board: Board | None, problem: str) -> None:
         """The manager is there, or not."""
+        if problem not in (self._problem, ENDED):
+            _LOG.warning("%s", problem or "the manager is there again")
         with self._lock:
             self._board, self._problem = board, problem
             if board is None:
