@@ -22,7 +22,7 @@ SEED ?= 1
 MINUTES ?= 10
 
 .DEFAULT_GOAL := help
-.PHONY: help setup docs web-picture demo demo-ros demo-fleet device-suite test test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
+.PHONY: help setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -58,6 +58,13 @@ demo-ros: $(STAMP) ## a simulated board as a ROS 2 node, seen by a subscriber on
 	@$(BIN)/python -c 'import cyclonedds' 2>/dev/null || $(BIN)/python -m pip install --quiet '.[dds]'
 	@$(MAKE) --no-print-directory -s -C ros2/fastdds_peer OUT=$(abspath build/fastdds_peer)
 	@$(BIN)/python ros2/demo.py --peer build/fastdds_peer/peer --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
+
+demo-open: $(STAMP) ## Verilog to partial bitstreams without a vendor's tool (OUT=DIR; fetches some 50 MB of Debian packages)
+	@$(BIN)/cm build tools --fetch
+	@mkdir -p $(OUT) && cp -r cm/data/examples/camera cm/data/examples/open_camera $(OUT)/
+	@$(BIN)/cm build generate $(OUT)/open_camera/build.yaml
+	@$(BIN)/cm build run --flow open -j$(JOBS) $(OUT)/open_camera/build.yaml
+	@$(BIN)/cm build collect --schema $(OUT)/open_camera/build.yaml --target $(OUT)/target
 
 test: $(STAMP) test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
 	$(PYTEST) $(SUITES) --board=sim -n $(JOBS) --dist loadfile $(PYTEST_ARGS)

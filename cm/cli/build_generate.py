@@ -7,9 +7,11 @@ import argparse
 from pathlib import Path
 
 from cm.build.boundary.analyse import analyse
+from cm.build.check.finding import Finding
 from cm.build.check.rules import check_system
 from cm.build.generate.manifest import Written
 from cm.build.generate.tree import generate, load_design, output_folder
+from cm.build.openflow.rules import RULE, check_open
 from cm.build.plan.planner import plan_system
 from cm.build.project.load import load_project
 from cm.build.report import as_dict, lines
@@ -23,6 +25,7 @@ def add_check_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     """Add ``check``."""
     parser = actions.add_parser("check", help="say what is found in the HDL and how modules fit their regions")
     add_schema_argument(parser)
+    parser.add_argument("--flow", choices=("vivado", "open"), default="vivado", help="whose limits (default: vivado)")
     add_json_option(parser)
     parser.set_defaults(run=run_check)
 
@@ -49,6 +52,8 @@ def run_check(args: argparse.Namespace) -> int:
     if system is not None:
         runtime_config(system, Answers())  # raises where registers have no interface, or a mode names no stream
     found = check_system(system) if system is not None else []
+    if system is not None and args.flow == "open":
+        found += check_open(system)
     if args.json:
         told = [{"rule": f.rule, "error": f.error, "message": f.text(project.source)} for f in found]
         print_json(as_dict(project, analysis, system) | {"findings": told})
@@ -56,8 +61,14 @@ def run_check(args: argparse.Namespace) -> int:
         for line in lines(project, analysis, system):
             print(line)
         for finding in found:
-            print(f"{'refused by Vivado' if finding.error else 'note'}: {finding.text(project.source)}")
+            print(f"{_judge(finding)}: {finding.text(project.source)}")
     return 1 if analysis.refused or analysis.broken or any(finding.error for finding in found) else 0
+
+
+def _judge(finding: Finding) -> str:
+    if not finding.error:
+        return "note"
+    return "refused by the open tools" if finding.rule == RULE else "refused by Vivado"
 
 
 def run_generate(args: argparse.Namespace) -> int:

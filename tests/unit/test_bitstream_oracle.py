@@ -10,22 +10,18 @@ import hashlib
 import json
 import os
 import struct
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from xray_oracle import DATABASE, PARTS, frames_read, part, read_bits, run
 
-from cm.bitstream import Container, FrameAddress, FrameRun, assemble, convert, inspect, open_image
+from cm.bitstream import Container, FrameAddress, FrameRun, assemble, convert, inspect
 from cm.bitstream.devices import Family, device_by_idcode, device_by_name
 from cm.bitstream.far import decode_far, encode_far
 from cm.bitstream.geometry import geometry_of
-from cm.bitstream.inspect import _events
 from cm.build.packages import PackagesUnavailable, PackageTree, fetch
-from cm.native import bitstream as native
 
-DATABASE = "usr/share/prjxray/database"
-PARTS = {"xc7z020": "zynq7/xc7z020clg400-1", "xc7a50t": "artix7/xc7a50tcsg324-1", "xc7z010": "zynq7/xc7z010clg400-1"}
 WORDS = 101
 
 
@@ -39,30 +35,12 @@ def xray() -> PackageTree:
         pytest.skip(f"prjxray cannot be fetched: {problem}")
 
 
-def run(tree: PackageTree, program: str, *arguments: str) -> None:
-    done = subprocess.run(tree.command(program, *arguments), capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-def part(tree: PackageTree, device: str) -> Path:
-    return tree.path(f"{DATABASE}/{PARTS[device]}/part.yaml")
-
-
 def bits_of(far: int, frame: bytes) -> Iterator[tuple[int, int, int]]:
     """The bits that are set in a frame; those of its checksum, which bitread leaves out, aside."""
     for index, word in enumerate(struct.unpack(f">{WORDS}I", frame)):
         for bit in range(32):
             if word >> bit & 1 and not (index == 50 and bit < 13):
                 yield far, index, bit
-
-
-def read_bits(tree: PackageTree, device: str, data: bytes, folder: Path) -> set[tuple[int, int, int]]:
-    """What bitread finds set in a bitstream: (frame address, word, bit)."""
-    (folder / "in.bit").write_bytes(data)
-    options = ["-part_file", str(part(tree, device)), "-o", str(folder / "out.bits"), "-z", "-y"]
-    run(tree, "bitread", *options, str(folder / "in.bit"))
-    lines = (folder / "out.bits").read_text().split()
-    return {(int(far, 16), int(word), int(bit)) for _, far, word, bit in (line.split("_") for line in lines)}
 
 
 def noise(count: int, seed: str) -> bytes:
@@ -133,26 +111,6 @@ def masked(frame: bytes) -> bytes:
     """A frame without its checksum, which xc7frames2bit computes."""
     (word,) = struct.unpack_from(">I", frame, 200)
     return frame[:200] + struct.pack(">I", word & ~0x1FFF) + frame[204:]
-
-
-def frames_read(path: Path, device: str) -> dict[int, bytes]:
-    """Frames by address, as our parser and our table of columns take a full bitstream apart."""
-    geometry = geometry_of(device)
-    assert geometry is not None
-    image = open_image(path)
-    (run_,) = [row for row in _events(image)[0].tolist() if row[1] == native.FRAMES]
-    word, count = run_[0], run_[4]
-    first = word + 2 if count > 0x7FF else word + 1
-    data = bytes(image.stream[4 * first : 4 * (first + count)])
-    found, at = {}, 0
-    for key in sorted(key for key in geometry.rows if key[0] < 2):
-        row = geometry.rows[key]
-        for column in range(row.columns):
-            for minor in range(row.frames(column)):
-                found[encode_far(FrameAddress(*key, column, minor), Family.SERIES7)] = data[at : at + 404]
-                at += 404
-        at += 808  # two frames of padding end a row
-    return found
 
 
 def test_columns_and_idcodes_are_those_of_the_database(xray: PackageTree) -> None:

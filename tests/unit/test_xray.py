@@ -12,7 +12,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from test_bitstream_oracle import DATABASE, frames_read, part, read_bits, run
+from xray_oracle import DATABASE, frames_read, part, read_bits, run
 
 from cm.bitstream import FrameRun, assemble
 from cm.bitstream.devices import Family

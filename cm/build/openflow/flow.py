@@ -11,6 +11,7 @@ from pathlib import Path
 
 from cm.build.errors import BuildError
 from cm.build.generate.inputs import module_files
+from cm.build.generate.netlist import Netlist
 from cm.build.openflow import images
 from cm.build.openflow.job import labels, module_job, pins_xdc, static_job
 from cm.build.openflow.layout import layouts
@@ -77,11 +78,12 @@ class OpenFlow:
     def _all_sources(self) -> dict[str, Sources]:
         renderer = Renderer(self.system.project.folder, self.out, f"Generated from {self.system.project.source.name}.")
         library = sorted((self.out / "hdl/lib").glob("*.v"))
-        made = [self._written(renderer, f"static_{r.name}", static_side(r)) for r in self.system.regions]
+        made = [self._kept(path.name, path.read_bytes()) for path in OWN_RTL]
+        made += [self._written(renderer, f"static_{r.name}", static_side(r)) for r in self.system.regions]
         made.append(self._written(renderer, TOP, open_top(self.system)))
         spec = self.system.project.static
         plain = [path for path in spec.sources if path.suffix == ".v"]
-        verilog = resolved([*made, self.out / "hdl/cm_static.v", *OWN_RTL, *library, *plain])
+        verilog = resolved([*made, self.out / "hdl/cm_static.v", *library, *plain])
         later = tuple(path for path in spec.sources if path.suffix == ".sv")
         found = {"static": Sources(TOP, verilog, later, include_dirs=spec.include_dirs, pads=True)}
         for one in self.system.implementations:
@@ -97,18 +99,20 @@ class OpenFlow:
             )
         return found
 
-    def _written(self, renderer: Renderer, name: str, net: object) -> Path:
-        path = self.folder / f"{name}.v"
-        text = renderer.render("module.v.j2", {"net": net}).encode()
+    def _written(self, renderer: Renderer, name: str, net: Netlist) -> Path:
+        return self._kept(f"{name}.v", renderer.render("module.v.j2", {"net": net}).encode())
+
+    def _kept(self, name: str, text: bytes) -> Path:
+        path = self.folder / name
         if not path.is_file() or path.read_bytes() != text:
             write_whole(path, text)
         return path
 
     def _synthesise(self, name: str, sources: Sources) -> None:
         out = self.folder / f"{name}.json"
-        commands = script(sources, out).replace(str(self.out), "")
-        key = key_of(commands, self.tools.versions, *sources.files)
-        work = partial(synthesise, self.tools.yosys, sources, out, name)
+        place = self.system.project.folder.absolute()
+        key = key_of(script(sources, out, place), self.tools.versions, *sources.files)
+        work = partial(synthesise, self.tools.yosys, sources, out, place, name)
         self.steps.step(f"synth_{name}", f"synthesis of {name} by yosys", key, [out], work)
 
     def _static(self) -> Side:
@@ -118,8 +122,8 @@ class OpenFlow:
         xdc = pins_xdc(placements(self.system)[0])
 
         def judge() -> list[str]:
-            read = timing(files)
-            return [] if read.inside <= 1e9 / self.rate else [f"static: its longest path takes {read.inside:.2f} ns"]
+            read, told = timing(files), read_side(files, inputs, static=True).routed.lost()[:3]
+            return told if read.inside <= 1e9 / self.rate else [*told, f"its longest path takes {read.inside:.2f} ns"]
 
         self._placed(files, job, xdc, judge, "the static part")
         return read_side(files, inputs, static=True)
@@ -132,7 +136,7 @@ class OpenFlow:
 
         def judge() -> list[str]:
             side = read_side(files, inputs, static=False)
-            told = strays(self.database, layout, side, features)
+            told = [*side.routed.lost(), *strays(self.database, layout, side, features)]
             left = slacks(timing(Files(self.folder, "static")), timing(files), 1e9 / self.rate)
             return told[:3] + [f"{what}: {-value:.2f} ns too long" for what, value in left.items() if value < 0]
 

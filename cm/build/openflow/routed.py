@@ -14,6 +14,7 @@ from cm.build.openflow.netlists import ANCHOR, HARNESS
 from cm.xray import Database, Feature
 
 _TABLE_PIN = re.compile(r"(X\d+Y\d+/SLICE_X\dY0)\.([A-D])([1-6])")
+_ONES = "$PACKER_VCC_NET"
 Pip = tuple[str, str]  # name in nextpnr (X85Y13/DESTINATION/SOURCE), name of the wire it drives
 
 
@@ -48,6 +49,16 @@ class Routed:
     def pips_of(self, net: Mapping[str, Any]) -> frozenset[str]:
         """The names of the pips of a net that the design needs."""
         return frozenset(pip for pip, _ in self._needed(net))
+
+    def lost(self) -> list[str]:
+        """Sentences on inputs of the design that no way of their net leads to; what is not routed is 1 by itself."""
+        return [
+            f"net {name} does not reach pin {port} of {cell}"
+            for name, net in self.nets.items()
+            if net["driver"] and name != _ONES and not _last(net["driver"]).startswith(HARNESS) and net["wires"]
+            for cell, port, sink in net["users"]
+            if self.own(cell) and sink and _routed_to(net["wires"], sink) not in net["wires"]
+        ]
 
     def _needed(self, net: Mapping[str, Any]) -> set[Pip]:
         if _last(net["driver"]).startswith(HARNESS):

@@ -71,7 +71,14 @@ def key_of(*parts: object) -> str:
     return total.hexdigest()
 
 
-def run_tool(tool: Tool, arguments: Sequence[str], log: Path, environment: dict[str, str], what: str) -> None:
+def run_tool(
+    tool: Tool,
+    arguments: Sequence[str],
+    log: Path,
+    environment: dict[str, str],
+    what: str,
+    folder: Path | None = None,
+) -> None:
     """Run a program with its output in `log`. Raises OpenStepFailed with its errors, or its last lines."""
     surroundings = {**os.environ, **dict(tool.environment), **environment, "LC_ALL": "C"}
     with log.open("wb") as file:
@@ -81,6 +88,7 @@ def run_tool(tool: Tool, arguments: Sequence[str], log: Path, environment: dict[
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
             env=surroundings,
+            cwd=folder,
             check=False,
         )
     said = log.read_text("utf-8", errors="replace").splitlines()

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import json
+import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,42 +38,38 @@ class Sources:
         return (*self.verilog, *self.systemverilog, *self.headers)
 
 
-def script(sources: Sources, out: Path) -> str:
-    """The commands for yosys."""
-    options = [f"-I{path}" for path in sources.include_dirs] + [f"-D{name}" for name in sources.defines]
+def script(sources: Sources, out: Path, folder: Path) -> str:
+    """The commands for yosys, with paths as seen from `folder`: they become part of names in the netlist."""
+
+    def here(path: Path) -> str:
+        return _word(os.path.relpath(path, folder))
+
+    options = [f"-I{here(path)}" for path in sources.include_dirs] + [f"-D{name}" for name in sources.defines]
     lines = []
     for switch, paths in (("", sources.verilog), (" -sv", sources.systemverilog)):
         if paths:
-            lines.append(f"read_verilog{switch} {' '.join([*map(_word, options), *map(_word, paths)])}")
+            lines.append(f"read_verilog{switch} {' '.join([*map(_word, options), *map(here, paths)])}")
     lines += [
         "read_verilog -lib +/xilinx/cells_sim.v +/xilinx/cells_xtra.v",
         f"hierarchy -check -top {sources.top}",
         f"setattr -set keep 1 c:*{ANCHOR}* c:*{HARNESS}*",
         f"synth_xilinx -flatten -abc9 -nodsp -noclkbuf -arch xc7 -top {sources.top}"
         + ("" if sources.pads else " -noiopad"),
-        f"write_json {_word(out)}",
+        f"write_json {here(out)}",
     ]
     return "".join(f"{line}\n" for line in lines)
 
 
-def synthesise(yosys: Tool, sources: Sources, out: Path, what: str) -> None:
-    """Write the netlist. Raises OpenStepFailed; BuildError for cells that have not been tried."""
+def synthesise(yosys: Tool, sources: Sources, out: Path, folder: Path, what: str) -> None:
+    """Write the netlist; yosys runs in `folder`. Raises OpenStepFailed, and BuildError for cells not tried yet."""
     raw, commands = out.with_suffix(".raw.json"), out.with_suffix(".ys")
-    commands.write_text(script(sources, raw), encoding="utf-8")
-    run_tool(yosys, ["-q", "-s", str(commands)], out.with_suffix(".yosys.log"), {}, what)
+    commands.write_text(script(sources, raw, folder), encoding="utf-8")
+    run_tool(yosys, ["-q", "-s", str(commands)], out.with_suffix(".yosys.log"), {}, what, folder)
     netlist = json.loads(raw.read_text("utf-8"))
     check_cells(netlist, sources.top, what)
     separate(netlist, sources.top)
     write_whole(out, json.dumps(netlist).encode())
     raw.unlink()
-
-
-def counts(netlist: Path, top: str) -> Mapping[str, int]:
-    """Cells by kind."""
-    found: dict[str, int] = {}
-    for cell in json.loads(netlist.read_text("utf-8"))["modules"][top]["cells"].values():
-        found[cell["type"]] = found.get(cell["type"], 0) + 1
-    return found
 
 
 def _word(item: Path | str) -> str:

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The open flow's parts that need none of its tools: what is refused before, how sides are merged and judged."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cm.build.check.finding import Finding
+from cm.build.errors import BuildError, MissingTool
+from cm.build.generate.tree import load_design
+from cm.build.openflow.images import outside, user_id
+from cm.build.openflow.netlists import bits_of_region, module_side, open_top, static_side
+from cm.build.openflow.routed import read_routed
+from cm.build.openflow.rules import check_cells, check_open
+from cm.build.openflow.separate import separate
+from cm.build.openflow.steps import OpenStepFailed, Steps, key_of, run_tool
+from cm.build.openflow.synth import Sources, script
+from cm.build.openflow.timing import Timing, read_timing, slacks
+from cm.build.openflow.tools import Tool, find_tools
+from cm.build.plan.system import System
+from cm.cli.main import main
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "cm" / "data" / "examples"
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    shutil.copytree(EXAMPLES / "camera", tmp_path / "camera")
+    shutil.copytree(EXAMPLES / "open_camera", tmp_path / "open_camera")
+    return tmp_path / "open_camera" / "build.yaml"
+
+
+def changed(project: Path, *replacements: tuple[str, str]) -> System:
+    text = project.read_text()
+    for old, new in replacements:
+        assert old in text
+        text = text.replace(old, new)
+    project.write_text(text)
+    return load_design(project).system
+
+
+def messages(found: list[Finding]) -> str:
+    return "\n".join(finding.text(Path("build.yaml")) for finding in found)
+
+
+def test_the_example_is_one_that_the_open_tools_can_build(project: Path) -> None:
+    assert check_open(load_design(project).system) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("loader: fpga_manager", "loader: icap", "the ICAP is fed by a DMA engine"),
+        ("board: zybo-z7-10", "part: xck26-sfvc784-2LV-c", "nextpnr has no data of it"),
+        ("doc: Edges", "tcl: [x.tcl]\n    doc: Edges", "vendor IP"),
+        ("RAMB36_X1Y10:RAMB36_X1Y19]", "RAMB36_X1Y10:RAMB36_X1Y19, DSP48_X1Y20:DSP48_X1Y39]", "DSP48"),
+        ("[SLICE_X22Y50:SLICE_X31Y99, RAMB18_X1Y20:RAMB18_X1Y39, RAMB36_X1Y10:RAMB36_X1Y19]", "auto", "wants ranges"),
+    ],
+)
+def test_what_the_open_tools_cannot_do_is_told_before_they_run(project: Path, old: str, new: str, told: str) -> None:
+    (project.parent / "x.tcl").write_text("")
+    assert told in messages(check_open(changed(project, (old, new))))
+
+
+def test_a_stream_to_memory_is_told_with_the_key_of_its_interface(project: Path) -> None:
+    text = project.read_text().splitlines()
+    lines = [line for line in text if not line.startswith("      m_axis:")]
+    lines.insert(next(i for i, line in enumerate(lines) if "lens_focus:" in line), "      m_axis: {stream: camera}")
+    project.write_text("\n".join(lines) + "\n")
+    found = messages(check_open(load_design(project).system))
+    assert "regions.prr0.interfaces.m_axis: a stream to memory needs a DMA engine" in found
+
+
+def test_check_says_which_tools_refuse(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    changed(project, ("loader: fpga_manager", "loader: icap"))
+    assert main(["build", "check", str(project)]) == 0
+    assert main(["build", "check", "--flow", "open", str(project)]) == 1
+    assert "refused by the open tools: " in capsys.readouterr().out
+
+
+def test_cells_that_were_not_tried_are_named_before_placement() -> None:
+    cells = {"inner.pll": {"type": "MMCME2_ADV"}, "a": {"type": "LUT6"}, "b": {"type": "RAMB18E1"}}
+    with pytest.raises(BuildError, match=r"module x: 1 cells .*inner\.pll is a MMCME2_ADV"):
+        check_cells({"modules": {"top": {"cells": cells}}}, "top", "module x")
+    del cells["inner.pll"]
+    check_cells({"modules": {"top": {"cells": cells}}}, "top", "module x")
+
+
+def test_every_wire_of_a_boundary_but_its_clock_has_one_anchor_on_both_sides(project: Path) -> None:
+    system = load_design(project).system
+    (region,) = system.regions
+    bits = bits_of_region(region)
+    assert len(bits) == 131 - 1 + 32  # all but the clock, and the identity
+    for net in (static_side(region), module_side(region)):
+        anchors = [i for i in net.instances if i.name.startswith("cm_anchor_")]
+        assert {a.name for a in anchors} == {f"cm_anchor_{bit.label}" for bit in bits}
+        ends = {pin for a in anchors for pin in a.connections.values()}
+        assert {bit.signal for bit in bits} <= ends
+    into = {bit.port for bit in bits if bit.into}
+    assert {"s_axis_tdata", "aresetn"} <= into
+    assert "m_axis_tdata" not in into
+    assert [i.module for i in open_top(system).instances] == ["cm_open_system", "cm_static"]
+
+
+def test_a_flip_flop_behind_an_anchor_gets_a_look_up_table_of_its_own() -> None:
+    cells: dict[str, Any] = {
+        "region.cm_anchor_0_1": {"type": "LUT1", "connections": {"I0": [2], "O": [3]}},
+        "fed": {"type": "FDRE", "connections": {"D": [3], "Q": [4]}},
+        "free": {"type": "FDRE", "connections": {"D": [4], "Q": [5]}},
+    }
+    netlist = {"modules": {"top": {"cells": cells, "netnames": {"n": {"bits": [2, 3, 4, 5, "x"]}}}}}
+    assert separate(netlist, "top") == 1
+    (added,) = (cell for name, cell in cells.items() if name.startswith("cm_pass"))
+    assert added["connections"] == {"I0": [3], "O": [6]}
+    assert cells["fed"]["connections"]["D"] == [6]
+    assert cells["free"]["connections"]["D"] == [4]
+
+
+def test_only_what_the_design_needs_of_a_net_is_kept(tmp_path: Path) -> None:
+    """A net to a register of the design and to the harness: the way that only the harness needs is dropped."""
+    nets = {
+        "data": {
+            "driver": "inner.reg",
+            "users": [["inner.other", "D", "X1Y1/A"], ["cm_harness_0_1_lut", "A1", "X1Y1/B"]],
+            "wires": {
+                "X1Y1/A": ["X1Y1/A/M", "X1Y1/M"],
+                "X1Y1/B": ["X1Y1/B/M", "X1Y1/M"],
+                "X1Y1/M": ["X1Y1/M/S", "X1Y1/S"],
+                "X1Y1/S": None,
+            },
+        },
+        "toggle": {
+            "driver": "cm_harness_0_toggle",
+            "users": [["cm_anchor_0_2", "A1", "X1Y1/C"]],
+            "wires": {"X1Y1/C": ["X1Y1/C/T", "X1Y1/T"], "X1Y1/T": None},
+        },
+    }
+    path = tmp_path / "dump.json"
+    path.write_text(json.dumps({"cells": {"a.cm_clock_buffer": ["BUFGCTRL", "X9Y9/B"]}, "nets": nets}))
+    routed = read_routed(path, frozenset({"0_2"}))
+    kept, dropped = routed.pips()
+    assert {pip for pip, _ in kept} == {"X1Y1/A/M", "X1Y1/M/S"}
+    assert {pip for pip, _ in dropped} == {"X1Y1/B/M", "X1Y1/C/T"}
+    assert routed.place("cm_clock_buffer") == "X9Y9/B"
+
+
+def test_inputs_of_tables_are_found_though_the_router_exchanged_them(tmp_path: Path) -> None:
+    """nextpnr renames the cell's pins after the slice's, and not the wires: pin A4 is reached over wire A1."""
+    wires = {
+        "X1Y1/SLICE_X0Y0.A1": ["X1Y1/SLICE_X0Y0.A1/CLBLL_LL_A4", "X1Y1/CLBLL_LL_A4"],
+        "X1Y1/CLBLL_LL_A4": ["X1Y1/CLBLL_LL_A4/IMUX", "X1Y1/S"],
+        "X1Y1/S": None,
+    }
+    users = [["lut", "A4", "X1Y1/SLICE_X0Y0.A4"], ["lost", "A2", "X1Y1/SLICE_X0Y0.B2"]]
+    path = tmp_path / "dump.json"
+    path.write_text(json.dumps({"cells": {}, "nets": {"n": {"driver": "reg", "users": users, "wires": wires}}}))
+    routed = read_routed(path, frozenset())
+    assert {pip for pip, _ in routed.pips()[0]} == {"X1Y1/SLICE_X0Y0.A1/CLBLL_LL_A4", "X1Y1/CLBLL_LL_A4/IMUX"}
+    assert routed.lost() == ["net n does not reach pin A2 of lost"]
+
+
+def report(tmp_path: Path, *paths: tuple[str, str, str, float]) -> Timing:
+    nets = [
+        {"event": f"posedge {start}", "endpoints": [{"event": f"posedge {end}", "cell": cell, "delay": [0, delay]}]}
+        for start, end, cell, delay in paths
+    ]
+    fmax = {"clk": {"achieved": 100.0}, "x.cm_toggle_clock": {"achieved": 20.0}}
+    (tmp_path / "report.json").write_text(json.dumps({"detailed_net_timings": nets, "fmax": fmax}))
+    return read_timing(tmp_path / "report.json")
+
+
+def test_paths_over_anchors_have_the_sum_of_both_sides(tmp_path: Path) -> None:
+    harness = "x.cm_toggle_clock"
+    static = report(tmp_path, ("clk", harness, "cm_harness_0_1_ff", 6.0), (harness, "clk", "reg", 3.0))
+    module = report(
+        tmp_path,
+        ("clk", harness, "cm_harness_0_1_ff", 4.0),
+        (harness, "clk", "reg", 5.0),
+        (harness, harness, "cm_harness_0_toggle", 99.0),  # the harness's own
+    )
+    assert static == Timing(10.0, 6.0, 3.0, 0.0)
+    left = slacks(static, module, 10.5)
+    assert left["static part to module"] == pytest.approx(-0.5)
+    assert left["module to static part"] == pytest.approx(3.5)
+    assert left["module"] == pytest.approx(0.5)
+    assert "static part through module" not in left
+
+
+def test_frames_outside_the_columns_that_differ_are_told() -> None:
+    one, other = {0x1400: 1, 0x1380: 5}, {0x1400: 2, 0x1380: 5, 0x1A00: 4}
+    assert outside([0x1400 >> 7], one, other) == [0x1A00]
+    assert user_id(one) == user_id(dict(reversed(one.items()))) != user_id(other)
+
+
+def test_a_step_is_left_out_where_its_input_is_the_same_and_its_output_there(tmp_path: Path) -> None:
+    said: list[str] = []
+    out, source = tmp_path / "out", tmp_path / "in"
+    source.write_text("a")
+
+    def once() -> list[str]:
+        steps = Steps(tmp_path, said.append)
+        steps.step("one", "a step", key_of(1, source), [out], lambda: out.write_text("x") and None)
+        return steps.ran
+
+    assert once() == ["one"]
+    assert once() == []
+    source.write_text("b")
+    assert once() == ["one"]
+    out.unlink()
+    assert once() == ["one"]
+    assert said[0] == "one: a step"
+
+
+def test_a_step_that_fails_is_begun_anew(tmp_path: Path) -> None:
+    def fail() -> None:
+        raise OpenStepFailed("no")
+
+    steps = Steps(tmp_path, lambda _: None)
+    steps.step("one", "a step", "key", [], lambda: None)
+    with pytest.raises(OpenStepFailed):
+        steps.step("one", "a step", "other", [], fail)
+    assert not steps.fresh("one", "key", [])
+
+
+def test_a_program_that_fails_is_told_with_its_errors_and_its_log(tmp_path: Path) -> None:
+    shell = Tool("nextpnr", ("/bin/sh", "-c"))
+    words = ["echo fine; echo 'ERROR: no place for cell x'; exit 3"]
+    with pytest.raises(OpenStepFailed, match=r"module m: nextpnr failed; .*log says:\n    ERROR: no place for cell x"):
+        run_tool(shell, words, tmp_path / "log", {}, "module m")
+
+
+def test_a_path_that_yosys_cannot_take_is_told() -> None:
+    with pytest.raises(BuildError, match="yosys takes no path with spaces"):
+        script(Sources("top", (Path("/a folder/x.v"),)), Path("/out.json"), Path("/"))
+
+
+def test_missing_tools_are_told_with_how_to_get_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("CM_XRAY_DATABASE", str(tmp_path / "none"))
+    with pytest.raises(MissingTool) as told:
+        find_tools(tmp_path / "nothing")
+    assert str(told.value).count("cm build tools --fetch") == 3

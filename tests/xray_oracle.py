@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Project X-Ray's own programs, run on bitstreams: what they read and write."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+from cm.bitstream import FrameAddress, open_image
+from cm.bitstream.devices import Family
+from cm.bitstream.far import encode_far
+from cm.bitstream.geometry import geometry_of
+from cm.bitstream.inspect import _events
+from cm.build.packages import PackageTree
+from cm.native import bitstream as native
+
+DATABASE = "usr/share/prjxray/database"
+PARTS = {"xc7z020": "zynq7/xc7z020clg400-1", "xc7a50t": "artix7/xc7a50tcsg324-1", "xc7z010": "zynq7/xc7z010clg400-1"}
+
+
+def run(tree: PackageTree, program: str, *arguments: str) -> None:
+    done = subprocess.run(tree.command(program, *arguments), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def part(tree: PackageTree, device: str) -> Path:
+    return tree.path(f"{DATABASE}/{PARTS[device]}/part.yaml")
+
+
+def read_bits(tree: PackageTree, device: str, data: bytes, folder: Path) -> set[tuple[int, int, int]]:
+    """What bitread finds set in a bitstream: (frame address, word, bit)."""
+    (folder / "in.bit").write_bytes(data)
+    options = ["-part_file", str(part(tree, device)), "-o", str(folder / "out.bits"), "-z", "-y"]
+    run(tree, "bitread", *options, str(folder / "in.bit"))
+    lines = (folder / "out.bits").read_text().split()
+    return {(int(far, 16), int(word), int(bit)) for _, far, word, bit in (line.split("_") for line in lines)}
+
+
+def frames_read(path: Path, device: str) -> dict[int, bytes]:
+    """Frames by address, as our parser and our table of columns take a full bitstream apart."""
+    geometry = geometry_of(device)
+    assert geometry is not None
+    image = open_image(path)
+    (run_,) = [row for row in _events(image)[0].tolist() if row[1] == native.FRAMES]
+    word, count = run_[0], run_[4]
+    first = word + 2 if count > 0x7FF else word + 1
+    data = bytes(image.stream[4 * first : 4 * (first + count)])
+    found, at = {}, 0
+    for key in sorted(key for key in geometry.rows if key[0] < 2):
+        row = geometry.rows[key]
+        for column in range(row.columns):
+            for minor in range(row.frames(column)):
+                found[encode_far(FrameAddress(*key, column, minor), Family.SERIES7)] = data[at : at + 404]
+                at += 404
+        at += 808  # two frames of padding end a row
+    return found
