@@ -168,7 +168,8 @@ class OpenFlow:
     def _bitstreams(self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]]) -> None:
         system, name = self.system, self.system.project.name
         outputs = {one: self.out / f"bitstreams/{one}.bit" for one in (name, *modules)}
-        key = key_of(sorted(static), {one: sorted(found) for one, found in modules.items()})
+        found = {one: sorted(features) for one, features in modules.items()}
+        key = key_of(sorted(static), found, Path(images.__file__))
         self.steps.step("bitstreams", "frames and bitstreams", key, list(outputs.values()),
                         partial(self._write, static, modules, outputs))  # fmt: skip
         self.tell(f"{system.project.name}: {len(modules)} partial bitstreams in {self.out / 'bitstreams'}")

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from cm.build.openflow.layout import Layout
+from cm.build.openflow.merge import CLOCK
 from cm.build.openflow.netlists import ANCHOR, HARNESS
 from cm.build.openflow.routed import Routed, tile_of
 from cm.build.plan.pins import Placement
@@ -29,6 +30,7 @@ def module_job(database: Database, wires: Wires, layout: Layout, static: Routed,
     areas = {_harness(layout): _harness_places(layout), "module": [_at(tile) for tile in layout.logic_tiles]}
     bels = [*_anchor_bels([layout]), ["cm_clock_buffer", clock_buffer]]
     blocked = fence(database, wires, layout) | passing(database, wires, layout, static)
+    blocked |= other_lanes(database, wires, static)
     cells = [[_harness(layout), _harness(layout)], ["", "module"]]
     return {"bels": bels, "areas": areas, "cells": cells, "blocked": sorted(blocked)}
 
@@ -47,17 +49,34 @@ def fence(database: Database, wires: Wires, layout: Layout) -> set[str]:
 
 
 def passing(database: Database, wires: Wires, layout: Layout, static: Routed) -> set[str]:
-    """Wires of the static part that touch the region, but for outputs of its anchors: the harness hangs on them."""
+    """Wires of the static part that touch the region.
+
+    Not those that only one look-up table can drive: an anchor's way out is the static part's as well as, in a
+    module's run, the harness's. Nor the clock's, which is the module's too.
+    """
     kept, _ = static.pips()
     found = set()
     for _, wire in kept:
         place, _, name = wire.partition("/")
         tile = tile_of(database, place)
-        if name.startswith(("LOGIC_OUTS", "CLBL")):
+        if tile is None or "." in name or "LOGIC_OUTS" in name or tile.startswith(("CLB", "HCLK", "CLK")):
             continue
-        if tile is not None and "." not in name and any(there in layout.tiles for there, _ in wires.node(tile, name)):
+        if any(there in layout.tiles for there, _ in wires.node(tile, name)):
             found.add(wire)
     return found
+
+
+def other_lanes(database: Database, wires: Wires, static: Routed) -> set[str]:
+    """Lanes into the rows of clocks that the static part's clock does not take: a module's clock comes as it does."""
+    used = {wire for net in static.nets.values() if net["driver"].endswith(CLOCK) for wire in net["wires"]}
+    every = {
+        f"{_at(tile)}/{wire}"
+        for tile in database.tiles.values()
+        if tile.kind.startswith("CLK_HROW_")
+        for wire in wires.kind(tile.kind).wires
+        if wire.startswith("CLK_HROW_CK_MUX_OUT_")
+    }
+    return every - used
 
 
 def pins_xdc(placements: Iterable[Placement]) -> str:
