@@ -14,6 +14,7 @@ from typing import Any
 from cm.errors import CmError, InvalidRequest
 
 PORT = 7447
+LEASE = 10.0  # seconds, zenoh's own
 _TRY = 3000  # milliseconds of one try to reach a router
 _AGAIN = 1.0  # seconds between two
 
@@ -32,7 +33,7 @@ class Network:
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
     config: Path | None = None
-    lease: float = 10.0  # seconds until a process that stopped answering is told to be gone
+    lease: float = LEASE  # seconds until a process that stopped answering is told to be gone
 
 
 def endpoint(text: str) -> str:
@@ -101,9 +102,10 @@ def _settings(network: Network) -> list[tuple[str, Any]]:
     found: list[tuple[str, Any]] = []
     if network.config is None:
         found += [("mode", network.mode), ("scouting/multicast/enabled", not network.connect and not network.listen)]
-        found += [("transport/link/tx/lease", int(network.lease * 1000))]
         if network.mode == "client":
             found.append(("connect/timeout_ms", _TRY))
+    if network.config is None or network.lease != LEASE:
+        found.append(("transport/link/tx/lease", int(network.lease * 1000)))
     if network.connect:
         found.append(("connect/endpoints", list(network.connect)))
     if network.listen:
