@@ -96,6 +96,17 @@ def test_a_proposal_that_cannot_be_generated_gives_way_to_one_of_fewer_regions(
     assert "note: 6 regions cannot be generated: three is the limit [full]" in capsys.readouterr().out
 
 
+def test_a_proposal_whose_block_design_cannot_be_gives_way_too(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    # forty streams with an engine each have more masters than the ports to memory take
+    text = "project: {name: many, part: xc7z020clg400-1}\nregions: {prr0: {}}\nmodules:\n"
+    names = [f"m{index}" for index in range(20)]
+    text += "".join(f"  {name}: {{sources: [{name}.v], resources: {{lut: 900}}}}\n" for name in names)
+    files = {name: STREAM_MODULE.format(name=name, high=31) for name in names}
+    data = proposed(project(tmp_path, text, **files), "--objective", "mean")
+    assert 1 < len(data["regions"]) < 20
+    assert "note: 20 regions cannot be generated: " in capsys.readouterr().out
+
+
 def test_a_region_that_stays_but_is_too_small_is_placed_anew(tmp_path: Path) -> None:
     path = copy_examples(tmp_path) / "camera" / "build.yaml"
     path.write_text(path.read_text(encoding="utf-8").replace("{lut: 335,", "{lut: 5000,"), encoding="utf-8")

@@ -78,9 +78,9 @@ def refusals(project: Project, analysis: Analysis, text: str) -> list[str]:
         changed = replace(analysis, boundaries=boundaries)
         if changed.refused:
             return list(changed.refused)
-        system = plan_system(changed.completed(other), boundaries)
+        found = check_system(plan_system(changed.completed(other), boundaries))
     except SchemaError as error:
         return [problem.message for problem in error.problems]
     except BuildError as error:
         return [str(error)]
-    return [f"{finding.message} [{finding.rule}]" for finding in check_system(system) if finding.error]
+    return [f"{finding.message} [{finding.rule}]" for finding in found if finding.error]
