@@ -11,7 +11,7 @@ from board import RELEASE, Board
 _SIMULATED = """
 cm serve --sim --runtime-dir $HOME/sim --state-dir $HOME/state 2>log &
 for i in $(seq 600); do grep -q 'ready at' log && break; sleep 0.2; done
-cm status --runtime-dir $HOME/sim || cat log
+cm configs --runtime-dir $HOME/sim || cat log
 kill %1; wait
 """
 _WHEEL = f"""
