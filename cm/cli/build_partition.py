@@ -117,7 +117,8 @@ def run_partition(args: argparse.Namespace) -> int:
         _print(title, partition)
     for note in found.notes:
         print(f"note: {note}")
-    print(f"at most {gap:.1%} from the best there is" if gap else "no other partition is better")
+    among = f" of at most {len(proposed.groups)} regions" if found.notes else ""
+    print(f"at most {gap:.1%} from the best there is{among}" if gap else f"no other partition{among} is better")
     if args.output:
         print(f"{args.output}: the proposal as a build schema")
     return 0
