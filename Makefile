@@ -59,12 +59,13 @@ demo-ros: $(STAMP) ## a simulated board as a ROS 2 node, seen by a subscriber on
 	@$(MAKE) --no-print-directory -s -C ros2/fastdds_peer OUT=$(abspath build/fastdds_peer)
 	@$(BIN)/python ros2/demo.py --peer build/fastdds_peer/peer --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
 
-demo-open: $(STAMP) ## Verilog to partial bitstreams without a vendor's tool (OUT=DIR; fetches some 50 MB of Debian packages)
+demo-open: $(STAMP) ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)
 	@$(BIN)/cm build tools --fetch
 	@mkdir -p $(OUT) && cp -r cm/data/examples/camera cm/data/examples/open_camera $(OUT)/
 	@$(BIN)/cm build generate $(OUT)/open_camera/build.yaml
 	@$(BIN)/cm build run --flow open -j$(JOBS) $(OUT)/open_camera/build.yaml
 	@$(BIN)/cm build collect --schema $(OUT)/open_camera/build.yaml --target $(OUT)/target
+	@$(BIN)/python examples/open_camera.py $(OUT)/open_camera/build.yaml
 
 test: $(STAMP) test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)
 	$(PYTEST) $(SUITES) --board=sim -n $(JOBS) --dist loadfile $(PYTEST_ARGS)

@@ -175,3 +175,13 @@ def test_the_same_seed_gives_the_same_bits_and_another_module_is_not_built_again
     for step in ("synth_static", "synth_edge", "synth_default", "place_static", "place_edge"):
         assert step not in done.stdout  # though the folder is another
     assert {name: image(project, name).read_bytes() for name in MODULES} == before
+
+
+@pytest.mark.skipif(shutil.which("verilator") is None, reason="needs verilator, which is not installed")
+def test_the_demonstration_ends_with_modules_that_run_from_their_bits(open_project: Path) -> None:
+    example = Path(__file__).resolve().parents[2] / "examples" / "open_camera.py"
+    command = [sys.executable, str(example), str(open_project / "build.yaml")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    for name in ("DEFA", "EDGE", "COLO"):
+        assert f"its bits say {name!r}, zoom is 4 after 4 was written" in done.stdout
