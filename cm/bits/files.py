@@ -6,6 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from cm.bits.errors import BitsError
+from cm.bitstream import to_dma_words
+from cm.build.plan.system import System
 from cm.build.project.load import load_project
 
 
@@ -18,3 +20,11 @@ def collected(build: Path) -> Path:
             f"{found} is not there: `cm build run --flow open {build}` and `cm build collect --schema {build}` make it"
         )
     return found
+
+
+def streams_of(files: Path, system: System) -> tuple[list[bytes], dict[str, bytes]]:
+    """The full bitstreams in a folder, and the partial ones by module, in the order of DMA memory."""
+    modules = {one.name for one in system.implementations}
+    found = {path.stem: to_dma_words(path) for path in sorted(files.glob("*.bin"))}
+    whole = [stream for name, stream in found.items() if name not in modules]
+    return whole, {name: stream for name, stream in found.items() if name in modules}

@@ -11,12 +11,8 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from cm.bits.errors import BitsError
-from cm.bits.files import collected
-from cm.bits.memory import FrameMemory
+from cm.bits.files import collected, streams_of
 from cm.bits.regions import LoadedBits
-from cm.bitstream import device_by_name, to_dma_words
-from cm.build.openflow.layout import layouts
 from cm.rtl.board import Libraries
 from cm.rtl.compile import Watched
 from cm.rtl.design import RtlDesign
@@ -24,7 +20,6 @@ from cm.rtl.main import add_rtl_arguments
 from cm.rtl.main import run as run_rtl
 from cm.rtl.tools import Tools
 from cm.sim.hardware.logic import LogicParts
-from cm.xray import Database
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -40,20 +35,11 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _libraries(
     args: argparse.Namespace, folder: Path, tools: Tools, design: RtlDesign, watched: Watched, parts: LogicParts
 ) -> Libraries:
-    system = design.system
-    folder_of_files = collected(args.build)
-    device = device_by_name(system.device)
-    if device is None:
-        raise BitsError(f"{system.device} is no device that bitstreams are known of")
-    database = Database.open(system.project.part)
-    loaded = LoadedBits(database, FrameMemory(device), layouts(system, database), tools, watched, folder)
-    streams = {path.stem: to_dma_words(path) for path in sorted(folder_of_files.glob("*.bin"))}
-    modules = {one.name for one in system.implementations}
-    loaded.prepare(
-        [stream for name, stream in streams.items() if name not in modules],
-        [stream for name, stream in streams.items() if name in modules],
-    )
-    _install(folder_of_files, Path(args.root) / "lib/firmware/cm" / system.project.name)
+    files = collected(args.build)
+    loaded = LoadedBits.of(design.system, tools, watched, folder)
+    whole, modules = streams_of(files, design.system)
+    loaded.prepare(whole, modules.values())
+    _install(files, Path(args.root) / "lib/firmware/cm" / design.system.project.name)
     parts.fabric.configured = loaded.take
     return loaded
 

@@ -9,13 +9,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from cm.bits.cells import Netlist
 from cm.bits.errors import BitsError
 from cm.bits.extract import Boundary, extract
 from cm.bits.memory import FrameMemory
 from cm.bits.verilog import Port, verilog
+from cm.bitstream import device_by_name
 from cm.build.generate.wrapper import black_box
 from cm.build.hdl.model import PortDirection
-from cm.build.openflow.layout import Layout
+from cm.build.openflow.layout import Layout, layouts
+from cm.build.plan.system import System
 from cm.errors import CmError
 from cm.rtl.compile import Unit, Watched, compile_units
 from cm.rtl.tools import Tools
@@ -23,6 +26,7 @@ from cm.sim.hardware.cells import Region
 from cm.xray import Database, Wires, decode
 
 _log = logging.getLogger(__name__)
+_NOTES = 3  # are said one by one
 _COLUMN = 7  # bits of a frame address below its column
 
 
@@ -64,6 +68,15 @@ class LoadedBits:
         self._tools, self._watched, self._folder = tools, watched, folder
         self._filled: set[str] = set()
 
+    @classmethod
+    def of(cls, system: System, tools: Tools, watched: Watched, folder: Path) -> LoadedBits:
+        """Of a design, with no frames yet. BitsError, XrayError where its device is not known."""
+        device = device_by_name(system.device)
+        if device is None:
+            raise BitsError(f"{system.device} is no device that bitstreams are known of")
+        database = Database.open(system.project.part)
+        return cls(database, FrameMemory(device), layouts(system, database), tools, watched, folder)
+
     def take(self, stream: memoryview) -> None:
         """A bitstream went in without an error: words in memory order."""
         written = {address >> _COLUMN for address in self._memory.load(bytes(stream))}
@@ -76,7 +89,7 @@ class LoadedBits:
         if region.name not in self._filled:
             return None
         try:
-            return self._compiled(region.name)
+            return self.compiled(region.name)
         except CmError as error:
             _log.error("region %s: %s", region.name, error)
             return None
@@ -90,19 +103,27 @@ class LoadedBits:
             written = {address >> _COLUMN for address in self._memory.load(stream)}
             for name, place in self._places.items():
                 if not written.isdisjoint(place.columns):
-                    self._compiled(name)
+                    self.compiled(name)
             self._memory.frames.clear()
             self._memory.frames.update(before)
 
-    def _compiled(self, name: str) -> Path:
+    def netlist(self, name: str) -> Netlist:
+        """What the frames configure in a region now."""
+        features = decode(self._database, self._memory.frames).features
+        return extract(self._database, self._wires, features, self._places[name].boundary)
+
+    def compiled(self, name: str) -> Path:
+        """The library of what the frames configure in a region now. CmError where it cannot be made."""
         place, frames = self._places[name], self._memory.frames
         own = {address: frame for address, frame in frames.items() if frame and address >> _COLUMN in place.columns}
         key = hashlib.sha256(repr(sorted(own.items())).encode()).hexdigest()[:16]
         path = self._folder / f"{name}-{key}.v"
         if not path.exists():
-            netlist = extract(self._database, self._wires, decode(self._database, frames).features, place.boundary)
-            for note in netlist.notes[:20]:
+            netlist = self.netlist(name)
+            for note in netlist.notes[:_NOTES]:
                 _log.warning("region %s: %s", name, note)
+            if len(netlist.notes) > _NOTES:
+                _log.warning("region %s: and %d more of the kind", name, len(netlist.notes) - _NOTES)
             clocks = dict.fromkeys(range(12), place.clock)
             path.write_text(verilog(netlist, place.module, place.ports, clocks), encoding="utf-8")
         (library,) = compile_units(self._tools, [Unit(f"the bits in {name}", place.module, (path,))], self._watched)

@@ -23,6 +23,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--keep-frames", action="store_true", help="also write the raw frames (frames.npz)")
     parser.add_argument("--rtl", action="store_true", help="on the modules' Verilog instead of models in software")
     parser.add_argument("--fleet", action="store_true", help="three boards over zenoh instead, one of which is killed")
+    parser.add_argument("--bits", type=Path, metavar="FILE",
+        help="the modules of a build schema that the open flow has built, by their bits")  # fmt: skip
     parser.set_defaults(run=run)
 
 
@@ -37,6 +39,11 @@ def run(args: argparse.Namespace) -> int:
         from cm.demo.fleet import run_fleet_demo
 
         print(f"wrote     {run_fleet_demo(args.out)} after {time.monotonic() - started:.1f} s")
+        return 0
+    if args.bits:
+        from cm.demo.bits import run_bits_demo
+
+        print(f"wrote     {run_bits_demo(args.bits, args.out)} after {time.monotonic() - started:.1f} s")
         return 0
     from cm.demo.runner import run_demo
 
