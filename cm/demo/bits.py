@@ -6,6 +6,7 @@ from __future__ import annotations
 import select
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +33,27 @@ class ShowFailed(CmError):
     code = "show_failed"
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What came out of a module, and what of it was not simulated."""
+
+    picture: Picture
+    left_out: tuple[str, ...]
+
+
 def run_bits_demo(build: Path, out: Path, say: Callable[[str], None] = print) -> Path:
     """A photograph through each module of the first region of a design built by the open flow, as a contact sheet."""
+    photo = next(iter(shipped_photos().values()))
+    rows: dict[str, list[Picture]] = {"what goes in": [photo]}
+    for name, shown in through_modules(build, photo, say).items():
+        remark = " (its block RAM is not simulated)" if shown.left_out else ""
+        rows[f"{name}, by its bits{remark}"] = [shown.picture]
+    contact_sheet(rows, out / "bits.png")
+    return out / "bits.png"
+
+
+def through_modules(build: Path, photo: Picture, say: Callable[[str], None] = print) -> dict[str, Shown]:
+    """What comes out of each module, by name. CmError where something is not there, or answers as another."""
     with tempfile.TemporaryDirectory(prefix="cm-bits-") as text:
         folder = Path(text)
         design, tools = load_rtl_design(build, folder / "tree"), find_tools()
@@ -43,19 +63,17 @@ def run_bits_demo(build: Path, out: Path, say: Callable[[str], None] = print) ->
         # what leaves the device is looked at here, and not dropped
         (folder / "wiring").write_text(wiring(design, static, 1).replace("\ndrain ", "\nsink "), encoding="utf-8")
         process = EngineProcess(compile_engine(tools), folder / "wiring")
-        photo = next(iter(shipped_photos().values()))
-        rows: dict[str, list[Picture]] = {"what goes in": [photo]}
+        found = {}
         try:
             for stream in whole:
                 loaded.take(memoryview(stream))
             for name, stream in modules.items():
                 loaded.take(memoryview(stream))
-                left_out = " (its block RAM is not simulated)" if loaded.netlist(design.regions[0]).notes else ""
-                rows[f"{name}, by its bits{left_out}"] = [_shown(design, process, loaded, name, photo, say)]
+                notes = loaded.netlist(design.regions[0]).notes
+                found[name] = Shown(_shown(design, process, loaded, name, photo, say), notes)
         finally:
             process.close()
-    contact_sheet(rows, out / "bits.png")
-    return out / "bits.png"
+    return found
 
 
 def _shown(

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Modules of the open flow behind the manager and in the demonstration: they run by what was loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cm.client.board import Board, connect
+from cm.demo.bits import run_bits_demo, through_modules
+from cm.sim.hardware.camera import shipped_photos
+from cm.sim.hardware.models import Colorise
+from cm.testing.served import Served
+
+pytestmark = pytest.mark.timeout(900)
+DEFAULT, COLOUR = 0x44454641, 0x434F4C4F  # what the modules' Verilog says of itself
+
+
+@pytest.fixture(scope="module")
+def board(open_project: Path) -> Iterator[Board]:
+    served = Served("bits", build=str(open_project / "build.yaml"))
+    try:
+        with connect(str(served.runtime)) as connected:
+            yield connected
+    finally:
+        served.stop()
+
+
+def test_registers_and_changes_of_mode_are_those_of_the_loaded_bits(board: Board) -> None:
+    board.load("open_camera", "default", progress=False)
+    assert board.registers.ident == DEFAULT
+    board.registers["focus"] = 7
+    assert board.registers.focus == 7
+    board.load("open_camera", "colorise", progress=False)
+    assert board.registers.ident == COLOUR
+    board.registers["palette"] = 2
+    assert board.registers.palette == 2
+    board.load("open_camera", "default", progress=False)
+    assert board.registers.ident == DEFAULT
+
+
+def test_a_picture_through_the_bits_is_byte_for_byte_that_of_the_software_models(open_project: Path) -> None:
+    photo = next(iter(shipped_photos().values()))
+    shown = through_modules(open_project / "build.yaml", photo, lambda _: None)
+    assert set(shown) == {"default", "colorise", "edge"}
+    assert not shown["default"].left_out
+    assert np.array_equal(shown["default"].picture, photo)
+    assert not shown["colorise"].left_out
+    assert np.array_equal(shown["colorise"].picture, Colorise()(photo, {"palette": 0}))
+    assert any("RAMB18E1" in note for note in shown["edge"].left_out)  # said, not hidden
+
+
+def test_the_demonstration_writes_its_sheet(open_project: Path, tmp_path: Path) -> None:
+    said: list[str] = []
+    assert run_bits_demo(open_project / "build.yaml", tmp_path, said.append).stat().st_size > 10_000
+    assert [line.partition(":")[0] for line in said] == ["colorise", "default", "edge"]
