@@ -34,9 +34,11 @@ def main(build: str) -> None:
         command = [sys.executable, "-m", "cm", "serve", "--sim=bits", "--build", build, "--runtime-dir", folder]
         command += ["--state-dir", str(Path(folder) / "state")]
         served = subprocess.Popen(command, stderr=subprocess.DEVNULL)
-        wait = [sys.executable, "-m", "cm", "status", "--wait", "--runtime-dir", folder]
-        try:
-            subprocess.run(wait, check=True, stdout=subprocess.DEVNULL)
+        wait = [sys.executable, "-m", "cm", "status", "--wait", "5", "--runtime-dir", folder]
+        try:  # the first start compiles the board and every module
+            while subprocess.run(wait, check=False, capture_output=True).returncode:
+                if served.poll() is not None:
+                    sys.exit("cm serve --sim=bits ended: start it by hand to see why")
             with cm.connect(runtime_dir=folder, timeout=60) as board:
                 show(board)
         finally:
