@@ -64,7 +64,7 @@ demo-open: $(STAMP) ## Verilog to partial bitstreams without a vendor's tool, an
 	@mkdir -p $(OUT) && cp -r cm/data/examples/camera cm/data/examples/open_camera $(OUT)/
 	@$(BIN)/cm build generate $(OUT)/open_camera/build.yaml
 	@$(BIN)/cm build run --flow open -j$(JOBS) $(OUT)/open_camera/build.yaml
-	@$(BIN)/cm build collect --schema $(OUT)/open_camera/build.yaml --target $(OUT)/target
+	@$(BIN)/cm build collect --schema $(OUT)/open_camera/build.yaml --target $(OUT)/open_camera/target
 	@$(BIN)/python examples/open_camera.py $(OUT)/open_camera/build.yaml
 
 test: $(STAMP) test-c ## all tests that need no board and no further tools (SANITIZE=1: the C tests with sanitizers)

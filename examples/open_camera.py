@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What `make demo-open` ends with: modules that open tools built, loaded and run from their bits.
 
-    python examples/open_camera.py BUILD.YAML    # after cm build run --flow open
+    python examples/open_camera.py BUILD.YAML    # after cm build run --flow open, cm build collect
 
 The simulated board's region runs what the loaded frames configure (it needs Verilator). Each module says its
 name in a register, and keeps what is written to another.
