@@ -7,6 +7,7 @@ import hashlib
 import os
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -20,6 +21,8 @@ from cm.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes
 _TIMEOUT = 20.0  # seconds for a part
+PATIENCE = 10.0  # seconds until who hands out is known to all routers
+_AGAIN = 0.1
 _ORIGIN = "origin"
 _AT_ONCE = 8  # parts that a cache fetches or hands out at once
 
@@ -189,19 +192,29 @@ class Parts:
             raise PartMissing(f"{bundle.name}: its parts do not make the archive that was announced (sha256)")
 
 
-def fetched(session: Any, site: str, bundle: FetchBundle, parts: Parts) -> None:
+def fetched(session: Any, site: str, bundle: FetchBundle, parts: Parts, patience: float = PATIENCE) -> None:
     """Get what is not there yet: from the site's cache, where there is one, else from who sends it.
 
-    Raises PartMissing; what has come stays, and is not fetched again.
+    Who hands out has just begun to, and routers hear of it one after the other: nobody there is asked again for
+    `patience` seconds. Raises PartMissing; what has come stays, and is not fetched again.
     """
     places = [site, _ORIGIN] if site else [_ORIGIN]
     for part in bundle.parts:
         if parts.get(part) is not None:
             continue
-        for place in places:
-            data = asked(session, part_key(place, bundle.sha256, part), part)
-            if data is not None:
-                parts.put(part, data)
-                break
-        else:
+        data = _from_one_of(session, [part_key(place, bundle.sha256, part) for place in places], part, patience)
+        if data is None:
             raise PartMissing(f"{bundle.name}: nobody hands out part {part[:12]} ({parts.have(bundle)} bytes are here)")
+        parts.put(part, data)
+
+
+def _from_one_of(session: Any, keys: list[str], part: str, patience: float) -> bytes | None:
+    end = time.monotonic() + patience
+    while True:
+        for key in keys:
+            data = asked(session, key, part)
+            if data is not None:
+                return data
+        if time.monotonic() >= end:
+            return None
+        time.sleep(_AGAIN)

@@ -73,7 +73,7 @@ def test_a_part_that_is_not_what_its_hash_says_is_not_taken(router: Router, pack
     parts = Parts(tmp_path / "parts")
     refused = pytest.raises(PartMissing, match=r"nobody hands out part .* \(20000 bytes are here\)")
     with joined(router) as ours, joined(router) as theirs, offered(ours, changed, bundle), refused:
-        fetched(theirs, "", bundle, parts)
+        fetched(theirs, "", bundle, parts, patience=0.3)
 
 
 def test_a_sites_cache_gets_one_copy_for_all_its_boards(router: Router, packed: Path, tmp_path: Path) -> None:
