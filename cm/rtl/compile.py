@@ -108,6 +108,8 @@ def _library(tools: Tools, unit: Unit, runtime: Path, watched: Watched) -> Path:
     shim = (ENGINE / "shim.cpp.in").read_text(encoding="utf-8")
     header = (ENGINE / "model.h").read_text(encoding="utf-8")
     described = [tools.identity, unit.top, watched.key, *unit.defines, *_VERILATOR, *_FLAGS, _LOCAL.pattern]
+    if watched.coverage:  # counts are told by the files' paths, which are in the library
+        described += map(str, unit.sources)
     key = digest([*described, shim, header, *_texts(inputs)])
 
     def make(target: Path, scratch: Path) -> None:
