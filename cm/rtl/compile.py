@@ -34,6 +34,7 @@ class Unit:
     sources: tuple[Path, ...]
     includes: tuple[Path, ...] = ()
     defines: tuple[str, ...] = ()
+    made: Path | None = None  # folder of files that are written for the simulation, anew each time
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +110,7 @@ def _library(tools: Tools, unit: Unit, runtime: Path, watched: Watched) -> Path:
     header = (ENGINE / "model.h").read_text(encoding="utf-8")
     described = [tools.identity, unit.top, watched.key, *unit.defines, *_VERILATOR, *_FLAGS, _LOCAL.pattern]
     if watched.coverage:  # counts are told by the files' paths, which are in the library
-        described += map(str, unit.sources)
+        described += [str(path) for path in unit.sources if unit.made is None or unit.made not in path.parents]
     key = digest([*described, shim, header, *_texts(inputs)])
 
     def make(target: Path, scratch: Path) -> None:

@@ -90,7 +90,7 @@ def load_rtl_design(schema: Path, folder: Path) -> RtlDesign:
     _write(folder / "hdl/cm_static_sim.v", renderer.render("module.v.j2", {"net": static}))
     return RtlDesign(
         system,
-        Unit("the static part", static.name, (folder / "hdl/cm_static_sim.v", *_library(), *sorted(_HDL.glob("*.v")))),
+        Unit("the static part", static.name, _static_sources(folder), made=folder),
         {(one.region.name, one.module.name): _unit(one, folder, renderer) for one in system.implementations},
         tuple(_streams(system)),
         tuple(_outputs(static, system)),
@@ -194,8 +194,8 @@ def _outputs(static: Netlist, system: System) -> Iterator[Output]:
                 yield Output(name, region.name, port.name)
 
 
-def _library() -> list[Path]:
-    return sorted(RTL.glob("*.v"))
+def _static_sources(folder: Path) -> tuple[Path, ...]:
+    return (folder / "hdl/cm_static_sim.v", *sorted(RTL.glob("*.v")), *sorted(_HDL.glob("*.v")))
 
 
 def _unit(one: Implementation, folder: Path, renderer: Renderer) -> Unit:
@@ -211,7 +211,8 @@ def _unit(one: Implementation, folder: Path, renderer: Renderer) -> Unit:
     sources = tuple(dict.fromkeys([*files["verilog"], *files["systemverilog"]]))
     if files["vhdl"] or module.libraries:
         sources = _of_vhdl(replace(one, module=module), folder, renderer)
-    return Unit(f"module {one.name}", one.region.module, sources, tuple(files["include_dirs"]), tuple(files["defines"]))
+    includes, defines = tuple(files["include_dirs"]), tuple(files["defines"])
+    return Unit(f"module {one.name}", one.region.module, sources, includes, defines, folder)
 
 
 def _of_vhdl(one: Implementation, folder: Path, renderer: Renderer) -> tuple[Path, ...]:
