@@ -85,6 +85,32 @@ class LutMemory:
     last: Net
 
 
+@dataclass(frozen=True, slots=True)
+class BlockPort:
+    """A port of a block RAM. Clock, enable and reset each with whether they count inverted; `data` and `lanes`, the
+    write enables of bytes, are empty where nothing is written. `mode`: what is read while it writes."""
+
+    clock: tuple[Net, bool]
+    enable: tuple[Net, bool]
+    reset: tuple[Net, bool]
+    address: tuple[Net, ...]
+    data: tuple[Net, ...]
+    lanes: tuple[Net, ...]
+    outputs: tuple[Net, ...]
+    mode: str
+    init: int
+    value: int
+
+
+@dataclass(frozen=True, slots=True)
+class BlockMemory:
+    """A RAMB18E1 whose ports have one width."""
+
+    width: int
+    words: tuple[int, ...]
+    ports: tuple[BlockPort, ...]
+
+
 def reduced(init: int, inputs: Sequence[Net], output: Net) -> Lut:
     """A table of as many inputs as it looks at: no constants, and none whose value changes nothing.
 
@@ -114,7 +140,7 @@ def _halves(init: int, bit: int, count: int) -> tuple[int, int]:
     return found[0], found[1]
 
 
-Cell: TypeAlias = Lut | Mux | Carry | FlipFlop | LutMemory
+Cell: TypeAlias = Lut | Mux | Carry | FlipFlop | LutMemory | BlockMemory
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from cm.bits.cells import ONE, ZERO, Carry, Cell, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
-from cm.bits.routing import ClockLine, Constant, Routing, SitePin, Source
+from cm.bits.blocks import HALVES, Half
+from cm.bits.cells import ONE, ZERO, BlockMemory, Carry, Cell, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
+from cm.bits.routing import BlockPin, ClockLine, Constant, Routing, SitePin, Source
 from cm.bits.slices import Slice
 from cm.xray import Database, Feature, Wires
 
@@ -93,7 +94,34 @@ class _Extraction:
             return ONE if source.value else ZERO
         if isinstance(source, ClockLine):
             return f"clock:{source.number}"
+        if isinstance(source, BlockPin):
+            return self._block_output(source)
         return self._output(source)
+
+    def _block_output(self, source: BlockPin) -> Net:
+        half = self._half(source.tile, source.half)
+        why = half.why_not()
+        if why:
+            self._note(f"{half.name} {why}, and is not simulated: it reads as 0")
+            return ZERO
+        net = half.output(source.pin)
+        if net not in self._cells:
+            memory = half.memory()
+            self._cells.update({out: memory for port in memory.ports for out in port.outputs})
+        return net if net in self._cells else ZERO
+
+    def _half(self, tile: str, number: int) -> Half:
+        name = f"RAMB18_Y{number}"
+        own = {one.removeprefix(f"{name}.") for one in self._routing.features(tile) if one.startswith(f"{name}.")}
+        prefix = next(prefix for prefix, half in HALVES.items() if half == number)
+        return Half(f"{tile}.{name}", frozenset(own), lambda pin: self._wire(tile, prefix + pin))
+
+    def _wire(self, tile: str, wire: str) -> Net:
+        key = (tile, "", wire)
+        if key not in self._pins:
+            nets = list(dict.fromkeys(self._net(source) for source in self._routing.sources(tile, wire)))
+            self._pins[key] = ONE if not nets else nets[0] if len(nets) == 1 else self._meet(nets, f"{tile}.{wire}")
+        return self._pins[key]
 
     def _output(self, source: SitePin) -> Net:
         if source.kind.startswith("SLICE"):
@@ -117,6 +145,8 @@ def nets_of(cell: Cell) -> tuple[Net, ...]:
     """The nets that a cell makes."""
     if isinstance(cell, LutMemory):
         return (cell.o6, cell.o5, cell.last)
+    if isinstance(cell, BlockMemory):
+        return tuple(net for port in cell.ports for net in port.outputs)
     if isinstance(cell, Carry):
         return (*cell.sums, *cell.carries)
     return (cell.output,)
@@ -130,6 +160,9 @@ def needs(cell: Cell) -> Iterator[Net]:
         yield from (cell.zero, cell.one, cell.select)
     elif isinstance(cell, Carry):
         yield from (cell.begin, *cell.select, *cell.data)
+    elif isinstance(cell, BlockMemory):
+        for port in cell.ports:
+            yield from (port.clock[0], port.enable[0], port.reset[0], *port.address, *port.data, *port.lanes)
     elif isinstance(cell, FlipFlop):
         yield from (cell.clock, cell.data, cell.enable, cell.reset)
     else:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
+from cm.bits.blocks import HALVES
 from cm.xray import Database, Feature, Pip, SitePins, Wires
 
 _SPINE = "HCLK_CK_BUFHCLK"  # wires of a row of clock regions, by number
@@ -21,6 +22,14 @@ class SitePin(NamedTuple):
     pin: str
 
 
+class BlockPin(NamedTuple):
+    """An output of half a block RAM: 0 the lower, 1 the upper."""
+
+    tile: str
+    half: int
+    pin: str
+
+
 class ClockLine(NamedTuple):
     """One of the twelve lines that bring clocks to a row of clock regions."""
 
@@ -33,7 +42,7 @@ class Constant(NamedTuple):
     value: bool
 
 
-Source = SitePin | ClockLine | Constant
+Source = SitePin | BlockPin | ClockLine | Constant
 
 
 class Routing:
@@ -75,6 +84,12 @@ class Routing:
             return Constant(_CONSTANTS[wire])
         if wire.startswith(_SPINE) and tile.startswith("HCLK"):
             return ClockLine(int(wire.removeprefix(_SPINE)))
+        if wire.startswith("BRAM_") and not wire.startswith("BRAM_LOGIC_OUTS"):
+            prefix = next((one for one in HALVES if wire.startswith(f"{one}DO")), None)
+            if prefix is not None:
+                return BlockPin(tile, HALVES[prefix], wire.removeprefix(prefix))
+            if wire.startswith("BRAM_FIFO36_") and not any(one.startswith("RAMB36") for one in self.features(tile)):
+                return None  # the same outputs as of a whole block, which this is not
         made = self._outputs(self._database.tiles[tile].kind).get(wire)
         return None if made is None else SitePin(tile, made[0].type, made[0].x, made[1])
 
@@ -85,7 +100,14 @@ class Routing:
             return
         on, free = self.features(tile), self._database.ppips(kind)
         chosen = [pip for pip in into if pip.feature in on or free.get(pip.feature) == "always"]
-        yield from chosen or (pip for pip in into if free.get(pip.feature) == "default")
+        yield from chosen or (
+            pip for pip in into if free.get(pip.feature) == "default" or self._is_zeros(kind, pip.feature)
+        )
+
+    def _is_zeros(self, kind: str, feature: str) -> bool:
+        """Whether all bits of a pip are 0: it is on where no other of its wire is."""
+        bits = self._database.segbits(kind).features.get(feature, ())
+        return bool(bits) and not any(bit.value for bit in bits)
 
     def _pips(self, kind: str) -> Mapping[str, list[Pip]]:
         if kind not in self._into:

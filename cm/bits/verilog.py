@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from cm.bits.cells import ONE, ZERO, Carry, Cell, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
+from cm.bits.cells import ONE, ZERO, BlockMemory, BlockPort, Carry, Cell, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
 from cm.bits.extract import needs, nets_of
 
 _BIT = re.compile(r"port:(\w+)(?:\[(\d+)\])?")
@@ -79,6 +79,8 @@ class _Writer:
             yield from self._carry(cell, name)
         elif isinstance(cell, FlipFlop):
             yield from self._storage(cell, name)
+        elif isinstance(cell, BlockMemory):
+            yield from self._block(cell, name)
         else:
             yield from self._memory(cell, name)
 
@@ -123,6 +125,45 @@ class _Writer:
             yield f"    always @({_edge(cell.inverted)} {clock}) {step}"
         else:
             yield f"    always @({_edge(cell.inverted)} {clock} or posedge {reset}) {step}"
+
+    def _block(self, cell: BlockMemory, name: str) -> Iterator[str]:
+        depth, top = len(cell.words), cell.width - 1
+        yield f"    reg [{top}:0] {name} [0:{depth - 1}];"
+        full = " ".join(f"{name}[{at}] = {cell.width}'h{word:x};" for at, word in enumerate(cell.words) if word)
+        yield f"    integer {name}i;"
+        each = f"{name}i = 0; {name}i < {depth}; {name}i = {name}i + 1"
+        yield f"    initial begin for ({each}) {name}[{name}i] = 0; {full} end"
+        for letter, port in zip("ab", cell.ports, strict=True):
+            yield from self._block_port(cell, port, name, name + letter)
+
+    def _block_port(self, cell: BlockMemory, port: BlockPort, name: str, own: str) -> Iterator[str]:
+        used = [(bit, net) for bit, net in enumerate(port.outputs) if net in self._names]
+        if not used and not port.data:
+            return
+        clock, enable, reset = (
+            f"{'!' if inverted else ''}{self._net(net)}" for net, inverted in (port.clock, port.enable, port.reset)
+        )
+        yield f"    reg [{cell.width - 1}:0] {own} = {cell.width}'h{port.init:x};"
+        for bit, net in used:
+            yield f"    assign {self._names[net]} = {own}[{bit}];"
+        if clock.lstrip("!") in ("1'b0", "1'b1"):
+            return
+        yield f"    wire [{len(port.address) - 1}:0] {own}_at = {self._bits(port.address)};"
+        writes, written = [], f"{name}[{own}_at]"
+        bits = cell.width - cell.width // 9
+        for lane, net in enumerate(port.lanes):
+            low, high = (8 * lane, 8 * lane + 7) if bits >= 8 else (0, bits - 1)
+            parts = [(high, low), (bits + lane, bits + lane)] if cell.width >= 9 else [(high, low)]
+            writes += [f"if ({self._net(net)}) {written}[{top}:{end}] <= {own}_in[{top}:{end}];" for top, end in parts]
+        anything = " || ".join(map(self._net, port.lanes)) or "1'b0"
+        if port.data:
+            yield f"    wire [{cell.width - 1}:0] {own}_in = {self._bits(port.data)};"
+        seen = {"READ_FIRST": written, "NO_CHANGE": f"({anything}) ? {own} : {written}"}.get(
+            port.mode, f"({anything}) ? {own}_in : {written}" if port.data else written
+        )
+        read = f"{own} <= {reset} ? {cell.width}'h{port.value:x} : {seen};" if used else ""
+        edge, plain = ("negedge", clock[1:]) if clock.startswith("!") else ("posedge", clock)
+        yield f"    always @({edge} {plain}) if ({enable}) begin {read} {' '.join(writes)} end"
 
     def _memory(self, cell: LutMemory, name: str) -> Iterator[str]:
         clock = self._net(cell.clock)

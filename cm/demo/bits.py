@@ -46,7 +46,7 @@ def run_bits_demo(build: Path, out: Path, say: Callable[[str], None] = print) ->
     photo = next(iter(shipped_photos().values()))
     rows: dict[str, list[Picture]] = {"what goes in": [photo]}
     for name, shown in through_modules(build, photo, say).items():
-        remark = " (its block RAM is not simulated)" if shown.left_out else ""
+        remark = " (not all of it is simulated)" if shown.left_out else ""
         rows[f"{name}, by its bits{remark}"] = [shown.picture]
     contact_sheet(rows, out / "bits.png")
     return out / "bits.png"

@@ -269,7 +269,9 @@ def test_a_hundred_changes_leave_nothing_behind(page: Any, server: WebServer) ->
     print(before, after)
     assert after.nodes <= before.nodes * 1.1
     assert after.listeners <= before.listeners * 1.1
-    assert after.heap <= before.heap * 1.25
+    assert after.heap <= before.heap + (
+        2 << 20
+    )  # a browser compiles and caches as it goes; 20 KiB a change would be a leak
     # Slots come to be mapped as a slow reader needs them, eight at most; a leak would be one for each change.
     until(lambda: server.descriptors() <= before.descriptors + 8)
     assert after.resident <= before.resident + (8 << 10)
