@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from cm.build.openflow.layout import Anchor, Layout
-from cm.build.openflow.routed import Routed, feature_of
+from cm.build.openflow.layout import Anchor, Layout, site_kind
+from cm.build.openflow.routed import PASSED, Routed, feature_of, tile_of
 from cm.xray import Database, Feature, Wires
 
 CLOCK = "cm_clock_buffer"
@@ -31,6 +31,7 @@ def static_features(database: Database, layouts: Iterable[Layout], side: Side) -
     own |= {
         feature for feature in side.features if feature.tile in inside and feature.tile.startswith("INT_")
     } - dropped
+    own |= _through(database, side, inside)
     return frozenset(own | {f for layout in regions for f in _anchored(layout, side)})
 
 
@@ -39,7 +40,27 @@ def module_features(database: Database, layout: Layout, side: Side) -> frozenset
     _, dropped = _pips(database, side.routed)
     taken = {tile.name for tile in layout.anchor_tiles}
     own = {f for f in side.features if f.tile in layout.tiles and f.tile not in taken} - dropped
-    return frozenset(own | set(_anchored(layout, side)))
+    return frozenset(own | _through(database, side, taken) | set(_anchored(layout, side)))
+
+
+def _through(database: Database, side: Side, tiles: set[str]) -> set[Feature]:
+    """Of tiles whose logic is left out, the tables that the router passes a signal of the design through."""
+    kept, _ = side.routed.pips()
+    wanted = set()
+    for pip, _wire in kept:
+        found = PASSED.fullmatch(pip.partition("/")[2])
+        tile = tile_of(database, pip.partition("/")[0])
+        if found is None or tile not in tiles:
+            continue
+        number = int(found[1].endswith("_L"))  # LL and M are the left site of a tile
+        site = f"{site_kind(database.tiles[tile], number)}_X{number}"
+        wanted.add((tile, f"{site}.{found[2]}{'OUTMUX' if found[3] else 'LUT'}."))
+    return {
+        feature for feature in side.features
+        if feature.tile in tiles and any(
+            feature.tile == tile and feature.name.startswith(start) for tile, start in wanted
+        )
+    }  # fmt: skip
 
 
 def strays(database: Database, layout: Layout, side: Side, static: frozenset[Feature]) -> list[str]:

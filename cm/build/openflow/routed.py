@@ -15,6 +15,8 @@ from cm.xray import Database, Feature
 
 _TABLE_PIN = re.compile(r"(X\d+Y\d+/SLICE_X\dY0)\.([A-D])([1-6])")
 _ONES = "$PACKER_VCC_NET"
+# A way through a look-up table, from an input (without its number where it goes on to the multiplexer) to its output.
+PASSED = re.compile(r"(CLBL[LM]_(?:LL|L|M))_([A-D])(MUX)?/\1_\2[1-6]?")
 Pip = tuple[str, str]  # name in nextpnr (X85Y13/DESTINATION/SOURCE), name of the wire it drives
 
 
