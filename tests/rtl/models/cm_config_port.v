@@ -33,13 +33,14 @@ module cm_config_port #(
     reg [26:0] remaining;
     reg [31:0] crc;
 
-    wire [31:0] word;
-    genvar bit_index;
-    generate
-        for (bit_index = 0; bit_index < 32; bit_index = bit_index + 1) begin : swapped
-            assign word[bit_index] = i[(bit_index / 8) * 8 + 7 - bit_index % 8];
+    // A function, and not a wire: a simulator works it out where a word is taken, and not at every clock.
+    function [31:0] swapped(input [31:0] pins);
+        integer n;
+        begin
+            for (n = 0; n < 32; n = n + 1)
+                swapped[n] = pins[(n / 8) * 8 + 7 - n % 8];
         end
-    endgenerate
+    endfunction
 
     // CRC-32C over 37 bits more, the 32 of the word and 5 of the register's address
     function [31:0] added(input [31:0] sum, input [36:0] bits);
@@ -51,7 +52,9 @@ module cm_config_port #(
         end
     endfunction
 
-    wire differs = IDCODE != 32'd0 && ((word ^ IDCODE) & 32'h0FFFFFFF) != 32'd0;
+    function differs(input [31:0] code);
+        differs = IDCODE != 32'd0 && ((code ^ IDCODE) & 32'h0FFFFFFF) != 32'd0;
+    endfunction
 
     // in an abort the port shows that it begins, that it is under way, that it is out of sync, that it is over
     wire aligned = aborting ? shown[left] : synced;
@@ -72,6 +75,9 @@ module cm_config_port #(
         crc          = 32'd0;
     end
 
+    reg [31:0] word;  // that is taken, within this clock
+
+    /* verilator lint_off BLKSEQ */
     always @(posedge clk) begin
         csib_before  <= csib;
         rdwrb_before <= rdwrb;
@@ -85,6 +91,7 @@ module cm_config_port #(
             synced    <= 1'b0;
             remaining <= 27'd0;
         end else if (!csib && !rdwrb) begin
+            word = swapped(i);
             if (!synced) begin
                 if (word == SYNC) begin
                     synced    <= 1'b1;
@@ -109,7 +116,7 @@ module cm_config_port #(
                     end
                     if (address == FDRI)
                         prdone <= 1'b0;
-                    if (address == ID && differs) begin
+                    if (address == ID && differs(word)) begin
                         failed <= 1'b1;
                         synced <= 1'b0;
                     end
