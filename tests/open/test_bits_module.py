@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from routed import HERE, Routed
 
-from cm.bits import FlipFlop, LutMemory, Netlist, Port, Simulation, extract, verilog
+from cm.bits import Boundary, FlipFlop, LutMemory, Netlist, Port, Simulation, extract, verilog
 from cm.bits.memory import FrameMemory
 from cm.bitstream import device_by_name, to_dma_words
 from cm.build.packages.tree import PackageTree
@@ -122,3 +122,29 @@ def test_frames_of_a_full_bitstream_of_others_are_taken_to_their_addresses(
         at: frame for at, frame in routed.frames.items() if frame
     }
     assert len(written) > 5000
+
+
+def outputs(netlist: Netlist, values: list[int]) -> list[int]:
+    run, found = Simulation(netlist), []
+    for value in values:
+        run.set({f"a[{bit}]": bool(value >> bit & 1) for bit in range(8)})
+        run.clock()
+        found.append(sum(run.output(f"y[{bit}]") << bit for bit in range(8)))
+    return found
+
+
+def test_a_blanked_region_gives_constants(routed: Routed) -> None:
+    values = [random.Random(2).getrandbits(8) for _ in range(50)]
+    blank = extract(routed.database, Wires(routed.database), frozenset(), routed.boundary)
+    assert set(outputs(blank, values)) == {0}
+
+
+def test_at_the_anchors_of_another_static_part_a_module_is_garbage(routed: Routed, netlist: Netlist) -> None:
+    source = random.Random(3)
+    values = [source.getrandbits(8) & 0x7F for _ in range(100)]
+    letters = {"A": "B", "B": "C", "C": "D", "D": "A"}
+    inputs = {(tile, site, letters[letter]): name for (tile, site, letter), name in routed.boundary.inputs.items()}
+    ends = {name: (tile, site, letters[letter]) for name, (tile, site, letter) in routed.boundary.outputs.items()}
+    decoded = decode(routed.database, routed.frames)
+    other = extract(routed.database, Wires(routed.database), decoded.features, Boundary(inputs, ends))
+    assert outputs(other, values) != outputs(netlist, values)
