@@ -61,9 +61,13 @@ class _Extraction:
     def _slice(self, name: str) -> Slice:
         if name not in self._slices:
             tile, _, site = name.partition(".")
-            own = {one.removeprefix(f"{site}.") for one in self._routing.features(tile) if one.startswith(f"{site}.")}
-            self._slices[name] = Slice(name, frozenset(own), lambda pin: self._pin(tile, site, pin))
+            self._slices[name] = Slice(name, self._own(tile, site), lambda pin: self._pin(tile, site, pin))
         return self._slices[name]
+
+    def _own(self, tile: str, site: str) -> frozenset[str]:
+        """A site's features, without its name."""
+        start = f"{site}."
+        return frozenset(one.removeprefix(start) for one in self._routing.features(tile) if one.startswith(start))
 
     def _pin(self, tile: str, site: str, pin: str) -> Net:
         key = (tile, site, pin)
@@ -84,10 +88,14 @@ class _Extraction:
         port = self._boundary.inputs.get((tile, site, pin[0])) if pin[1:].isdigit() else None
         if port is not None and any(not isinstance(source, Constant) for source in found):
             return f"port:{port}"
-        nets = list(dict.fromkeys(self._net(source) for source in found))
+        return self._joined(found, f"{tile}.{site}.{pin}")
+
+    def _joined(self, sources: tuple[Source, ...], where: str) -> Net:
+        """What drives a wire, together."""
+        nets = list(dict.fromkeys(map(self._net, sources)))
         if not nets:
             return ONE  # what nothing drives is pulled up
-        return nets[0] if len(nets) == 1 else self._meet(nets, f"{tile}.{site}.{pin}")
+        return nets[0] if len(nets) == 1 else self._meet(nets, where)
 
     def _net(self, source: Source) -> Net:
         if isinstance(source, Constant):
@@ -112,15 +120,13 @@ class _Extraction:
 
     def _half(self, tile: str, number: int) -> Half:
         name = f"RAMB18_Y{number}"
-        own = {one.removeprefix(f"{name}.") for one in self._routing.features(tile) if one.startswith(f"{name}.")}
         prefix = next(prefix for prefix, half in HALVES.items() if half == number)
-        return Half(f"{tile}.{name}", frozenset(own), lambda pin: self._wire(tile, prefix + pin))
+        return Half(f"{tile}.{name}", self._own(tile, name), lambda pin: self._wire(tile, prefix + pin))
 
     def _wire(self, tile: str, wire: str) -> Net:
         key = (tile, "", wire)
         if key not in self._pins:
-            nets = list(dict.fromkeys(self._net(source) for source in self._routing.sources(tile, wire)))
-            self._pins[key] = ONE if not nets else nets[0] if len(nets) == 1 else self._meet(nets, f"{tile}.{wire}")
+            self._pins[key] = self._joined(self._routing.sources(tile, wire), f"{tile}.{wire}")
         return self._pins[key]
 
     def _output(self, source: SitePin) -> Net:

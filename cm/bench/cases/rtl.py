@@ -4,19 +4,16 @@
 from __future__ import annotations
 
 import contextlib
-import json
-import select
 import statistics
 from pathlib import Path
 
 from cm.bench.result import Goal, Result, unavailable
 from cm.bench.run import Run
-from cm.rtl.compile import compile_engine, compile_units
-from cm.rtl.design import RtlDesign, load_rtl_design, wiring
+from cm.rtl.bare import BareDesign
+from cm.rtl.compile import compile_units
+from cm.rtl.design import load_rtl_design
 from cm.rtl.errors import RtlError
 from cm.rtl.main import example_build
-from cm.rtl.messages import Op
-from cm.rtl.process import EngineProcess
 from cm.rtl.tools import Tools, find_tools
 from cm.sim.hardware.camera import shipped_photos
 
@@ -32,8 +29,7 @@ WIDE = (
 WIDE_GOAL = Goal(120, at_least=True)
 REGISTERS = "reads of a module's registers over AXI4-Lite for each second of processor time of the engine"
 REGISTERS_GOAL = Goal(100_000, at_least=True)
-_IN, _OUT, _WORDS = 64 << 20, 192 << 20, 4096
-_DECOUPLE, _REGISTERS = 0x4000_0100, 0x4001_0000
+_WORDS, _REGISTERS = 4096, 0x4001_0000
 
 
 def run(bench: Run) -> list[Result]:
@@ -67,41 +63,26 @@ class _Engine:
 
     def __init__(self, tools: Tools, folder: Path, example: str) -> None:
         schema = example_build().parents[1] / example / "build.yaml"
-        design: RtlDesign = load_rtl_design(schema, folder / "tree")
+        design = load_rtl_design(schema, folder / "tree")
         static, edge = compile_units(tools, [design.static, design.modules["prr0", "edge"]])
-        (folder / "wiring").write_text(wiring(design, static, 1), encoding="utf-8")
-        self._process = EngineProcess(compile_engine(tools), folder / "wiring")
-        self._streams = {stream.sends: number for number, stream in enumerate(design.streams)}
-        self._write(_DECOUPLE, 1)
-        self._process.ask(Op.LOAD, 0, 1, text=str(edge))
-        self._write(_DECOUPLE, 0)
-        picture = next(iter(shipped_photos().values())).tobytes()  # noise would cost a third more: branches
-        self._process.arena[_IN : _IN + len(picture)] = picture
+        self._design = BareDesign(tools, design, static, folder)
+        self._design.load(edge)
+        self._picture = next(iter(shipped_photos().values())).tobytes()  # noise would cost a third more: branches
 
     def frame(self) -> float:
         """Processor time for a picture, in seconds."""
-        before, length = self._cpu(), SHAPE[0] * SHAPE[1]
-        self._process.ask(Op.RECEIVE, self._streams[False], _OUT, length)
-        self._process.ask(Op.SEND, self._streams[True], _IN, length)
-        while not any(event.op == Op.RECEIVED for event in self._process.take()):
-            select.select([self._process], [], [], 60)
-        return self._cpu() - before
+        before = self._design.cpu_seconds
+        self._design.through(self._picture, len(self._picture))
+        return self._design.cpu_seconds - before
 
     def reads(self) -> float:
         """Processor time for many reads, in seconds."""
-        before = self._cpu()
-        self._process.ask(Op.READ, _REGISTERS, _WORDS, 0)
-        return self._cpu() - before
+        before = self._design.cpu_seconds
+        self._design.read(_REGISTERS, _WORDS)
+        return self._design.cpu_seconds - before
 
     def __enter__(self) -> _Engine:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._process.close()
-
-    def _cpu(self) -> float:
-        return float(json.loads(self._process.ask(Op.STATE).text)["cpu_ns"]) / 1e9
-
-    def _write(self, address: int, value: int) -> None:
-        self._process.arena[:4] = value.to_bytes(4, "little")
-        self._process.ask(Op.WRITE, address, 1, 0, 15)
+        self._design.__exit__()

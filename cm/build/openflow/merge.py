@@ -54,13 +54,9 @@ def _through(database: Database, side: Side, tiles: set[str]) -> set[Feature]:
             continue
         number = int(found[1].endswith("_L"))  # LL and M are the left site of a tile
         site = f"{site_kind(database.tiles[tile], number)}_X{number}"
-        wanted.add((tile, f"{site}.{found[2]}{'OUTMUX' if found[3] else 'LUT'}."))
-    return {
-        feature for feature in side.features
-        if feature.tile in tiles and any(
-            feature.tile == tile and feature.name.startswith(start) for tile, start in wanted
-        )
-    }  # fmt: skip
+        wanted.add(f"{tile}.{site}.{found[2]}{'OUTMUX' if found[3] else 'LUT'}.")
+    starts = tuple(wanted)
+    return {feature for feature in side.features if str(feature).startswith(starts)}
 
 
 def strays(database: Database, layout: Layout, side: Side, static: frozenset[Feature]) -> list[str]:
