@@ -32,7 +32,7 @@ class BareDesign:
     refuses."""
 
     def __init__(self, tools: Tools, design: RtlDesign, static: Path, folder: Path, pins: bool = False) -> None:
-        """`static`: the compiled static part. `folder` is for the wiring. `pins`: what leaves the device is received."""
+        """`static`: the compiled static part. `folder`: for the wiring. `pins`: what leaves the device is received."""
         lines = wiring(design, static, 1)
         (folder / "wiring").write_text(lines.replace("\ndrain ", "\nsink ") if pins else lines, encoding="utf-8")
         self._process = EngineProcess(compile_engine(tools), folder / "wiring")
