@@ -10,9 +10,8 @@ from cm.bitstream import FrameAddress, open_image
 from cm.bitstream.devices import Family
 from cm.bitstream.far import encode_far
 from cm.bitstream.geometry import geometry_of
-from cm.bitstream.inspect import _events
+from cm.bitstream.writes import frame_writes
 from cm.build.packages import PackageTree
-from cm.native import bitstream as native
 
 DATABASE = "usr/share/prjxray/database"
 PARTS = {"xc7z020": "zynq7/xc7z020clg400-1", "xc7a50t": "artix7/xc7a50tcsg324-1", "xc7z010": "zynq7/xc7z010clg400-1"}
@@ -40,17 +39,13 @@ def frames_read(path: Path, device: str) -> dict[int, bytes]:
     """Frames by address, as our parser and our table of columns take a full bitstream apart."""
     geometry = geometry_of(device)
     assert geometry is not None
-    image = open_image(path)
-    (run_,) = [row for row in _events(image)[0].tolist() if row[1] == native.FRAMES]
-    word, count = run_[0], run_[4]
-    first = word + 2 if count > 0x7FF else word + 1
-    data = bytes(image.stream[4 * first : 4 * (first + count)])
+    (write,) = frame_writes(open_image(path))
     found, at = {}, 0
     for key in sorted(key for key in geometry.rows if key[0] < 2):
         row = geometry.rows[key]
         for column in range(row.columns):
             for minor in range(row.frames(column)):
-                found[encode_far(FrameAddress(*key, column, minor), Family.SERIES7)] = data[at : at + 404]
+                found[encode_far(FrameAddress(*key, column, minor), Family.SERIES7)] = write.data[at : at + 404]
                 at += 404
         at += 808  # two frames of padding end a row
     return found

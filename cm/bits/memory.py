@@ -4,17 +4,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from struct import unpack
+from struct import pack, unpack
 
 from cm.bits.errors import BitsError
+from cm.bitstream.container import Container, Image
 from cm.bitstream.devices import Device, Family
-from cm.bitstream.far import FrameAddress, encode_far
+from cm.bitstream.far import FrameAddress, decode_far, encode_far
 from cm.bitstream.geometry import Row, geometry_of
+from cm.bitstream.writes import frame_writes
 from cm.xray.frames import WORDS
 
-_SYNC, _DESYNC = 0xAA995566, 13
-_FAR, _FDRI, _CMD, _MFWR = 1, 2, 4, 10
+_SIZE = 4 * WORDS  # bytes
 _PADS = 2  # frames behind each row that go nowhere
+_IN_ROWS = (0, 1)  # block types of frames that belong to a place: logic and routing, contents of block RAM
 
 
 class FrameMemory:
@@ -25,7 +27,6 @@ class FrameMemory:
         if device.family is not Family.SERIES7 or geometry is None:
             raise BitsError(f"{device.name}: the frames of its columns are not known, so its bits cannot be run")
         self.frames: dict[int, int] = {}
-        self._family = device.family
         self._order = list(_addresses(geometry.rows, device.family))
         self._place = {address: number for number, address in enumerate(self._order) if address is not None}
 
@@ -34,63 +35,40 @@ class FrameMemory:
 
         It is expected to be good: what the simulated port refuses does not come here.
         """
-        words = unpack(f"<{len(stream) // 4}I", stream[: len(stream) // 4 * 4])
+        image = Image(Container.BIN_SWAPPED, None, memoryview(stream)[: len(stream) // 4 * 4], 0, swapped=True)
         written: set[int] = set()
-        far, last = 0, 0
-        for register, data in _packets(words):
-            if register == _FAR:
-                far = data[0]
-            elif register == _FDRI:
-                for address, frame in self._run(far, data):
-                    self.frames[address] = last = frame
-                    written.add(address)
-            elif register == _MFWR:  # the frame that was written last, again
-                self.frames[far] = last
-                written.add(far)
+        held = 0
+        for write in frame_writes(image):
+            frames = [_number(write.data[at : at + _SIZE]) for at in range(0, len(write.data), _SIZE)]
+            # The last frame of a run stays in the port: it pushes out the one before, and is what MFWR repeats.
+            held = frames[-1] if frames else held
+            for address, frame in self._placed(write.far, frames[:-1] or [held] * write.repeated):
+                self.frames[address] = frame
+                written.add(address)
         return written
 
-    def _run(self, far: int, data: Sequence[int]) -> Iterator[tuple[int, int]]:
-        """Frames one after the other from an address on; the last one only pushes the one before it in."""
+    def _placed(self, far: int, frames: Sequence[int]) -> Iterator[tuple[int, int]]:
+        """Frames with their addresses, one after the other from `far` on; those behind a row go nowhere."""
+        if decode_far(far, Family.SERIES7).block_type not in _IN_ROWS:
+            return  # Vivado's bitstreams write some; none of the database's features lies there
         if far not in self._place:
-            raise BitsError(f"frame address 0x{far:08x} is none of this device")
+            raise BitsError(f"frame address 0x{far:08x} does not exist in this device")
         begin = self._place[far]
-        for number in range(len(data) // WORDS - 1):
-            address = self._order[begin + number] if begin + number < len(self._order) else None
+        for address, frame in zip(self._order[begin:], frames, strict=False):
             if address is not None:
-                frame = data[WORDS * number : WORDS * (number + 1)]
-                yield address, sum(word << 32 * index for index, word in enumerate(frame) if word)
+                yield address, frame
+
+
+def _number(frame: bytes) -> int:
+    """A frame as `cm.xray` has it: word n from bit 32·n on."""
+    return int.from_bytes(pack(f"<{WORDS}I", *unpack(f">{WORDS}I", frame)), "little")
 
 
 def _addresses(rows: Mapping[tuple[int, int], Row], family: Family) -> Iterator[int | None]:
     """All frames in the order in which the device counts them; None for those behind a row."""
-    for block_type, row in sorted(rows):
+    for block_type, row in sorted(key for key in rows if key[0] in _IN_ROWS):
         found = rows[block_type, row]
         for column in range(found.columns):
             for minor in range(found.frames(column)):
                 yield encode_far(FrameAddress(block_type, row, column, minor), family)
         yield from [None] * _PADS
-
-
-def _packets(words: Sequence[int]) -> Iterator[tuple[int, Sequence[int]]]:
-    """Register and data of each write between sync and desync."""
-    at, register, synced = 0, 0, False
-    while at < len(words):
-        word = words[at]
-        at += 1
-        if not synced:
-            synced = word == _SYNC
-            continue
-        kind = word >> 29
-        if kind == 1:
-            register = word >> 13 & 0x1F
-            count = word & 0x7FF if word >> 27 & 3 == 2 else 0
-        elif kind == 2:
-            count = word & 0x07FF_FFFF
-        else:
-            continue
-        data = words[at : at + count]
-        at += count
-        if count:
-            yield register, data
-        if register == _CMD and count and data[0] == _DESYNC:
-            synced = False

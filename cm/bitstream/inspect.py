@@ -15,21 +15,8 @@ from cm.bitstream.packets import Register
 from cm.bitstream.reach import check_addresses
 from cm.bitstream.report import Refusal, Report, Section
 from cm.bitstream.rules import Event, Rules
+from cm.bitstream.writes import packet_events
 from cm.native import bitstream as native
-
-
-def _events(image: Image) -> tuple[native.Events, int]:
-    """Run the whole stream through a port; return its events and the phase it ends in."""
-    import numpy as np
-
-    port = native.PacketProcessor()
-    batches = []
-    done = 0
-    while done < len(image.stream) // 4:
-        used, events = port.feed(image.stream, image.swapped, done)
-        done += used
-        batches.append(events)
-    return (np.concatenate(batches) if batches else np.empty(0, native.event_dtype())), port.phase
 
 
 def _apply(events: native.Events, phase: int, words: int, encrypted: bool) -> Rules:
@@ -99,7 +86,7 @@ def inspect_image(image: Image, data: memoryview) -> Report:
 
 def analyse(image: Image) -> Report:
     """Everything but the hash of the file and its length."""
-    events, phase = _events(image)
+    events, phase = packet_events(image)
     is_write = (events["kind"] == native.FRAMES) | (events["kind"] == native.MULTI)
     writes = events[is_write]
     rules = _apply(events[~is_write], phase, len(image.stream) // 4, image.encrypted)

@@ -38,7 +38,6 @@ class BoardDefinition:
     part: str
     board_part: str
     connections: str  # of a SOM to its carrier: Vivado's property BOARD_CONNECTIONS
-    cma_mib: int
     clocks: Mapping[str, int]
     connectors: Mapping[str, tuple[Pin, ...]]
     pblocks: Mapping[str, tuple[str, ...]]
@@ -78,7 +77,6 @@ def _read() -> Iterator[BoardDefinition]:
             part=data["part"],
             board_part=data["board_part"],
             connections=data.get("connections", ""),
-            cma_mib=data["cma_mib"],
             clocks=data["clocks"],
             connectors=connectors,
             pblocks={name: tuple(ranges) for name, ranges in data["pblocks"].items()},

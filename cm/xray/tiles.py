@@ -59,7 +59,6 @@ class Tile:
     kind: str
     x: int
     y: int
-    clock_region: str | None
     sites: Mapping[str, str]
     segments: tuple[Segment, ...]
 
@@ -80,9 +79,7 @@ def read_tiles(path: Path) -> dict[str, Tile]:
 
 def _tile(name: str, entry: dict[str, Any]) -> Tile:
     segments = tuple(_segment(block, bits, entry["type"]) for block, bits in entry["bits"].items() if block in BLOCKS)
-    return Tile(
-        name, entry["type"], entry["grid_x"], entry["grid_y"], entry.get("clock_region"), entry["sites"], segments
-    )
+    return Tile(name, entry["type"], entry["grid_x"], entry["grid_y"], entry["sites"], segments)
 
 
 def _segment(block: str, bits: dict[str, Any], kind: str) -> Segment:

@@ -36,7 +36,7 @@ struct place {
 	atomic_bool ending;
 	atomic_uint releases_refused;
 	int memory[SLOTS];
-	pthread_t door;
+	pthread_t acceptor;
 };
 
 static size_t geometry_packet(unsigned char *packet, bool writable)
@@ -74,7 +74,7 @@ static int admit(struct place *place, int connection, bool writer)
 	return -1;
 }
 
-static void *keep_the_door(void *argument)
+static void *accept_clients(void *argument)
 {
 	struct place *place = argument;
 	struct pollfd listener = { .fd = place->listener, .events = POLLIN };
@@ -128,14 +128,14 @@ static struct place *place_make(void)
 	place->listener = socket(AF_UNIX, SOCK_SEQPACKET | SOCK_CLOEXEC, 0);
 	CHECK(!bind(place->listener, (struct sockaddr *)&address, sizeof(address)));
 	CHECK(!listen(place->listener, 16));
-	CHECK(!pthread_create(&place->door, NULL, keep_the_door, place));
+	CHECK(!pthread_create(&place->acceptor, NULL, accept_clients, place));
 	return place;
 }
 
 static void place_end(struct place *place)
 {
 	place->ending = true;
-	pthread_join(place->door, NULL);
+	pthread_join(place->acceptor, NULL);
 	cm_plane_close(place->plane);
 	cm_dma_close(place->dma);
 	fake_node_stop(place->fake);

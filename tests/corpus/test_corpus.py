@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import random
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,8 +15,7 @@ from cm.bitstream import CrcResult, Expectation, FrameRun, assemble, footprint_o
 from cm.bitstream.devices import Family
 from cm.bitstream.far import decode_far
 from cm.bitstream.geometry import geometry_of
-from cm.bitstream.inspect import _events
-from cm.native import bitstream as native
+from cm.bitstream.writes import frame_writes
 
 FLIPS = 24  # in each file
 
@@ -83,10 +81,6 @@ def test_one_frame_too_many_is_refused_in_every_run_of_every_partial(files: list
 
 
 def _runs(data: bytes) -> Iterator[FrameRun]:
-    image = open_image(data)
-    words = bytes(image.stream) if not image.swapped else native.swap(image.stream)
-    for at, kind, _, far, count, _, _ in _events(image)[0].tolist():
-        if kind == native.FRAMES:
-            (head,) = struct.unpack_from(">I", words, 4 * at)
-            first = at + (1 if head & 0x7FF else 2)
-            yield FrameRun(decode_far(far, Family.SERIES7), words[4 * first : 4 * (first + count)])
+    for write in frame_writes(open_image(data)):
+        if write.data:
+            yield FrameRun(decode_far(write.far, Family.SERIES7), write.data)

@@ -163,10 +163,6 @@ def test_bitstreams_of_others_are_taken_without_an_error(tmp_path: Path) -> None
         assert (path.name, said.split()[1]) == (path.name, "01")
 
 
-def test_the_model_of_the_tests_is_that_of_the_simulated_board() -> None:
-    assert (HERE / "models/cm_config_port.v").read_bytes() == (HDL / "cm_config_port.v").read_bytes()
-
-
 COMPARE = """\
 `timescale 1ps/1ps
 module bench;

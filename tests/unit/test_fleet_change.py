@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.fleet.change import member
 from cm.fleet.change.coordinator import Ask, Coordinator, Phase, Verb, first_step
-from cm.fleet.change.desk import Desk, Planned, Unsettled
 from cm.fleet.change.member import NotNow
+from cm.fleet.change.participant import Participant, Planned, Unsettled
 from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo
 
@@ -97,13 +97,13 @@ class Board:
         self.world = world
         self.reachable = True
         self.held = False
-        self.desk = self._desk()
+        self.participant = self._participant()
 
-    def _desk(self) -> Desk:
-        return Desk(self.name, self.disk, self, self, lambda: self.world.now)
+    def _participant(self) -> Participant:
+        return Participant(self.name, self.disk, self, self, lambda: self.world.now)
 
     def restart(self) -> None:
-        self.desk = self._desk()
+        self.participant = self._participant()
 
     async def where(self) -> tuple[str, str]:
         return self.place
@@ -134,7 +134,7 @@ class Board:
         return 0.1
 
     async def asked(self, seat: str, change: str, caller: str) -> FleetRecord | None:
-        return self.world.asks(seat, lambda desk: desk.settle(change))
+        return self.world.asks(seat, lambda participant: participant.settle(change))
 
     def take(self, ask: Ask) -> FleetRecord | ErrorInfo | None:
         """What is sent here; None where it, or its answer, is lost."""
@@ -148,12 +148,12 @@ class Board:
 
     def _do(self, ask: Ask) -> Coroutine[Any, Any, FleetRecord]:
         if ask.verb is Verb.PREPARE:
-            return self.desk.prepare(ask.step, "anna")
-        return self.desk.apply(ask.step) if ask.verb is Verb.APPLY else self.desk.decide(ask.step)
+            return self.participant.prepare(ask.step, "anna")
+        return self.participant.apply(ask.step) if ask.verb is Verb.APPLY else self.participant.decide(ask.step)
 
     def go_on(self) -> None:
         try:
-            done(self.desk.go_on())
+            done(self.participant.go_on())
         except Killed:
             self.restart()
         except Unsettled:
@@ -171,7 +171,7 @@ class World:
         if not board.reachable:
             return None
         try:
-            return what(board.desk)  # type: ignore[no-any-return]
+            return what(board.participant)  # type: ignore[no-any-return]
         except Killed:
             board.restart()
             return None
@@ -295,7 +295,7 @@ def test_a_board_that_was_away_comes_to_the_fleets_mode_by_its_own_record() -> N
 
 def test_who_comes_late_is_refused_by_the_seat_that_has_decided_without_knowing() -> None:
     world = World(2)
-    record = world.boards["b0"].desk.settle("c1")
+    record = world.boards["b0"].participant.settle("c1")
     assert (record.state, record.decision) == (member.OPEN, Decision.REVERT)
     coordinator = world.coordinator()
     assert world.run(coordinator)
@@ -307,10 +307,10 @@ def test_a_change_that_was_taken_back_is_not_begun_first() -> None:
     world = World(1)
     board = world.boards["b0"]
     board.fate.away = {1: False}
-    done(board.desk.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    done(board.participant.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
     with pytest.raises(Unsettled):
-        done(board.desk.apply(FleetStep("c1", seat="b0")))
-    assert done(board.desk.decide(FleetStep("c1", seat="b0"))).state == member.OLD
+        done(board.participant.apply(FleetStep("c1", seat="b0")))
+    assert done(board.participant.decide(FleetStep("c1", seat="b0"))).state == member.OLD
     assert board.fate.loads == 1
 
 
@@ -318,38 +318,38 @@ def test_what_is_loaded_already_when_somebody_comes_back_is_not_loaded_again() -
     world = World(1)
     board = world.boards["b0"]
     board.fate.away = {1: True}
-    done(board.desk.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    done(board.participant.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
     with pytest.raises(Unsettled):
-        done(board.desk.apply(FleetStep("c1", seat="b0")))
+        done(board.participant.apply(FleetStep("c1", seat="b0")))
     board.restart()
-    done(board.desk.go_on())
-    assert done(board.desk.decide(FleetStep("c1", seat="b0", keep=True))).state == member.NEW
+    done(board.participant.go_on())
+    assert done(board.participant.decide(FleetStep("c1", seat="b0", keep=True))).state == member.NEW
     assert board.fate.loads == 1
 
 
 def test_a_second_change_waits_for_the_end_of_the_first() -> None:
     world = World(1)
-    desk = world.boards["b0"].desk
-    done(desk.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    participant = world.boards["b0"].participant
+    done(participant.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
     with pytest.raises(Busy, match="change c1 of anna is prepared here"):
-        done(desk.prepare(FleetStep("c2", "camera", "edge", "b0", ("b0",)), "bob"))
-    done(desk.decide(FleetStep("c1", seat="b0")))
-    done(desk.prepare(FleetStep("c2", "camera", "edge", "b0", ("b0",)), "bob"))
+        done(participant.prepare(FleetStep("c2", "camera", "edge", "b0", ("b0",)), "bob"))
+    done(participant.decide(FleetStep("c1", seat="b0")))
+    done(participant.prepare(FleetStep("c2", "camera", "edge", "b0", ("b0",)), "bob"))
 
 
 def test_a_board_with_nothing_loaded_has_no_way_back_and_is_refused() -> None:
     world = World(1)
     world.boards["b0"].place = ("", "")
     with pytest.raises(InvalidRequest, match="no way back"):
-        done(world.boards["b0"].desk.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+        done(world.boards["b0"].participant.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
 
 
 def test_a_step_out_of_its_order_is_an_error_and_changes_nothing() -> None:
-    desk = World(1).boards["b0"].desk
+    participant = World(1).boards["b0"].participant
     with pytest.raises(NotNow, match="prepared no change"):
-        done(desk.apply(FleetStep("c1", seat="b1")))
+        done(participant.apply(FleetStep("c1", seat="b1")))
     with pytest.raises(NotNow, match="took no part"):
-        done(desk.decide(FleetStep("c1", seat="b1", keep=True)))
+        done(participant.decide(FleetStep("c1", seat="b1", keep=True)))
 
 
 def test_while_nobody_knows_the_decision_every_board_is_named() -> None:

@@ -426,10 +426,10 @@ places = st.sampled_from([0x1000, 0x20000, 0x40000, 0x60000, 0x10000000])
 def test_a_definition_is_refused_or_is_a_memory_that_can_be_used(
     made: Rig, address: int, length: int, access: str, dtype: str, shape: tuple[int, ...]
 ) -> None:
-    desk, config = made.manager.memories, made.manager.loaded_config()
+    memories, config = made.manager.memories, made.manager.loaded_config()
     assert config is not None
     try:
-        memory = desk.define(DefineMemory("block", address, length, shape, dtype, access, "static"))
+        memory = memories.define(DefineMemory("block", address, length, shape, dtype, access, "static"))
     except (InvalidRequest, DeviceNotFound):
         return
     assert (memory.address, memory.size) == (address, length)

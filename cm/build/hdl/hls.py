@@ -58,11 +58,6 @@ def load_hls(spec: HlsSpec, top: str | None = None, protocols: Sequence[UserProt
     return Detector(protocols).detect(info)
 
 
-def hls_args(spec: HlsSpec, top: str | None = None) -> list[Arg]:
-    """The arguments of the function, with what their pragmas say."""
-    return _function(spec, top).args
-
-
 def _function(spec: HlsSpec, top: str | None) -> _Function:
     path, text, name, found = _definition(spec, top)
     headers = hls_text.headers(path, text, spec.cflags)

@@ -25,7 +25,7 @@ _BACKLOG = 64
 _WAITING = 64  # connections that have not said yet what they want; the oldest makes room
 
 
-class Doorkeeper(Protocol):
+class ConnectionRights(Protocol):
     """Who is who, and may do what (`cm.daemon.sessions.Sessions`)."""
 
     def whose(self, connection: socket.socket) -> str:
@@ -45,7 +45,7 @@ class Acceptor:
         enter: Callable[[socket.socket, Open], None],
         echoes: Echoes,
         allocations: Allocations,
-        sessions: Doorkeeper,
+        sessions: ConnectionRights,
         intake: Intake,
         group: int | None = None,
     ) -> None:

@@ -11,7 +11,7 @@ from cm.errors import Busy, CmError, NotFound
 from cm.fleet import names
 from cm.fleet.bridge.managed import ManagedBoard
 from cm.fleet.change import member
-from cm.fleet.change.desk import Desk, Unsettled
+from cm.fleet.change.participant import Participant, Unsettled
 from cm.fleet.verbs import VERBS
 from cm.messages.fleet import BundleState, FetchBundle, FleetRecord, FleetStep
 from cm.messages.status import ErrorInfo
@@ -25,9 +25,9 @@ FetchAndImport = Callable[[FetchBundle, str], Awaitable[BundleState]]
 class Commands:
     """Of one board."""
 
-    def __init__(self, relay: Relay, desk: Desk, managed: ManagedBoard, bundles: FetchAndImport) -> None:
+    def __init__(self, relay: Relay, participant: Participant, managed: ManagedBoard, bundles: FetchAndImport) -> None:
         self._relay = relay
-        self._desk = desk
+        self._participant = participant
         self._managed = managed
         self._bundles = bundles
         self._one = asyncio.Lock()  # steps of changes, one after the other
@@ -62,11 +62,11 @@ class Commands:
 
     async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetRecord:
         if verb == "settle":  # whoever asks must not wait for what this board is at
-            return self._desk.settle(step.id)
+            return self._participant.settle(step.id)
         async with self._one:
             if verb == "prepare":
-                return await self._desk.prepare(step, caller)
-            return await (self._desk.apply(step) if verb == "apply" else self._desk.decide(step))
+                return await self._participant.prepare(step, caller)
+            return await (self._participant.apply(step) if verb == "apply" else self._participant.decide(step))
 
     async def go_on(self) -> str:
         """What the record says is to be done; why it cannot be yet, empty where nothing hinders."""
@@ -74,8 +74,8 @@ class Commands:
             return ""
         async with self._one:
             try:
-                await self._desk.go_on()
-                record = self._desk.record
+                await self._participant.go_on()
+                record = self._participant.record
                 if record is not None and not member.ended(record):
                     await self._managed.keep_holding(record)
             except (Unsettled, CmError, OSError) as error:

@@ -28,7 +28,7 @@ from cm.fleet.bridge.publishing import BEAT, Publications
 from cm.fleet.bridge.queries import Queries
 from cm.fleet.bridge.reading import Reader
 from cm.fleet.bridge.records import Records
-from cm.fleet.change.desk import Desk
+from cm.fleet.change.participant import Participant
 from cm.fleet.network import Network, awaited
 from cm.messages.fleet import ClockSync
 from cm.messages.status import ErrorInfo
@@ -108,10 +108,10 @@ class Bridge:
         await _alone(board, network, self.options.network.lease)
         records = Records(self.options.state / board)
         managed = ManagedBoard(relay, records, self.options.own_name)
-        self._desk = Desk(board, records, managed, Others(board, network), _now)
+        self._participant = Participant(board, records, managed, Others(board, network), _now)
         place = self.options.state / board / "bundles"
         bundles = Bundles(network, place, self.options.site, self.options.take, relay, managed)
-        commands = Commands(relay, self._desk, managed, bundles.fetch)
+        commands = Commands(relay, self._participant, managed, bundles.fetch)
         reader = Reader(board, relay, lambda: self._status_now(relay))
         publications = Publications(board, network, relay, self._with_extras)
         queries = Queries(board, network, reader, commands)
@@ -144,7 +144,7 @@ class Bridge:
         clock_now = ClockSync(
             self._clock.source, self._clock.synchronised, self._clock.error_ns, self._clock.reference, clock.now_ns()
         )
-        return self._status + wire.extras(self.options.labels, clock_now, self._desk.record)
+        return self._status + wire.extras(self.options.labels, clock_now, self._participant.record)
 
     # ---- what goes on by itself -------------------------------------------------------------
 

@@ -11,7 +11,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from .errors import VmError
+from vmboard.errors import VmError
 
 
 @dataclass(frozen=True, slots=True)

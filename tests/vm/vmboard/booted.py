@@ -12,10 +12,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from . import qemu
-from .agent import Agent, Done
-from .errors import VmError
-from .shell import run
+from vmboard import qemu
+from vmboard.agent import Agent, Done
+from vmboard.errors import VmError
+from vmboard.shell import run
 
 BOOT_S = 50.0  # until the agent answers, times the board's slowness
 COMMAND_S = 30.0  # for a program, times the board's slowness

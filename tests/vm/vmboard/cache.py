@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from .progress import step
+from vmboard.progress import step
 
 STAMP = ".complete"
 KEEP = 2  # newest entries of one kind that stay

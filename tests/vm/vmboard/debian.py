@@ -11,16 +11,16 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from . import initrd, qemu
-from .arch import Arch
-from .cache import Cache
-from .errors import VmError
-from .kernel import Kernel
-from .packages import Apt, inflated, unpack
-from .payload import copy_modules
-from .progress import say
-from .shell import run
-from .software import REPOSITORY
+from vmboard import initrd, qemu
+from vmboard.arch import Arch
+from vmboard.cache import Cache
+from vmboard.errors import VmError
+from vmboard.kernel import Kernel
+from vmboard.packages import Apt, inflated, unpack
+from vmboard.payload import copy_modules
+from vmboard.progress import say
+from vmboard.shell import run
+from vmboard.software import REPOSITORY
 
 GUEST = REPOSITORY / "tests/vm/guest"
 PACKAGES = (

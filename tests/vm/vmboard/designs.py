@@ -12,10 +12,10 @@ from typing import Any
 
 import yaml
 
-from . import hardware
-from .cache import Cache, source_files
-from .shell import require, run
-from .software import REPOSITORY
+from vmboard import hardware
+from vmboard.cache import Cache, source_files
+from vmboard.shell import require, run
+from vmboard.software import REPOSITORY
 
 EXAMPLE = REPOSITORY / "cm/data/examples/camera"
 LOOP = REPOSITORY / "tests/rtl/loop"

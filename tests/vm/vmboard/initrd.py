@@ -7,11 +7,11 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from .cache import Cache
-from .kernel import Kernel
-from .packages import Apt, unpack
-from .payload import closure, read_dependencies
-from .shell import require
+from vmboard.cache import Cache
+from vmboard.kernel import Kernel
+from vmboard.packages import Apt, unpack
+from vmboard.payload import closure, read_dependencies
+from vmboard.shell import require
 
 DRIVERS = ("virtio_mmio", "virtio_pci", "virtio_blk", "ext4", "crc32c_generic")
 SCRIPT = """#!/bin/busybox sh

@@ -7,16 +7,16 @@ import shutil
 import sys
 from pathlib import Path
 
-from . import initrd, qemu
-from .arch import Arch
-from .booted import Booted
-from .cache import Cache, source_files
-from .debian import System, system
-from .errors import MissingError, VmError
-from .progress import say
-from .shell import run
-from .software import REPOSITORY
-from .tiers import Tier
+from vmboard import initrd, qemu
+from vmboard.arch import Arch
+from vmboard.booted import Booted
+from vmboard.cache import Cache, source_files
+from vmboard.debian import System, system
+from vmboard.errors import MissingError, VmError
+from vmboard.progress import say
+from vmboard.shell import run
+from vmboard.software import REPOSITORY
+from vmboard.tiers import Tier
 
 RELEASE = REPOSITORY / "build/release"
 BOARD = REPOSITORY / "tests/vm/guest/installed"  # what stands in for the PL, and starts before the service
@@ -50,7 +50,7 @@ def _found(arch: Arch) -> list[Path]:
 
 def disk(files: list[Path], place: Path) -> Path:
     """A disk with the artefacts, the configuration's archive, the upgrade, and what a board has instead of a PL."""
-    from .camera import archive
+    from vmboard.camera import archive
 
     root = place / "disk"
     shutil.rmtree(root, ignore_errors=True)

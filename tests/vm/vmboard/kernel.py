@@ -9,12 +9,12 @@ import threading
 from dataclasses import dataclass
 from pathlib import Path
 
-from .arch import Arch, cross_prefix, host
-from .cache import Cache
-from .errors import VmError
-from .packages import Apt, unpack
-from .progress import say
-from .shell import require, run
+from vmboard.arch import Arch, cross_prefix, host
+from vmboard.cache import Cache
+from vmboard.errors import VmError
+from vmboard.packages import Apt, unpack
+from vmboard.progress import say
+from vmboard.shell import require, run
 
 FRAGMENTS = Path(__file__).resolve().parents[1] / "kernel"
 SOURCE_PACKAGE = "linux-source-6.1"

@@ -9,10 +9,10 @@ import tempfile
 import time
 from pathlib import Path
 
-from .arch import AMD64, Arch, host
-from .cache import Cache
-from .kernel import Kernel
-from .progress import say
+from vmboard.arch import AMD64, Arch, host
+from vmboard.cache import Cache
+from vmboard.kernel import Kernel
+from vmboard.progress import say
 
 PATIENCE_S = 20.0
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")

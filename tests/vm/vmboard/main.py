@@ -7,11 +7,11 @@ import argparse
 import sys
 from pathlib import Path
 
-from . import session
-from .cache import Cache, default_root
-from .errors import EXIT_MISSING, MissingError, VmError
-from .progress import say
-from .tiers import TIERS
+from vmboard import session
+from vmboard.cache import Cache, default_root
+from vmboard.errors import EXIT_MISSING, MissingError, VmError
+from vmboard.progress import say
+from vmboard.tiers import TIERS
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -16,10 +16,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from .arch import Arch
-from .errors import MissingError
-from .progress import step
-from .shell import require, run
+from vmboard.arch import Arch
+from vmboard.errors import MissingError
+from vmboard.progress import step
+from vmboard.shell import require, run
 
 LISTS_MAX_AGE_S = 12 * 3600
 _AR = b"!<arch>\n"

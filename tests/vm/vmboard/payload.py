@@ -7,12 +7,12 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from . import designs, software
-from . import silicon as models
-from .cache import Cache
-from .kernel import Kernel
-from .shell import run
-from .software import REPOSITORY
+from vmboard import designs, software
+from vmboard import silicon as models
+from vmboard.cache import Cache
+from vmboard.kernel import Kernel
+from vmboard.shell import run
+from vmboard.software import REPOSITORY
 
 HERE = REPOSITORY / "tests/vm"
 # Drivers of the stock kernel that the board uses once its root file system is there.

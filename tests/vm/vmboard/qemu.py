@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from . import zynq
-from .arch import AMD64, ARMHF, ARMMP, Arch
+from vmboard import zynq
+from vmboard.arch import AMD64, ARMHF, ARMMP, Arch
 
 BUDGET_S = 200.0  # for all tests of a board, times its slowness
 

@@ -13,9 +13,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from . import qemu, report
-from .errors import VmError
-from .software import REPOSITORY
+from vmboard import qemu, report
+from vmboard.errors import VmError
+from vmboard.software import REPOSITORY
 
 TESTS = REPOSITORY / "tests/vm/remote"
 BOOT_S = 50.0  # until the manager answers, times the board's slowness

@@ -10,10 +10,10 @@ import shutil
 import sys
 from pathlib import Path
 
-from .arch import Arch, host
-from .cache import Cache
-from .packages import Apt, unpack
-from .shell import require, run
+from vmboard.arch import Arch, host
+from vmboard.cache import Cache
+from vmboard.packages import Apt, unpack
+from vmboard.shell import require, run
 
 PACKAGES = [
     "python3",

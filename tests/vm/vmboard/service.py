@@ -9,12 +9,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from . import installed, report
-from .cache import Cache
-from .debian import System
-from .qemu import Machine
-from .software import REPOSITORY
-from .tiers import Tier
+from vmboard import installed, report
+from vmboard.cache import Cache
+from vmboard.debian import System
+from vmboard.qemu import Machine
+from vmboard.software import REPOSITORY
+from vmboard.tiers import Tier
 
 TESTS = REPOSITORY / "tests/vm/service"
 

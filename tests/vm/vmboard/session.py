@@ -9,14 +9,14 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from . import initrd, installed, kvm, payload, qemu, remote, report, rootfs, service, software, zynq
-from .arch import ARMHF
-from .cache import Cache
-from .errors import EXIT_MISSING, MissingError, VmError
-from .kernel import Kernel
-from .progress import say, step
-from .shell import require
-from .tiers import TIERS, Tier
+from vmboard import initrd, installed, kvm, payload, qemu, remote, report, rootfs, service, software, zynq
+from vmboard.arch import ARMHF
+from vmboard.cache import Cache
+from vmboard.errors import EXIT_MISSING, MissingError, VmError
+from vmboard.kernel import Kernel
+from vmboard.progress import say, step
+from vmboard.shell import require
+from vmboard.tiers import TIERS, Tier
 
 PORTS = (5560, 5561, 5562)
 

@@ -9,7 +9,7 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from .errors import MissingError, VmError
+from vmboard.errors import MissingError, VmError
 
 Argument = str | Path
 PACKAGES = {  # of Debian, where they are called otherwise than the program

@@ -8,13 +8,13 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from .arch import host
-from .cache import Cache
-from .errors import VmError
-from .kernel import Kernel
-from .packages import Apt, unpack
-from .shell import run
-from .software import REPOSITORY
+from vmboard.arch import host
+from vmboard.cache import Cache
+from vmboard.errors import VmError
+from vmboard.kernel import Kernel
+from vmboard.packages import Apt, unpack
+from vmboard.shell import run
+from vmboard.software import REPOSITORY
 
 MODEL = REPOSITORY / "tests/vm/silicon"
 DRIVER = "drivers/dma/xilinx/xilinx_dma.c"

@@ -10,11 +10,11 @@ import shutil
 from contextlib import redirect_stdout
 from pathlib import Path
 
-from . import rootfs
-from .arch import ARMHF, Arch, cross_prefix
-from .cache import Cache, source_files
-from .kernel import Kernel
-from .shell import require, run
+from vmboard import rootfs
+from vmboard.arch import ARMHF, Arch, cross_prefix
+from vmboard.cache import Cache, source_files
+from vmboard.kernel import Kernel
+from vmboard.shell import require, run
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 TREES = REPOSITORY / "tests/vm/trees"  # of boards that are the virtual board's alone

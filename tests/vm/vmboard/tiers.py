@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from . import kernel
-from .arch import AMD64, ARM64, ARMHF, ARMMP, Arch
-from .cache import Cache
-from .silicon import Source
+from vmboard import kernel
+from vmboard.arch import AMD64, ARM64, ARMHF, ARMMP, Arch
+from vmboard.cache import Cache
+from vmboard.silicon import Source
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,15 +9,15 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .arch import ARMHF, host
-from .cache import Cache
-from .errors import MissingError, VmError
-from .kernel import Kernel
-from .packages import Apt, unpack
-from .shell import run
+from vmboard.arch import ARMHF, host
+from vmboard.cache import Cache
+from vmboard.errors import MissingError, VmError
+from vmboard.kernel import Kernel
+from vmboard.packages import Apt, unpack
+from vmboard.shell import run
 
 if TYPE_CHECKING:
-    from .qemu import Machine
+    from vmboard.qemu import Machine
 
 SUITE, PACKAGE = "sid", "qemu-system-arm"  # no release of Debian has one that is new enough
 OLDEST = (11, 1)  # the first whose devcfg can be unlocked

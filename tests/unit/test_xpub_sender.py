@@ -72,20 +72,20 @@ class _Socket:
         self.nodrop = value
 
 
-def outbox(times: int) -> tuple[XpubSender, _Full]:
+def sender(times: int) -> tuple[XpubSender, _Full]:
     loop = _Full(times)
     return XpubSender(loop, _Socket()), loop  # type: ignore[arg-type]
 
 
 def test_a_short_message_waits_for_a_queue_that_is_full_for_a_moment() -> None:
-    out, loop = outbox(3)
+    out, loop = sender(3)
     out.send([b"status"])
     assert len(loop.refused) == 3
     assert loop.sent == [[b"status"]]
 
 
 def test_a_queue_that_stays_full_is_waited_for_once() -> None:
-    out, loop = outbox(1000)
+    out, loop = sender(1000)
     out.send([b"one"])
     waited = len(loop.refused)
     for _ in range(5):
@@ -96,7 +96,7 @@ def test_a_queue_that_stays_full_is_waited_for_once() -> None:
 
 
 def test_a_frame_does_not_wait() -> None:
-    out, loop = outbox(1)
+    out, loop = sender(1)
     assert not out.send_frame([b"cm_stream/x", b"", b"frame"])
     assert out.send_frame([b"cm_stream/x", b"", b"next"])
     assert [frames[-1] for frames in loop.sent] == [b"frame", b"next"]

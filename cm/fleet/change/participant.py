@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a board's part in changes of its fleet is kept and carried out: records on one side, the manager on the other.
+"""A board as a participant in changes of its fleet: its part is recorded on disk, and carried out by its manager.
 
 Both are given, so that every order of ends can be tried. Nothing is kept here between two calls but what the store
 has: whoever reads it after an end goes on from there.
@@ -63,7 +63,7 @@ class Clock(Protocol):
     def __call__(self) -> float: ...
 
 
-class Desk:
+class Participant:
     """One board's. The caller sees to it that no two of prepare, apply, decide and go_on run at a time."""
 
     def __init__(self, name: str, store: Store, board: Board, seat: Seat, now: Clock) -> None:
