@@ -27,6 +27,7 @@ _POLLIN = int(zmq.POLLIN)
 _AHEAD = 32  # messages of a socket that are taken in before one is served
 _QUIET = 8  # messages that are served after a round that brought nothing new
 _KEEPING = 1024  # bytes that a message takes here beside its own
+_BLIND = 100_000  # nanoseconds of serving after which it is looked whether someone else waits
 _Serve = Callable[[Message, Budget], None]
 
 
@@ -68,6 +69,7 @@ class Intake:
         self._sources: list[_Source] = []
         self._turns: Turns[Budget, tuple[Callable[[], None], int]] = Turns()
         self._called = False
+        self._blind = 0  # nanoseconds that were served since it was last looked who else waits
 
     def add(
         self,
@@ -86,12 +88,17 @@ class Intake:
             return
         began, message = monotonic_ns(), multipart.receive_from(source.socket)
         budget = self._budgets.came(message)
-        if self._turns or zmq_poll(source.ready, 0):
+        if self._blind >= _BLIND and self._others_wait(source):
             self._keep(source, message, budget, began)
             self._go_on()
-        else:  # nobody else wants anything
-            budget.is_alone()
-            self._serve(budget, began, source.serve, message, budget)
+            return
+        budget.is_alone()
+        self._serve(budget, began, source.serve, message, budget)
+
+    def _others_wait(self, source: _Source) -> bool:
+        """Whether there is more to take in. To ask costs as much as serving a tenth of a short request."""
+        self._blind = 0
+        return bool(zmq_poll(source.ready, 0))
 
     def put(self, connection: str, key: Hashable, call: Callable[[], None]) -> None:
         """Have something else done for whose connection that is, in its turn, and in a later one of the loop.
@@ -117,7 +124,9 @@ class Intake:
         try:
             call(*arguments)
         finally:
-            budget.charge(monotonic_ns() - began)
+            took = monotonic_ns() - began
+            self._blind += took
+            budget.charge(took)
 
     def _keep(self, source: _Source, message: Message, budget: Budget, began: int) -> bool:
         """Let a message wait; whether it ended a round of its socket's connections."""

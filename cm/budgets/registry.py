@@ -73,7 +73,7 @@ class Budgets:
         """The budget of a message's sender; the message counts as taken off its connection."""
         if message.source >= 0:
             self._taken(message.source, message.large)
-        found = self.of(message.connection)
+        found = self._known.get(message.connection) or self._admit(message.connection)
         found.requests += 1
         return found
 

@@ -7,7 +7,6 @@ message is sent again without, so that all others get it.
 
 from __future__ import annotations
 
-import itertools
 import os
 import time
 from collections import Counter
@@ -17,6 +16,7 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 import zmq
+from zmq import zmq_poll
 
 from cm._version import __version__
 from cm.daemon.loop import Loop
@@ -139,12 +139,12 @@ class Publisher:
 
     def __init__(self, loop: Loop, socket: zmq.Socket[bytes], board: str = "", wires: Wires = guard) -> None:
         self._socket = socket
+        self._coming: list[tuple[Any, int]] = [(socket, int(zmq.POLLIN))]  # subscriptions that were not taken yet
         self._board = board or os.uname().nodename
         self._sender = XpubSender(loop, socket)
         self._compressor = Compressor(loop, self._compressed)
         self._subscriptions = Subscriptions(wires)
         self._overruns: Counter[str] = Counter()
-        self._numbers = itertools.count(1)
         self._started_ns = time.time_ns()
         self._sensors: tuple[SensorStatus, ...] = ()
         self.sequence = 0
@@ -206,15 +206,16 @@ class Publisher:
         A change tells a dozen, each of which takes longer to make and encode than the step that it tells of.
         Who subscribes gets one at once, so nothing is missed; the number counts all the same.
         """
-        self.sequence = next(self._numbers)
+        self.sequence += 1
         if not self.has_subscriber(topics.STATUS):
             return False
         self._sender.send(encode.encode_status(make()))
         return True
 
     def registers(self, values: RegValues) -> None:
-        """Publish changed registers."""
-        self._sender.send(encode.encode_registers(values))
+        """Publish changed registers, where anyone subscribes to them, or may: unlike a status, they are told once."""
+        if self.has_subscriber(topics.READ_REG) or zmq_poll(self._coming, 0):
+            self._sender.send(encode.encode_registers(values))
 
     def interrupt(self, irq: Irq) -> None:
         """Publish an interrupt."""

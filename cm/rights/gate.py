@@ -81,7 +81,10 @@ class Gate:
 
     def everywhere(self, connection: str) -> Role:
         """The highest role that a connection has for everything."""
-        return self._current(connection).everywhere
+        known = self._known.get(connection)
+        if known is None or known.rights.until is not None:
+            known = self._current(connection)
+        return known.everywhere
 
     def enter(self, domain: str, address: str, mechanism: str, key: str) -> str | None:
         """The id of a new connection; None for a client that may do nothing at all.
@@ -141,7 +144,9 @@ class Gate:
 
     def admit(self, connection: str, request: Request, scene: Callable[[], Scene]) -> Request:
         """The request as it may be carried out. Raises Forbidden, and what the scene raises for what is not there."""
-        known, need = self._current(connection), least(request)
+        known, need = self._known.get(connection), least(request)
+        if known is None or known.rights.until is not None:
+            known = self._current(connection)
         if known.everywhere < need.role:
             try:
                 request = self._narrowly(connection, known, request, need, scene)

@@ -30,13 +30,13 @@ class Scene:
 def least(request: rq.Request) -> Need:
     """The role that a request takes at least; for a kind that is not known here an admin's."""
     kind = _KINDS.get(type(request))
-    return Need(kind.role, kind.topic) if kind else Need(Role.ADMIN, "")
+    return kind.least if kind else _UNKNOWN
 
 
 def needs_of(request: rq.Request, scene: Scene) -> Iterator[Need]:
     """Everything that a request touches."""
-    kind, base = _KINDS.get(type(request)), least(request)
-    yield from kind.parts(base, request, scene) if kind and kind.parts else (base,)
+    kind = _KINDS.get(type(request))
+    yield from kind.parts(kind.least, request, scene) if kind and kind.parts else (least(request),)
 
 
 def resolved(request: rq.Request, scene: Scene) -> rq.Request:
@@ -135,11 +135,17 @@ def _loaded(scene: Scene) -> str | None:
     return scene.loaded.name if scene.loaded else None
 
 
-@dataclass(frozen=True, slots=True)
+_Parts = Callable[[Need, Any, Scene], Iterator[Need]]
+_UNKNOWN = Need(Role.ADMIN, "")
+
+
 class _Kind:
-    role: Role
-    topic: str
-    parts: Callable[[Need, Any, Scene], Iterator[Need]] | None = None
+    """Of requests: the role that they take at least, and what they touch."""
+
+    __slots__ = ("least", "parts")
+
+    def __init__(self, role: Role, topic: str, parts: _Parts | None = None) -> None:
+        self.least, self.parts = Need(role, topic), parts
 
 
 _KINDS: dict[type, _Kind] = {

@@ -82,6 +82,11 @@ class Leases:
             self._expire()
             self._check(scopes, lease)
 
+    @property
+    def any_held(self) -> bool:
+        """Whether one is held; it may have ended a moment ago."""
+        return bool(self._held)
+
     def _check(self, scopes: tuple[str, ...], lease: str) -> None:
         own = [self._held[key] for key in lease.split(",") if key in self._held]
         for held in self._held.values():

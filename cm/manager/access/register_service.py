@@ -4,64 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import NamedTuple
 
 from cm.errors import CmError
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_names import checked_write, find, split_name
+from cm.manager.access.register_view import Checked, Place, View, is_free, place_of, plainly
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
 from cm.manager.planning import goals
-from cm.manager.state.board_state import LockedRegions, ManagerState
-from cm.manager.state.table import BoardState, RegionPhase
+from cm.manager.state.board_state import ManagerState
 from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue, RegValues
-from cm.schema.model import Access, BitField, Config, Register
+from cm.schema.model import Access, Config, Register
 
-Checked = tuple[Register, int, int]  # value and mask in its place
-_WO, _RW, _READY = Access.WO, Access.RW, RegionPhase.READY  # a look into an enum's class is not free
-
-
-class _Place(NamedTuple):
-    """Where a name leads."""
-
-    register: Register
-    field: BitField | None
-    region: str | None
-    address: int
-    width: int
-
-
-class _View:
-    """What can be named in the mode that the board is in, what was named in it before, and what is free.
-
-    It is made anew where the board holds something else, not with each value that is written.
-    """
-
-    __slots__ = ("board", "config", "configs", "free", "locked", "mode", "places", "registers")
-
-    def __init__(self, state: ManagerState, config: Config) -> None:
-        self.configs, self.config, self.board, self.locked = state.configs, config, state.latest, state.locked
-        self.mode = self.board.mode
-        self.registers: Mapping[str, Register] = config.visible_registers(self.mode)
-        self.places: dict[str, _Place] = {}
-        regions = {register.region for register in self.registers.values()}  # and None for the static part
-        self.free = {region for region in regions if _is_free(self.board, self.locked, region)}
-
-    def still_holds(self, state: ManagerState) -> bool:
-        """Whether it is true of what the board holds now."""
-        then, now = self.board, state.latest
-        return (
-            (then is now or (then.regions is now.regions and then.mode == now.mode and then.config == now.config))
-            and self.configs is state.configs
-            and self.locked is state.locked
-        )
-
-
-def _is_free(board: BoardState, locked: LockedRegions, region: str | None) -> bool:
-    if region is None:
-        return not locked.whole
-    return board.region(region).phase is _READY and region not in locked
+_WO, _RW = Access.WO, Access.RW  # a look into an enum's class is not free
 
 
 class Prepared:
@@ -72,7 +28,7 @@ class Prepared:
 
     __slots__ = ("_places", "_regions", "_service", "_view", "config_name", "fields", "mode", "names")
 
-    def __init__(self, service: RegisterService, view: _View, places: Sequence[_Place]) -> None:
+    def __init__(self, service: RegisterService, view: View, places: Sequence[Place]) -> None:
         self._service, self._view = service, view
         self._places = [(p.address, p.width, *((p.field.lsb, p.field.mask) if p.field else (0, -1))) for p in places]
         self._regions = {p.region for p in places}
@@ -112,7 +68,7 @@ class RegisterService:
         self._bus = bus
         self._leases = leases
         self._lock = state.lock
-        self._view: _View | None = None
+        self._view: View | None = None
 
     def read(self, names: tuple[str, ...]) -> RegValues:
         """Values by name; of all that can be read if none is given."""
@@ -134,7 +90,7 @@ class RegisterService:
         return Prepared(self, view, places) if readable else None
 
     def read_again(
-        self, view: _View, regions: set[str | None], places: list[tuple[int, int, int, int]]
+        self, view: View, regions: set[str | None], places: list[tuple[int, int, int, int]]
     ) -> list[int] | None:
         """For `Prepared`."""
         with self._lock:
@@ -157,31 +113,47 @@ class RegisterService:
 
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
         """Check all, then write in order; what the registers then hold."""
-        return self.write_checked(self.checked(writes, lease))
+        with self._lock:
+            view = self._look()
+            return self._do(view, self._check(view, writes, lease))
 
     def checked(self, writes: tuple[RegWrite, ...], lease: str) -> list[Checked]:
         """Registers, values and masks of writes that may be done. Raises for the first that may not."""
-        visible = self._look().registers
-        checked = [checked_write(visible, w, lambda n=w.name: self._elsewhere(n, visible)) for w in writes]  # type: ignore[misc]
-        self._check_leases([r for r, _, _ in checked], lease)
-        return checked
+        with self._lock:
+            return self._check(self._look(), writes, lease)
 
     def write_checked(self, checked: list[Checked]) -> RegValues:
         """Write in order what was checked. Raises RegionBusy where a change has begun."""
         with self._lock:
-            view = self._look()
-            for register, _, _ in checked:
-                self._check_free(register)
-            values = tuple([self._write(register, value, mask) for register, value, mask in checked])
-            return RegValues(values, view.config.name, view.mode or "", self._state.written())
+            return self._do(self._look(), checked)
 
     def check_again(self, checked: list[Checked], lease: str) -> None:
         """Raise HeldBy, RegionBusy where what was checked a while ago has another holder, or is not there any more."""
-        registers, visible = [register for register, _, _ in checked], self._look().registers
-        for register in registers:
+        visible = self._look().registers
+        for register in (place.register for place, _, _ in checked):
             if visible.get(register.name) is not register:
                 raise RegionBusy(f"register {register.name!r}: the mode was changed while the request was carried out")
-        self._check_leases(registers, lease)
+        self._check_leases(checked, lease)
+
+    def _check(self, view: View, writes: tuple[RegWrite, ...], lease: str) -> list[Checked]:
+        known = view.places
+        checked = []
+        for write in writes:
+            place = known.get(write.name) or self._find(view, write.name)
+            checked.append(plainly(place, write) or self._checked(view, place, write))
+        self._check_leases(checked, lease)
+        return checked
+
+    def _checked(self, view: View, place: Place, write: RegWrite) -> Checked:
+        _, value, mask = checked_write(view.registers, write, lambda: self._elsewhere(write.name, view.registers))
+        return place, value, mask
+
+    def _do(self, view: View, checked: list[Checked]) -> RegValues:
+        for place, _, _ in checked:
+            if place.region not in view.free:
+                self._check_free(place.register)
+        values = tuple([self._write(place, value, mask) for place, value, mask in checked])
+        return RegValues(values, view.config.name, view.mode or "", self._state.written())
 
     def take_flags(self, name: str, clear: int) -> int:
         """Read a status register and acknowledge those interrupts of `clear` (bits) that stand; what was read.
@@ -197,25 +169,25 @@ class RegisterService:
             self._check_free(register)
             return self._bus.take_flags(register, clear, _flags(view.config, name))
 
-    def _look(self) -> _View:
+    def _look(self) -> View:
         view = self._view
         if view is None or not view.still_holds(self._state):
             view = self._view = self._renewed(view)
         return view
 
-    def _renewed(self, before: _View | None) -> _View:
+    def _renewed(self, before: View | None) -> View:
         config = self._state.loaded_config()
         if config is None:
             there = goals.listed(self._state.configs)
             raise NothingLoaded(f"nothing is loaded, so there are no registers; there are {there}")
-        view = _View(self._state, config)
+        view = View(self._state, config)
         if before is not None and before.config is config and before.mode == view.mode:
             view.places = before.places
         return view
 
-    def _find(self, view: _View, name: str) -> _Place:
+    def _find(self, view: View, name: str) -> Place:
         register, field = find(view.registers, name, lambda: self._elsewhere(name, view.registers))
-        place = view.places[name] = _Place(register, field, register.region, register.address, register.width)
+        place = view.places[name] = place_of(register, field)
         return place
 
     def _elsewhere(self, name: str, visible: Mapping[str, Register]) -> str:
@@ -226,30 +198,34 @@ class RegisterService:
         modes = [m for m in config.modes if register in config.visible_registers(m)]
         return f" ({self._state.latest.mode}); modes {', '.join(modes)} have it" if modes else ""
 
-    def _readable(self, view: _View) -> list[_Place]:
+    def _readable(self, view: View) -> list[Place]:
         readable = (r for r in view.registers.values() if r.access is not _WO and r.region in view.free)
         return [view.places.get(r.name) or self._find(view, r.name) for r in readable]
 
-    def _read(self, place: _Place, view: _View) -> RegValue:
-        register, field, region, address, width = place
-        if region not in view.free:
+    def _read(self, place: Place, view: View) -> RegValue:
+        register, field = place.register, place.field
+        if place.region not in view.free:
             self._check_free(register)
         if register.access is _WO:
             raise AccessDenied(f"register {register.name!r} is write-only")
-        value = self._bus.read_address(address, width)
+        value = self._bus.read_address(place.address, place.width)
         if field is None:
             return value_of(register, value) if register.fields else RegValue(register.name, value)
         return RegValue(f"{register.name}.{field.name}", (value & field.mask) >> field.lsb)
 
-    def _write(self, register: Register, value: int, mask: int) -> RegValue:
-        written = self._bus.write(register, value, mask, self._state.written_value(register.name))
-        self._state.note_written(register.name, written)
-        shown = written if register.access is not _RW else self._bus.read(register)
+    def _write(self, place: Place, value: int, mask: int) -> RegValue:
+        register, bus = place.register, self._bus
+        if mask == place.mask and place.field is None:
+            bus.write_address(place.address, place.width, value)
+        else:
+            value = bus.write(register, value, mask, self._state.written_value(register.name))
+        self._state.note_written(register.name, value)
+        shown = value if register.access is not _RW else bus.read_address(place.address, place.width)
         return value_of(register, shown)
 
     def check_region(self, region: str | None, what: str) -> None:
         """Raise RegionBusy while `region` (None: the static part) is being changed, or stands cut off."""
-        if not _is_free(self._state.latest, self._state.locked, region):
+        if not is_free(self._state.latest, self._state.locked, region):
             self._refuse(region, what)
 
     def _check_free(self, register: Register) -> None:
@@ -261,6 +237,9 @@ class RegisterService:
         how = "being reconfigured" if locked else self._state.latest.region(region or "").phase.value
         raise RegionBusy(f"{what} lies in {where}, which is {how}")
 
-    def _check_leases(self, registers: list[Register], lease: str) -> None:
+    def _check_leases(self, checked: list[Checked], lease: str) -> None:
+        if not self._leases.any_held:
+            return
+        registers = [place.register for place, _, _ in checked]
         scopes = {f"registers:{r.name}" for r in registers} | {f"region:{r.region}" for r in registers if r.region}
         self._leases.check(tuple(scopes), lease)
