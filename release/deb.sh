@@ -12,6 +12,7 @@ shift 2
 out=$PWD/build/release
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
+export TMPDIR=$work # lintian leaves files there
 version=$(basename "$sdist" .tar.gz)
 version=${version#fpga_cm-}
 mkdir -p "$out"

@@ -452,11 +452,18 @@ unsigned int fake_node_requests(struct fake_node *fake)
 	return atomic_load(&fake->requests);
 }
 
+static const char *scratch(void)
+{
+	const char *given = getenv("TMPDIR");
+
+	return given && *given ? given : "/tmp";
+}
+
 char *fake_root_make(void)
 {
-	char *root = strdup("/tmp/cm-csrc-XXXXXX");
+	char *root;
 
-	CHECK(root && mkdtemp(root));
+	CHECK(asprintf(&root, "%s/cm-csrc-XXXXXX", scratch()) > 0 && mkdtemp(root));
 	return root;
 }
 
@@ -478,7 +485,7 @@ static int remove_one(const char *path, const struct stat *st, int kind, struct 
 
 void fake_root_remove(char *root)
 {
-	char *end = strchr(root + strlen("/tmp/"), '/');
+	char *end = strchr(root + strlen(scratch()) + 1, '/');
 
 	if (end)
 		*end = '\0';

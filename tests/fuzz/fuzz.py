@@ -17,6 +17,7 @@ import concurrent.futures
 import importlib
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import time
@@ -58,8 +59,15 @@ def run_one(name: str, flags: list[str]) -> None:
 def _child(name: str, *flags: str) -> subprocess.CompletedProcess[bytes]:
     command = [sys.executable, str(Path(__file__).resolve()), "--one", name, *flags]
     with (WORK / f"{name}.log").open("ab") as log:
-        fixed = {**os.environ, "PYTHONHASHSEED": "0"}  # the order of sets is part of what a seed repeats
-        return subprocess.run(command, cwd=WORK, stdout=log, stderr=subprocess.STDOUT, check=False, env=fixed)
+        # The order of sets is part of what a seed repeats. Scratch folders lie in one of ours: a fuzzer ends by _exit.
+        scratch = WORK / f"{name}.scratch"
+        shutil.rmtree(scratch, ignore_errors=True)
+        scratch.mkdir()
+        fixed = {**os.environ, "PYTHONHASHSEED": "0", "TMPDIR": str(scratch)}
+        try:
+            return subprocess.run(command, cwd=WORK, stdout=log, stderr=subprocess.STDOUT, check=False, env=fixed)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
 
 
 def fuzz(name: str, seconds: int, seed: int) -> str:

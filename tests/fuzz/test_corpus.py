@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import importlib
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,14 @@ import pytest
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE))
 TARGETS = sorted(path.stem for path in (HERE / "targets").glob("[a-z]*.py"))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _scratch(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """The targets make a folder when they are imported, for as long as the process lasts."""
+    before, tempfile.tempdir = tempfile.tempdir, str(tmp_path_factory.mktemp("f"))
+    yield
+    tempfile.tempdir = before
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -130,6 +130,7 @@ def test_what_is_no_core_is_refused(tmp_path: Path) -> None:
         ("files: [filter.xdc: {file_type: xdc}]", "files: {a: 1}"),
         ("HIGH: {datatype: int, default: 15, paramtype: vlogparam}", "HIGH: 4"),
         ("file_type: verilogSource\n    depend", "file_type: [x]\n    depend"),
+        ("FAST=true", "FAST=>true"),
     ],
 )
 def test_a_core_of_another_shape_is_refused_or_read(tmp_path: Path, old: str, new: str) -> None:

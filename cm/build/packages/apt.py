@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,11 +36,16 @@ class Apt:
     suite: str
     keyring: Path = KEYRING
 
+    @property
+    def _scratch(self) -> Path:
+        return self.state / "tmp"
+
     def prepare(self) -> None:
         """Make the folders and the source; raises PackagesUnavailable without the keys to verify it."""
         if not self.keyring.is_file():
             raise PackagesUnavailable(f"{self.keyring}: not there; install debian-archive-keyring to verify packages")
-        for folder in ("lists/partial", "cache/archives/partial"):
+        shutil.rmtree(self._scratch, ignore_errors=True)
+        for folder in ("lists/partial", "cache/archives/partial", self._scratch.name):
             (self.state / folder).mkdir(parents=True, exist_ok=True)
         (self.state / "status").touch()
         source = f"deb [signed-by={self.keyring}] {self.mirror} {self.suite} main\n"
@@ -47,13 +53,13 @@ class Apt:
 
     def update(self) -> None:
         """Fetch the lists; an expired or unsigned one is an error."""
-        run(self._command("apt-get", "update", "-q", "-oAPT::Update::Error-Mode=any"))
+        run(self._command("apt-get", "update", "-q", "-oAPT::Update::Error-Mode=any"), self._scratch)
 
     def download(self, names: list[str], place: Path) -> list[Path]:
         """Fetch packages and all that they depend on into `place`; returns the files."""
         (place / "partial").mkdir(parents=True, exist_ok=True)
         options = [f"-oDir::Cache::archives={place}", "-q", "-y", "--no-install-recommends", "--download-only"]
-        run(self._command("apt-get", "install", *options, "--", *names))
+        run(self._command("apt-get", "install", *options, "--", *names), self._scratch)
         return sorted(place.glob("*.deb"))
 
     def _command(self, tool: str, *arguments: str) -> list[str]:
@@ -78,9 +84,14 @@ class Apt:
         return [tool, *(f"-o{name}={value}" for name, value in settings.items()), *arguments]
 
 
-def run(command: list[str]) -> str:
-    """Run a program; its output. Raises PackagesUnavailable with its last lines where it fails."""
+def run(command: list[str], scratch: Path | None = None) -> str:
+    """Run a program; its output. Raises PackagesUnavailable with its last lines where it fails.
+
+    `scratch`: where it keeps temporary files, which a program that is killed leaves behind.
+    """
     environment = {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
+    if scratch is not None:
+        environment["TMPDIR"] = str(scratch)
     try:
         done = subprocess.run(
             command,

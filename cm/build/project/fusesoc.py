@@ -58,7 +58,7 @@ def core_files(path: Path, target: str = "default", roots: Iterable[Path] = ()) 
     reader = _Reader(target, [path.parent, *roots])
     try:
         reader.add(core, target, top=True)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
         raise BuildError(f"{path}: not as CAPI2 has it, or a core that it depends on is not: {error}") from None
     return reader.found
 

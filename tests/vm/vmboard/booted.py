@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import shutil
 import signal
 import subprocess
@@ -25,12 +26,20 @@ def _line(command: str, user: str) -> list[str]:
     return ["/bin/sh", "-c", command] if user == "root" else ["/sbin/runuser", "-l", user, "-c", command]
 
 
+def _socket_folder() -> Path:
+    """A folder of a short name, as paths of sockets must be; those of runs that were killed go."""
+    for left in Path(tempfile.gettempdir()).glob("cm-vm-*-*"):
+        if not Path("/proc", left.name.split("-")[2]).exists():
+            shutil.rmtree(left, ignore_errors=True)
+    return Path(tempfile.mkdtemp(prefix=f"cm-vm-{os.getpid()}-"))
+
+
 class Booted:
     """A board with systemd; its root disk keeps what it writes."""
 
     def __init__(self, machine: qemu.Machine, place: Path) -> None:
         self._place = place
-        self._sockets = Path(tempfile.mkdtemp(prefix="cm-vm-"))  # the path of a socket must be short
+        self._sockets = _socket_folder()
         self.machine = dataclasses.replace(machine, agent=self._sockets / "agent", keep=True)
         self._boots = 0
         self._process: subprocess.Popen[bytes] | None = None

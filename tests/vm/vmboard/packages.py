@@ -10,6 +10,7 @@ from __future__ import annotations
 import fcntl
 import lzma
 import re
+import shutil
 import subprocess
 import time
 from collections.abc import Iterator
@@ -52,12 +53,19 @@ class Apt:
             options |= {"Dir::Etc::preferencesparts": "-", "APT::Update::Error-Mode": "any"}
         return [tool, *(f"-o{name}={value}" for name, value in options.items())]
 
+    @property
+    def _scratch(self) -> dict[str, str]:
+        """Where apt's temporary files go: one that is killed leaves them."""
+        return {"TMPDIR": str(self._root / "tmp")}
+
     @contextmanager
     def _lists(self) -> Iterator[None]:
         """The lists, for one at a time: boards are built side by side, and apt does not wait for another."""
         self._root.mkdir(parents=True, exist_ok=True)
         with (self._root / "lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
+            shutil.rmtree(self._root / "tmp", ignore_errors=True)
+            (self._root / "tmp").mkdir()
             self._refresh()
             yield
 
@@ -73,27 +81,27 @@ class Apt:
         if self._suite:
             (self._root / "sources.list").write_text(f"deb [signed-by={KEYRING}] {_mirror()} {self._suite} main\n")
         with step(f"fetching the {self.arch.debian} package lists"):
-            run([*self._command("apt-get"), "update", "-q"])
+            run([*self._command("apt-get"), "update", "-q"], env=self._scratch)
         stamp.touch()
 
     def closure(self, names: list[str], place: Path) -> list[Path]:
         """Download packages with all they depend on into `place`; returns the files."""
         (place / "partial").mkdir(parents=True, exist_ok=True)
         with self._lists():
-            run([*self._command("apt-get", place), "install", "-q", "-y", "--download-only", *names])
+            run([*self._command("apt-get", place), "install", "-q", "-y", "--download-only", *names], env=self._scratch)
         return sorted(place.glob("*.deb"))
 
     def download(self, names: list[str], place: Path) -> list[Path]:
         """Download just these packages into `place`; returns the files."""
         place.mkdir(parents=True, exist_ok=True)
         with self._lists():
-            run([*self._command("apt-get"), "download", "-q", *names], cwd=place)
+            run([*self._command("apt-get"), "download", "-q", *names], cwd=place, env=self._scratch)
         return sorted(place.glob("*.deb"))
 
     def depends_like(self, name: str, pattern: str) -> str:
         """The first dependency of a (meta) package that matches a pattern, such as the current kernel's."""
         with self._lists():
-            listing = run([*self._command("apt-cache"), "depends", name])
+            listing = run([*self._command("apt-cache"), "depends", name], env=self._scratch)
         found = re.search(rf"Depends: ({pattern})$", listing, re.MULTILINE)
         if found is None:
             raise LookupError(f"package {name} ({self.arch.debian}) depends on nothing like {pattern}:\n{listing}")
