@@ -13,7 +13,15 @@ import pytest
 HERE = Path(__file__).parent
 
 
-def simulate(top: str, sources: list[Path], module: str, folder: Path, only: str = "", **environment: str) -> list[str]:
+def simulate(
+    top: str,
+    sources: list[Path],
+    module: str,
+    folder: Path,
+    only: str = "",
+    parameters: dict[str, int] | None = None,
+    **environment: str,
+) -> list[str]:
     """The names of the tests that ran; fails with what the simulator said if one of them failed."""
     runner_module = pytest.importorskip("cocotb_tools.runner", reason="needs cocotb, which is not installed")
     pytest.importorskip("cocotbext.axi", reason="needs cocotbext-axi, which is not installed")
@@ -22,6 +30,7 @@ def simulate(top: str, sources: list[Path], module: str, folder: Path, only: str
     runner.build(
         sources=sources,
         hdl_toplevel=top,
+        parameters=parameters or {},
         build_dir=folder,
         always=True,
         timescale=("1ns", "1ps"),
