@@ -56,7 +56,7 @@ demo: $(STAMP) ## the camera demonstration on a simulated board; writes demo/con
 
 demo-ros: $(STAMP) ## a simulated board as a ROS 2 node, seen by a subscriber on Fast DDS (OUT=DIR; needs Debian's libfastrtps-dev)
 	@$(BIN)/python -c 'import cyclonedds' 2>/dev/null || $(BIN)/python -m pip install --quiet '.[dds]'
-	@$(MAKE) --no-print-directory -s -C ros2/fastdds_peer OUT=$(abspath build/fastdds_peer)
+	@$(MAKE) --no-print-directory -s -C ros2/fastdds_peer OUT=../../build/fastdds_peer
 	@$(BIN)/python ros2/demo.py --peer build/fastdds_peer/peer --out $(if $(filter demo,$(OUT)),demo-ros,$(OUT))
 
 demo-open: $(STAMP) ## Verilog to partial bitstreams without a vendor's tool, and the modules run from their bits (OUT=DIR; fetches some 50 MB; needs verilator)
@@ -74,10 +74,10 @@ test-c: | check-system
 	$(MAKE) -C csrc check $(if $(SANITIZE),SANITIZE=$(SANITIZE))
 
 # NODE=18: with that version, which npm fetches, in place of the system's
-OTHER_NODE := $(if $(NODE),PATH=$(abspath build/node$(NODE)/node_modules/node/bin):$$PATH;)
+OTHER_NODE := $(if $(NODE),PATH="$(abspath build/node$(NODE)/node_modules/node/bin):$$PATH";)
 test-node: $(STAMP) ## the client for Node.js: built, and its tour over ipc and CURVE (npm fetches its packages)
 	$(if $(NODE),npm install --prefix build/node$(NODE) --no-save --silent node@$(NODE))
-	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=$(abspath $(BIN))/cm npm test --silent
+	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM="$(abspath $(BIN))/cm" npm test --silent
 	$(OTHER_NODE) $(BIN)/cm conformance -- node clients/node/dist/test/driver.js
 
 test-open: $(STAMP) ## modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
@@ -91,7 +91,7 @@ test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Ica
 	$(BIN)/cm demo --rtl --out build/demo-rtl
 
 test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
-	@$(MAKE) --no-print-directory -C tests/vm test PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
+	@$(MAKE) --no-print-directory -C tests/vm test PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
 
 demo-fleet: $(STAMP) ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR)
 	$(call install,zenoh)
@@ -106,7 +106,7 @@ else
 endif
 
 vm: $(STAMP) ## a shell on that board, with a manager running and its ports forwarded
-	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON=$(abspath $(BIN)/python) TIERS="$(TIERS)"
+	@$(MAKE) --no-print-directory -C tests/vm vm PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)"
 
 web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
@@ -151,7 +151,7 @@ format: $(LINT_STAMP) ## format Python and C
 	$(BIN)/clang-format --style=file:csrc/.clang-format -i $(C_FILES)
 
 kmod: ## the kernel modules for one kernel: make kmod KDIR=… ARCH=… CROSS_COMPILE=…
-	$(MAKE) -C kmod $(if $(KDIR),KDIR=$(abspath $(KDIR)))
+	$(MAKE) -C kmod $(if $(KDIR),KDIR="$(abspath $(KDIR))")
 
 kmod-lint: ## checkpatch --strict, sparse and W=1 over the kernel modules
 	@kmod/lint.sh || { status=$$?; [ $$status = 3 ] && echo "SKIPPED: see above" || exit $$status; }

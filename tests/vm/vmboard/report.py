@@ -96,7 +96,9 @@ def collect(results: Path, console: Path, place: Path) -> Results:
         return Results(0, 0, (f"the board sent no results; end of its console:\n{tail}",), reports, {})
     folder = place / "results"
     with tarfile.open(results) as packed:
-        packed.extractall(folder, filter="data")
+        if hasattr(tarfile, "data_filter"):  # Debian 12's Python 3.11.2 has none
+            packed.extraction_filter = staticmethod(tarfile.data_filter)
+        packed.extractall(folder)
     return _count(folder, reports)
 
 
