@@ -201,13 +201,23 @@ class _Reader:
             for text in names(entry, flags):
                 name, equals, value = text.partition("=")
                 spec = declared.get(name) or {}
-                given = yaml.safe_load(value) if equals else spec.get("default")
+                given = _value(name, value, spec) if equals else spec.get("default")
                 if given is None:
                     continue
                 if spec.get("paramtype") == "vlogdefine":
                     self.found.defines[name] = "1" if given is True else str(given)
                 elif spec.get("paramtype") in ("vlogparam", "generic"):
                     self.found.parameters[name] = given
+
+
+def _value(name: str, text: str, spec: Mapping[str, Any]) -> Any:
+    """What `name=text` of a target gives a parameter; ValueError where it is no value."""
+    if spec.get("datatype") in ("str", "file"):
+        return text
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise ValueError(f"the parameter {name} is given {text!r}, which is no value") from None
 
 
 def _both(data: Mapping[str, Any], key: str) -> Iterator[Any]:
