@@ -22,14 +22,17 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "bench",
         help="measure latency and throughput",
-        description="Measure beside the alternatives, in interleaved rounds on one CPU, with simulated boards of its "
-        "own. Exit status 0 when everything was measured or is marked as not available, whatever the numbers are.",
+        description="Measure fpga-cm and its alternatives side by side, in interleaved rounds on one "
+        "CPU, on simulated boards. Exit status 0 if everything was measured or marked as "
+        "not available, whatever the numbers are.",
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help="what to measure (default: all; --list names them)")
     parser.add_argument("--list", action="store_true", help="list what can be measured")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results, with all that belongs to them")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the results, with everything that describes the run"
+    )
     parser.add_argument("--plots", type=Path, metavar="DIR", help="draw the figures as PNG (needs fpga-cm[bench])")
-    parser.add_argument("--quick", action="store_true", help="measure little: shows that it works, not how fast")
+    parser.add_argument("--quick", action="store_true", help="measure little: shows that it works, not how fast it is")
     parser.set_defaults(run=run)
 
 

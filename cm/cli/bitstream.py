@@ -29,8 +29,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
 def _add_inspect(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = actions.add_parser(
         "inspect",
-        help="say what bitstreams are",
-        description="Say what bitstreams are. Exit status 1 if one is not sound.",
+        help="describe bitstreams",
+        description="Describe bitstreams. Exit status 1 if one is damaged.",
     )
     parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="a .bit, .bin, .bit.bin or boot image")
     parser.add_argument("--frames", action="store_true", help="list the footprint column by column")
@@ -41,16 +41,16 @@ def _add_inspect(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _add_convert(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = actions.add_parser(
         "convert",
-        help="put a bitstream into another container",
+        help="convert a bitstream to another container",
         description="Put a bitstream into another container, byte for byte: bit (big-endian, with a header), bin"
         " (word-swapped, as PCAP and a DMA-fed ICAP read it), bin-straight (big-endian).",
     )
     parser.add_argument("file", type=Path, metavar="FILE")
     parser.add_argument("output", type=Path, metavar="OUTPUT")
-    parser.add_argument("--to", choices=sorted(_FORMS), help="the container (default: by the name of OUTPUT)")
-    parser.add_argument("--header", type=Path, metavar="FILE", help="a .bit whose header is taken, for a .bin")
+    parser.add_argument("--to", choices=sorted(_FORMS), help="the container (default: from the name of OUTPUT)")
+    parser.add_argument("--header", type=Path, metavar="FILE", help="for a .bin as input: a .bit whose header is used")
     parser.add_argument(
-        "--drop-header", action="store_true", help="in place: lose what the output cannot hold, such as the header"
+        "--drop-header", action="store_true", help="drop what the output cannot hold, such as the header"
     )
     parser.set_defaults(run=run_convert)
 

@@ -25,23 +25,24 @@ def add_verify(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser = actions.add_parser(
         "verify",
         help="check that a bitstream fits a region, or a device",
-        description="Check that a bitstream is sound and fits. Exit status 1, with the reasons, if it must not be"
-        " loaded.",
+        description="Check that a bitstream is intact and fits. If it must not be loaded, give the "
+        "reasons and exit with status 1.",
     )
     parser.add_argument("file", type=Path, metavar="FILE")
-    parser.add_argument("--config", type=Path, metavar="SCHEMA", help="the runtime schema that it is meant for")
+    parser.add_argument("--config", type=Path, metavar="SCHEMA", help="the runtime schema that it belongs to")
     parser.add_argument("--region", metavar="NAME", help="the region of that configuration")
     parser.add_argument(
-        "--like", type=Path, metavar="FILE", help="a bitstream of the same region: its frames are the region's"
+        "--like",
+        type=Path,
+        metavar="FILE",
+        help="another bitstream of the same region, whose frames are taken as the region's",
     )
     parser.add_argument("--device", metavar="NAME", help="the device, such as xc7z020")
-    parser.add_argument(
-        "--idcode", type=_idcode, metavar="HEX", help="its IDCODE in bitstreams, for a device that is not known"
-    )
-    parser.add_argument("--sha256", metavar="HEX", help="the file's recorded hash")
+    parser.add_argument("--idcode", type=_idcode, metavar="HEX", help="its IDCODE in bitstreams, for an unknown device")
+    parser.add_argument("--sha256", metavar="HEX", help="the file's expected hash")
     kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--partial", action="store_true", default=None, help="it is for a region")
-    kind.add_argument("--full", dest="partial", action="store_false", help="it is for the whole device")
+    kind.add_argument("--partial", action="store_true", default=None, help="it must be for a region")
+    kind.add_argument("--full", dest="partial", action="store_false", help="it must be for the whole device")
     add_json_option(parser)
     parser.set_defaults(run=run_verify)
 

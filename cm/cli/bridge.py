@@ -9,14 +9,14 @@ from cm.cli.bridge_dds import add_dds_parser
 from cm.cli.bridge_zenoh import add_zenoh_parser
 
 _DESCRIPTION = """\
-Puts a board into another network: as a ROS 2 node on DDS, or as one of a fleet over zenoh. A bridge is a client like
-any other, with this user's rights or those of --keys, and runs until it is interrupted; a manager that goes away is
-waited for."""
+Connect a board to another network: as a ROS 2 node on DDS, or as a member of a fleet over zenoh. A bridge is a client
+like any other, with this user's rights or those of --keys. It runs until it is interrupted, and waits for a manager
+that goes away."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = subparsers.add_parser("bridge", help="put a board into another network", description=_DESCRIPTION)
+    parser = subparsers.add_parser("bridge", help="connect a board to another network", description=_DESCRIPTION)
     actions = parser.add_subparsers(dest="action", metavar="NETWORK", required=True)
     add_dds_parser(actions)
     add_zenoh_parser(actions)

@@ -24,19 +24,24 @@ def add_dds_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     """Add the action."""
     parser = actions.add_parser(
         "dds",
-        help="as a ROS 2 node on DDS, without ROS",
-        description="Serves the board as a ROS 2 node: topics for any DDS middleware, services, parameters and the "
-        "action change_mode for rmw_cyclonedds. docs/ros2.md has the names.",
+        help="make a board a ROS 2 node on DDS, without ROS",
+        description="Serve the board as a ROS 2 node: topics for any DDS middleware; services, "
+        "parameters and the action change_mode for rmw_cyclonedds. docs/ros2.md lists the"
+        " names.",
     )
     add_connection_options(parser)
     parser.add_argument("--name", default="cm", help="the node's name (cm)")
     parser.add_argument("--namespace", default="/", help="the node's namespace, such as /kria (/)")
     parser.add_argument("--domain", type=int, metavar="N", help="the DDS domain (default: $ROS_DOMAIN_ID, or 0)")
-    parser.add_argument("--guest", default="", metavar="NAME", help="in whose name requests reach the manager")
+    parser.add_argument("--guest", default="", metavar="NAME", help="guest in whose name requests reach the manager")
     parser.add_argument(
-        "--best-effort", action="store_true", help="hear publishers of best effort too; what is lost of them stays lost"
+        "--best-effort",
+        action="store_true",
+        help="receive from best-effort publishers too, whose lost frames are not repeated",
     )
-    parser.add_argument("--settings", action="store_true", help="print the settings of Cyclone DDS that lose no frames")
+    parser.add_argument(
+        "--settings", action="store_true", help="print settings for Cyclone DDS with which no frames are lost"
+    )
     parser.set_defaults(run=run)
 
 

@@ -27,29 +27,49 @@ def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     """Add the network."""
     parser = actions.add_parser(
         "zenoh",
-        help="a board in a fleet, over zenoh",
-        description="Runs beside a board's manager until it is stopped, and makes the board one of a fleet "
-        "(docs/fleet.md). What callers may do is for the manager's policy: access.guests in cm.yaml.",
+        help="make a board a member of a fleet, over zenoh",
+        description="Run beside a board's manager until stopped, and make the board a member of a "
+        "fleet (docs/fleet.md). The manager's policy decides what callers may do: "
+        "access.guests in cm.yaml.",
     )
     add_connection_options(parser)
     add_network_options(parser)
-    parser.add_argument("--listen", action="append", default=[], metavar="HOST:PORT", help="let others connect here")
-    parser.add_argument("--name", default="", help="of the board in the fleet (default: as its manager calls it)")
-    parser.add_argument("--label", action="append", default=[], metavar="TEXT", help="a group that the board is in")
-    parser.add_argument("--site", default="", help="the site whose cache it fetches bundles from")
-    parser.add_argument("--state-dir", type=Path, metavar="DIR", help="records of changes (default: /var/lib/cm/fleet)")
     parser.add_argument(
-        "--import-to", type=Path, metavar="DIR", help="take bundles of the fleet, and unpack them below this folder"
+        "--listen", action="append", default=[], metavar="HOST:PORT", help="accept connections of others here"
     )
-    parser.add_argument("--after-import", default="", metavar="COMMAND", help="run then, such as 'systemctl reload cm'")
-    parser.add_argument("--settings", type=Path, metavar="FILE", help="whose policy of signatures counts for bundles")
+    parser.add_argument(
+        "--name", default="", help="the board's name in the fleet (default: the name that its manager gives)"
+    )
+    parser.add_argument(
+        "--label", action="append", default=[], metavar="TEXT", help="a group that the board belongs to"
+    )
+    parser.add_argument("--site", default="", help="the site whose cache it fetches bundles from")
+    parser.add_argument(
+        "--state-dir", type=Path, metavar="DIR", help="folder for records of changes (default: /var/lib/cm/fleet)"
+    )
+    parser.add_argument(
+        "--import-to", type=Path, metavar="DIR", help="accept bundles from the fleet, and unpack them below this folder"
+    )
+    parser.add_argument(
+        "--after-import",
+        default="",
+        metavar="COMMAND",
+        help="command to run after an import, such as 'systemctl reload cm'",
+    )
+    parser.add_argument(
+        "--settings", type=Path, metavar="FILE", help="settings whose policy of signatures applies to bundles"
+    )
     parser.add_argument(
         "--own-name",
         action="store_true",
-        help="ask the manager in the bridge's own name, whoever asks: for a network that is yours alone",
+        help="ask the manager in the bridge's own name, whoever asks: only for a network that nobody else can use",
     )
     parser.add_argument(
-        "--lease", type=float, default=10.0, metavar="SECONDS", help="after which a bridge that hangs is gone (10)"
+        "--lease",
+        type=float,
+        default=10.0,
+        metavar="SECONDS",
+        help="how long a bridge may hang before the fleet regards it as gone (10)",
     )
     parser.set_defaults(run=run)
 

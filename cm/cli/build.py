@@ -15,11 +15,13 @@ from cm.cli.build_pack import add_pack_parsers
 from cm.cli.build_partition import add_partition_parser
 from cm.cli.build_run import add_run_parser
 
-_DESCRIPTION = """\
-The build tool. `init` begins a build schema, `check` says what is found in the HDL, `generate` writes everything that
-the vendor's tools and the target need, `configure` asks what only you can know, `run` runs the flow (`pack` and
-`unpack`: on another host), `collect` packs what it made for the target. Most take the build schema's name; the default
-is build.yaml."""
+_DESCRIPTION = (
+    "The build tool. `init` writes a first build schema, `check` reports what it finds in "
+    "the HDL, `generate` writes everything that the vendor's tools and the target need, "
+    "`configure` asks for decisions that only you can make, `run` runs the flow (with "
+    "`pack` and `unpack` on another host), and `collect` packs the results for the target."
+    " Most take the name of the build schema, by default build.yaml."
+)
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

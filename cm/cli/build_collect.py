@@ -23,11 +23,14 @@ def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentPars
     parser = actions.add_parser(
         "collect",
         help="make a configuration for the target from bitstreams and hardware descriptions",
-        description="Take .xsa, .hdf, .hwh, .bit and .bin files (or folders of them), check that they belong together,"
-        " and write <config>/ as it goes to /lib/firmware/cm/, and <config>.tar.gz. With --schema the files are"
-        " those of that build schema's flow; without, any flow's.",
+        description="Take .xsa, .hdf, .hwh, .bit and .bin files (or folders of them), check that they"
+        " belong together, and write <config>/, ready for /lib/firmware/cm/, and "
+        "<config>.tar.gz. With --schema, the files come from that build schema's flow; "
+        "without it, from any flow.",
     )
-    parser.add_argument("paths", nargs="*", type=Path, metavar="PATH", help="default with --schema: its bitstreams/")
+    parser.add_argument(
+        "paths", nargs="*", type=Path, metavar="PATH", help="files or folders (default with --schema: its bitstreams/)"
+    )
     parser.add_argument("--schema", type=Path, metavar="FILE", help="the build schema that the files were made from")
     parser.add_argument("--out", type=Path, metavar="DIR", help="the build schema's output folder")
     parser.add_argument("--name", help="name of the configuration (default: that of the design)")
@@ -38,10 +41,13 @@ def add_collect_parser(actions: argparse._SubParsersAction[argparse.ArgumentPars
         action="append",
         default=[],
         metavar="KEY.pem",
-        help="sign with this ed25519 key (again: with several)",
+        help="sign with this ed25519 key; may be repeated",
     )
     parser.add_argument(
-        "--bundle-version", type=int, metavar="N", help="of the signed files; a newer one is higher (default: the time)"
+        "--bundle-version",
+        type=int,
+        metavar="N",
+        help="version of the signed files; higher is newer (default: the time)",
     )
     add_json_option(parser)
     parser.set_defaults(run=run_collect)

@@ -18,16 +18,18 @@ def add_configure_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
     """Add the action."""
     parser = actions.add_parser(
         "configure",
-        help="ask what only you can decide about the runtime schema",
-        description="Ask on the terminal, with defaults; answers are kept in answers.yaml of the output folder and"
-        " used by every later generate, and offered as defaults the next time. With --answers or --defaults nothing"
-        " is asked.",
+        help="ask for the decisions that the runtime schema needs",
+        description="Ask on the terminal, with defaults. The answers are kept in answers.yaml in the "
+        "output folder, used by every later generate, and offered as defaults the next "
+        "time. With --answers or --defaults, nothing is asked.",
     )
     add_schema_argument(parser)
     add_out_option(parser)
     choice = parser.add_mutually_exclusive_group()
-    choice.add_argument("--answers", type=Path, metavar="FILE", help="answers; defaults for the rest")
-    choice.add_argument("--defaults", action="store_true", help="what was answered before, else the defaults")
+    choice.add_argument(
+        "--answers", type=Path, metavar="FILE", help="take the answers from this file, and defaults for the rest"
+    )
+    choice.add_argument("--defaults", action="store_true", help="take the earlier answers, and defaults for the rest")
     parser.set_defaults(run=run_configure)
 
 

@@ -23,9 +23,11 @@ from cm.cli.common import add_json_option, print_json
 
 def add_check_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add ``check``."""
-    parser = actions.add_parser("check", help="say what is found in the HDL and how modules fit their regions")
+    parser = actions.add_parser("check", help="report what was found in the HDL, and how the modules fit their regions")
     add_schema_argument(parser)
-    parser.add_argument("--flow", choices=("vivado", "open"), default="vivado", help="whose limits (default: vivado)")
+    parser.add_argument(
+        "--flow", choices=("vivado", "open"), default="vivado", help="which tools' limits to check (default: vivado)"
+    )
     add_json_option(parser)
     parser.set_defaults(run=run_check)
 
@@ -35,8 +37,9 @@ def add_generate_parser(actions: argparse._SubParsersAction[argparse.ArgumentPar
     parser = actions.add_parser(
         "generate",
         help="write wrappers, static part, Tcl, overlays, symbols and the runtime schema",
-        description="Write everything that the vendor's tools and the target need. A file that you changed is never"
-        " overwritten: the new one goes beside it as FILE.new, the one you began from is in .cm-orig/.",
+        description="Write everything that the vendor's tools and the target need. A file that you "
+        "changed is never overwritten: the new version is written beside it as FILE.new, "
+        "and the version that you started from is kept in .cm-orig/.",
     )
     add_schema_argument(parser)
     add_out_option(parser)

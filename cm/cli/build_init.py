@@ -13,7 +13,7 @@ from cm.build.project.load import SCHEMA_FILE
 
 def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the action."""
-    parser = actions.add_parser("init", help="begin a build schema from HDL files")
+    parser = actions.add_parser("init", help="write a first build schema for HDL files")
     parser.add_argument(
         "files",
         nargs="+",
@@ -31,7 +31,7 @@ def add_init_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]
         action="append",
         default=[],
         metavar="DIR",
-        help="folder below which cores that a .core depends on are looked for",
+        help="folder to search for the cores that a .core depends on",
     )
     parser.set_defaults(run=run_init)
 

@@ -25,9 +25,9 @@ from cm.cli.common import add_json_option, print_json, print_table
 
 _ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)(?:=(.*))?", re.DOTALL)
 _DESCRIPTION = """\
-Find AXI4, AXI4-Lite, AXI4-Stream and your own protocols, clocks, resets and interrupts in HDL: by Vivado's
-attributes first, then by names. Ports that belong to none of them are told with the reason. Without --top, the
-modules that no other of the files instantiates are shown."""
+Find AXI4, AXI4-Lite, AXI4-Stream and your own protocols, clocks, resets and interrupts in HDL, by Vivado's
+attributes first, then by names. Ports that belong to none of them are listed with the reason. Without --top, the
+modules that no other module in the files instantiates are shown."""
 
 
 def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -38,8 +38,8 @@ def add_interfaces_parser(subparsers: argparse._SubParsersAction[argparse.Argume
     parser.add_argument(
         "files", nargs="+", type=Path, metavar="FILE", help="Verilog, SystemVerilog, VHDL; component.xml"
     )
-    parser.add_argument("--top", metavar="NAME", help="this module or entity")
-    parser.add_argument("--all", action="store_true", help="every module of the files")
+    parser.add_argument("--top", metavar="NAME", help="only this module or entity")
+    parser.add_argument("--all", action="store_true", help="show every module in the files")
     parser.add_argument("-I", "--include", action="append", default=[], type=Path, metavar="DIR", help="include folder")
     parser.add_argument(
         "-D", "--define", action="append", default=[], type=_assignment, metavar="NAME[=VALUE]", help="define a macro"

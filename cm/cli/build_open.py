@@ -18,14 +18,15 @@ def add_tools_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
     """Add the action."""
     parser = actions.add_parser(
         "tools",
-        help="the open tools: which are found, and fetch them",
-        description="Say which yosys, nextpnr and Project X-Ray database cm build run --flow open would take: those on"
-        " PATH, else those that --fetch brought from Debian's packages (some 50 MB, verified by apt's signed lists;"
-        " no root, nothing compiled, nothing installed).",
+        help="show which open tools are found, or fetch them",
+        description="Show which yosys, nextpnr and Project X-Ray database cm build run --flow open "
+        "would use: those on PATH, otherwise those that --fetch downloaded from Debian's "
+        "packages (some 50 MB, verified with apt's signed lists; without root, nothing is"
+        " compiled or installed).",
     )
-    parser.add_argument("--fetch", action="store_true", help="fetch what is not there yet")
+    parser.add_argument("--fetch", action="store_true", help="fetch what is missing")
     parser.add_argument("--tools", type=Path, metavar="DIR", help="folder for them (default: in your cache folder)")
-    parser.add_argument("--mirror", metavar="URL", help="of Debian (default: the one that this machine uses)")
+    parser.add_argument("--mirror", metavar="URL", help="Debian mirror (default: the one that this machine uses)")
     add_json_option(parser)
     parser.set_defaults(run=run_tools)
 

@@ -20,9 +20,10 @@ def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser
     """Add both actions."""
     parser = actions.add_parser(
         "pack",
-        help="put the generated flow with all that it reads into an archive for a host with Vivado",
-        description="The archive needs neither this package nor Python there: extract it, run make in its build folder,"
-        " then make back, and bring back.tar.gz to cm build unpack.",
+        help="pack the generated flow with everything it reads for a host with Vivado",
+        description="The other host needs neither this package nor Python: extract the archive, run "
+        "make in its build folder, then make back, and pass back.tar.gz to cm build "
+        "unpack.",
     )
     add_schema_argument(parser)
     add_out_option(parser)
@@ -33,7 +34,7 @@ def add_pack_parsers(actions: argparse._SubParsersAction[argparse.ArgumentParser
     parser.set_defaults(run=run_pack)
     parser = actions.add_parser(
         "unpack",
-        help="take back what a host made of a packed flow",
+        help="unpack the results of a packed flow",
         description="Take stamps, logs, reports, checkpoints and bitstreams of an archive (make back) or of a folder"
         " that was copied back. Nothing is taken if a file that the steps read has changed since it was packed.",
     )

@@ -24,20 +24,23 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
     """Add the action."""
     parser = actions.add_parser(
         "partition",
-        help="propose regions and which modules share one",
-        description="Propose which modules share a region, so that the worst or the mean time of a change of mode is"
-        " smallest under the part's resources; today's assignment stands beside it. Needs the modes, and the resources"
-        " of each module: `resources:` in the build schema, else Vivado's utilisation report.",
+        help="propose regions, and which modules share one",
+        description="Propose which modules should share a region, so that the worst or the mean time "
+        "of a change of mode is smallest within the device's resources, and compare it "
+        "with the present assignment. Needs the modes, and the resources of each module: "
+        "from `resources:` in the build schema, else from Vivado's utilisation report.",
     )
     add_schema_argument(parser)
     parser.add_argument("--objective", choices=("worst", "mean"), default="worst", help="default: worst")
-    parser.add_argument("--rate", type=float, metavar="MB/S", help="of the configuration port (default: its limit)")
+    parser.add_argument(
+        "--rate", type=float, metavar="MB/S", help="rate of the configuration port (default: its limit)"
+    )
     parser.add_argument(
         "--budget",
         type=_percent,
         default=100.0,
         metavar="PERCENT",
-        help="of the part that the regions may take together (default: what the static part leaves)",
+        help="how much of the device all regions may take together (default: what the static part leaves)",
     )
     parser.add_argument(
         "--reports",
@@ -48,9 +51,12 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
         help="folder with synth_<module>.utilization.rpt or <module>.rpt, as report_utilization writes them"
         " (default: build/reports beside the build schema)",
     )
-    parser.add_argument("--regions", type=_count, metavar="N", help="at most so many")
+    parser.add_argument("--regions", type=_count, metavar="N", help="at most N regions")
     parser.add_argument(
-        "--seconds", type=_seconds, default=SECONDS, help=f"then the best that was found (default: {SECONDS:g})"
+        "--seconds",
+        type=_seconds,
+        default=SECONDS,
+        help=f"stop after this time with the best result so far (default: {SECONDS:g})",
     )
     parser.add_argument(
         "-o",

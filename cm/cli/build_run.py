@@ -24,21 +24,26 @@ def add_run_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser])
     """Add the action."""
     parser = actions.add_parser(
         "run",
-        help="run the flow in Vivado or with open tools, or what of it has to be run again",
-        description="Run the generated flow. Steps whose inputs have the same content as before are left out; started"
-        " again after an error or an interruption, it goes on where it ended. --flow open takes yosys, nextpnr and"
-        " Project X-Ray's database in place of Vivado (docs/open-flow.md).",
+        help="run the flow, in Vivado or with open tools, as far as inputs have changed",
+        description="Run the generated flow. Steps whose inputs are unchanged are skipped; after an "
+        "error or an interruption, the next run continues where this one stopped. --flow "
+        "open uses yosys, nextpnr and Project X-Ray's database instead of Vivado "
+        "(docs/open-flow.md).",
     )
     add_schema_argument(parser)
     add_out_option(parser)
     parser.add_argument("--flow", choices=("vivado", "open"), default="vivado", help="default: vivado")
     parser.add_argument("--vivado", metavar="PATH", help="the program or its folder (default: XILINX_VIVADO, PATH)")
-    parser.add_argument("-j", "--jobs", type=int, default=2, metavar="N", help="steps at once (default: 2)")
+    parser.add_argument(
+        "-j", "--jobs", type=int, default=2, metavar="N", help="how many steps may run at the same time (default: 2)"
+    )
     more = "only what this module's bitstream needs (may be repeated)"
     parser.add_argument("--module", action="append", default=[], metavar="NAME", help=more)
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="of nextpnr; equal seeds give equal bits")
+    parser.add_argument(
+        "--seed", type=int, default=1, metavar="N", help="seed for nextpnr; the same seed gives the same bits"
+    )
     parser.add_argument("--tools", type=Path, metavar="DIR", help="folder that cm build tools --fetch filled")
-    parser.add_argument("--dry-run", action="store_true", help="list the steps and which would run")
+    parser.add_argument("--dry-run", action="store_true", help="list the steps, and which of them would run")
     add_json_option(parser)
     parser.set_defaults(run=run_run)
 

@@ -21,9 +21,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser(
         "cancel",
-        help="cancel the change that runs",
-        description="Cancel the change that runs, before its next load, and wait until the board is back in the mode "
-        "before. One that has taken its last load ends as it was meant to.",
+        help="cancel the running change",
+        description="Cancel the running change before its next load, and wait until the board is back"
+        " in the previous mode. A change that has finished its last load is not "
+        "cancelled; it completes.",
     )
     add_connection_options(parser)
     add_json_option(parser)

@@ -27,8 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file", metavar="FILE", help="NAME.npy, NAME.png (numbered if several), NAME.raw, or - for standard output"
     )
-    parser.add_argument("--count", type=int, default=1, metavar="N", help="so many frames; 0: until Ctrl-C")
-    parser.add_argument("--format", choices=FORMATS, default="", help="where the name does not say it (-: npy)")
+    parser.add_argument("--count", type=int, default=1, metavar="N", help="how many frames; 0: until Ctrl-C")
+    parser.add_argument(
+        "--format", choices=FORMATS, default="", help="format, if the file name does not say it (for -: npy)"
+    )
 
 
 def run_capture(args: argparse.Namespace) -> int:

@@ -29,8 +29,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         " files that have a config:, and - for what is on stdin.",
     )
     parser.add_argument("paths", nargs="*", type=Path, metavar="FILE", help="a runtime schema, a folder of them, or -")
-    parser.add_argument("--settings", action="store_true", help="the files are settings of the service, as cm.yaml is")
-    parser.add_argument("--print-schema", action="store_true", help="print the JSON Schema, for editors, and end")
+    parser.add_argument(
+        "--settings", action="store_true", help="the files are settings of the service, such as cm.yaml"
+    )
+    parser.add_argument("--print-schema", action="store_true", help="print the JSON Schema for editors, and exit")
     add_json_option(parser)
     parser.set_defaults(run=run, usage_error=parser.error)
 

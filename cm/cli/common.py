@@ -26,7 +26,9 @@ def add_connection_options(parser: argparse.ArgumentParser) -> None:
         help="folder of the manager's sockets (default: $CM_RUNTIME_DIR, /run/cm, or $XDG_RUNTIME_DIR/cm)",
     )
     choice.add_argument(
-        "--connect", metavar="ENDPOINT", help="a manager elsewhere, such as tcp://kria.local (default: $CM_CONNECT)"
+        "--connect",
+        metavar="ENDPOINT",
+        help="a manager on another machine, such as tcp://kria.local (default: $CM_CONNECT)",
     )
     group.add_argument(
         "--keys", type=Path, metavar="FILE", help="this client's key file, for TCP with keys (default: $CM_KEYS)"

@@ -17,17 +17,20 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "config",
         help="list and roll back versions of imported configurations, remove sent ones",
-        description="Earlier versions of configurations that `cm import archive` put in place; a manager that runs "
-        "takes what is in force at its next start, or with SIGHUP (systemctl reload cm). `remove` is for what "
-        "`cm configs --send` brought to a manager.",
+        description="List and switch between versions of configurations that `cm import archive` "
+        "installed. A running manager takes over the chosen version when it is restarted "
+        "or gets SIGHUP (systemctl reload cm). `remove` is for configurations that were "
+        "sent with `cm configs --send`.",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    listing = actions.add_parser("versions", help="list the earlier versions, youngest first")
-    rollback = actions.add_parser("rollback", help="put an earlier version in force, in one step")
-    rollback.add_argument("--to", type=int, metavar="N", help="the version of this number (default: the youngest)")
+    listing = actions.add_parser("versions", help="list the earlier versions, newest first")
+    rollback = actions.add_parser("rollback", help="switch to an earlier version, in one step")
+    rollback.add_argument("--to", type=int, metavar="N", help="number of the version (default: the newest)")
     for action, run in ((listing, run_versions), (rollback, run_rollback)):
         completes(action.add_argument("config", metavar="CONFIG"), "<config>")
-        action.add_argument("--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"below this folder ({FIRMWARE})")
+        action.add_argument(
+            "--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"folder of the configurations ({FIRMWARE})"
+        )
         add_json_option(action)
         action.set_defaults(run=run)
     remove = actions.add_parser("remove", help="remove a configuration that a client sent")

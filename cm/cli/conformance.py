@@ -20,16 +20,20 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser(
         "conformance",
-        help="try a client, or a manager, against the wire protocol",
-        description="Play a manager, case by case, to a client in any language: DRIVER is a program of its author that "
-        "does what lines of JSON ask for (docs/conformance.md). With --manager: ask a manager that runs all that the "
-        "protocol promises. Exit status 1 where a case failed.",
+        help="test a client, or a manager, against the wire protocol",
+        description="Act as a manager towards a client in any language, case by case: DRIVER is a "
+        "program, written by the client's author, that carries out commands given as "
+        "lines of JSON (docs/conformance.md). With --manager: check that a running "
+        "manager does everything that the protocol promises. Exit status 1 if a case "
+        "failed.",
     )
-    parser.add_argument("--manager", action="store_true", help="try the manager instead; nothing is changed")
-    parser.add_argument("--act", action="store_true", help="with --manager: leases, writes and changes of mode too")
-    parser.add_argument("--case", action="append", default=[], metavar="NAME", help="only these")
-    parser.add_argument("--list", action="store_true", help="the cases, and what each is about")
-    parser.add_argument("driver", nargs="*", metavar="DRIVER", help="the command, behind --")
+    parser.add_argument("--manager", action="store_true", help="test a manager instead; changes nothing on the board")
+    parser.add_argument(
+        "--act", action="store_true", help="with --manager: also test leases, writes and changes of mode"
+    )
+    parser.add_argument("--case", action="append", default=[], metavar="NAME", help="only these (default: all)")
+    parser.add_argument("--list", action="store_true", help="list the cases, and what each is about")
+    parser.add_argument("driver", nargs="*", metavar="DRIVER", help="the driver's command, after --")
     add_connection_options(parser)
     add_json_option(parser)
     parser.set_defaults(run=run)

@@ -15,16 +15,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "demo",
         help="run the camera demonstration on a simulated board",
-        description="Streams photographs through a reconfigurable region, changes its module and registers as it "
-        "goes, and writes a contact sheet of what came out. Needs no hardware and no root.",
+        description="Stream photographs through a reconfigurable region, change its module and "
+        "registers meanwhile, and write the results as a contact sheet. Needs neither "
+        "hardware nor root.",
     )
     parser.add_argument("--images", type=Path, metavar="DIR", help="PNG or JPEG files instead of the shipped ones")
     parser.add_argument("--out", type=Path, default=Path("demo"), metavar="DIR", help="folder to write to")
     parser.add_argument("--keep-frames", action="store_true", help="also write the raw frames (frames.npz)")
-    parser.add_argument("--rtl", action="store_true", help="on the modules' Verilog instead of models in software")
-    parser.add_argument("--fleet", action="store_true", help="three boards over zenoh instead, one of which is killed")
+    parser.add_argument("--rtl", action="store_true", help="run the modules' Verilog instead of models in software")
+    parser.add_argument(
+        "--fleet", action="store_true", help="instead, run three boards over zenoh, one of which is killed"
+    )
     parser.add_argument("--bits", type=Path, metavar="FILE",
-        help="the modules of a build schema that the open flow has built, by their bits")  # fmt: skip
+        help="run what the bits configure: modules of a build schema that the open flow has built")  # fmt: skip
     parser.set_defaults(run=run)
 
 

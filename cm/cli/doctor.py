@@ -32,12 +32,15 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser(
         "doctor",
-        help="say what this machine has, and what to do about what it lacks",
-        description="Look for devices, kernel modules, libraries and a manager that serves; nothing is opened or "
-        "changed. Exit status 0 when the board can be used, or there is no sign of one (a simulated board works "
-        "everywhere); 1 when something that is needed is missing or denied.",
+        help="report what this machine has, what it lacks, and what to do about it",
+        description="Look for devices, kernel modules, libraries and a running manager; nothing is "
+        "opened or changed. Exit status 0 if the board can be used, or if there is no "
+        "sign of one (a simulated board works everywhere); 1 if something that is needed "
+        "is missing or denied.",
     )
-    parser.add_argument("--root", metavar="DIR", help="where the board's /dev and /sys begin (default: $CM_ROOT, /)")
+    parser.add_argument(
+        "--root", metavar="DIR", help="folder that holds the board's /dev and /sys (default: $CM_ROOT, /)"
+    )
     parser.add_argument("--report", action="store_true", help="print a form to report a run on a board with, filled in")
     add_connection_options(parser)
     add_json_option(parser)

@@ -12,9 +12,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser(
         "fleet",
-        help="look at many boards, and change them together",
-        description="Boards are those whose bridge (`cm bridge zenoh`) is there: named, by glob ('line1-*') or label "
-        "(@camera), and all of them where none is named.",
+        help="watch many boards, and change them together",
+        description="A board belongs to the fleet while its bridge (`cm bridge zenoh`) is running. "
+        "Select boards by name, glob ('line1-*') or label (@camera); the default is all "
+        "of them.",
     )
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     fleet_look.add(actions)

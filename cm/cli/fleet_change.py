@@ -24,7 +24,7 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     mode.set_defaults(config="")
     load = actions.add_parser("load", help="load a configuration on all boards, or on none")
     load.add_argument("config", metavar="CONFIG")
-    load.add_argument("mode", metavar="MODE", help="of it; '' for its default mode")
+    load.add_argument("mode", metavar="MODE", help="mode of the configuration; '' for its default mode")
     for parser in (mode, load):
         add_fleet_options(parser)
         add_json_option(parser)
@@ -32,19 +32,21 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
             "--policy",
             choices=("all", "quorum", "best-effort"),
             default="all",
-            help="how many boards have to be there for the change to stay (all)",
+            help="how many boards must succeed for the change to be kept (all)",
         )
-        parser.add_argument("--phase", type=float, default=60.0, metavar="SECONDS", help="for each phase (60)")
+        parser.add_argument("--phase", type=float, default=60.0, metavar="SECONDS", help="time-out of each phase (60)")
         parser.add_argument(
             "--settle",
             type=float,
             default=0.0,
             metavar="SECONDS",
-            help="after which a board that hears nothing more asks what was decided (twice --phase)",
+            help="how long a board waits for the decision before it asks for it (twice --phase)",
         )
         parser.set_defaults(run=run)
-    settle = actions.add_parser("settle", help="tell boards what was decided, where the seat never comes back")
-    settle.add_argument("change", metavar="CHANGE", help="as `cm fleet status` names it")
+    settle = actions.add_parser(
+        "settle", help="decide for boards that wait for a deciding board that will not come back"
+    )
+    settle.add_argument("change", metavar="CHANGE", help="the change, as `cm fleet status` names it")
     settle.add_argument("decision", choices=("keep", "revert"))
     add_fleet_options(settle)
     settle.set_defaults(run=run_settle)

@@ -16,30 +16,38 @@ PORT = 7447
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
     _add_router(actions)
-    keys = actions.add_parser("keys", help="make certificates, and the router's rules with them")
-    keys.add_argument("folder", type=Path, metavar="DIR", help="that holds the fleet's authority; keep it safe")
+    keys = actions.add_parser("keys", help="make certificates, and the router's rules for them")
+    keys.add_argument("folder", type=Path, metavar="DIR", help="folder of the fleet's authority; keep it safe")
     kinds = keys.add_subparsers(dest="kind", metavar="WHOSE", required=True)
-    router = kinds.add_parser("router", help="begin: the authority, and the router's file")
-    router.add_argument("--host", action="append", default=[], metavar="NAME", help="by which the router is reached")
-    router.add_argument("--port", type=int, default=PORT, help=f"({PORT})")
-    board = kinds.add_parser("board", help="a file for a board's bridge")
-    client = kinds.add_parser("client", help="a file for somebody who uses the fleet")
+    router = kinds.add_parser("router", help="begin with this: make the authority, and the router's file")
+    router.add_argument(
+        "--host", action="append", default=[], metavar="NAME", help="a name under which the router is reached"
+    )
+    router.add_argument("--port", type=int, default=PORT, help=f"port of the router ({PORT})")
+    board = kinds.add_parser("board", help="make a file for a board's bridge")
+    client = kinds.add_parser("client", help="make a file for a user of the fleet")
     client.add_argument("--role", default="observe", help="observe, operate or provision (observe)")
     client.add_argument("--boards", action="append", default=[], metavar="NAME", help="only these (default: all)")
-    cache = kinds.add_parser("cache", help="a file for a site's cache of bundles, which is called as the site is")
-    remove = kinds.add_parser("remove", help="take somebody's rights")
+    cache = kinds.add_parser("cache", help="make a file for a site's cache of bundles; it has the site's name")
+    remove = kinds.add_parser("remove", help="remove a member and its rights")
     for parser in (board, client, cache, remove):
         parser.add_argument("name", metavar="NAME")
     for parser in (router, board, client, cache):
-        parser.add_argument("--days", type=int, default=825, metavar="N", help="that the certificate is good for (825)")
-    kinds.add_parser("list", help="who has a certificate")
+        parser.add_argument(
+            "--days", type=int, default=825, metavar="N", help="days for which the certificate is valid (825)"
+        )
+    kinds.add_parser("list", help="list who has a certificate")
     keys.set_defaults(run=run)
 
 
 def _add_router(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = actions.add_parser("router", help="run zenoh's router in this process, where there is no zenohd")
-    parser.add_argument("--listen", action="append", default=[], metavar="HOST:PORT", help=f"(0.0.0.0:{PORT})")
-    parser.add_argument("--connect", action="append", default=[], metavar="HOST:PORT", help="to another router")
+    parser = actions.add_parser("router", help="run a zenoh router in this process, for machines without zenohd")
+    parser.add_argument(
+        "--listen", action="append", default=[], metavar="HOST:PORT", help=f"address to listen on (0.0.0.0:{PORT})"
+    )
+    parser.add_argument(
+        "--connect", action="append", default=[], metavar="HOST:PORT", help="another router to connect to"
+    )
     parser.add_argument("--zenoh-config", type=Path, metavar="FILE", help="router.json5 of `cm fleet keys`")
     parser.set_defaults(run=run_router)
 

@@ -34,7 +34,9 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _add_plan(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     parser = actions.add_parser("plan", help="what a change of mode would do on each board")
     parser.add_argument("mode", metavar="MODE")
-    parser.add_argument("--config", default="", metavar="CONFIG", help="of this one instead of the loaded one")
+    parser.add_argument(
+        "--config", default="", metavar="CONFIG", help="configuration to look at (default: the loaded one)"
+    )
     add_fleet_options(parser)
     add_json_option(parser)
     parser.set_defaults(run=run_plan)

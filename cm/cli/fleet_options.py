@@ -20,7 +20,7 @@ def add_network_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="HOST[:PORT]",
-        help="the fleet's router, or zenoh's tls/HOST:PORT (default: $CM_FLEET, else who is heard on this network)",
+        help="the fleet's router, or zenoh's tls/HOST:PORT (default: $CM_FLEET, else whoever answers on this network)",
     )
     group.add_argument(
         "--zenoh-config", type=Path, metavar="FILE", help="zenoh's own settings, as `cm fleet keys` writes them"
@@ -48,9 +48,11 @@ def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> N
         dest="caller",
         default="",
         metavar="NAME",
-        help="who asks (default: as in the certificate, else this user)",
+        help="your name in the fleet (default: the one in the certificate, else this user's)",
     )
-    group.add_argument("--timeout", type=float, default=10.0, metavar="SECONDS", help="for an answer (10)")
+    group.add_argument(
+        "--timeout", type=float, default=10.0, metavar="SECONDS", help="how long to wait for an answer (10)"
+    )
 
 
 def connected_fleet(args: argparse.Namespace) -> Fleet:

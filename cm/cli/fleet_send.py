@@ -15,14 +15,14 @@ from cm.cli.fleet_options import add_fleet_options, connected_fleet, network_of
 
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
-    push = actions.add_parser("push", help="have boards fetch an archive of `cm build collect` and put it in force")
+    push = actions.add_parser("push", help="send an archive of `cm build collect` to boards, which import it")
     push.add_argument("archive", type=Path, metavar="FILE.tar.gz")
     add_fleet_options(push)
     add_json_option(push)
     push.set_defaults(run=run_push)
     cache = actions.add_parser("cache", help="keep archives for the boards of a site, beside its router")
     cache.add_argument("site", metavar="SITE")
-    cache.add_argument("--folder", type=Path, required=True, metavar="DIR", help="where parts of archives are kept")
+    cache.add_argument("--folder", type=Path, required=True, metavar="DIR", help="folder for the parts of archives")
     add_fleet_options(cache, boards=False)
     cache.set_defaults(run=run_cache)
 

@@ -13,7 +13,9 @@ from cm.cli.parser import build_parser, refuse_unknown
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser("help", help="describe a command")
-    words = parser.add_argument("words", metavar="COMMAND", nargs="*", help="such as `reg write`; else all commands")
+    words = parser.add_argument(
+        "words", metavar="COMMAND", nargs="*", help="a command, such as `reg write` (default: list all)"
+    )
     completes(words, *(command.name for command in COMMANDS))
     parser.set_defaults(run=run)
 

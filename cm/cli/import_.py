@@ -20,8 +20,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "import",
         help="make a runtime schema from a dfx-mgr or PYNQ package, or unpack an archive",
-        description="Make runtime schemas that load another manager's package where it is, and say what could not be"
-        " carried over; or unpack an archive of `cm build collect`.",
+        description="Make runtime schemas that load another manager's package in place, and report "
+        "what could not be carried over; or unpack an archive of `cm build collect`.",
     )
     formats = parser.add_subparsers(dest="format", metavar="FORMAT", required=True)
     dfx = formats.add_parser("dfx-mgr", help="a base folder of dfx-mgr, the one with shell.json")
@@ -30,15 +30,21 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     pynq = formats.add_parser("pynq", help="a PYNQ overlay: a .bit with its .hwh beside it")
     pynq.add_argument("source", type=Path, metavar="FILE.bit")
     pynq.set_defaults(importer=import_pynq)
-    packed = formats.add_parser("archive", help="an archive of `cm build collect`, onto the board")
+    packed = formats.add_parser("archive", help="unpack an archive of `cm build collect` on the board")
     packed.add_argument("source", type=Path, metavar="FILE.tar.gz")
-    packed.add_argument("--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"below this folder ({FIRMWARE})")
+    packed.add_argument(
+        "--out", type=Path, metavar="DIR", default=FIRMWARE, help=f"unpack below this folder ({FIRMWARE})"
+    )
     packed.add_argument("--keep", type=_count, metavar="N", help="earlier versions to keep for a rollback (default: 3)")
-    packed.add_argument("--settings", type=Path, metavar="FILE", help="whose policy counts (/etc/cm/cm.yaml)")
+    packed.add_argument(
+        "--settings", type=Path, metavar="FILE", help="settings whose policy of signatures applies (/etc/cm/cm.yaml)"
+    )
     add_json_option(packed)
     packed.set_defaults(run=run_archive)
     for each in (dfx, pynq):
-        each.add_argument("--out", type=Path, metavar="DIR", help="write the schemas into this folder, else print them")
+        each.add_argument(
+            "--out", type=Path, metavar="DIR", help="write the schemas into this folder (default: print them)"
+        )
         add_json_option(each)
         each.set_defaults(run=run)
 

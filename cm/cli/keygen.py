@@ -16,16 +16,19 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "keygen",
         help="make keys for connections over TCP",
-        description="Make CURVE keys. The folder holds server.key for 'cm serve --keys', and for each client a "
-        "NAME.key to take along and, in authorized_keys.d/, the NAME.pub by which the server knows it and what it "
-        "may do. A manager notices keys that come and go by itself.",
+        description="Make CURVE keys. The folder holds server.key for 'cm serve --keys' and, for each"
+        " client, NAME.key, which you give to the client, and authorized_keys.d/NAME.pub,"
+        " by which the server recognises the client and its role. A running manager "
+        "notices added and removed keys by itself.",
     )
     parser.add_argument(
         "--role",
         default="provision",
-        help="of the clients: observe, operate, provision (default), admin, or one of yours",
+        help="role of the clients: observe, operate, provision (default), admin, or one of your own",
     )
-    parser.add_argument("--expires", metavar="DAY", default="", help="last day of the clients' keys, as 2030-12-31")
+    parser.add_argument(
+        "--expires", metavar="DAY", default="", help="last day on which the clients' keys are valid, such as 2030-12-31"
+    )
     parser.add_argument("folder", metavar="DIR", type=Path)
     parser.add_argument("client", metavar="CLIENT", nargs="*", default=[], help="names of clients to make keys for")
     parser.set_defaults(run=run)

@@ -13,10 +13,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser("lease", help="list leases and break them")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    listing = actions.add_parser("list", help="the leases that are held, by whom and for how long")
+    listing = actions.add_parser("list", help="list the leases, who holds them and for how long")
     listing.set_defaults(run=run_list)
-    breaking = actions.add_parser("break", help="end another's lease (for administrators)")
-    breaking.add_argument("number", metavar="NUMBER", type=int, help="as the list has it")
+    breaking = actions.add_parser("break", help="end somebody else's lease (for administrators)")
+    breaking.add_argument("number", metavar="NUMBER", type=int, help="number of the lease in the list")
     breaking.set_defaults(run=run_break)
     for action in (listing, breaking):
         add_connection_options(action)

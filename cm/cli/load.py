@@ -29,9 +29,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add what `load` and `mode` share."""
     add_connection_options(parser)
     add_json_option(parser)
-    parser.add_argument("--force", action="store_true", help="load again what is loaded already")
-    parser.add_argument("--no-wait", action="store_true", help="do not wait for the end")
-    parser.add_argument("--no-queue", action="store_true", help="fail rather than wait for a running change")
+    parser.add_argument("--force", action="store_true", help="load it again even if it is loaded already")
+    parser.add_argument("--no-wait", action="store_true", help="do not wait until it is done")
+    parser.add_argument("--no-queue", action="store_true", help="fail instead of waiting for a running change")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -28,30 +28,48 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     listing.set_defaults(run=run_list)
     read = actions.add_parser("read", help="print bytes of a memory, or write them to a file")
     completes(read.add_argument("name", metavar="NAME"), "<memory>")
-    read.add_argument("--offset", type=number, default=0, metavar="BYTES", help="begin there, at a multiple of 4")
-    read.add_argument("--length", type=number, metavar="BYTES", help="so many, a multiple of 4 (default: the rest)")
     read.add_argument(
-        "-o", "--output", type=Path, metavar="FILE", help="NAME.npy, else the bytes as they are; - is stdout"
+        "--offset",
+        type=number,
+        default=0,
+        metavar="BYTES",
+        help="where to begin, in bytes: a multiple of 4 (default: 0)",
+    )
+    read.add_argument(
+        "--length", type=number, metavar="BYTES", help="how many bytes, a multiple of 4 (default: the rest)"
+    )
+    read.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        metavar="FILE",
+        help="a .npy file, or any other name for the plain bytes; - is stdout",
     )
     read.set_defaults(run=run_read)
     write = actions.add_parser("write", help="write a file or values to a memory")
     completes(write.add_argument("name", metavar="NAME"), "<memory>")
     source = write.add_mutually_exclusive_group(required=True)
     source.add_argument(
-        "file", metavar="FILE", nargs="?", type=Path, help="NAME.npy, else the bytes as they are; - is stdin"
+        "file", metavar="FILE", nargs="?", type=Path, help="a .npy file, or any other file of plain bytes; - is stdin"
     )
     source.add_argument("--values", metavar="VALUE", nargs="+", help="elements of the memory's type")
-    write.add_argument("--offset", type=number, default=0, metavar="BYTES", help="begin there, at a multiple of 4")
-    write.add_argument("--lease", default="", metavar="ID", help="of one's own lease on it")
+    write.add_argument(
+        "--offset",
+        type=number,
+        default=0,
+        metavar="BYTES",
+        help="where to begin, in bytes: a multiple of 4 (default: 0)",
+    )
+    write.add_argument("--lease", default="", metavar="ID", help="id of your own lease on it")
     write.set_defaults(run=run_write)
     define = actions.add_parser("define", help="name a block of a UIO window, until another configuration is loaded")
     define.add_argument("name", metavar="NAME")
-    define.add_argument("address", metavar="ADDRESS", type=number, help="physical")
+    define.add_argument("address", metavar="ADDRESS", type=number, help="physical address")
     define.add_argument("length", metavar="BYTES", type=number)
     define.add_argument("--dtype", default="", metavar="TYPE", help="a numpy dtype (default: uint32)")
-    define.add_argument("--shape", type=_shape, default=(), metavar="16x32", help="of the whole")
+    define.add_argument("--shape", type=_shape, default=(), metavar="16x32", help="shape of the whole memory")
     define.add_argument("--access", choices=("rw", "ro", "wo"), default="rw")
-    define.add_argument("--region", default="", metavar="NAME", help="whose module answers, or static")
+    define.add_argument("--region", default="", metavar="NAME", help="the region whose module holds it, or static")
     define.set_defaults(run=run_define)
     for action in (listing, read, write, define):
         add_connection_options(action)

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 from cm._version import __version__
 from cm.cli.commands import COMMANDS, CommandMissing, add_command, find_command
 
-DESCRIPTION = "Configuration manager for adaptive FPGA systems."
+DESCRIPTION = "Configuration manager for FPGA systems that reconfigure themselves while they run."
 EPILOG = "`cm COMMAND --help` says more. Exit status: 0 done, 1 refused or failed, 2 wrong usage."
 
 

@@ -13,7 +13,9 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser("plan", help="show what a change of mode would do")
     completes(parser.add_argument("mode", metavar="MODE", nargs="?", default=""), "<mode>")
-    config = parser.add_argument("--config", default="", metavar="CONFIG", help="of this one instead of the loaded one")
+    config = parser.add_argument(
+        "--config", default="", metavar="CONFIG", help="configuration to look at (default: the loaded one)"
+    )
     completes(config, "<config>")
     add_connection_options(parser)
     add_json_option(parser)

@@ -27,22 +27,26 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     listing = actions.add_parser("list", help="the registers of the current mode")
     listing.set_defaults(run=run_list)
-    read = actions.add_parser("read", help="read registers or fields (NAME.FIELD); all if none is named")
+    read = actions.add_parser("read", help="read registers or fields (NAME.FIELD); by default all")
     completes(read.add_argument("names", metavar="NAME", nargs="*"), "<register>")
     read.set_defaults(run=run_read)
-    write = actions.add_parser("write", help="write registers or fields, in order, all checked first")
+    write = actions.add_parser(
+        "write", help="write registers or fields, in order; all are checked before the first is written"
+    )
     completes(write.add_argument("writes", metavar="NAME=VALUE", nargs="+", type=_assignment), "<assignment>")
     write.add_argument("--mask", type=number, metavar="BITS", help="change only these bits (one register)")
     write.set_defaults(run=run_write, refuse=write.error)
     watch = actions.add_parser(
         "watch",
         help="print registers as they are written",
-        description="Print what registers hold whenever one is written, by whomever. What the hardware itself changes "
-        "shows with --every only.",
+        description="Print the values of registers whenever a client writes one. Changes by the "
+        "hardware itself are shown only with --every.",
     )
-    completes(watch.add_argument("names", metavar="NAME", nargs="*", help="only these"), "<register>")
-    watch.add_argument("--every", type=_seconds, metavar="SECONDS", help="read so often, and print what has changed")
-    watch.add_argument("--count", type=int, metavar="N", help="end after N lines")
+    completes(watch.add_argument("names", metavar="NAME", nargs="*", help="only these (default: all)"), "<register>")
+    watch.add_argument(
+        "--every", type=_seconds, metavar="SECONDS", help="read at this interval, and print what has changed"
+    )
+    watch.add_argument("--count", type=int, metavar="N", help="stop after N lines")
     watch.set_defaults(run=run_watch)
     for action in (listing, read, write, watch):
         add_connection_options(action)

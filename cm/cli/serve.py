@@ -47,49 +47,63 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "serve",
         help="run the configuration manager",
-        description="Run the configuration manager until it is interrupted. With --sim it brings a simulated board "
-        "of its own, and without --config the camera example, loaded in its default mode.",
+        description="Run the configuration manager until it is interrupted. With --sim it starts a "
+        "simulated board of its own; without --config, it then loads the camera example "
+        "in its default mode.",
     )
     parser.add_argument(
-        "--settings", type=Path, metavar="FILE", help=f"settings (default: {SETTINGS_FILE} where it is); flags override"
+        "--settings",
+        type=Path,
+        metavar="FILE",
+        help=f"settings (default: {SETTINGS_FILE} if it exists); options override them",
     )
     parser.add_argument("--sim", nargs="?", const="models", default="", choices=("models", *_HDL), metavar="KIND",
-        help="on a simulated board (no hardware): models, rtl (a design's HDL), bits (what is loaded)")  # fmt: skip
+        help="on a simulated board: models (software), rtl (a design's HDL), bits (of loaded bitstreams)")  # fmt: skip
     parser.add_argument("--sim-traces", action="store_true",
-        help="with --sim=rtl: compiled so that 'cm sim trace' can write what its signals do (slower)")  # fmt: skip
+        help="with --sim=rtl: let 'cm sim trace' record signals (slower)")  # fmt: skip
     parser.add_argument("--sim-coverage", type=Path, metavar="DIR",
         help="with --sim=rtl: count the lines of HDL that run, for 'cm sim coverage DIR'")  # fmt: skip
     parser.add_argument("--sim-time-scale", metavar="N",
-        help="with --sim=rtl: a second of simulated time takes N seconds at least")  # fmt: skip
+        help="with --sim=rtl: a second of simulated time takes at least N seconds")  # fmt: skip
     parser.add_argument("--build", type=Path, metavar="FILE",
         help="with --sim=rtl: build schema of the design (default: the shipped camera)")  # fmt: skip
     parser.add_argument(
         "--config", type=Path, action="append", default=[], metavar="DIR", help="schema file, or a folder of them"
     )
-    parser.add_argument("--load", metavar="CONFIG[/MODE]", help="enter this where nothing is loaded at start")
-    parser.add_argument("--name", metavar="NAME", help="the board's name, told in its status (default: of its host)")
+    parser.add_argument("--load", metavar="CONFIG[/MODE]", help="load this at start if nothing is loaded")
+    parser.add_argument("--name", metavar="NAME", help="the board's name, shown in its status (default: its host name)")
     parser.add_argument(
         "--runtime-dir", type=Path, metavar="DIR", help="folder of the sockets (default: $CM_RUNTIME_DIR, /run/cm)"
     )
     parser.add_argument("--state-dir", type=Path, metavar="DIR", help="folder of the state (default: /var/lib/cm)")
-    parser.add_argument("--root", metavar="DIR", help="where the board's /dev and /sys begin (default: $CM_ROOT, /)")
     parser.add_argument(
-        "--listen", action="append", default=[], metavar="tcp://HOST[:PORT]", help="listen on TCP too: three ports"
+        "--root", metavar="DIR", help="folder that holds the board's /dev and /sys (default: $CM_ROOT, /)"
+    )
+    parser.add_argument(
+        "--listen", action="append", default=[], metavar="tcp://HOST[:PORT]", help="also listen on TCP, on three ports"
     )
     parser.add_argument("--keys", type=Path, metavar="FILE", help="server key file of 'cm keygen', for TCP")
     parser.add_argument("--insecure", action="store_true", help="allow TCP beyond this machine without keys")
     parser.add_argument(
-        "--metrics", metavar="[HOST:]PORT", help="serve metrics for Prometheus there, by default on this machine only"
+        "--metrics",
+        metavar="[HOST:]PORT",
+        help="serve metrics for Prometheus there; without HOST, for this machine only",
     )
-    parser.add_argument("--prefetch", type=int, metavar="MIB", help="DMA memory for images held ready (default: 64)")
+    parser.add_argument(
+        "--prefetch", type=int, metavar="MIB", help="DMA memory for bitstreams kept ready (default: 64)"
+    )
     parser.add_argument("--stream-queue", type=_mebibytes, metavar="MIB",
-        help="frames that may wait for each subscriber over ZeroMQ, by the schemas' longest (default: 32)")  # fmt: skip
+        help="memory for frames queued for each subscriber over ZeroMQ (default: 32)")  # fmt: skip
     parser.add_argument("--images", type=Path, metavar="DIR", help="with --sim: photographs for its camera")
     parser.add_argument("--models", action="append", default=[], metavar="FILE",
-        help="with --sim: models of one's own, a .py file or module with a mapping MODELS")  # fmt: skip
-    parser.add_argument("--sim-icap-rate", type=float, metavar="BYTES", help="with --sim: bytes per second of its ICAP")
-    parser.add_argument("--sim-hold", type=int, metavar="FRAMES", help="with --sim: frames that a photograph stays")
-    parser.add_argument("-v", "--verbose", action="store_true", help="log what goes on")
+        help="with --sim: your own models, a .py file or module with a mapping MODELS")  # fmt: skip
+    parser.add_argument(
+        "--sim-icap-rate", type=float, metavar="BYTES", help="with --sim: speed of its ICAP in bytes per second"
+    )
+    parser.add_argument(
+        "--sim-hold", type=int, metavar="FRAMES", help="with --sim: for how many frames each photograph stays"
+    )
+    parser.add_argument("-v", "--verbose", action="store_true", help="log more")
     parser.set_defaults(run=run)
 
 

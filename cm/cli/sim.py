@@ -36,7 +36,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser(
         "sim",
         help="serve a simulated board",
-        description="Serve a simulated board under a folder, until it is interrupted.",
+        description="Serve a simulated board in a folder until it is interrupted.",
         epilog=_FAULTS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -57,27 +57,29 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _add_actions(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    inject = actions.add_parser("inject", help="order a fault")
+    inject = actions.add_parser("inject", help="inject a fault")
     completes(inject.add_argument("name", metavar="FAULT"), "<fault>")
     completes(inject.add_argument("target", nargs="?"), "<target>")
     inject.add_argument("value", nargs="?", type=int, default=0)
-    inject.add_argument("--count", type=int, default=1, help="how often; 0: until cleared")
-    clear = actions.add_parser("clear", help="forget faults")
+    inject.add_argument("--count", type=int, default=1, help="how many times (default: 1); 0: until cleared")
+    clear = actions.add_parser("clear", help="remove injected faults")
     completes(clear.add_argument("name", nargs="?", metavar="FAULT"), "<fault>")
     completes(clear.add_argument("target", nargs="?"), "<target>")
     interrupt = actions.add_parser("interrupt", help="raise an interrupt")
     completes(interrupt.add_argument("name"), "<interrupt>")
     for name, text in (("pause", "hold a camera"), ("resume", "let a camera run again")):
         completes(actions.add_parser(name, help=text).add_argument("channel"), "<channel>")
-    step = actions.add_parser("step", help="let a held camera give frames")
+    step = actions.add_parser("step", help="let a paused camera deliver frames")
     completes(step.add_argument("channel"), "<channel>")
     step.add_argument("frames", nargs="?", type=int, default=1)
-    trace = actions.add_parser("trace", help="write what the signals of the RTL do (FST)")
+    trace = actions.add_parser("trace", help="record the signals of the RTL in FST files")
     trace.add_argument("what", choices=("start", "stop"))
     trace.add_argument("folder", nargs="?", type=Path, metavar="DIR", help="where the files go")
-    actions.add_parser("mark", help="show a text in the trace").add_argument("text")
-    coverage = actions.add_parser("coverage", help="which lines of the RTL have run (cm serve --sim-coverage DIR)")
-    coverage.add_argument("folder", type=Path, metavar="DIR", help="where the counts are; coverage.info goes there")
+    actions.add_parser("mark", help="put a text into the trace").add_argument("text")
+    coverage = actions.add_parser("coverage", help="show which lines of the RTL have run (cm serve --sim-coverage DIR)")
+    coverage.add_argument(
+        "folder", type=Path, metavar="DIR", help="the folder with the counts; coverage.info is written there"
+    )
     actions.add_parser("state", help="print what the board holds, as JSON")
     for parser in actions.choices.values():
         parser.add_argument("--root", type=Path, default=argparse.SUPPRESS, help="folder that the simulator serves")

@@ -14,7 +14,7 @@ _UNITS = {"temperature": "°C", "voltage": "V", "current": "A", "power": "W"}
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
-    parser = subparsers.add_parser("status", help="show what is loaded and what goes on")
+    parser = subparsers.add_parser("status", help="show what is loaded and what is going on")
     add_connection_options(parser)
     add_json_option(parser)
     parser.add_argument(
@@ -23,9 +23,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         type=float,
         const=30.0,
         metavar="SECONDS",
-        help="for a manager that is starting: wait until it answers and no change runs, so long at most (default: 30)",
+        help="for a manager that is starting: wait until it answers and no change is running (default: at most 30)",
     )
-    parser.add_argument("--clients", action="store_true", help="what each client takes of the manager, instead")
+    parser.add_argument(
+        "--clients", action="store_true", help="instead, show what each client takes of the manager's resources"
+    )
     parser.set_defaults(run=run)
 
 

@@ -25,9 +25,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     listing = actions.add_parser("list", help="the streams of the current mode")
     listing.set_defaults(run=run_list)
     settings = actions.add_parser(
-        "set", help="change a stream's settings", description="What is left out stays. The schema's come back with the "
-        "next change of mode."
-    )  # fmt: skip
+        "set",
+        help="change a stream's settings",
+        description="Settings that you leave out stay as they are. The next change of mode brings the schema's "
+        "settings back.",
+    )
     _add_settings(settings)
     settings.set_defaults(run=run_set)
     capture = actions.add_parser("capture", help="write frames to files, or to standard output")
@@ -40,7 +42,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     play.set_defaults(run=run_play)
     ping = actions.add_parser("ping", help="measure how long frames take from completion to here")
     completes(ping.add_argument("stream", metavar="STREAM"), "<stream>")
-    ping.add_argument("--count", type=int, default=20, metavar="N", help="so many frames")
+    ping.add_argument("--count", type=int, default=20, metavar="N", help="how many frames")
     ping.set_defaults(run=run_ping)
     for action in (listing, settings, capture, play, ping):
         add_connection_options(action)
@@ -81,18 +83,23 @@ def run_list(args: argparse.Namespace) -> int:
 def _add_settings(parser: argparse.ArgumentParser) -> None:
     add, switch = parser.add_argument, argparse.BooleanOptionalAction
     completes(add("stream", metavar="STREAM"), "<stream>")
-    add("--shape", type=_shape, default=(), metavar="AxB…", help="of a whole frame, slowest axis first: 480x640")
-    add("--dtype", default="", help="numpy's name of an element's type, such as uint8")
-    add("--slots", type=int, default=0, metavar="N", help="buffers to begin with")
-    add("--rate", type=float, default=0.0, metavar="FPS", help="frames handed on per second at most; inf: all")
-    add("--stride", type=int, default=0, metavar="BYTES", help="from line to line in memory")
-    add("--direction", default="", help="s2mm or mm2s; changes nothing: refused unless it is the stream's")
-    add("--cyclic", action=switch, default=None, help="a written frame is repeated until the next, or sent once")
-    add("--backpressure", action=switch, default=None, help="the hardware waits for readers, or they lose frames")
-    add("--enable", action=switch, default=None, help="run it, or stop it, with or without readers")
-    add("--automatic", action="store_true", help="run it while it is used, as before any --enable")
-    add("--lease", default="", metavar="ID", help="one's own, where the stream's region is held")
-    add("--force", action="store_true", help="although it is in use")
+    add("--shape", type=_shape, default=(), metavar="AxB…", help="shape of a whole frame, slowest axis first: 480x640")
+    add("--dtype", default="", help="numpy's name of the element type, such as uint8")
+    add("--slots", type=int, default=0, metavar="N", help="number of buffers to begin with")
+    add("--rate", type=float, default=0.0, metavar="FPS", help="pass on at most so many frames per second; inf: all")
+    add("--stride", type=int, default=0, metavar="BYTES", help="bytes from one line to the next in memory")
+    add("--direction", default="", help="s2mm or mm2s; changes nothing: it is refused unless it is the stream's own")
+    add("--cyclic", action=switch, default=None, help="repeat a written frame until the next one, or send it once")
+    add(
+        "--backpressure",
+        action=switch,
+        default=None,
+        help="let the hardware wait for readers, or let readers lose frames",
+    )
+    add("--enable", action=switch, default=None, help="run it, or stop it, whether or not it has readers")
+    add("--automatic", action="store_true", help="run it while it is used, as before any --enable or --disable")
+    add("--lease", default="", metavar="ID", help="id of your own lease, if the stream's region is leased")
+    add("--force", action="store_true", help="even if it is in use")
 
 
 def _shape(text: str) -> tuple[int, ...]:

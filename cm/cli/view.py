@@ -32,15 +32,22 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser(
         "view",
-        help="look at a stream in the terminal or a window",
-        description="Draws the newest frame again and again, until q or Ctrl-C: by kitty's graphics protocol or sixels "
-        "where the terminal says that it has one of them, else by half blocks. Over ssh too.",
+        help="show a stream in the terminal or a window",
+        description="Keep drawing the newest frame until q or Ctrl-C is pressed: with kitty's "
+        "graphics protocol or sixels if the terminal supports them, otherwise with half "
+        "blocks. Works over ssh.",
     )
     completes(parser.add_argument("stream", metavar="STREAM"), "<stream>")
     parser.add_argument("--as", dest="way", choices=("auto", *WAYS, "window"), default="auto", help="how to draw")
-    parser.add_argument("--rate", type=_rate, default=15.0, metavar="FPS", help="pictures per second at most (15)")
-    parser.add_argument("--count", type=int, default=0, metavar="N", help="end after N pictures; 1 stays on the screen")
-    parser.add_argument("--size", type=_size, metavar="COLUMNSxROWS", help="for output that is no terminal (80x24)")
+    parser.add_argument(
+        "--rate", type=_rate, default=15.0, metavar="FPS", help="at most so many pictures per second (15)"
+    )
+    parser.add_argument(
+        "--count", type=int, default=0, metavar="N", help="stop after N pictures; 1 stays on the screen"
+    )
+    parser.add_argument(
+        "--size", type=_size, metavar="COLUMNSxROWS", help="size for output that is not a terminal (80x24)"
+    )
     add_connection_options(parser)
     parser.set_defaults(run=run)
 

@@ -18,11 +18,13 @@ _CLEAR = "\x1b[H\x1b[J"  # home, erase below: ECMA-48 CUP and ED
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the command."""
     parser = subparsers.add_parser(
-        "watch", help="follow the status as it changes", description="A live view on a terminal, else a line each."
+        "watch",
+        help="follow the status as it changes",
+        description="A live view on a terminal, otherwise one line for each status.",
     )
     add_connection_options(parser)
     add_json_option(parser)
-    parser.add_argument("--count", type=int, default=0, metavar="N", help="end after N statuses")
+    parser.add_argument("--count", type=int, default=0, metavar="N", help="stop after N statuses")
     parser.set_defaults(run=run)
 
 

@@ -29,21 +29,27 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     """Add the command."""
     parser = subparsers.add_parser(
         "web",
-        help="serve a page to look at a board through",
-        description="Serves a page with the board's streams, modes, registers, interrupts and errors, and prints its "
-        "address. Whoever has that address may look; with --control, change modes and registers too. It asks the "
-        "manager as any client does, with this user's rights, or those of --keys.",
+        help="serve a page that shows a board in a browser",
+        description="Serve a page that shows the board's streams, modes, registers, interrupts and "
+        "errors, and print its address. Anyone who has that address can see the page and,"
+        " with --control, change modes and registers. The page is a client of the manager"
+        " like any other, with the rights of this user or those of --keys.",
     )
     add_connection_options(parser)
     parser.add_argument(
-        "--listen", default="", metavar="HOST[:PORT]", help=f"where (default: 127.0.0.1:{PORT}; port 0: a free one)"
+        "--listen",
+        default="",
+        metavar="HOST[:PORT]",
+        help=f"address to serve on (default: 127.0.0.1:{PORT}; port 0: a free one)",
     )
     parser.add_argument("--control", action="store_true", help="let the page change modes and write registers")
-    parser.add_argument("--token-file", type=Path, metavar="FILE", help="the token of its address (default: a new one)")
-    parser.add_argument("--name", action="append", default=[], help="a name by which browsers reach this machine")
+    parser.add_argument(
+        "--token-file", type=Path, metavar="FILE", help="file with the token of the address (default: a new token)"
+    )
+    parser.add_argument("--name", action="append", default=[], help="a name under which browsers reach this machine")
     parser.add_argument("--tls", nargs=2, type=Path, metavar=("CERT", "KEY"), help="serve over TLS: PEM files")
     parser.add_argument("--insecure", action="store_true", help="allow other machines without TLS")
-    parser.add_argument("--fleet", action="store_true", help="show the boards of a fleet, too (docs/fleet.md)")
+    parser.add_argument("--fleet", action="store_true", help="also show the boards of a fleet (docs/fleet.md)")
     add_network_options(parser)
     parser.set_defaults(run=run)
 

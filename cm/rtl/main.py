@@ -40,12 +40,12 @@ def add_rtl_arguments(parser: argparse.ArgumentParser) -> None:
     add_arguments(parser)
     parser.add_argument("--build", type=Path, default=example_build(), metavar="FILE",
         help="build schema (default: the shipped camera)")  # fmt: skip
-    parser.add_argument("--traces", action="store_true", help="compiled so that traces can be written (slower)")
+    parser.add_argument("--traces", action="store_true", help="let traces be recorded (slower)")
     parser.add_argument(
-        "--coverage", type=Path, metavar="DIR", help="count the lines of HDL that run, into files there"
+        "--coverage", type=Path, metavar="DIR", help="count the lines of HDL that run, in files in this folder"
     )
     parser.add_argument("--time-scale", type=_scale, metavar="N",
-        help="a second of simulated time takes N seconds at least, clocks and configuration port alike")  # fmt: skip
+        help="a second of simulated time takes at least N seconds")  # fmt: skip
 
 
 def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:

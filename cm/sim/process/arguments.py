@@ -25,24 +25,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--config", type=Path, action="append", default=[], metavar="PATH",
         help="runtime schema, or folder of them; may be repeated (default: the shipped camera example)")  # fmt: skip
     add("--images", type=Path, metavar="DIR", help="pictures for the camera (default: three photographs)")
-    add("--hold", type=int, default=150, metavar="FRAMES", help="frames for which a picture stays; 0: for ever")
+    add("--hold", type=int, default=150, metavar="FRAMES", help="for how many frames each picture stays; 0: for ever")
     add("--rate", type=float, metavar="FPS", help="frames per second of every camera; 0: as fast as they are taken")
-    add("--icap-rate", type=float, metavar="BYTES", help="bytes per second of ICAP (default: the device's); 0: at once")
-    add("--pcap-rate", type=float, default=PCAP_RATE, metavar="BYTES", help="bytes per second of the fpga_manager")
+    add(
+        "--icap-rate",
+        type=float,
+        metavar="BYTES",
+        help="speed of the ICAP in bytes per second (default: the device's); 0: no delay",
+    )
+    add(
+        "--pcap-rate",
+        type=float,
+        default=PCAP_RATE,
+        metavar="BYTES",
+        help="speed of the fpga_manager in bytes per second",
+    )
     add("--memory", type=int, default=512, metavar="MIB", help="DMA memory of the board")
     add(
         "--bitstream-size", type=int, metavar="BYTES", help="frame data in assembled bitstreams (default: the region's)"
     )
     add("--vdma", action="append", default=[], metavar="CHANNEL",
-        help="that channel is a VDMA's: it moves frames of lines only; may be repeated")  # fmt: skip
+        help="make this a channel of a VDMA, which moves frames of lines only; may be repeated")  # fmt: skip
     add("--simple-dma", action="append", type=_simple, default=[], metavar="CHANNEL[:BITS[:blind]]",
-        help="no scatter/gather, a length register of so many bits (14); blind: lengths are not told")  # fmt: skip
+        help="no scatter/gather, a length register of BITS bits (14); blind: lengths are not reported")  # fmt: skip
     add("--non-coherent", action="store_true",
         help="DMA memory that has to be synchronised (docs/simulator.md)")  # fmt: skip
     add("--static-identity", type=lambda text: int(text, 0), metavar="VALUE",
-        help="the static part says that it is this one (default: the one that the configurations expect)")  # fmt: skip
-    add("--seed", type=int, default=1, help="of the garbage")
+        help="identity that the static part reports (default: the one that the configurations expect)")  # fmt: skip
+    add("--seed", type=int, default=1, help="seed of the noise that unloaded regions produce")
     add("--models", action="append", default=[], metavar="MODULE", help="module or .py file with a mapping MODELS")
     add("--linger", type=float, metavar="SECONDS",
-        help="end when the parent has died and no client was connected for so long")  # fmt: skip
-    add("--ready-fd", type=int, metavar="N", help="descriptor for the ready line (default: standard output)")
+        help="exit when the parent has died and no client has been connected for this long")  # fmt: skip
+    add("--ready-fd", type=int, metavar="N", help="file descriptor for the ready line (default: standard output)")
