@@ -10,7 +10,6 @@ each client that waits has something here.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from functools import partial
 from time import monotonic_ns
 from typing import Any
 
@@ -29,6 +28,7 @@ _QUIET = 8  # messages that are served after a round that brought nothing new
 _KEEPING = 1024  # bytes that a message takes here beside its own
 _BLIND = 100_000  # nanoseconds of serving after which it is looked whether someone else waits
 _Serve = Callable[[Message, Budget], None]
+_NO_MESSAGE = Message("", [], -1, 0)
 
 
 class _Source:
@@ -42,6 +42,7 @@ class _Source:
         sender: Callable[[Message], Hashable],
     ) -> None:
         self.socket, self.serve, self.refuse, self.sender = socket, serve, refuse, sender
+        self.routed = socket.type == zmq.ROUTER
         self.ready: list[tuple[Any, int]] = [(socket, _POLLIN)]
         self._seen: set[Hashable] = set()  # connections, in this round
         self._news = False  # whether this round brought something of one that had nothing waiting
@@ -67,7 +68,7 @@ class Intake:
         self._budgets = budgets
         self._soon = soon
         self._sources: list[_Source] = []
-        self._turns: Turns[Budget, tuple[Callable[[], None], int]] = Turns()
+        self._turns: Turns[Budget, tuple[_Serve, Message, int]] = Turns()
         self._called = False
         self._blind = 0  # nanoseconds that were served since it was last looked who else waits
 
@@ -81,19 +82,23 @@ class Intake:
         """What to call when a socket has messages. Those of one `sender` are served in order."""
         source = _Source(socket, serve, refuse, sender)
         self._sources.append(source)
-        return partial(self._arrived, source)
+
+        def arrived() -> None:
+            self._arrived(source)
+
+        return arrived
 
     def _arrived(self, source: _Source) -> None:
         if self._called:  # then all sockets are looked at
             return
-        began, message = monotonic_ns(), multipart.receive_from(source.socket)
+        began, message = monotonic_ns(), multipart.receive_from(source.socket, source.routed)
         budget = self._budgets.came(message)
         if self._blind >= _BLIND and self._others_wait(source):
             self._keep(source, message, budget, began)
             self._go_on()
             return
         budget.is_alone()
-        self._serve(budget, began, source.serve, message, budget)
+        self._serve(budget, began, source.serve, message)
 
     def _others_wait(self, source: _Source) -> bool:
         """Whether there is more to take in. To ask costs as much as serving a tenth of a short request."""
@@ -112,7 +117,7 @@ class Intake:
         except TooMuchWaiting:
             budget.refused += 1
             raise
-        self._turns.add(budget, key, (call, _KEEPING))
+        self._turns.add(budget, key, (lambda _, __: call(), _NO_MESSAGE, _KEEPING))
         self._come_back()
 
     def _come_back(self) -> None:
@@ -120,9 +125,9 @@ class Intake:
             self._called = True
             self._soon(self._go_on)
 
-    def _serve(self, budget: Budget, began: int, call: Callable[..., None], *arguments: object) -> None:
+    def _serve(self, budget: Budget, began: int, serve: _Serve, message: Message) -> None:
         try:
-            call(*arguments)
+            serve(message, budget)
         finally:
             took = monotonic_ns() - began
             self._blind += took
@@ -139,7 +144,7 @@ class Intake:
             source.refuse(message, budget, error)
             news = False
         else:
-            news = self._turns.add(budget, (source, sender), (partial(source.serve, message, budget), size))
+            news = self._turns.add(budget, (source, sender), (source.serve, message, size))
         budget.charge(monotonic_ns() - began)
         return source.came(sender, news)
 
@@ -151,7 +156,7 @@ class Intake:
         for _ in range(_AHEAD):
             if not zmq_poll(source.ready, 0):
                 return False
-            began, message = monotonic_ns(), multipart.receive_from(source.socket)
+            began, message = monotonic_ns(), multipart.receive_from(source.socket, source.routed)
             if self._keep(source, message, self._budgets.came(message), began):
                 return True
         return True
@@ -168,9 +173,9 @@ class Intake:
             if any(more):
                 self._come_back()
             return
-        budget, (call, size) = self._turns.take()
+        budget, (serve, message, size) = self._turns.take()
         budget.unqueue(size)
         if not budget.waiting:  # it may have sent more
             for each in self._sources:
                 each.quiet = 0
-        self._serve(budget, monotonic_ns(), call)
+        self._serve(budget, monotonic_ns(), serve, message)

@@ -19,6 +19,7 @@ _MORE = int(zmq.SNDMORE)
 _push = super(zmq.Socket, zmq.Socket).send
 _pull = super(zmq.Socket, zmq.Socket).recv
 _USER: Any = b"User-Id"  # a string would be encoded each time
+_new = tuple.__new__  # what making a named tuple comes to, without a function in Python
 _SMALL = 4096  # bytes; larger frames stay where libzmq put them
 _SOURCE = int(zmq.SRCFD)
 _PARTS = 1024  # of a message; further ones are dropped
@@ -41,8 +42,9 @@ class Message(NamedTuple):
 
 def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
     """As `send_multipart`; at least one frame."""
+    more = flags | _MORE
     for frame in frames[:-1]:
-        _push(socket, frame, flags | _MORE)
+        _push(socket, frame, more)
     _push(socket, frames[-1], flags)
 
 
@@ -58,9 +60,9 @@ def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryvie
     return frames
 
 
-def receive_from(socket: zmq.Socket[bytes]) -> Message:
-    """As `receive`, with where it came from."""
-    frames: list[Frame] = []
+def receive_from(socket: zmq.Socket[bytes], routed: bool) -> Message:
+    """As `receive`, with where it came from. `routed`: from a ROUTER, which puts a short frame before every message."""
+    frames: list[Frame] = [_pull(socket)] if routed else []
     large = 0
     more = True
     while more:
@@ -78,7 +80,7 @@ def receive_from(socket: zmq.Socket[bytes]) -> Message:
     except zmq.ZMQError:
         connection = ""
     source = _source(frame) if large or connection[:4] != _LOCAL else -1
-    return Message(connection, frames, source, large)
+    return _new(Message, (connection, frames, source, large))
 
 
 def _source(frame: zmq.Frame) -> int:

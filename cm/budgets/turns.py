@@ -71,9 +71,10 @@ class Client(Spender):
 
     def charge(self, nanoseconds: int) -> None:
         """It took so much of the loop's time."""
+        account = self.account
         self.busy_ns += nanoseconds
         self.spent += nanoseconds
-        self.account.spent += nanoseconds / self.account.share
+        account.spent += nanoseconds / account.share
 
     def is_alone(self) -> None:
         """It comes and goes, which most do: the same in less than half the time."""

@@ -16,6 +16,7 @@ from cm.daemon.handlers import Handlers
 from cm.daemon.loop import Loop
 from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
+from cm.daemon.register_handlers import takes_long
 from cm.daemon.replies import Respond, refusal
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.manager.access.lease_scopes import scopes_written
@@ -28,18 +29,17 @@ from cm.rights.model import Role
 from cm.schema.model import Memory
 from cm.wire.decode import Frame, decode_request, split_text
 from cm.wire.encode import encode_reply
-from cm.wire.envelope import guest_named, split_envelope
+from cm.wire.envelope import envelope_length, guest_named, split_envelope
 from cm.wire.topics import READ_REG
 
 _PUBLISHED = b""  # the sender of all that is published to the manager; a connection's name is never empty
 _MOST = 256  # requests of one sender that wait
 _LOOKS = (rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.CancelChange)  # never wait
 _STORES = (rq.Provision, rq.RemoveConfig)
-_LASTING = (rq.ChangeMode, rq.PlanChange, *_STORES, rq.ReadData, rq.WriteData)  # not done at once
+_LASTING = frozenset({rq.ChangeMode, rq.PlanChange, *_STORES, rq.ReadData, rq.WriteData})  # not done at once
+_OBSERVE = Role.OBSERVE  # a look into an enum's class is not free
 _TRACKED = 16 << 10  # bytes of a reply of which it is known whether it has left
 _WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
-
-
 _Waiting = tuple[rq.Request, Respond, str]  # and who asked, as `cm.rights` knows it
 
 
@@ -70,16 +70,16 @@ class Order:
     def __init__(self, handlers: Handlers, manager: Manager) -> None:
         self._handlers = handlers
         self._manager = manager
-        self._senders: dict[bytes, _Sender] = {}
+        self.senders: dict[bytes, _Sender] = {}  # who has something under way
 
     def waits(self, sender: bytes) -> bool:
         """Whether something of that sender waits, so that what comes now has to wait as well."""
-        found = self._senders.get(sender) if self._senders else None
+        found = self.senders.get(sender)
         return found is not None and bool(found.queue)
 
     def take(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
         """Do what a request asks, now or in its turn."""
-        state = self._senders.get(sender)
+        state = self.senders.get(sender) if self.senders else None
         if state is None or isinstance(request, _LOOKS) or not (state.queue or self._is_blocked(state, request)):
             self._do(sender, request, respond, connection)
         elif len(state.queue) >= _MOST:
@@ -110,8 +110,9 @@ class Order:
             return None
 
     def _do(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
-        if self._handlers.takes_long(request):
-            respond = self._counted(sender, "long", respond)
+        if isinstance(request, (rq.ReadReg, rq.WriteReg)):
+            if takes_long(request, self._manager.registers):
+                respond = self._counted(sender, "long", respond)
         elif isinstance(request, _STORES):
             respond = self._counted(sender, "stores", respond)
         elif self._writes_memory(request):
@@ -120,7 +121,7 @@ class Order:
 
     def _counted(self, sender: bytes, kind: str, respond: Respond) -> Respond:
         """Something that is under way until it is answered."""
-        state = self._senders.setdefault(sender, _Sender())
+        state = self.senders.setdefault(sender, _Sender())
         setattr(state, kind, getattr(state, kind) + 1)
 
         def answered(reply: Reply) -> None:
@@ -132,7 +133,7 @@ class Order:
 
     def _began(self, sender: bytes, change: Change) -> Callable[[], None]:
         """A change waits for its turn or runs; the result is to be called when it has ended."""
-        state = self._senders.setdefault(sender, _Sender())
+        state = self.senders.setdefault(sender, _Sender())
         state.changes.append(change)
 
         def ended() -> None:
@@ -142,13 +143,13 @@ class Order:
         return ended
 
     def _go_on(self, sender: bytes) -> None:
-        state = self._senders.get(sender)
+        state = self.senders.get(sender)
         if state is None:
             return
         while state.queue and not self._is_blocked(state, state.queue[0][0]):
             self._do(sender, *state.queue.popleft())
         if state.idle:
-            self._senders.pop(sender, None)
+            self.senders.pop(sender, None)
 
 
 class Dispatcher:
@@ -191,29 +192,31 @@ class Dispatcher:
 
     def _answer(self, came: Message, budget: Budget) -> None:
         self.taken += 1
-        envelope, message = split_envelope(came.frames)
-        if len(envelope) > 2:  # a bridge may name there the guest that it asks for
-            came = came._replace(connection=self._gate.guest(came.connection, guest_named(envelope)))
-        sender, again = bytes(envelope[0]), len(message) == 2 and message[0] == READ_REG
-        again = again and self._gate.everywhere(came.connection) >= Role.OBSERVE  # it may read what others read
-        if again and not self._order.waits(sender) and self._read_again(envelope, message[1], budget):
+        frames = came.frames
+        cut = 2 if len(frames) == 4 and not frames[1] else envelope_length(frames)
+        if cut > 2:  # a bridge may name there the guest that it asks for
+            came = came._replace(connection=self._gate.guest(came.connection, guest_named(frames[:cut])))
+        if len(frames) == cut + 2 and frames[cut] == READ_REG and self._read_again(came, budget):
             return
-        message = split_text(message)
+        envelope, message = frames[:cut], split_text(frames[cut:])
         topic = bytes(message[0]) if message else b""
-        self._dispatch(sender, came, message, partial(self._reply, envelope, topic, budget), budget)
+        self._dispatch(bytes(frames[0]), came, message, partial(self._reply, envelope, topic, budget), budget)
         if topic == READ_REG:
             self._read_cache.learn(message)
 
-    def _read_again(self, envelope: list[Frame], message: Frame, budget: Budget) -> bool:
+    def _read_again(self, came: Message, budget: Budget) -> bool:
         """Answer a read of registers that was answered before; False where it was not."""
+        frames, order = came.frames, self._order
+        if self._gate.everywhere(came.connection) < _OBSERVE or (order.senders and order.waits(bytes(frames[0]))):
+            return False  # it may not read what others read, or waits for its turn
         try:
-            reply = self._read_cache.answer(bytes(message), self._publisher.sequence)
+            reply = self._read_cache.answer(bytes(frames[-1]), self._publisher.sequence)
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
             self._board.noticed(error)
-            self._reply(envelope, READ_REG, budget, refusal(error))
+            self._reply(frames[:-2], READ_REG, budget, refusal(error))
             return True
         if reply is not None:
-            self._loop.send(self._sockets.req, [*envelope, READ_REG, reply])
+            multipart.send(self._sockets.req, [*frames[:-1], reply])
         return reply is not None
 
     def _reply(self, envelope: list[Frame], topic: bytes, budget: Budget, reply: Reply) -> None:
@@ -237,7 +240,7 @@ class Dispatcher:
     def _dispatch(self, sender: bytes, came: Message, frames: Sequence[Frame], respond: Respond, by: Budget) -> None:
         try:
             request: rq.Request = decode_request(frames)
-            if isinstance(request, _LASTING):
+            if type(request) in _LASTING:
                 respond = by.under_way(respond, came.large)
         except (InvalidRequest, Busy) as error:
             by.refused += 1

@@ -21,7 +21,7 @@ from cm.daemon.lease_watch import LeaseWatch
 from cm.daemon.loop import Loop
 from cm.daemon.memory_transfers import MemoryTransfers
 from cm.daemon.pieces import Pieces
-from cm.daemon.register_handlers import RegisterHandlers, takes_long
+from cm.daemon.register_handlers import RegisterHandlers
 from cm.daemon.replies import Respond, refusal
 from cm.daemon.sessions import Sessions
 from cm.daemon.streams.registry import Streams
@@ -42,7 +42,9 @@ Began = Callable[[Change], Callable[[], None]]
 
 
 _LEASES = (rq.TakeLease, rq.RenewLease, rq.ReleaseLease, rq.BreakLease)
-_OF_CLIENTS = (rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, *_LEASES)  # done by turns of clients
+_OF_CLIENTS = frozenset({rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, *_LEASES})  # done by turns
+_STORES = frozenset({rq.Provision, rq.RemoveConfig})
+_UPLOADED = frozenset({rq.Provision, rq.WriteData})  # what they need may have been sent before them
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +97,6 @@ class Handlers:
         """Who may do what."""
         return self._s.sessions.gate
 
-    def takes_long(self, request: rq.Request) -> bool:
-        """Whether it is a read or write of so many registers that it is done piece by piece."""
-        return isinstance(request, (rq.ReadReg, rq.WriteReg)) and takes_long(request, self._s.manager.registers)
-
     @property
     def intake(self) -> Intake:
         """Where requests wait for their turn."""
@@ -109,29 +107,35 @@ class Handlers:
 
         A change that this asks for is given to `began`; what that returns is called when the change has ended.
         """
+        kind = type(request)
         try:
             request = self._s.sessions.gate.admit(connection, request, self._s.sessions.scene)
-            if isinstance(request, (rq.WriteData, rq.Provision)):
+            if kind in _UPLOADED:
                 request = self._s.connections.uploads.filled_in(self._s.connections.budgets.of(connection), request)
         except CmError as error:
             respond(refusal(error))
             return
-        handler = self.table[type(request)]
-        if isinstance(request, rq.ChangeMode):
-            self._guarded(partial(handler, request, respond, began), respond)
-        elif isinstance(request, (rq.Provision, rq.RemoveConfig)):
-            self._guarded(partial(handler, request, respond, began, connection), respond)
-        elif isinstance(request, _OF_CLIENTS):
-            self._guarded(partial(handler, request, respond, self._s.connections.budgets.of(connection)), respond)
-        else:
-            self._guarded(partial(handler, request, respond), respond)
+        try:
+            if kind in _OF_CLIENTS:
+                self.table[kind](request, respond, self._s.connections.budgets.of(connection))
+            elif kind is rq.ChangeMode:
+                self._change_mode(request, respond, began)  # type: ignore[arg-type]
+            elif kind in _STORES:
+                self.table[kind](request, respond, began, connection)
+            else:
+                self.table[kind](request, respond)
+        except Exception as error:  # noqa: BLE001 (every request gets an answer)
+            self._failed(error, respond)
+
+    def _failed(self, error: Exception, respond: Respond) -> None:
+        self._s.board.noticed(error)
+        respond(refusal(error))
 
     def _guarded(self, call: Callable[[], None], respond: Respond) -> None:
         try:
             call()
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
-            self._s.board.noticed(error)
-            respond(refusal(error))
+            self._failed(error, respond)
 
     def _aside(self, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
         """Do `work` in another thread and go on with `then` in the loop's."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from cm.errors import InvalidRequest
-from cm.manager.access.register_service import Prepared
+from cm.manager.access.register_view import Prepared
 from cm.messages.requests import ReadReg
 from cm.wire.decode import Frame, decode_request
 from cm.wire.encode import RegisterReply

@@ -18,6 +18,7 @@ from cm.rights.policy import Users
 from cm.rights.principal import CURVE, NOBODY, Principal, from_id, guest_of, introduced, on_behalf
 
 _NAME = 64  # characters of a guest's name
+_OPERATE = Role.OPERATE  # a look into an enum's class is not free
 _KEPT = 4096  # connections whose rights are remembered
 
 
@@ -153,7 +154,7 @@ class Gate:
             except Forbidden as error:
                 self.refused(connection, type(request).__name__, error)
                 raise
-        if need.role >= Role.OPERATE:
+        if need.role >= _OPERATE:
             self.audit.note(connection, type(request).__name__, lambda: described(known.who, request))
         return request
 

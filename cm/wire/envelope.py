@@ -15,15 +15,20 @@ def guest_named(envelope: list[Frame]) -> str:
 
 
 def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
-    """What a ROUTER received → return path, message.
+    """What a ROUTER received → return path, message."""
+    cut = envelope_length(frames)
+    return frames[:cut], frames[cut:]
+
+
+def envelope_length(frames: list[Frame]) -> int:
+    """How many of the frames that a ROUTER received are the return path.
 
     A REQ socket puts an empty frame between them; a DEALER may, with frames of its own before it, or may send the
     message straight away. So a message that begins with a topic has none before it, and an empty frame that something
     follows ends what it has: frames of a client's own may be anything but a whole topic.
     """
     if len(frames) > 1 and not frames[1]:  # most do
-        return frames[:2], frames[2:]
+        return 2
     if len(frames) < 4 or bytes(frames[1]) in TOPICS or b"" not in frames[2:-1]:
-        return frames[:1], frames[1:]
-    cut = frames.index(b"", 2) + 1
-    return frames[:cut], frames[cut:]
+        return 1
+    return frames.index(b"", 2) + 1

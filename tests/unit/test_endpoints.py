@@ -196,6 +196,6 @@ def test_who_is_let_in_over_tcp_stands_beside_what_it_sends(sockets: Sockets, co
         assert guard.socket.poll(WAIT)
         guard.answer()
         assert sockets.req.poll(WAIT)
-        message = multipart.receive_from(sockets.req)
+        message = multipart.receive_from(sockets.req, routed=True)
         assert (message.connection, message.frames[1:]) == (f"somebody with {mine.decode()}", [b"hello"])
     guard.close()

@@ -20,7 +20,6 @@ class BoardDevices:
         self._root = root
         self._lock = threading.RLock()
         self._uios: dict[str, Uio] = {}
-        self._windows: dict[tuple[int, int], Window] = {}
         self._icaps: dict[str, Icap] = {}
         self._lines: dict[tuple[str, int], GpioLine] = {}
 
@@ -38,15 +37,10 @@ class BoardDevices:
 
     def window(self, address: int, width: int) -> Window:
         """Where a register is mapped. Raises DeviceNotFound with the windows that there are."""
-        window = self._windows.get((address, width))
-        if window is not None:
-            return window
         with self._lock:
             info, index = find_uio(address, width // 8, self._root)
             uio = self.uio(info.node)
-            window = Window(uio, index, address - uio.maps[index].address)
-            self._windows[address, width] = window
-        return window
+            return Window(uio, index, address - uio.maps[index].address)
 
     def uio(self, name: str) -> Uio:
         """An open UIO device, by its node's or its own name."""
@@ -111,7 +105,6 @@ class BoardDevices:
             for handle in self._uios.values():
                 handle.close()
             self._uios.clear()
-            self._windows.clear()
 
     def lost(self) -> None:
         """Close everything; the next use opens it anew."""

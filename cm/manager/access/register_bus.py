@@ -21,10 +21,12 @@ class RegisterBus:
     def __init__(self, devices: Devices) -> None:
         self._devices = devices
         self._lock = threading.Lock()
+        self._windows: dict[tuple[int, int], Window] = {}  # by address and width, until devices are closed
 
     def forget(self, lost: bool = False) -> None:
         """Close register windows, which may have come or gone; with `lost` all devices."""
         with self._lock:
+            self._windows.clear()
             if lost:
                 self._devices.lost()
             else:
@@ -39,14 +41,22 @@ class RegisterBus:
     def read_address(self, address: int, width: int) -> int:
         """The value at a physical address. Raises DeviceError."""
         with self._lock:
-            window = self._devices.window(address, width)
+            window = self._windows.get((address, width)) or self._find(address, width)
             return window.device.read(window.offset, width, window.map)
 
     def write_address(self, address: int, width: int, value: int) -> None:
         """Write to a physical address. Raises DeviceError."""
         with self._lock:
-            window = self._devices.window(address, width)
+            window = self._windows.get((address, width)) or self._find(address, width)
             window.device.write(window.offset, value, width, window.map)
+
+    def _find(self, address: int, width: int) -> Window:
+        """A window that is not kept yet."""
+        window = self._windows[address, width] = self._devices.window(address, width)
+        return window
+
+    def _window(self, address: int, width: int) -> Window:
+        return self._windows.get((address, width)) or self._find(address, width)
 
     def read_line(self, line: GpioLine) -> int:
         """0 or 1. Raises DeviceError."""
@@ -61,18 +71,18 @@ class RegisterBus:
     def place(self, address: int, length: int) -> Window:
         """The window that has `length` bytes at a physical address. Raises DeviceNotFound."""
         with self._lock:
-            return self._devices.window(address, 8 * length)
+            return self._window(address, 8 * length)
 
     def read_block(self, memory: Memory, offset: int, length: int) -> bytearray:
         """Bytes of a memory, by accesses of 32 bits. Raises DeviceError."""
         with self._lock:
-            window = self._devices.window(memory.address, 8 * memory.size)
+            window = self._window(memory.address, 8 * memory.size)
             return window.device.read_block(window.offset + offset, length, window.map)
 
     def write_block(self, memory: Memory, offset: int, data: memoryview) -> None:
         """Write bytes to a memory, by accesses of 32 bits. Raises DeviceError, part may be written then."""
         with self._lock:
-            window = self._devices.window(memory.address, 8 * memory.size)
+            window = self._window(memory.address, 8 * memory.size)
             window.device.write_block(window.offset + offset, data, window.map)
 
     def take_flags(self, register: Register, clear: int, flags: int) -> int:

@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 
 from cm.errors import CmError
 from cm.manager.access.leases import Leases
 from cm.manager.access.register_bus import RegisterBus
 from cm.manager.access.register_names import checked_write, find, split_name
-from cm.manager.access.register_view import Checked, Place, View, is_free, place_of, plainly
+from cm.manager.access.register_view import Checked, Place, Prepared, View, is_free, place_of, plainly
 from cm.manager.errors import AccessDenied, NothingLoaded, RegionBusy
 from cm.manager.planning import goals
 from cm.manager.state.board_state import ManagerState
@@ -18,31 +18,6 @@ from cm.messages.status import RegValue, RegValues
 from cm.schema.model import Access, Config, Register
 
 _WO, _RW = Access.WO, Access.RW  # a look into an enum's class is not free
-
-
-class Prepared:
-    """Registers that are read again and again: what their names led to, for as long as the mode stays.
-
-    `names` and `fields` say what belongs to the values: fields (name, lowest bit, mask) are to be taken out of them.
-    """
-
-    __slots__ = ("_places", "_regions", "_service", "_view", "config_name", "fields", "mode", "names")
-
-    def __init__(self, service: RegisterService, view: View, places: Sequence[Place]) -> None:
-        self._service, self._view = service, view
-        self._places = [(p.address, p.width, *((p.field.lsb, p.field.mask) if p.field else (0, -1))) for p in places]
-        self._regions = {p.region for p in places}
-        self.config_name, self.mode = view.config.name, view.mode or ""
-        self.names = tuple([p.register.name + (f".{p.field.name}" if p.field else "") for p in places])
-        self.fields = tuple([() if p.field else _fields(p.register) for p in places])
-
-    def values(self) -> list[int] | None:
-        """The values in the order of the names; None where they are no longer what they were, or cannot be read now."""
-        return self._service.read_again(self._view, self._regions, self._places)
-
-
-def _fields(register: Register) -> tuple[tuple[str, int, int], ...]:
-    return tuple([(f.name, f.lsb, f.mask) for f in register.fields.values()])
 
 
 def _flags(config: Config, status: str) -> int:
@@ -79,25 +54,15 @@ class RegisterService:
             return RegValues(tuple([self._read(p, view) for p in places]), view.config.name, view.mode or "")
 
     def prepare(self, names: tuple[str, ...]) -> Prepared | None:
-        """What `read` of these names will do again; None where it refuses, or where it reads all that there is."""
+        """What `read` of these names will do again; None where it refuses now, or reads all that there is."""
         with self._lock:
             try:
                 view = self._look()
                 places = [self._find(view, name) for name in names]
             except CmError:
                 return None
-        readable = places and all(p.register.access is not _WO for p in places)
-        return Prepared(self, view, places) if readable else None
-
-    def read_again(
-        self, view: View, regions: set[str | None], places: list[tuple[int, int, int, int]]
-    ) -> list[int] | None:
-        """For `Prepared`."""
-        with self._lock:
-            if self._look() is not view or not regions <= view.free:
-                return None
-            read = self._bus.read_address
-            return [(read(address, width) & mask) >> lsb for address, width, lsb, mask in places]
+        readable = all(p.register.access is not _WO and p.region in view.free for p in places)
+        return Prepared(self._lock, self._look, self._bus.read_address, view, places) if places and readable else None
 
     def visible_names(self) -> Collection[str]:
         """Those of all registers of this mode; none where nothing is loaded."""
@@ -170,8 +135,15 @@ class RegisterService:
             return self._bus.take_flags(register, clear, _flags(view.config, name))
 
     def _look(self) -> View:
-        view = self._view
-        if view is None or not view.still_holds(self._state):
+        view, state = self._view, self._state
+        if (
+            view is not None
+            and view.board is state.latest
+            and view.locked is state.locked
+            and view.configs is state.configs
+        ):
+            return view  # as most often
+        if view is None or not view.still_holds(state):
             view = self._view = self._renewed(view)
         return view
 

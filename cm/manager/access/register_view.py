@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be named in the mode that the board is in: where a name leads, and what may be written there."""
+"""What can be named in the mode that the board is in: where a name leads, and what may be done there."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import NamedTuple
 
 from cm.manager.state.board_state import LockedRegions, ManagerState
@@ -64,10 +65,10 @@ class View:
     It is made anew where the board holds something else, not with each value that is written.
     """
 
-    __slots__ = ("_board", "_configs", "_locked", "config", "free", "mode", "places", "registers")
+    __slots__ = ("board", "config", "configs", "free", "locked", "mode", "places", "registers")
 
     def __init__(self, state: ManagerState, config: Config) -> None:
-        self._configs, self._board, self._locked = state.configs, state.latest, state.locked
+        self.configs, self.board, self.locked = state.configs, state.latest, state.locked
         self.config, self.mode = config, state.latest.mode
         self.registers: Mapping[str, Register] = config.visible_registers(self.mode)
         self.places: dict[str, Place] = {}
@@ -76,12 +77,12 @@ class View:
 
     def still_holds(self, state: ManagerState) -> bool:
         """Whether it is true of what the board holds now."""
-        then, now = self._board, state.latest
+        then, now = self.board, state.latest
         if then is not now:
             if then.regions is not now.regions or then.mode != now.mode or then.config != now.config:
                 return False
-            self._board = now  # only values differ
-        return self._configs is state.configs and self._locked is state.locked
+            self.board = now  # only values differ
+        return self.configs is state.configs and self.locked is state.locked
 
 
 def is_free(board: BoardState, locked: LockedRegions, region: str | None) -> bool:
@@ -89,3 +90,41 @@ def is_free(board: BoardState, locked: LockedRegions, region: str | None) -> boo
     if region is None:
         return not locked.whole
     return board.region(region).phase is _READY and region not in locked
+
+
+class Prepared:
+    """Registers that are read again and again: what their names led to, for as long as the mode stays.
+
+    `names` and `fields` say what belongs to the values: fields (name, lowest bit, mask) are to be taken out of them.
+    """
+
+    __slots__ = ("_lock", "_look", "_places", "_read", "_view", "config_name", "fields", "mode", "names")
+
+    def __init__(
+        self,
+        lock: AbstractContextManager[object],
+        look: Callable[[], View],
+        read: Callable[[int, int], int],
+        view: View,
+        places: Sequence[Place],
+    ) -> None:
+        """`look` has the view that is true now, under `lock`; `read` the value at an address, of a width."""
+        self._lock, self._look, self._read, self._view = lock, look, read, view
+        self._places = [(p.address, p.width, *((p.lsb, p.mask) if p.field else (0, -1))) for p in places]
+        self.config_name, self.mode = view.config.name, view.mode or ""
+        self.names = tuple([p.register.name + (f".{p.field.name}" if p.field else "") for p in places])
+        self.fields = tuple([() if p.field else _fields(p.register) for p in places])
+
+    def values(self) -> list[int] | None:
+        """The values in the order of the names; None where they are no longer what they were, or cannot be read now."""
+        with self._lock:
+            if self._look() is not self._view:
+                return None
+            read, values = self._read, []
+            for address, width, lsb, mask in self._places:  # a comprehension is a call, and mostly there is one place
+                values.append((read(address, width) & mask) >> lsb)
+            return values
+
+
+def _fields(register: Register) -> tuple[tuple[str, int, int], ...]:
+    return tuple([(f.name, f.lsb, f.mask) for f in register.fields.values()])
