@@ -47,7 +47,7 @@ def test_the_examples_load(text: str) -> None:
 
 def codes() -> set[str]:
     """The codes in the page's table."""
-    table = PAGE.read_text().split("## What can be wrong")[1]
+    table = PAGE.read_text().split("## Error codes")[1]
     return set(re.findall(r"^\| `([a-z_]+)` \|", table, re.MULTILINE))
 
 
