@@ -43,11 +43,30 @@ def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
             help="how long a board waits for the decision before it asks for it (twice --phase)",
         )
         parser.set_defaults(run=run)
+    _add_ends(actions)
+
+
+def _add_ends(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    recover = actions.add_parser(
+        "recover",
+        help="end changes whose client has gone, or name the boards that still wait",
+        description="Boards end such changes by themselves once their time is over. This command does it at once, and "
+        "says how each change ended. Exit status 1 if a board is not where the decision wants it, or still waits.",
+    )
+    recover.add_argument(
+        "--change", default="", metavar="CHANGE", help="only this change, even if its time is not over yet"
+    )
+    add_fleet_options(recover)
+    add_json_option(recover)
+    recover.set_defaults(run=run_recover)
     settle = actions.add_parser(
-        "settle", help="decide for boards that wait for a deciding board that will not come back"
+        "settle",
+        help="decide for boards that wait for deciding boards that will not come back",
+        description="For use when most of a change's deciding boards (its seats) are gone for good. It is refused if "
+        "the boards can still find out what was decided and that is something else.",
     )
     settle.add_argument("change", metavar="CHANGE", help="the change, as `cm fleet status` names it")
-    settle.add_argument("decision", choices=("keep", "revert"))
+    settle.add_argument("decision", choices=("keep", "revert"), help="stay in the new mode, or go back")
     add_fleet_options(settle)
     settle.set_defaults(run=run_settle)
 
@@ -75,8 +94,25 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
+def run_recover(args: argparse.Namespace) -> int:
+    """End what is open; 0 where every board is where its change was decided to lead."""
+    from cm.fleet.errors import sentence
+
+    with connected_fleet(args) as fleet:
+        found = fleet.recover(args.change, args.boards)
+    failed = any(outcome.decision is None or outcome.differing for outcome in found.values())
+    if args.json:
+        print_json({change: as_json(outcome, None) for change, outcome in found.items()})
+        return int(failed)
+    for change, outcome in found.items():
+        print(f"{change}: {sentence(outcome)}")
+    if not found:
+        print("no change of the fleet is open whose time is over")
+    return int(failed)
+
+
 def run_settle(args: argparse.Namespace) -> int:
-    """Decide in the seat's place; 0 where every board has done it."""
+    """Decide in the seats' place; 0 where every board has done it."""
     from cm.messages.status import ErrorInfo
 
     with connected_fleet(args) as fleet:

@@ -67,14 +67,17 @@ def run_ls(args: argparse.Namespace) -> int:
 
 
 def run_status(args: argparse.Namespace) -> int:
-    """Print a line for each board; 1 where one of them did not answer."""
+    """Print a line for each board; 1 where one of them did not answer, or two hold different decisions."""
+    from cm.fleet.standing import disagreeing
+
     with connected_fleet(args) as fleet:
         found = fleet.status(args.boards)
-    failed = _failed(found)
+    apart = disagreeing(found)
+    failed = _failed(found) or bool(apart)
     if args.json:
         print_json({name: _plain(status) for name, status in found.items()})
         return int(failed)
-    print_table([_row(name, status) for name, status in found.items()], HEADERS)
+    print_table([_row(name, status, apart.get(name, "")) for name, status in found.items()], HEADERS)
     print(clocks_line(found))
     return int(failed)
 
@@ -82,17 +85,14 @@ def run_status(args: argparse.Namespace) -> int:
 HEADERS = ("BOARD", "CONFIG", "MODE", "STATE", "LABELS", "CLOCK", "NOTE")
 
 
-def _row(name: str, status: BoardStatus | ErrorInfo) -> tuple[object, ...]:
-    from cm.fleet.change import member
+def _row(name: str, status: BoardStatus | ErrorInfo, apart: str = "") -> tuple[object, ...]:
+    from cm.fleet.standing import difference
     from cm.messages.status import ErrorInfo
 
     if isinstance(status, ErrorInfo):
         return name, "", "", "no answer" if status.code == "no_answer" else status.code, "", "", status.message
-    own, note = status.status, ""
-    if status.fleet is not None and not member.ended(status.fleet):
-        note = f"change {status.fleet.id}: {status.fleet.state}"
-    elif own.last_error is not None:
-        note = own.last_error.message
+    own = status.status
+    note = apart or difference(status) or (own.last_error.message if own.last_error else "")
     state = "busy" if own.fpga_busy else own.pr_mode.value
     return name, own.config_name, own.mode, state, " ".join(status.labels), clock_words(status), note
 

@@ -16,20 +16,23 @@ from typing import Any
 from cm.client.core.calls import write_data, write_registers
 from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
-from cm.errors import CmError, InvalidRequest
-from cm.fleet import asking, bundles, names
+from cm.errors import InvalidRequest
+from cm.fleet import answers, asking, bundles, names
 from cm.fleet.asking import absent
-from cm.fleet.change.coordinator import Ask, first_step
+from cm.fleet.change.asks import Ask, Verb
+from cm.fleet.change.coordinator import Outcome, first_step
 from cm.fleet.changing import Course, Progress, carried_out
 from cm.fleet.errors import ChangeFailed, FleetRefused
 from cm.fleet.looking import ALL, Looker
 from cm.fleet.network import Network, from_environment, session, zenoh_module
 from cm.fleet.presence import Presence
+from cm.fleet.recovering import open_changes, recovered, refuse_other, useful_seats
 from cm.messages.fleet import BundleState, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo, FrameInfo, RegValues
 from cm.wire import fleet as wire
 from cm.wire import topics
 from cm.wire.encode import decode_event, decode_reply, encode_request
+from cm.wire.fleet_records import encode_step
 
 
 def connect(
@@ -111,8 +114,8 @@ class Fleet(Looker):
         """Write registers on each board, in order; each board does all of it or nothing."""
         message = bytes(encode_request(write_registers(values).request)[1])
         chosen = await self.chosen(boards)
-        answers = await asyncio.gather(*(self.do("reg", name, message) for name in chosen))
-        return {n: _registers(a) for n, a in zip(chosen, answers, strict=True)}
+        said = await asyncio.gather(*(self.do("reg", name, message) for name in chosen))
+        return {n: answers.registers(a) for n, a in zip(chosen, said, strict=True)}
 
     async def frame(self, board: str, stream: str) -> Frame:
         """The next frame of a stream of one board, as an array. Raises RequestFailed."""
@@ -147,10 +150,12 @@ class Fleet(Looker):
         """Take all boards to a mode, or none: planned on all, prepared on all, done on all, kept or taken back.
 
         `policy`: ``all``, ``quorum`` or ``best_effort`` boards must be there for the change to stay. `timeout`: seconds
-        for each phase. `settle`: seconds after which a board that hears nothing asks the seat (0: twice `timeout`).
-        Raises FleetRefused (nothing was touched), ChangeFailed (its outcome names each board that differs).
+        for each phase. `settle`: seconds after which a board that hears nothing asks what was decided (0: twice
+        `timeout`). `tell` is called with the phase, a board, and its answer. Returns the outcome with the critical
+        path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names each board that
+        differs). Cancelled or killed at any moment, the boards end it by themselves; `recover` hastens that.
         """
-        rule = _policy(policy)
+        rule = answers.policy(policy)
         chosen = await self.chosen(boards)
         plans = await self.plan(mode, config, chosen)
         problems = {name: plan for name, plan in plans.items() if isinstance(plan, ErrorInfo)}
@@ -158,7 +163,8 @@ class Fleet(Looker):
         if not rule.holds(len(chosen), len(able)):
             raise FleetRefused(problems)
         change = f"{self.caller}-{secrets.token_hex(4)}"
-        step = first_step(change, chosen, config, mode, rule, settle or 2 * timeout, seat=able[0])
+        where = await useful_seats(able, await self.boards(), self._ask, change)
+        step = first_step(change, chosen, config, mode, rule, settle or 2 * timeout, where)
         course = await carried_out(step, lambda ask: self._step(ask, timeout), tell)
         if course.outcome.differing or course.outcome.decision is None or course.outcome.decision.value != "keep":
             raise ChangeFailed(course.outcome)
@@ -169,15 +175,36 @@ class Fleet(Looker):
         return await self.load("", mode, boards, **options)
 
     async def _step(self, ask: Ask, timeout: float) -> FleetRecord | ErrorInfo:
-        answer = await self.do(ask.verb.value, ask.board, wire.encode_step(ask.step), timeout=timeout)
-        return _record(answer)
+        answer = await self.do(ask.verb.value, ask.board, encode_step(ask.step), timeout=timeout)
+        return answers.record(answer)
+
+    async def _ask(self, ask: Ask) -> FleetRecord | ErrorInfo:
+        """A step of ending a change: to decide may take a load."""
+        return await self._step(ask, 60.0 if ask.verb is Verb.DECIDE else self.timeout)
+
+    async def recover(self, change: str = "", boards: Iterable[str] = ALL) -> dict[str, Outcome]:
+        """End changes whose coordinator is gone, by the boards' own records: each with its outcome, by its name.
+
+        Most of the seats of a change are enough to decide it, or any board that was told. Without `change`: all that
+        are open on these boards and whose time is over; with it that one, at once. An outcome whose decision is None
+        has too few seats left: its boards are named, and wait. Raises NoSuchBoard, NotFound (no board has that change).
+        """
+        records = open_changes(await self.status(boards), change)
+        outcomes = await asyncio.gather(*(recovered(record, self._ask) for record in records.values()))
+        return dict(zip(records, outcomes, strict=True))
 
     async def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
-        """Tell boards what was decided, in place of a seat that never comes back: if it does, it may say else."""
-        message = wire.encode_step(FleetStep(change, keep=keep))
+        """Decide in place of seats that never come back: if they do, they may say else.
+
+        The record of each board, or its error. Raises NoSuchBoard, NotFound (no board has that change),
+        InvalidRequest where the change is decided, or can be without this, and otherwise.
+        """
+        (record,) = open_changes(await self.status(boards), change).values()
+        await refuse_other(record, keep, self._ask)
+        step = FleetStep(change, seats=record.seats, keep=keep)
         chosen = await self.chosen(boards)
-        answers = await asyncio.gather(*(self.do("decide", name, message, timeout=60.0) for name in chosen))
-        return {n: _record(a) for n, a in zip(chosen, answers, strict=True)}
+        said = await asyncio.gather(*(self._ask(Ask(name, Verb.DECIDE, step)) for name in chosen))
+        return dict(zip(chosen, said, strict=True))
 
     async def push(
         self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
@@ -188,41 +215,5 @@ class Fleet(Looker):
         chosen = await self.chosen(boards)
         with bundles.offered(self.session, path, bundle):
             asked = (self.do("bundle", name, wire.encode_fetch(bundle), timeout=timeout) for name in chosen)
-            answers = await asyncio.gather(*asked)
-        return {n: _bundle(a) for n, a in zip(chosen, answers, strict=True)}
-
-
-def _policy(said: Policy | str) -> Policy:
-    try:
-        return Policy(str(getattr(said, "value", said)).replace("-", "_").replace(" ", "_"))
-    except ValueError:
-        raise InvalidRequest(f"policy {said!r}: one of {', '.join(p.value for p in Policy)} is wanted") from None
-
-
-def _registers(answer: asking.Answer) -> RegValues | ErrorInfo:
-    if answer.error is not None:
-        return answer.error
-    reply = decode_reply([b"", answer.payload])
-    if reply.error is not None:
-        return reply.error
-    return reply.body if isinstance(reply.body, RegValues) else ErrorInfo("network", "no registers came back")
-
-
-def _record(answer: asking.Answer) -> FleetRecord | ErrorInfo:
-    if answer.error is not None:
-        return answer.error
-    try:
-        found = wire.decode_answer(answer.payload)
-    except InvalidRequest as error:
-        return ErrorInfo(error.code, str(error))
-    return found if isinstance(found, (FleetRecord, ErrorInfo)) else ErrorInfo("network", "no record came back")
-
-
-def _bundle(answer: asking.Answer) -> BundleState | ErrorInfo:
-    if answer.error is not None:
-        return answer.error
-    try:
-        found = wire.decode_answer(answer.payload)
-    except CmError as error:
-        return ErrorInfo(error.code, str(error))
-    return found if isinstance(found, (BundleState, ErrorInfo)) else ErrorInfo("network", "no bundle came back")
+            said = await asyncio.gather(*asked)
+        return {n: answers.bundle(a) for n, a in zip(chosen, said, strict=True)}

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 from cm.client.frame import Frame
 from cm.fleet import aio
+from cm.fleet.change.coordinator import Outcome
 from cm.fleet.changing import Course
 from cm.fleet.clocks import Reading
 from cm.fleet.looking import ALL
@@ -135,8 +136,12 @@ class Fleet:
         """Take all boards to a mode of what they have loaded; as `load`."""
         return self._loop.wait_for(self._fleet.mode(mode, boards, **options))
 
+    def recover(self, change: str = "", boards: Iterable[str] = ALL) -> dict[str, Outcome]:
+        """End changes whose coordinator is gone, by the boards' own records; as in `cm.fleet.aio`."""
+        return self._loop.wait_for(self._fleet.recover(change, boards))
+
     def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
-        """Tell boards what was decided, in place of a seat that never comes back: if it does, it may say else."""
+        """Decide in place of seats that never come back: if they do, they may say else; as in `cm.fleet.aio`."""
         return self._loop.wait_for(self._fleet.settle(change, keep, boards))
 
     def push(

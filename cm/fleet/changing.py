@@ -8,7 +8,8 @@ import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 
-from cm.fleet.change.coordinator import Ask, Coordinator, Outcome, Phase
+from cm.fleet.change.asks import Ask
+from cm.fleet.change.coordinator import Coordinator, Outcome, Phase
 from cm.messages.fleet import FleetRecord, FleetStep
 from cm.messages.status import ErrorInfo
 
@@ -54,22 +55,24 @@ async def carried_out(step: FleetStep, ask: Asking, tell: Progress) -> Course:
 async def _leg(coordinator: Coordinator, asks: list[Ask], ask: Asking, tell: Progress) -> tuple[list[Ask], str, float]:
     """Until all of a phase have answered or are silent: what is asked next, and who was last."""
     phase, begun, following, last = coordinator.phase, time.monotonic(), [], ("", 0.0)
-    tasks = {asyncio.ensure_future(ask(each)): each.board for each in asks}
+    tasks = {asyncio.ensure_future(ask(each)): each for each in asks}
     try:
-        while tasks:
+        while tasks and coordinator.phase is phase:  # of a vote, most answers are enough
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
-                board, answer = tasks.pop(task), task.result()
-                last = (board, time.monotonic() - begun)
-                tell(phase.value, board, answer)
-                silent = isinstance(answer, ErrorInfo) and answer.code == "no_answer"
-                if silent:
-                    assert isinstance(answer, ErrorInfo)
-                    following += coordinator.heard_nothing(board, answer)
-                else:
-                    following += coordinator.answered(board, answer)
+                asked, answer = tasks.pop(task), task.result()
+                if coordinator.phase is phase:
+                    last = (asked.board, time.monotonic() - begun)
+                    tell(phase.value, asked.board, answer)
+                    following += _given(coordinator, asked, answer)
     finally:
         for task in tasks:
             task.cancel()
     assert following or coordinator.phase is Phase.DONE
     return following, *last
+
+
+def _given(coordinator: Coordinator, ask: Ask, answer: FleetRecord | ErrorInfo) -> list[Ask]:
+    if isinstance(answer, ErrorInfo) and answer.code == "no_answer":
+        return coordinator.heard_nothing(ask, answer)
+    return coordinator.answered(ask, answer)

@@ -32,7 +32,7 @@ class ChangeFailed(CmError):
     code = "fleet_change_failed"
 
     def __init__(self, outcome: Outcome) -> None:
-        super().__init__(_sentence(outcome))
+        super().__init__(sentence(outcome))
         self.outcome = outcome
 
 
@@ -41,10 +41,15 @@ def told(problems: Mapping[str, ErrorInfo]) -> str:
     return "; ".join(f"{name}: {error.message}" for name, error in sorted(problems.items()))
 
 
-def _sentence(outcome: Outcome) -> str:
+def sentence(outcome: Outcome) -> str:
+    """How a change ended, with each board that differs."""
     differing = "; ".join(f"{name}: {why}" for name, why in sorted(outcome.differing.items()))
     if outcome.decision is None:
-        return f"what was decided is not known, for {outcome.seat} went away with it: {differing}"
+        return (
+            f"what was decided is not known, for too few of its seats ({', '.join(outcome.seats)}) answered. Boards "
+            "ask them again, as `cm fleet recover` does; `cm fleet settle` is for when they never come back: "
+            + differing
+        )
     where = "in the new mode" if outcome.decision.value == "keep" else "back in the mode before"
     cause = f" ({told(outcome.causes)})" if outcome.causes else ""
     return f"the fleet is {where}{cause}" + (f", but for {differing}" if differing else "")

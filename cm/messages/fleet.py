@@ -24,7 +24,7 @@ class Policy(str, Enum):
 
 
 class Decision(str, Enum):
-    """What becomes of a change; it is made once, and written down at the seat before it is told."""
+    """What becomes of a change; it is made once: what most of its seats have voted for."""
 
     KEEP = "keep"
     REVERT = "revert"
@@ -43,21 +43,28 @@ class ClockSync:
 
 @dataclass(frozen=True, slots=True)
 class FleetStep:
-    """A step of a change of many boards, as a coordinator asks for it; `seconds` until who heard nothing asks."""
+    """A step of a change of many boards, as a coordinator asks for it; `seconds` until who heard nothing asks.
+
+    `ballot` is that of a vote, or of a promise that is asked for; 0 is the coordinator's own.
+    """
 
     id: str
     config_name: str = ""
     mode: str = ""
-    seat: str = ""
+    seats: tuple[str, ...] = ()
     members: tuple[str, ...] = ()
     policy: Policy = Policy.ALL
     seconds: float = 30.0
     keep: bool = False
+    ballot: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class FleetRecord:
-    """What a board has written down of a change: from where, to where, how far, and what was decided."""
+    """What a board has written down of a change: from where, to where, how far, and what was decided.
+
+    `promised`, `vote` and `vote_ballot` are those of a seat: it takes no vote of a ballot below the one promised.
+    """
 
     id: str
     state: str
@@ -65,7 +72,7 @@ class FleetRecord:
     mode: str = ""
     old_config_name: str = ""
     old_mode: str = ""
-    seat: str = ""
+    seats: tuple[str, ...] = ()
     decision: Decision | None = None
     error: ErrorInfo | None = None
     plan_seconds: float = 0.0
@@ -75,6 +82,9 @@ class FleetRecord:
     members: tuple[str, ...] = ()
     policy: Policy = Policy.ALL
     deadline: float = 0.0  # CLOCK_REALTIME, seconds
+    promised: int = 0
+    vote: Decision | None = None
+    vote_ballot: int = 0
 
 
 @dataclass(frozen=True, slots=True)

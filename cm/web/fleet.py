@@ -9,8 +9,8 @@ from typing import Any
 
 from cm.errors import CmError
 from cm.fleet.aio import Fleet
-from cm.fleet.change import member
 from cm.fleet.clocks import said_apart
+from cm.fleet.standing import difference
 from cm.messages.fleet import BoardStatus
 from cm.messages.status import Status
 from cm.web.topics import Topics
@@ -73,10 +73,8 @@ class FleetWatch:
 
 def row(name: str, status: BoardStatus) -> dict[str, Any]:
     """A board as the page shows it."""
-    own, record = status.status, status.fleet
-    note = own.last_error.message if own.last_error else ""
-    if record is not None and not member.ended(record):
-        note = f"change {record.id} of {record.caller}: {record.state}"
+    own, differs = status.status, difference(status)
+    note = differs or (own.last_error.message if own.last_error else "")
     return {
         "name": name,
         "loaded": f"{own.config_name} / {own.mode}" if own.mode else "",
@@ -85,4 +83,5 @@ def row(name: str, status: BoardStatus) -> dict[str, Any]:
         "labels": list(status.labels),
         "clock_ns": status.clock.error_ns if status.clock.synchronised else None,
         "note": note,
+        "differs": bool(differs),
     }

@@ -3,25 +3,14 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
-
-from google.protobuf.message import DecodeError, Message
+from typing import Any
 
 from cm.errors import InvalidRequest
 from cm.messages import fleet as fl
 from cm.messages.status import ErrorInfo
 from cm.wire import bodies
 from cm.wire import cm_pb2 as pb
-
-_M = TypeVar("_M", bound=Message)
-
-
-def parsed(kind: type[_M], data: bytes) -> _M:
-    """A message of this kind. Raises InvalidRequest."""
-    try:
-        return kind.FromString(data)
-    except DecodeError as problem:
-        raise InvalidRequest(f"the payload is no {kind.__name__} message ({problem})") from problem
+from cm.wire.fleet_records import parsed, record_from_pb, record_to_pb
 
 
 def extras(labels: tuple[str, ...], clock: fl.ClockSync, record: fl.FleetRecord | None) -> bytes:
@@ -90,93 +79,6 @@ def _clock_to_pb(clock: fl.ClockSync) -> pb.ClockSync:
 
 def _clock_from_pb(m: pb.ClockSync) -> fl.ClockSync:
     return fl.ClockSync(m.source, m.synchronised, m.error_ns, m.reference, m.now_ns)
-
-
-def encode_step(step: fl.FleetStep) -> bytes:
-    """As it is the payload of a command under ``do/``."""
-    message = pb.FleetStep(
-        id=step.id,
-        config_name=step.config_name,
-        mode=step.mode,
-        seat=step.seat,
-        members=step.members,
-        policy=step.policy.value,
-        seconds=step.seconds,
-        keep=step.keep,
-    )
-    return message.SerializeToString()
-
-
-def decode_step(data: bytes) -> fl.FleetStep:
-    """Raises InvalidRequest for what is no step, or has no id."""
-    m = parsed(pb.FleetStep, data)
-    if not m.id or not m.id.isascii() or not m.id.isprintable() or len(m.id) > 64 or "/" in m.id:
-        raise InvalidRequest(f"a change of a fleet has an id of 1 to 64 printable characters without /, not {m.id!r}")
-    return fl.FleetStep(m.id, m.config_name, m.mode, m.seat, tuple(m.members), _policy(m.policy), m.seconds, m.keep)
-
-
-def _policy(text: str) -> fl.Policy:
-    try:
-        return fl.Policy(text or "all")
-    except ValueError:
-        known = ", ".join(p.value for p in fl.Policy)
-        raise InvalidRequest(f"policy {text!r}: one of {known} is wanted") from None
-
-
-def record_to_pb(r: fl.FleetRecord) -> pb.FleetRecord:
-    """A record as a message."""
-    message = pb.FleetRecord(
-        id=r.id,
-        state=r.state,
-        config_name=r.config_name,
-        mode=r.mode,
-        old_config_name=r.old_config_name,
-        old_mode=r.old_mode,
-        seat=r.seat,
-        decision=r.decision.value if r.decision else "",
-        plan_seconds=r.plan_seconds,
-        plan_bytes=r.plan_bytes,
-        seconds=r.seconds,
-        caller=r.caller,
-        members=r.members,
-        policy=r.policy.value,
-        deadline=r.deadline,
-    )
-    if r.error is not None:
-        message.error.CopyFrom(bodies.error_to_pb(r.error))
-    return message
-
-
-def record_from_pb(m: pb.FleetRecord) -> fl.FleetRecord:
-    """A message as a record."""
-    return fl.FleetRecord(
-        id=m.id,
-        state=m.state,
-        config_name=m.config_name,
-        mode=m.mode,
-        old_config_name=m.old_config_name,
-        old_mode=m.old_mode,
-        seat=m.seat,
-        decision=fl.Decision(m.decision) if m.decision else None,
-        error=bodies.error_from_pb(m.error) if m.HasField("error") else None,
-        plan_seconds=m.plan_seconds,
-        plan_bytes=m.plan_bytes,
-        seconds=m.seconds,
-        caller=m.caller,
-        members=tuple(m.members),
-        policy=_policy(m.policy),
-        deadline=m.deadline,
-    )
-
-
-def encode_record(record: fl.FleetRecord) -> bytes:
-    """As it lies on a board's disk."""
-    return record_to_pb(record).SerializeToString()
-
-
-def decode_record(data: bytes) -> fl.FleetRecord:
-    """Raises InvalidRequest."""
-    return record_from_pb(parsed(pb.FleetRecord, data))
 
 
 def encode_fetch(fetch: fl.FetchBundle) -> bytes:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change of many boards as a transaction: coordinator and boards, tried under ends, losses and failures everywhere.
+"""A change of many boards as a transaction: coordinator and boards, example by example.
 
 No sockets, files or time: coroutines are run to their end by hand, and a process that is killed is an exception at
 one of the calls that reach outside, before or after it had its effect.
@@ -8,19 +8,20 @@ one of the calls that reach outside, before or after it had its effect.
 from __future__ import annotations
 
 import random
-from collections.abc import Coroutine
+from collections.abc import Coroutine, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.fleet.change import member
-from cm.fleet.change.coordinator import Ask, Coordinator, Phase, Verb, first_step
+from cm.fleet.change.asks import Ask, Verb
+from cm.fleet.change.coordinator import Coordinator, first_step
+from cm.fleet.change.participant import Participant
+from cm.fleet.change.given import Planned, Unsettled
 from cm.fleet.change.member import NotNow
-from cm.fleet.change.participant import Participant, Planned, Unsettled
+from cm.fleet.change.seats import agreed
 from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo
 
@@ -133,13 +134,14 @@ class Board:
         self.fate.may_end()
         return 0.1
 
-    async def asked(self, seat: str, change: str, caller: str) -> FleetRecord | None:
-        return self.world.asks(seat, lambda participant: participant.settle(change))
+    async def ask(self, asks: Sequence[Ask]) -> dict[str, FleetRecord]:
+        found = {ask.board: self.world.asks(ask) for ask in asks}
+        return {name: record for name, record in found.items() if record is not None}
 
     def take(self, ask: Ask) -> FleetRecord | ErrorInfo | None:
         """What is sent here; None where it, or its answer, is lost."""
         try:
-            return done(self._do(ask))
+            return self.at_once(ask) if ask.verb in (Verb.VOTE, Verb.SETTLE) else done(self._do(ask))
         except Killed:
             self.restart()
             return None
@@ -150,6 +152,10 @@ class Board:
         if ask.verb is Verb.PREPARE:
             return self.participant.prepare(ask.step, "anna")
         return self.participant.apply(ask.step) if ask.verb is Verb.APPLY else self.participant.decide(ask.step)
+
+    def at_once(self, ask: Ask) -> FleetRecord:
+        """What a board answers whatever it is at."""
+        return self.participant.vote(ask.step) if ask.verb is Verb.VOTE else self.participant.settle(ask.step)
 
     def go_on(self) -> None:
         try:
@@ -166,15 +172,10 @@ class World:
         self.refuses = refuses
         self.boards = {f"b{n}": Board(self, f"b{n}") for n in range(boards)}
 
-    def asks(self, seat: str, what: Any) -> FleetRecord | None:
-        board = self.boards[seat]
-        if not board.reachable:
-            return None
-        try:
-            return what(board.participant)  # type: ignore[no-any-return]
-        except Killed:
-            board.restart()
-            return None
+    def asks(self, ask: Ask) -> FleetRecord | None:
+        board = self.boards[ask.board]
+        answer = board.take(ask) if board.reachable else None
+        return answer if isinstance(answer, FleetRecord) else None
 
     def coordinator(self, policy: Policy = Policy.ALL) -> Coordinator:
         return Coordinator(first_step("c1", self.boards, "camera", "edge", policy, 30.0))
@@ -191,9 +192,9 @@ class World:
             if chance is not None and answer is not None and chance.random() < 0.08:
                 answer = self.boards[ask.board].take(ask)  # it came twice
             if answer is None or (chance is not None and chance.random() < 0.05):
-                asks += coordinator.heard_nothing(ask.board, SILENT)
+                asks += coordinator.heard_nothing(ask, SILENT)
             else:
-                asks += coordinator.answered(ask.board, answer)
+                asks += coordinator.answered(ask, answer)
             self._meanwhile(chance)
         return not asks
 
@@ -277,28 +278,28 @@ def test_a_board_that_was_away_comes_to_the_fleets_mode_by_its_own_record() -> N
     coordinator = world.coordinator(Policy.QUORUM)
     asks = coordinator.start()
     for ask in asks:
-        applies = coordinator.answered(ask.board, world.boards[ask.board].take(ask))  # type: ignore[arg-type]
+        applies = coordinator.answered(ask, world.boards[ask.board].take(ask))  # type: ignore[arg-type]
     for ask in applies:
         if ask.board == "b2":
-            asks = coordinator.heard_nothing("b2", SILENT)
+            asks = coordinator.heard_nothing(ask, SILENT)
         else:
-            asks = coordinator.answered(ask.board, world.boards[ask.board].take(ask))  # type: ignore[arg-type]
+            asks = coordinator.answered(ask, world.boards[ask.board].take(ask))  # type: ignore[arg-type]
     while asks:
         ask = asks.pop()
         answer = None if ask.board == "b2" else world.boards[ask.board].take(ask)
-        asks += coordinator.heard_nothing("b2", SILENT) if answer is None else coordinator.answered(ask.board, answer)
+        asks += coordinator.heard_nothing(ask, SILENT) if answer is None else coordinator.answered(ask, answer)
     assert set(coordinator.outcome().differing) == {"b2"}
     assert world.boards["b2"].place == OLD
     world.heal()
     assert world.places == {NEW}
 
 
-def test_who_comes_late_is_refused_by_the_seat_that_has_decided_without_knowing() -> None:
+def test_who_comes_late_is_refused_by_seats_that_others_have_asked() -> None:
     world = World(2)
-    record = world.boards["b0"].participant.settle("c1")
-    assert (record.state, record.decision) == (member.OPEN, Decision.REVERT)
+    assert done(agreed("c1", ("b0",), world.boards["b1"].ask)) is Decision.REVERT
     coordinator = world.coordinator()
     assert world.run(coordinator)
+    assert coordinator.outcome().causes["b0"].code == "fleet_state"
     assert (coordinator.outcome().decision, world.places) == (Decision.REVERT, {OLD})
 
 
@@ -307,10 +308,10 @@ def test_a_change_that_was_taken_back_is_not_begun_first() -> None:
     world = World(1)
     board = world.boards["b0"]
     board.fate.away = {1: False}
-    done(board.participant.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    done(board.participant.prepare(FleetStep("c1", "camera", "edge", ("b0",), ("b0",)), "anna"))
     with pytest.raises(Unsettled):
-        done(board.participant.apply(FleetStep("c1", seat="b0")))
-    assert done(board.participant.decide(FleetStep("c1", seat="b0"))).state == member.OLD
+        done(board.participant.apply(FleetStep("c1", seats=("b0",))))
+    assert done(board.participant.decide(FleetStep("c1", seats=("b0",)))).state == member.OLD
     assert board.fate.loads == 1
 
 
@@ -318,131 +319,55 @@ def test_what_is_loaded_already_when_somebody_comes_back_is_not_loaded_again() -
     world = World(1)
     board = world.boards["b0"]
     board.fate.away = {1: True}
-    done(board.participant.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    done(board.participant.prepare(FleetStep("c1", "camera", "edge", ("b0",), ("b0",)), "anna"))
     with pytest.raises(Unsettled):
-        done(board.participant.apply(FleetStep("c1", seat="b0")))
+        done(board.participant.apply(FleetStep("c1", seats=("b0",))))
     board.restart()
     done(board.participant.go_on())
-    assert done(board.participant.decide(FleetStep("c1", seat="b0", keep=True))).state == member.NEW
+    assert done(board.participant.decide(FleetStep("c1", seats=("b0",), keep=True))).state == member.NEW
     assert board.fate.loads == 1
 
 
 def test_a_second_change_waits_for_the_end_of_the_first() -> None:
     world = World(1)
     participant = world.boards["b0"].participant
-    done(participant.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+    done(participant.prepare(FleetStep("c1", "camera", "edge", ("b0",), ("b0",)), "anna"))
     with pytest.raises(Busy, match="change c1 of anna is prepared here"):
-        done(participant.prepare(FleetStep("c2", "camera", "edge", "b0", ("b0",)), "bob"))
-    done(participant.decide(FleetStep("c1", seat="b0")))
-    done(participant.prepare(FleetStep("c2", "camera", "edge", "b0", ("b0",)), "bob"))
+        done(participant.prepare(FleetStep("c2", "camera", "edge", ("b0",), ("b0",)), "bob"))
+    done(participant.decide(FleetStep("c1", seats=("b0",))))
+    done(participant.prepare(FleetStep("c2", "camera", "edge", ("b0",), ("b0",)), "bob"))
 
 
 def test_a_board_with_nothing_loaded_has_no_way_back_and_is_refused() -> None:
     world = World(1)
     world.boards["b0"].place = ("", "")
     with pytest.raises(InvalidRequest, match="no way back"):
-        done(world.boards["b0"].participant.prepare(FleetStep("c1", "camera", "edge", "b0", ("b0",)), "anna"))
+        done(world.boards["b0"].participant.prepare(FleetStep("c1", "camera", "edge", ("b0",), ("b0",)), "anna"))
 
 
 def test_a_step_out_of_its_order_is_an_error_and_changes_nothing() -> None:
     participant = World(1).boards["b0"].participant
     with pytest.raises(NotNow, match="prepared no change"):
-        done(participant.apply(FleetStep("c1", seat="b1")))
+        done(participant.apply(FleetStep("c1", seats=("b1",))))
     with pytest.raises(NotNow, match="took no part"):
-        done(participant.decide(FleetStep("c1", seat="b1", keep=True)))
+        done(participant.decide(FleetStep("c1", seats=("b1",), keep=True)))
 
 
 def test_while_nobody_knows_the_decision_every_board_is_named() -> None:
-    """The seat went away with it."""
-    world = World(3)
+    """The seats voted; nobody heard it."""
+    world = World(4)
     coordinator = world.coordinator()
     asks = coordinator.start()
     while asks:
         ask = asks.pop(0)
         answer = world.boards[ask.board].take(ask)
-        if ask.verb is Verb.DECIDE:  # it arrived; its answer did not
-            asks += coordinator.heard_nothing(ask.board, SILENT)
+        if ask.verb is Verb.VOTE:  # it arrived; its answer did not
+            asks += coordinator.heard_nothing(ask, SILENT)
         else:
-            asks += coordinator.answered(ask.board, answer)  # type: ignore[arg-type]
+            asks += coordinator.answered(ask, answer)  # type: ignore[arg-type]
     outcome = coordinator.outcome()
     assert outcome.decision is None
-    assert set(outcome.differing) == {"b0", "b1", "b2"}
-    assert "asks" in outcome.differing["b1"]
+    assert set(outcome.differing) == {"b0", "b1", "b2", "b3"}
+    assert "asks b0, b1, b2 for" in outcome.differing["b3"]
     world.heal()
     assert world.places == {NEW}
-
-
-# ---- everything that can go wrong ----------------------------------------------------------
-
-
-def judge(world: World, coordinator: Coordinator, finished: bool) -> None:
-    """The fleet is in the old mode or the new, but for boards whose own load failed; what was told was true."""
-    decision = world.decision()
-    for name, board in world.boards.items():
-        record = board.disk.read("c1")
-        if record is None or record.state == member.OPEN:
-            assert board.place == OLD, name
-            continue
-        assert member.ended(record), (name, record)
-        assert not board.held, (name, record)
-        assert record.decision is decision, (name, record)
-        if not member.differs(record):
-            assert board.place == (NEW if decision is Decision.KEEP else OLD), (name, record)
-    if finished and coordinator.phase is Phase.DONE:
-        told = coordinator.outcome()
-        assert told.decision in (None, decision)
-
-
-def unnamed(world: World, coordinator: Coordinator) -> set[str]:
-    """Boards that are elsewhere than what the coordinator was told of the decision, and not named by it."""
-    outcome = coordinator.outcome()
-    wanted = NEW if outcome.decision is Decision.KEEP else OLD
-    return {n for n, b in world.boards.items() if b.place != wanted} - set(outcome.differing)
-
-
-@settings(max_examples=600, deadline=None)
-@given(
-    seed=st.integers(0, 2**32),
-    size=st.integers(1, 5),
-    policy=st.sampled_from(list(Policy)),
-    kills=st.lists(st.tuples(st.integers(0, 4), st.integers(1, 14)), max_size=4),
-    failures=st.lists(st.tuples(st.integers(0, 4), st.integers(1, 2)), max_size=2),
-    away=st.lists(st.tuples(st.integers(0, 4), st.integers(1, 3), st.booleans()), max_size=3),
-    ends_after=st.one_of(st.just(10**6), st.integers(0, 16)),
-)
-def test_whatever_ends_and_is_lost_the_fleet_is_old_or_new_or_the_differing_are_named(
-    seed: int,
-    size: int,
-    policy: Policy,
-    kills: list[tuple[int, int]],
-    failures: list[tuple[int, int]],
-    away: list[tuple[int, int, bool]],
-    ends_after: int,
-) -> None:
-    world = World(size)
-    boards = list(world.boards.values())
-    for number, call in kills:
-        boards[number % size].fate.kills.add(call)
-    for number, load in failures:
-        boards[number % size].fate.failures.add(load)
-    for number, load, had_effect in away:
-        boards[number % size].fate.away[load] = had_effect
-    coordinator = world.coordinator(policy)
-    finished = world.run(coordinator, random.Random(seed), ends_after)
-    if finished:
-        assert not unnamed(world, coordinator)
-    world.heal()
-    judge(world, coordinator, finished)
-
-
-@settings(max_examples=300, deadline=None)
-@given(size=st.integers(2, 4), kill=st.integers(0, 14), board=st.integers(0, 3), ends_after=st.integers(0, 14))
-def test_without_failing_loads_all_boards_end_in_one_and_the_same_mode(
-    size: int, kill: int, board: int, ends_after: int
-) -> None:
-    """Under the policy that asks for it: whoever is killed at whichever call, and whenever the coordinator ends."""
-    world = World(size)
-    list(world.boards.values())[board % size].fate.kills.add(kill)
-    world.run(world.coordinator(), None, ends_after)
-    world.heal()
-    assert len(world.places) == 1

@@ -18,7 +18,7 @@ from cm.messages import requests as rq
 from cm.messages.fleet import Decision, FleetRecord
 from cm.messages.status import ErrorInfo, LeaseInfo
 
-RECORD = FleetRecord("c1", member.PREPARED, "camera", "edge", "camera", "default", "b1", caller="anna")
+RECORD = FleetRecord("c1", member.PREPARED, "camera", "edge", "camera", "default", ("b1",), caller="anna")
 
 
 class Manager:

@@ -10,20 +10,23 @@ import pytest
 from cm.errors import InvalidRequest
 from cm.messages.fleet import BundleState, ClockSync, Decision, FetchBundle, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo, PrMode, RegionStatus, Status
+from cm.wire import cm_pb2 as pb
 from cm.wire import fleet as wire
+from cm.wire import fleet_records as records
 from cm.wire.encode import encode_status
 from cm.wire.json_text import from_json, to_json
 
 RECORD = FleetRecord(
-    "c1", "applied", "camera", "edge", "camera", "default", "b1", Decision.KEEP, ErrorInfo("busy", "no"), 0.5, 7, 0.25,
-    "anna", ("b1", "b2"), Policy.QUORUM, 12.5,
+    "c1", "applied", "camera", "edge", "camera", "default", ("b1", "b2"), Decision.KEEP,
+    ErrorInfo("busy", "no"), 0.5, 7, 0.25,
+    "anna", ("b1", "b2"), Policy.QUORUM, 12.5, 7, Decision.REVERT, 5,
 )  # fmt: skip
 
 
 def test_steps_records_and_bundles_come_back_as_they_were_sent() -> None:
-    step = FleetStep("c1", "camera", "edge", "b1", ("b1", "b2"), Policy.BEST_EFFORT, 7.5, True)
-    assert wire.decode_step(wire.encode_step(step)) == step
-    assert wire.decode_record(wire.encode_record(RECORD)) == RECORD
+    step = FleetStep("c1", "camera", "edge", ("b1",), ("b1", "b2"), Policy.BEST_EFFORT, 7.5, True, 9)
+    assert records.decode_step(records.encode_step(step)) == step
+    assert records.decode_record(records.encode_record(RECORD)) == RECORD
     fetch = FetchBundle("0" * 64, 5, ("1" * 64, "2" * 64), 4, "a.tar.gz")
     assert wire.decode_fetch(wire.encode_fetch(fetch)) == fetch
     for answer in (RECORD, BundleState("0" * 64, 5, 4, "camera", "anna"), ErrorInfo("busy", "no")):
@@ -41,7 +44,21 @@ def test_what_a_bridge_adds_stands_behind_the_managers_own_bytes() -> None:
 @pytest.mark.parametrize("name", ["", "a/b", "x" * 65, "a\n", "é"])
 def test_an_id_that_is_no_name_of_a_file_is_refused(name: str) -> None:
     with pytest.raises(InvalidRequest, match="1 to 64 printable characters"):
-        wire.decode_step(wire.encode_step(FleetStep(name)))
+        records.decode_step(records.encode_step(FleetStep(name)))
+
+
+def test_a_step_with_one_seat_is_that_of_an_older_client() -> None:
+    assert records.decode_step(pb.FleetStep(id="c1", seat="b1").SerializeToString()).seats == ("b1",)
+
+
+def test_a_ballot_after_which_none_can_come_is_refused() -> None:
+    with pytest.raises(InvalidRequest, match="they go up one by one"):
+        records.decode_step(records.encode_step(FleetStep("c1", ballot=2**63)))
+
+
+def test_a_record_with_a_decision_that_is_none_is_refused() -> None:
+    with pytest.raises(InvalidRequest, match="keep or revert is wanted"):
+        records.decode_record(pb.FleetRecord(id="c1", decision="maybe").SerializeToString())
 
 
 def test_a_bundle_whose_parts_do_not_add_up_is_refused() -> None:

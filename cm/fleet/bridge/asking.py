@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a board asks of others of its fleet: the seat, what was decided."""
+"""What a board asks of others of its fleet: the seats of a change, what is decided."""
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from typing import Any
 
 from cm.errors import InvalidRequest
 from cm.fleet import names
-from cm.messages.fleet import FleetRecord, FleetStep
-from cm.wire.fleet import decode_answer, encode_step
+from cm.fleet.asking import get
+from cm.fleet.change.asks import Ask
+from cm.messages.fleet import FleetRecord
+from cm.wire.fleet import decode_answer
+from cm.wire.fleet_records import encode_step
 
 _TIMEOUT = 5.0
 
@@ -21,16 +25,18 @@ class Network:
         self._board = board
         self._session = session
 
-    async def asked(self, seat: str, change: str, caller: str) -> FleetRecord | None:  # noqa: ARG002
-        """The seat's record, asked for in this board's own name; None where it does not answer."""
-        return await asyncio.to_thread(self._ask, names.command_key(seat, "settle", self._board), change)
+    async def ask(self, asks: Sequence[Ask]) -> dict[str, FleetRecord]:
+        """Asked at once, in this board's own name; who does not answer with a record is left out."""
+        answers = await asyncio.gather(*map(self._ask, asks))
+        return {ask.board: record for ask, record in zip(asks, answers, strict=True) if record is not None}
 
-    def _ask(self, key: str, change: str) -> FleetRecord | None:
-        for reply in self._session.get(key, payload=encode_step(FleetStep(change)), timeout=_TIMEOUT):
-            if reply.ok is not None:
-                try:
-                    answer = decode_answer(bytes(reply.ok.payload))
-                except InvalidRequest:
-                    return None
-                return answer if isinstance(answer, FleetRecord) else None
+    async def _ask(self, ask: Ask) -> FleetRecord | None:
+        key = names.command_key(ask.board, ask.verb.value, self._board)
+        for answer in await get(self._session, key, encode_step(ask.step), timeout=_TIMEOUT):
+            try:
+                found = decode_answer(answer.payload) if answer.error is None else None
+            except InvalidRequest:
+                return None
+            if isinstance(found, FleetRecord):
+                return found
         return None

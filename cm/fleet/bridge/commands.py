@@ -11,11 +11,13 @@ from cm.errors import Busy, CmError, NotFound
 from cm.fleet import names
 from cm.fleet.bridge.managed import ManagedBoard
 from cm.fleet.change import member
-from cm.fleet.change.participant import Participant, Unsettled
+from cm.fleet.change.participant import Participant
+from cm.fleet.change.given import Unsettled
 from cm.fleet.verbs import VERBS
 from cm.messages.fleet import BundleState, FetchBundle, FleetRecord, FleetStep
 from cm.messages.status import ErrorInfo
 from cm.wire import fleet as wire
+from cm.wire.fleet_records import decode_step
 
 MANY = 64  # commands that may be under way at once
 
@@ -58,11 +60,11 @@ class Commands:
             return (await self._relay.forward(frames, self._managed.guest(caller)))[1]
         if verb == "bundle":
             return wire.encode_answer(await self._bundles(wire.decode_fetch(message), caller))
-        return wire.encode_answer(await self._step(verb, wire.decode_step(message), caller))
+        return wire.encode_answer(await self._step(verb, decode_step(message), caller))
 
     async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetRecord:
-        if verb == "settle":  # whoever asks must not wait for what this board is at
-            return self._participant.settle(step.id)
+        if verb in ("settle", "vote"):  # whoever asks must not wait for what this board is at
+            return self._participant.settle(step) if verb == "settle" else self._participant.vote(step)
         async with self._one:
             if verb == "prepare":
                 return await self._participant.prepare(step, caller)

@@ -10,7 +10,7 @@ from pathlib import Path
 from cm.errors import InvalidRequest
 from cm.fleet.change import member
 from cm.messages.fleet import FleetRecord
-from cm.wire.fleet import decode_record, encode_record
+from cm.wire.fleet_records import decode_record, encode_record
 
 KEPT = 1000  # records that stay, for boards that were away for long and ask what was decided
 _LAST = "last"
@@ -27,7 +27,7 @@ class Records:
     def read(self, change: str) -> FleetRecord | None:
         """The record of a change; None where there is none, or it is not whole."""
         try:
-            return decode_record((self._folder / f"{change}.record").read_bytes())
+            return decode_record(self._path(change).read_bytes())
         except (FileNotFoundError, InvalidRequest):
             return None
 
@@ -40,7 +40,8 @@ class Records:
         own = record.state != member.OPEN
         if own and (self._last is None or self._last.id != record.id):  # first: a record that nobody finds is lost
             self._put(_LAST, record.id.encode())
-            self._forget()
+        if not self._path(record.id).exists():
+            self._forget(record.id if own or self._last is None else self._last.id)
         self._put(f"{record.id}.record", encode_record(record))
         if own:
             self._last = record
@@ -82,8 +83,12 @@ class Records:
         finally:
             os.close(folder)
 
-    def _forget(self) -> None:
-        """The oldest beyond those that stay."""
+    def _path(self, change: str) -> Path:
+        return self._folder / f"{change}.record"
+
+    def _forget(self, last: str) -> None:
+        """The oldest beyond those that stay; never the last that the board takes part in."""
         files = sorted(self._folder.glob("*.record"), key=lambda path: path.stat().st_mtime_ns)
         for path in files[:-KEPT]:
-            path.unlink(missing_ok=True)
+            if path != self._path(last):
+                path.unlink(missing_ok=True)

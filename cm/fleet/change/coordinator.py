@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The one who asks: from what boards answer to what they are asked next, and to the outcome. Pure.
 
-plan on all → prepare → apply → the decision, written down at the seat → told to all
+plan on all → prepare → apply → the decision, which most seats vote for → told to all
 
-Until the seat has the decision nobody stays in the new mode; afterwards everybody who can, does. Who hears nothing
-asks the seat. So it does not matter when the coordinator ends.
+Until most seats have voted to keep it nobody stays in the new mode; afterwards everybody who can, does. Who hears
+nothing asks the seats (`cm.fleet.change.seats`). So it does not matter when the coordinator ends.
 """
 
 from __future__ import annotations
@@ -13,26 +13,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from cm.fleet.change import member
+from cm.fleet.change import member, seats
+from cm.fleet.change.asks import Ask, Verb
 from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo
-
-
-class Verb(str, Enum):
-    """What a board is asked to do."""
-
-    PREPARE = "prepare"
-    APPLY = "apply"
-    DECIDE = "decide"
-
-
-@dataclass(frozen=True, slots=True)
-class Ask:
-    """A step for a board."""
-
-    board: str
-    verb: Verb
-    step: FleetStep
 
 
 class Phase(str, Enum):
@@ -40,7 +24,7 @@ class Phase(str, Enum):
 
     PREPARE = "prepare"
     APPLY = "apply"
-    SEAT = "seat"  # the decision is on its way to the seat
+    SEAT = "seat"  # the seats vote
     TELL = "tell"
     DONE = "done"
 
@@ -49,15 +33,15 @@ class Phase(str, Enum):
 class Outcome:
     """How a change ended.
 
-    `decision` is None where nobody knows: the seat went away with it. `records` are the boards' own words, `silent`
-    why nothing is known of the others.
+    `decision` is None where nobody knows: too many seats went away while they voted. `records` are the boards' own
+    words, `silent` why nothing is known of the others.
     """
 
     id: str
     decision: Decision | None
     records: Mapping[str, FleetRecord]
     silent: Mapping[str, ErrorInfo]
-    seat: str
+    seats: tuple[str, ...]
     causes: Mapping[str, ErrorInfo]  # what had gone wrong, and where, when it was decided
 
     @property
@@ -69,7 +53,7 @@ class Outcome:
 
 def _reason(record: FleetRecord) -> str:
     if record.decision is None:
-        return f"it is {record.state} and waits for the decision, which it asks {record.seat} for"
+        return f"it is {record.state} and waits for the decision, which it asks {', '.join(record.seats)} for"
     return record.error.message if record.error else f"it is {record.state}"
 
 
@@ -77,36 +61,46 @@ def _reason(record: FleetRecord) -> str:
 class Coordinator:
     """One change. Give it answers and silences; what it returns is to be asked."""
 
-    step: FleetStep  # of preparing; its members are asked, its seat is one of them
+    step: FleetStep  # of preparing; its members are asked, its seats vote
     phase: Phase = Phase.PREPARE
     decision: Decision | None = None
     records: dict[str, FleetRecord] = field(default_factory=dict)
     silent: dict[str, ErrorInfo] = field(default_factory=dict)
     refused: dict[str, ErrorInfo] = field(default_factory=dict)
     causes: dict[str, ErrorInfo] = field(default_factory=dict)
-    _waiting: set[str] = field(default_factory=set)
-    _keep_was_sent: bool = False
+    _waiting: dict[str, Ask] = field(default_factory=dict)
+    _votes: dict[str, FleetRecord] = field(default_factory=dict)
 
     def start(self) -> list[Ask]:
         """All are asked to prepare."""
         return self._ask(self.step.members, Verb.PREPARE)
 
-    def answered(self, board: str, answer: FleetRecord | ErrorInfo) -> list[Ask]:
+    def answered(self, ask: Ask, answer: FleetRecord | ErrorInfo) -> list[Ask]:
         """A board's answer; one that is late, or comes twice, changes nothing."""
-        if board not in self._waiting:
+        board = ask.board
+        if self._waiting.get(board) != ask:
             return []
         if isinstance(answer, ErrorInfo):
-            self.refused[board] = answer
+            if self.phase is not Phase.SEAT:  # a seat that takes no vote is at work for somebody else
+                self.refused[board] = answer
         else:
-            self.records[board] = answer
-            self.silent.pop(board, None)
+            self._take(board, answer)
         return self._went_on(board)
 
-    def heard_nothing(self, board: str, reason: ErrorInfo) -> list[Ask]:
-        """It vanished, or the time for its answer is over."""
-        if board not in self._waiting:
+    def _take(self, board: str, record: FleetRecord) -> None:
+        if self.phase is Phase.SEAT:
+            self._votes[board] = record
+        if board in self.step.members and record.state != member.OPEN:  # open: it has voted and took no other part
+            self.records[board] = record
+            self.silent.pop(board, None)
+
+    def heard_nothing(self, ask: Ask, reason: ErrorInfo) -> list[Ask]:
+        """The board vanished, or the time for its answer is over."""
+        board = ask.board
+        if self._waiting.get(board) != ask:
             return []
-        self.silent[board] = reason
+        if board in self.step.members:
+            self.silent[board] = reason
         return self._went_on(board)
 
     @property
@@ -120,24 +114,24 @@ class Coordinator:
         if self.decision is Decision.REVERT:  # who refused to prepare did nothing, and is where it was
             silent = {n: e for n, e in silent.items() if n not in self.refused or n in self.silent}
         known = {n: r for n, r in self.records.items() if n not in silent}
-        return Outcome(self.step.id, self.decision, known, silent, self.step.seat, dict(self.causes))
+        return Outcome(self.step.id, self.decision, known, silent, self.step.seats, dict(self.causes))
 
     # ---- the steps ------------------------------------------------------------------------
 
     def _ask(self, boards: Iterable[str], verb: Verb, keep: bool = False) -> list[Ask]:
         step = self.step if verb is Verb.PREPARE else _short(self.step, keep)
         asked = [Ask(board, verb, step) for board in boards]
-        self._waiting = {ask.board for ask in asked}
+        self._waiting = {ask.board: ask for ask in asked}
         return asked
 
     def _went_on(self, board: str) -> list[Ask]:
-        self._waiting.discard(board)
-        if self._waiting:
+        self._waiting.pop(board)
+        if self._waiting and not (self.phase is Phase.SEAT and self._voted() is not None):
             return []
         return {
             Phase.PREPARE: self._all_prepared,
             Phase.APPLY: self._all_applied,
-            Phase.SEAT: self._seat_answered,
+            Phase.SEAT: self._seats_voted,
             Phase.TELL: self._all_told,
         }[self.phase]()
 
@@ -146,7 +140,9 @@ class Coordinator:
 
     def _all_prepared(self) -> list[Ask]:
         ready = self._in(member.PREPARED)
-        if self.step.seat in self.silent or not self.step.policy.holds(len(self.step.members), len(ready)):
+        left = [seat for seat in self.step.seats if seat not in self.silent]
+        few = len(left) < seats.most(self.step.seats)
+        if few or not self.step.policy.holds(len(self.step.members), len(ready)):
             return self._decide(Decision.REVERT)
         self.phase = Phase.APPLY
         return self._ask(ready, Verb.APPLY)
@@ -157,38 +153,40 @@ class Coordinator:
         return self._decide(Decision.KEEP if enough else Decision.REVERT)
 
     def _decide(self, decision: Decision) -> list[Ask]:
-        self.phase = Phase.SEAT
-        self._keep_was_sent = decision is Decision.KEEP
         failed = {n: r.error for n, r in self.records.items() if r.error is not None}
         self.causes = {**failed, **self.refused, **self.silent}
-        return self._ask([self.step.seat], Verb.DECIDE, keep=self._keep_was_sent)
+        if decision is Decision.REVERT:  # nothing else can come of it: nobody but us would ask for votes to keep it
+            return self._tell(decision)
+        self.phase = Phase.SEAT
+        return self._ask(self.step.seats, Verb.VOTE, keep=True)
 
-    def _seat_answered(self) -> list[Ask]:
-        seat = self.step.seat
-        record = self.records.get(seat)
-        if seat not in self.silent and record is not None and record.decision is not None:
-            self.decision = record.decision
-        elif not self._keep_was_sent:  # nobody can have written "keep": the seat will say so too, when it is back
-            self.decision = Decision.REVERT
-        if self.decision is None:
-            self.phase = Phase.DONE
-            return []
-        self.phase = Phase.TELL
-        others = [name for name in self.step.members if name != seat and name not in self._untouched()]
-        return self._ask(others, Verb.DECIDE, keep=self.decision is Decision.KEEP) or self._all_told()
+    def _voted(self) -> Decision | None:
+        return seats.known(self._votes) or seats.counted(self._votes.values(), self.step.seats, 0)
+
+    def _seats_voted(self) -> list[Ask]:
+        decision = self._voted()
+        return self._all_told() if decision is None else self._tell(decision)
+
+    def _tell(self, decision: Decision) -> list[Ask]:
+        self.decision, self.phase = decision, Phase.TELL
+        untouched = self._untouched()
+        told = dict.fromkeys((*self.step.members, *self.step.seats) if self._votes else self.step.members)
+        asked = [name for name in told if name not in untouched]
+        return self._ask(asked, Verb.DECIDE, keep=decision is Decision.KEEP) or self._all_told()
 
     def _untouched(self) -> set[str]:
         """Who refused to prepare has no part in it."""
         return {name for name in self.refused if name not in self.records}
 
     def _all_told(self) -> list[Ask]:
+        self._waiting = {}
         self.phase = Phase.DONE
         return []
 
 
 def _short(step: FleetStep, keep: bool) -> FleetStep:
     """What is asked for later names the change; the board has the rest."""
-    return FleetStep(step.id, seat=step.seat, seconds=step.seconds, keep=keep)
+    return FleetStep(step.id, seats=step.seats, seconds=step.seconds, keep=keep)
 
 
 def first_step(
@@ -198,8 +196,8 @@ def first_step(
     mode: str,
     policy: Policy,
     seconds: float,
-    seat: str = "",
+    where: tuple[str, ...] = (),
 ) -> FleetStep:
-    """The step of preparing; without a seat it is the first board by name. `seconds` until a board asks the seat."""
+    """The step of preparing. `where`: its seats, else some of the boards. `seconds` until a board asks them."""
     members = tuple(sorted(boards))
-    return FleetStep(change, config, mode, seat or members[0], members, policy, seconds)
+    return FleetStep(change, config, mode, where or seats.chosen(members), members, policy, seconds)

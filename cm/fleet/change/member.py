@@ -14,7 +14,7 @@ from cm.errors import CmError
 from cm.messages.fleet import Decision, FleetRecord
 from cm.messages.status import ErrorInfo
 
-OPEN = "open"  # at the seat, of a change that it takes no part in itself: it holds the decision alone
+OPEN = "open"  # at a seat that takes no part in the change itself: it holds its vote, and the decision
 PREPARED, APPLYING, APPLIED, FAILED = "prepared", "applying", "applied", "failed"
 REVERTING, NEW, OLD, STUCK = "reverting", "new", "old", "stuck"
 
@@ -65,7 +65,7 @@ class Todo(str, Enum):
     NOTHING = "nothing"
     LOAD_NEW = "load_new"
     LOAD_OLD = "load_old"
-    ASK_SEAT = "ask_seat"
+    ASK_SEATS = "ask_seats"
 
 
 def after(record: FleetRecord, event: Event, error: ErrorInfo | None = None, seconds: float = 0.0) -> FleetRecord:
@@ -107,18 +107,5 @@ def todo(record: FleetRecord, now: float) -> Todo:
     if record.state == REVERTING:
         return Todo.LOAD_OLD
     if record.decision is None and now >= record.deadline:
-        return Todo.ASK_SEAT
+        return Todo.ASK_SEATS
     return Todo.NOTHING
-
-
-def asked_at_the_seat(record: FleetRecord | None, change: str, now: float) -> FleetRecord:
-    """The seat's record when a board asks what was decided.
-
-    The seat alone may decide without the coordinator, and only to go back: once the deadline is over, and of a change
-    that it knows nothing of, which it then refuses for ever.
-    """
-    if record is None:
-        return FleetRecord(change, OPEN, decision=Decision.REVERT)
-    if record.decision is None and now >= record.deadline:
-        return decided(record, Decision.REVERT)
-    return record

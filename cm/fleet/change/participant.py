@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board as a participant in changes of its fleet: its part is recorded on disk, and carried out by its manager.
+"""Where a board's part in changes of its fleet is kept and carried out: records on one side, the manager on the other.
 
 Both are given, so that every order of ends can be tried. Nothing is kept here between two calls but what the store
 has: whoever reads it after an end goes on from there.
@@ -7,70 +7,27 @@ has: whoever reads it after an end goes on from there.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Protocol
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 
 from cm.errors import Busy, CmError, InvalidRequest
-from cm.fleet.change import member
+from cm.fleet.change import member, seats
+from cm.fleet.change.asks import Ask, Verb
+from cm.fleet.change.given import Board, Clock, Others, Store, Unsettled
 from cm.fleet.change.member import Event, NotNow, Todo
 from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo
 
 
-class Unsettled(CmError):
-    """What became of a load is not known yet: the manager went away, or is still at it."""
-
-    code = "unsettled"
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """Where a change would lead, and what it would take."""
-
-    config_name: str
-    mode: str
-    seconds: float
-    bytes: int
-
-
-class Store(Protocol):
-    """Records on disk. `write` returns when a loss of power would not undo it."""
-
-    def read(self, change: str) -> FleetRecord | None: ...
-    def last(self) -> FleetRecord | None: ...
-    def write(self, record: FleetRecord) -> None: ...
-
-
-class Board(Protocol):
-    """The manager, asked in somebody's name. All raise CmError; `load` and `where` raise Unsettled."""
-
-    async def where(self) -> tuple[str, str]: ...
-    async def plan(self, config: str, mode: str, caller: str) -> Planned: ...
-    async def hold(self, record: FleetRecord) -> None: ...
-    async def release(self, record: FleetRecord) -> None: ...
-    async def load(self, config: str, mode: str, caller: str) -> float: ...
-
-
-class Seat(Protocol):
-    """The board that has the decision. None: it does not answer."""
-
-    async def asked(self, seat: str, change: str, caller: str) -> FleetRecord | None: ...
-
-
-class Clock(Protocol):
-    """CLOCK_REALTIME, seconds."""
-
-    def __call__(self) -> float: ...
-
-
 class Participant:
     """One board's. The caller sees to it that no two of prepare, apply, decide and go_on run at a time."""
 
-    def __init__(self, name: str, store: Store, board: Board, seat: Seat, now: Clock) -> None:
+    def __init__(self, name: str, store: Store, board: Board, others: Others, now: Clock) -> None:
         self._name = name
         self._store = store
         self._board = board
-        self._seat = seat
+        self._others = others
         self._now = now
 
     @property
@@ -85,10 +42,8 @@ class Participant:
 
         Raises Busy for a second change, and what the manager refuses with; then nothing was touched.
         """
-        known = self._store.read(step.id)
+        known = self._given_up(step.id)
         if known is not None:
-            if known.decision is not None:
-                raise NotNow(f"change {step.id} was decided already: {known.decision.value}")
             return known
         self._refuse_while_another()
         old_config, old_mode = await self._board.where()
@@ -105,51 +60,72 @@ class Participant:
             planned.mode,
             old_config,
             old_mode,
-            step.seat,
+            step.seats,
             plan_seconds=planned.seconds,
             plan_bytes=planned.bytes,
             caller=caller,
             members=step.members,
             policy=step.policy,
-            deadline=self._now() + step.seconds,
+            deadline=self._deadline(step),
         )
         await self._board.hold(record)
+        try:
+            self._given_up(step.id)  # meanwhile, by somebody who asked this board as a seat
+        except NotNow:
+            await self._board.release(record)
+            raise
         self._store.write(record)
         return record
+
+    def _given_up(self, change: str) -> FleetRecord | None:
+        """The record of a change that was prepared here before. Raises NotNow where the others ended it already."""
+        known = self._store.read(change)
+        if known is not None and known.decision is not None:
+            raise NotNow(f"change {change} was decided already: {known.decision.value}")
+        if known is not None and known.state == member.OPEN:
+            raise NotNow(f"change {change} came too late: other boards are ending it already")
+        return known
+
+    def _deadline(self, step: FleetStep) -> float:
+        """When this board asks the seats; those that are none later, so that few are at it at a time."""
+        return self._now() + step.seconds * (1.0 if self._name in step.seats else 1.5)
 
     def _refuse_while_another(self) -> None:
         last = self._store.last()
         if last is not None and not member.ended(last):
             raise Busy(
                 f"{self._name}: change {last.id} of {last.caller or 'somebody'} is {last.state} here; "
-                f"it ends by itself, or asks {last.seat} what was decided"
+                f"it ends by itself, or asks {', '.join(last.seats)} what was decided"
             )
 
     async def apply(self, step: FleetStep) -> FleetRecord:
         """Go to the new mode; the answer says whether the board is there. Raises NotNow."""
         record = self._known(step.id)
         before = record.state
-        record = replace(member.after(record, Event.APPLY), deadline=self._now() + step.seconds)
+        record = replace(member.after(record, Event.APPLY), deadline=self._deadline(step))
         self._store.write(record)
         return await self._work(record, begun=before == member.PREPARED)
 
     async def decide(self, step: FleetStep) -> FleetRecord:
-        """What was decided, to be written down and done; at the seat, the decision itself."""
-        record = self._store.read(step.id)
-        if record is None:
-            if step.seat != self._name:
-                raise NotNow(f"{self._name} took no part in change {step.id}")
-            record = FleetRecord(step.id, member.OPEN, seat=self._name)
-        before = record.state
-        record = member.decided(record, Decision.KEEP if step.keep else Decision.REVERT)
+        """What was decided, to be written down and done. Raises NotNow."""
+        known = self._store.read(step.id)
+        record = seats.told(known, step, self._name)
+        before = known.state if known else record.state
         self._store.write(record)
         return await self._work(record, begun=before not in (member.APPLYING, member.REVERTING))
 
-    def settle(self, change: str) -> FleetRecord:
-        """As the seat: what was decided, for a board that was not told. It never waits."""
-        known = self._store.read(change)
-        record = member.asked_at_the_seat(known, change, self._now())
-        if record != known:
+    def settle(self, step: FleetStep) -> FleetRecord:
+        """What is known here of a change; as a seat, the promise of a ballot. It never waits. Raises NotNow."""
+        known = self._store.read(step.id)
+        return self._kept(known, seats.promised(known, step.id, step.ballot), bool(step.ballot))
+
+    def vote(self, step: FleetStep) -> FleetRecord:
+        """As a seat: vote in a ballot. It never waits. Raises NotNow."""
+        known = self._store.read(step.id)
+        return self._kept(known, seats.voted(known, step), True)
+
+    def _kept(self, known: FleetRecord | None, record: FleetRecord, new: bool) -> FleetRecord:
+        if new and record != known:
             self._store.write(record)
         return record
 
@@ -169,17 +145,24 @@ class Participant:
         if member.ended(record):  # as the seat it may have ended without waiting, or somebody before us was killed
             await self._board.release(record)
             return
-        if member.todo(record, self._now()) is Todo.ASK_SEAT:
-            record = await self._ask_seat(record)
+        if member.todo(record, self._now()) is Todo.ASK_SEATS:
+            record = await self._asked_the_seats(record)
         await self._work(record, begun=False)
 
-    async def _ask_seat(self, record: FleetRecord) -> FleetRecord:
-        if record.seat == self._name:
-            return self.settle(record.id)
-        said = await self._seat.asked(record.seat, record.id, record.caller)
-        if said is None or said.decision is None:
-            return record
-        return self._changed(record.id, decision=said.decision)
+    async def _asked_the_seats(self, record: FleetRecord) -> FleetRecord:
+        decision = await seats.agreed(record.id, record.seats, self._ask)
+        if decision is None:
+            decision = seats.known(await self._others.ask(seats.who_may_know(record, self._name)))
+        return self._known(record.id) if decision is None else self._changed(record.id, decision=decision)
+
+    async def _ask(self, asks: Sequence[Ask]) -> dict[str, FleetRecord]:
+        """Other seats, and this board where it is one."""
+        answers = await self._others.ask([ask for ask in asks if ask.board != self._name])
+        for ask in asks:
+            if ask.board == self._name:
+                with suppress(NotNow):
+                    answers[ask.board] = self.vote(ask.step) if ask.verb is Verb.VOTE else self.settle(ask.step)
+        return answers
 
     async def _work(self, record: FleetRecord, begun: bool) -> FleetRecord:
         """Load as long as the record wants it. `begun`: no load can have been asked for before."""

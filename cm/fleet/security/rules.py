@@ -72,13 +72,13 @@ def _rule(flow: str, messages: Iterable[str], keys: Iterable[str]) -> dict[str, 
 
 def _board(member: Member) -> list[dict[str, Any]]:
     """It is what its name says and nothing else; what others ask for it reaches it, whatever the expression."""
-    own, settle = f"cm/{member.name}/**", f"cm/*/do/settle/{member.name}"
+    own, settle = f"cm/{member.name}/**", [f"cm/*/do/{verb}/{member.name}" for verb in ("settle", "vote")]
     return [
         _rule("ingress", ("put", "declare_queryable", "reply", "liveliness_token"), [own]),
-        _rule("ingress", ("query",), [settle, f"{BUNDLES}/**"]),
+        _rule("ingress", ("query",), [*settle, f"{BUNDLES}/**"]),
         _rule("ingress", ("liveliness_query",), [f"cm/{member.name}/alive"]),
         _rule("egress", ("query", "declare_subscriber"), ["cm/**"]),
-        _rule("egress", ("reply", "declare_queryable"), [settle, "cm/*/**", f"{BUNDLES}/**"]),
+        _rule("egress", ("reply", "declare_queryable"), [*settle, "cm/*/**", f"{BUNDLES}/**"]),
         _rule("egress", ("liveliness_token",), [f"cm/{member.name}/alive"]),
     ]
 

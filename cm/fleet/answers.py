@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What boards answered, as the client gives it to its callers: data, or the error of a board."""
+
+from __future__ import annotations
+
+from cm.errors import CmError, InvalidRequest
+from cm.fleet.asking import Answer
+from cm.messages.fleet import BundleState, FleetRecord, Policy
+from cm.messages.status import ErrorInfo, RegValues
+from cm.wire import fleet as wire
+from cm.wire.encode import decode_reply
+
+
+def policy(said: Policy | str) -> Policy:
+    """A policy by its name, as people spell it. Raises InvalidRequest."""
+    try:
+        return Policy(str(getattr(said, "value", said)).replace("-", "_").replace(" ", "_"))
+    except ValueError:
+        raise InvalidRequest(f"policy {said!r}: one of {', '.join(p.value for p in Policy)} is wanted") from None
+
+
+def registers(answer: Answer) -> RegValues | ErrorInfo:
+    """Values that were read back, or what refused them."""
+    if answer.error is not None:
+        return answer.error
+    reply = decode_reply([b"", answer.payload])
+    if reply.error is not None:
+        return reply.error
+    return reply.body if isinstance(reply.body, RegValues) else ErrorInfo("network", "no registers came back")
+
+
+def record(answer: Answer) -> FleetRecord | ErrorInfo:
+    """The answer to a step of a change."""
+    if answer.error is not None:
+        return answer.error
+    try:
+        found = wire.decode_answer(answer.payload)
+    except InvalidRequest as error:
+        return ErrorInfo(error.code, str(error))
+    return found if isinstance(found, (FleetRecord, ErrorInfo)) else ErrorInfo("network", "no record came back")
+
+
+def bundle(answer: Answer) -> BundleState | ErrorInfo:
+    """How far an archive came."""
+    if answer.error is not None:
+        return answer.error
+    try:
+        found = wire.decode_answer(answer.payload)
+    except CmError as error:
+        return ErrorInfo(error.code, str(error))
+    return found if isinstance(found, (BundleState, ErrorInfo)) else ErrorInfo("network", "no bundle came back")

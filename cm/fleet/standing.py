@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which boards are not where the last change of their fleet leads, by what they say of it. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from cm.fleet.change import member
+from cm.messages.fleet import BoardStatus, Decision, FleetRecord
+from cm.messages.status import ErrorInfo
+
+Statuses = Mapping[str, BoardStatus | ErrorInfo]
+
+
+def late(status: BoardStatus, record: FleetRecord) -> bool:
+    """Whether a change that has not ended here should have, by the board's own clock."""
+    return record.decision is not None or status.clock.now_ns / 1e9 >= record.deadline
+
+
+def difference(status: BoardStatus) -> str:
+    """What is open here of the last change, or why the board is not where it was decided; empty where all is well."""
+    record = status.fleet
+    if record is None or record.state == member.OPEN:
+        return ""
+    change = f"change {record.id}" + (f" of {record.caller}" if record.caller else "")
+    if record.decision is None and late(status, record):
+        return f"{change}: {record.state}, waits for {', '.join(record.seats)} to say what was decided"
+    if not member.ended(record):
+        return f"{change}: {record.state}"
+    if not member.differs(record) or _place(status) == _goal(record):
+        return ""
+    cause = f": {record.error.message}" if record.error is not None else ""
+    return f"{change} was to {record.decision.value if record.decision else '?'}, and is {record.state} here{cause}"
+
+
+def _place(status: BoardStatus) -> tuple[str, str]:
+    return status.status.config_name, status.status.mode
+
+
+def _goal(record: FleetRecord) -> tuple[str, str]:
+    kept = record.decision is Decision.KEEP
+    return (record.config_name, record.mode) if kept else (record.old_config_name, record.old_mode)
+
+
+def disagreeing(statuses: Statuses) -> dict[str, str]:
+    """Boards whose records of one change have different decisions, each with what the others have.
+
+    It takes a decision by hand (`cm fleet settle`), or seats that lost their records.
+    """
+    told: dict[str, dict[str, Decision]] = {}
+    for name, status in statuses.items():
+        record = status.fleet if isinstance(status, BoardStatus) else None
+        if record is not None and record.decision is not None:
+            told.setdefault(record.id, {})[name] = record.decision
+    return {
+        name: f"change {change} was decided differently: {_spelt(decisions)}"
+        for change, decisions in told.items()
+        if len(set(decisions.values())) > 1
+        for name in decisions
+    }
+
+
+def _spelt(decisions: Mapping[str, Decision]) -> str:
+    each = {d: [n for n, said in sorted(decisions.items()) if said is d] for d in Decision}
+    return "; ".join(f"{', '.join(names)}: {decision.value}" for decision, names in each.items())
