@@ -18,8 +18,8 @@ from cm.fleet import names
 from cm.fleet.bridge.commands import Commands
 from cm.fleet.change.asks import Ask
 from cm.fleet.change.coordinator import Outcome, first_step
-from cm.fleet.change.participant import Participant
 from cm.fleet.change.given import Planned, Unsettled
+from cm.fleet.change.participant import Participant
 from cm.fleet.changing import Course, carried_out
 from cm.fleet.recovering import recovered
 from cm.messages.fleet import Decision, FleetRecord, Policy
