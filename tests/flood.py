@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -47,6 +48,19 @@ def idle_connections(where: Path | tuple[str, int], count: int, processes: int) 
 def descriptors(pid: int) -> int:
     """How many a process has."""
     return sum(1 for _ in Path(f"/proc/{pid}/fd").iterdir())
+
+
+def watched_processes(pid: int) -> int:
+    """How many pidfds a process has: unlike sockets, which close when the other side's threads come to it."""
+    links = (Path(f"/proc/{pid}/fd") / one for one in os.listdir(f"/proc/{pid}/fd"))
+    return sum("[pidfd]" in _link(link) for link in links)
+
+
+def _link(path: Path) -> str:
+    try:
+        return os.readlink(path)
+    except FileNotFoundError:  # it was closed meanwhile
+        return ""
 
 
 def resident_mib(pid: int) -> float:

@@ -55,6 +55,7 @@ class Repository:
     def add(self, name: str, text: str = "one") -> Path:
         tree = self.folder / "build" / name
         (tree / "DEBIAN").mkdir(parents=True, exist_ok=True)
+        (tree / "DEBIAN").chmod(0o755)  # dpkg-deb insists, whatever the umask
         (tree / "DEBIAN/control").write_text(CONTROL.format(name=name))
         (tree / "DEBIAN/postinst").write_text("#!/bin/sh\ntouch /tmp/never-run\n")
         (tree / "DEBIAN/postinst").chmod(0o755)
