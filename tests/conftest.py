@@ -23,6 +23,10 @@ settings.load_profile("cm")
 # Nor do simulators that get no processor time; tests of silent ones say their own (seconds).
 os.environ.setdefault("CM_SIM_TIMEOUT", "60")
 
+# `make -j4 test` and `make -C folder test` tell the makes below them so; those that tests run are none of these.
+for _name in ("MAKEFLAGS", "MAKELEVEL", "MFLAGS"):
+    os.environ.pop(_name, None)
+
 
 def pytest_make_parametrize_id(config: pytest.Config, val: object) -> str | None:
     """Names that can be read and given back: pytest loses some with escaped characters among hundreds of others."""

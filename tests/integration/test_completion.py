@@ -35,7 +35,7 @@ def folder(tmp_path: Path, manager: Manager, board: cm.Board) -> Path:
     """A folder with a `cm` to run, and the scripts of all shells."""
     assert board.mode == "default"
     program = tmp_path / "cm"
-    program.write_text(f'#!/bin/sh\nexec {sys.executable} -m cm "$@"\n')
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m cm "$@"\n')
     program.chmod(0o755)
     for shell in ("bash", "zsh", "fish"):
         (tmp_path / f"cm.{shell}").write_text(script(shell))

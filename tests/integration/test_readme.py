@@ -31,7 +31,7 @@ def folder() -> Iterator[Path]:
         (made / ".venv/bin").mkdir(parents=True)
         (made / ".venv/bin/activate").write_text(f"PATH={made}/.venv/bin:$PATH\n")
         program = made / ".venv/bin/cm"
-        program.write_text(f'#!/bin/sh\nexec {sys.executable} -m cm "$@"\n')
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m cm "$@"\n')
         program.chmod(0o755)
         yield made
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import tarfile
@@ -56,7 +57,7 @@ def there(archive: Path, folder: Path) -> Path:
 
 
 def make(out: Path, *targets: str) -> None:
-    done = subprocess.run(["make", f"VIVADO={VIVADO}", *targets], cwd=out, capture_output=True, text=True, check=False)
+    done = subprocess.run(["make", f"VIVADO={shlex.quote(str(VIVADO))}", *targets], cwd=out, capture_output=True, text=True, check=False)
     logs = "".join(path.read_text() for path in (out / "logs").glob("*.log"))
     assert done.returncode == 0, done.stdout + done.stderr + logs
 

@@ -132,6 +132,14 @@ def test_the_command_runs_the_flow(out: Path, capsys: pytest.CaptureFixture) -> 
     assert len(calls(out)) == 12
 
 
+def test_a_vivado_in_a_folder_of_any_name_runs_the_flow(out: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "it's my $tools"
+    folder.mkdir()
+    (folder / "vivado").symlink_to(FAKE)
+    assert main(["build", "run", str(out.parent / "build.yaml"), "--vivado", str(folder / "vivado")]) == 0
+    assert len(calls(out)) == 12
+
+
 def test_without_a_generated_flow_there_is_nothing_to_run(tmp_path: Path) -> None:
     with pytest.raises(BuildError, match="run cm build generate first"):
         Flow(tmp_path)

@@ -239,9 +239,12 @@ def test_a_rauc_handler_imports_all_or_none(tmp_path: Path) -> None:
     bundle.mkdir()
     packed(tmp_path, {**GOOD, "notes.txt": b"new"}).rename(bundle / "a.tar.gz")
     (bundle / "b.tar.gz").write_bytes(b"cut off")
+    program = tmp_path / "cm"
+    program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m cm.cli.main "$@"\n')
+    program.chmod(0o755)
     environment = {
         **os.environ, "RAUC_BUNDLE_MOUNT_POINT": str(bundle), "CM_CONFIGS": str(out), "CM_RELOAD": "true",
-        "CM": f"{sys.executable} -m cm.cli.main", "PYTHONPATH": str(handler.parents[2]),
+        "CM": str(program), "PYTHONPATH": str(handler.parents[2]),
     }  # fmt: skip
     refused = subprocess.run([handler], env=environment, capture_output=True, text=True, check=False)
     assert refused.returncode == 1, refused.stderr

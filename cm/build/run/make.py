@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -73,12 +74,18 @@ def run_flow(folder: Path, vivado: Vivado, jobs: int, tell: Tell, modules: Seque
     progress = _Progress(flow, tell, len(todo))
     tell(f"{vivado}, {len(todo)} of {len(planned)} steps to run, {jobs} at once")
     targets = [f"stamps/{name}.done" for name in flow.ends_of(modules)] if modules else []
-    status = _make([make, f"-j{jobs}", "--no-print-directory", f"VIVADO={vivado.path}", *targets], folder, progress)
+    program = f"VIVADO={_word(vivado.path)}"
+    status = _make([make, f"-j{jobs}", "--no-print-directory", program, *targets], folder, progress)
     if progress.failed:
         raise StepFailed("\n".join(_failure(folder, name) for name in progress.failed))
     if status:
         raise StepFailed(f"make ended with status {status}")
     return planned
+
+
+def _word(path: Path) -> str:
+    """A path as a variable of make that a recipe gives to its shell as one word."""
+    return shlex.quote(str(path)).replace("$", "$$")
 
 
 def _make(command: list[str], folder: Path, progress: _Progress) -> int:

@@ -49,6 +49,10 @@ class Line:
         if not self._listeners:
             self._masked, self._pending = True, False
 
+    def drop_pending(self) -> None:
+        """An interrupt that came while the line was masked is forgotten, as when power is cut."""
+        self._pending = False
+
     def fire(self) -> None:
         """The device raises the line."""
         if self._masked:

@@ -110,6 +110,8 @@ class ControlNode:
 
     def _reset(self, order: Order) -> None:  # noqa: ARG002 - an order like the others
         self._machine.fabric.reset()
+        for line in self._machine.interrupts.lines:
+            line.drop_pending()
         self._machine.kick()
 
     def _trace(self, order: Order) -> None:
