@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -52,13 +51,12 @@ def descriptors(pid: int) -> int:
 
 def watched_processes(pid: int) -> int:
     """How many pidfds a process has: unlike sockets, which close when the other side's threads come to it."""
-    links = (Path(f"/proc/{pid}/fd") / one for one in os.listdir(f"/proc/{pid}/fd"))
-    return sum("[pidfd]" in _link(link) for link in links)
+    return sum("[pidfd]" in _link(link) for link in Path(f"/proc/{pid}/fd").iterdir())
 
 
 def _link(path: Path) -> str:
     try:
-        return os.readlink(path)
+        return str(path.readlink())
     except FileNotFoundError:  # it was closed meanwhile
         return ""
 

@@ -29,7 +29,11 @@ pytestmark = pytest.mark.skipif(
 @pytest.fixture(scope="module")
 def program() -> Path:
     out = REPOSITORY / "build" / "fastdds_peer"  # as `make demo-ros` has it
-    subprocess.run(["make", "-s", "-C", REPOSITORY / "ros2" / "fastdds_peer", "OUT=../../build/fastdds_peer"], check=True, timeout=300)
+    subprocess.run(
+        ["make", "-s", "-C", REPOSITORY / "ros2" / "fastdds_peer", "OUT=../../build/fastdds_peer"],
+        check=True,
+        timeout=300,
+    )
     return out / "peer"
 
 

@@ -58,7 +58,7 @@ class Turns:
             wait(loop, milliseconds)
 
         patch.setattr(Loop, "_wait", turn)
-        for name in ("read", "write"):
+        for name in ("read_address", "write_address"):
             patch.setattr(RegisterBus, name, self._counted(getattr(RegisterBus, name)))
 
     def _counted(self, access: Any) -> Any:

@@ -22,6 +22,7 @@ from PIL import Image
 from cm.cli.main import main
 
 WAIT = 60.0
+HERE = shlex.join(["cd", str(REPOSITORY)])
 SGR = re.compile(r"\x1b\[([\d;]*)m|(.)", re.DOTALL)
 
 
@@ -103,7 +104,7 @@ def cells(text: str) -> Any:
 def test_tmux_shows_the_frame_in_half_blocks_and_is_given_back_as_it_was(
     manager: Manager, frame: Any, tmux: Tmux
 ) -> None:
-    shell = f"cd {shlex.quote(str(REPOSITORY))}; echo before; {shlex.join(view(manager))}; echo after $?; exec sleep 600"
+    shell = f"{HERE}; echo before; {shlex.join(view(manager))}; echo after $?; exec sleep 600"
     tmux.do("new-session", "-d", "-x", "100", "-y", "31", shell)
     until(lambda: "(q ends)" in tmux.do("capture-pane", "-p"), WAIT)
     shown = cells(tmux.do("capture-pane", "-p", "-e"))
@@ -119,7 +120,7 @@ def test_tmux_shows_the_frame_in_half_blocks_and_is_given_back_as_it_was(
 
 @needs("tmux", "tmux")
 def test_a_picture_by_itself_stays_on_the_screen(manager: Manager, frame: Any, tmux: Tmux) -> None:
-    shell = f"cd {shlex.quote(str(REPOSITORY))}; {shlex.join(view(manager, '--count', '1'))}; echo after; exec sleep 600"
+    shell = f"{HERE}; {shlex.join(view(manager, '--count', '1'))}; echo after; exec sleep 600"
     tmux.do("new-session", "-d", "-x", "60", "-y", "40", shell)
     until(lambda: "after" in tmux.do("capture-pane", "-p"), WAIT)
     assert near(cells(tmux.do("capture-pane", "-p", "-e")), frame)

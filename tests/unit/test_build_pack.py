@@ -57,7 +57,8 @@ def there(archive: Path, folder: Path) -> Path:
 
 
 def make(out: Path, *targets: str) -> None:
-    done = subprocess.run(["make", f"VIVADO={shlex.quote(str(VIVADO))}", *targets], cwd=out, capture_output=True, text=True, check=False)
+    command = ["make", f"VIVADO={shlex.quote(str(VIVADO))}", *targets]
+    done = subprocess.run(command, cwd=out, capture_output=True, text=True, check=False)
     logs = "".join(path.read_text() for path in (out / "logs").glob("*.log"))
     assert done.returncode == 0, done.stdout + done.stderr + logs
 
