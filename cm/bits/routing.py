@@ -42,6 +42,16 @@ class Constant(NamedTuple):
     value: bool
 
 
+class _Switch(NamedTuple):
+    """A pip, and when it is on beside where its feature is: always; or while no other of its wire is, for what has
+    no bits or only such as are 0."""
+
+    pip: Pip
+    feature: str
+    always: bool
+    resting: bool
+
+
 Source = SitePin | BlockPin | ClockLine | Constant
 
 
@@ -53,7 +63,7 @@ class Routing:
         self._on: dict[str, set[str]] = {}
         for feature in features:
             self._on.setdefault(feature.tile, set()).add(feature.name)
-        self._into: dict[str, Mapping[str, list[Pip]]] = {}
+        self._into: dict[str, Mapping[str, list[_Switch]]] = {}
         self._made: dict[str, Mapping[str, tuple[SitePins, str]]] = {}
 
     def features(self, tile: str) -> set[str]:
@@ -94,39 +104,37 @@ class Routing:
         return None if made is None else SitePin(tile, made[0].type, made[0].x, made[1])
 
     def _driving(self, tile: str, wire: str) -> Iterator[Pip]:
-        kind = self._database.tiles[tile].kind
-        into = self._pips(kind).get(wire, ())
-        if not into:
-            return
-        on, free = self.features(tile), self._database.ppips(kind)
-        chosen = [pip for pip in into if pip.feature in on or free.get(pip.feature) == "always"]
-        yield from chosen or (
-            pip for pip in into if free.get(pip.feature) == "default" or self._is_zeros(kind, pip.feature)
-        )
+        into = self._pips(self._database.tiles[tile].kind).get(wire, ())
+        on = self.features(tile)
+        chosen = [one.pip for one in into if one.always or one.feature in on]
+        yield from chosen or (one.pip for one in into if one.resting)
 
-    def _is_zeros(self, kind: str, feature: str) -> bool:
-        """Whether all bits of a pip are 0: it is on where no other of its wire is."""
-        bits = self._database.segbits(kind).features.get(feature, ())
-        return bool(bits) and not any(bit.value for bit in bits)
-
-    def _pips(self, kind: str) -> Mapping[str, list[Pip]]:
+    def _pips(self, kind: str) -> Mapping[str, list[_Switch]]:
         if kind not in self._into:
-            found: dict[str, list[Pip]] = {}
+            found: dict[str, list[_Switch]] = {}
             for pip in self._wires.kind(kind).pips.values():
                 if not pip.pseudo:
-                    found.setdefault(pip.destination, []).append(pip)
+                    found.setdefault(pip.destination, []).append(self._switch(kind, pip))
             self._into[kind] = found
         return self._into[kind]
+
+    def _switch(self, kind: str, pip: Pip) -> _Switch:
+        feature = pip.feature
+        free = self._database.ppips(kind).get(feature)
+        bits = self._database.segbits(kind).features.get(feature, ())
+        zeros = bool(bits) and not any(bit.value for bit in bits)
+        return _Switch(pip, feature, free == "always", free == "default" or zeros)
 
     def _outputs(self, kind: str) -> Mapping[str, tuple[SitePins, str]]:
         """By wire; of slices, and of what else makes signals."""
         if kind not in self._made:
+            drives = _drives(self._wires, kind)
             self._made[kind] = {
                 wire: (site, pin)
                 for site in self._wires.kind(kind).sites
                 for pin, wire in site.pins.items()
                 if not site.type.startswith("SLICE") or pin in SLICE_OUTPUTS
-                if site.type.startswith("SLICE") or _drives(self._wires, kind, wire)
+                if site.type.startswith("SLICE") or wire in drives
             }
         return self._made[kind]
 
@@ -134,7 +142,7 @@ class Routing:
 SLICE_OUTPUTS = frozenset(f"{letter}{kind}" for letter in "ABCD" for kind in ("", "MUX", "Q")) | {"COUT"}
 
 
-def _drives(wires: Wires, kind: str, wire: str) -> bool:
-    """Whether a pin of another site is an output: real pips lead away from it, none to it."""
+def _drives(wires: Wires, kind: str) -> set[str]:
+    """The wires of a kind of tile that real pips lead away from, none to: outputs, where they are pins of a site."""
     pips = [pip for pip in wires.kind(kind).pips.values() if not pip.pseudo]
-    return any(pip.source == wire for pip in pips) and not any(pip.destination == wire for pip in pips)
+    return {pip.source for pip in pips} - {pip.destination for pip in pips}

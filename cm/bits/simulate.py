@@ -30,6 +30,7 @@ class Simulation:
         cells = self.netlist.cells
         self._stores = [cell for cell in cells if isinstance(cell, FlipFlop)]
         self._memories = [_Memory(cell, cell.init) for cell in cells if isinstance(cell, LutMemory)]
+        self._clocks = {net for cell in cells for net in needs(cell) if net.startswith("clock:")}
         self._order = _ordered(self.netlist)
         self.values |= {cell.output: cell.init for cell in self._stores}
         self.values |= {"0": False, "1": True}
@@ -40,14 +41,17 @@ class Simulation:
         self._settle()
 
     def clock(self) -> None:
-        """One cycle of all clocks."""
-        self._settle()
-        value = self._value
-        stores = {cell.output: _next(cell, value) for cell in self._stores}
-        memories = [_written(memory, value) for memory in self._memories]
-        self.values |= stores
-        for memory, state in zip(self._memories, memories, strict=True):
-            memory.state = state
+        """One cycle of all clocks: they rise, with what stood before, and fall with what has come of that."""
+        for level in (True, False):
+            self._settle()
+            value = self._value
+            stores = {cell.output: _next(cell, value) for cell in self._stores if cell.inverted != level}
+            clocked = [memory for memory in self._memories if memory.cell.inverted != level]
+            memories = [_written(memory, value) for memory in clocked]
+            self.values |= stores
+            for memory, state in zip(clocked, memories, strict=True):
+                memory.state = state
+            self.values |= dict.fromkeys(self._clocks, level)
         self._settle()
 
     def output(self, name: str) -> bool:

@@ -15,7 +15,7 @@ from cm.build.generate.netlist import Netlist
 from cm.build.openflow import images
 from cm.build.openflow.job import labels, module_job, pins_xdc, static_job
 from cm.build.openflow.layout import layouts
-from cm.build.openflow.merge import CLOCK, Side, module_features, static_features, strays, two_drivers
+from cm.build.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays, two_drivers
 from cm.build.openflow.netlists import MODULE_TOP, TOP, module_side, open_top, static_side
 from cm.build.openflow.place import SCRIPTS, Files, place_and_route, read_side, timing
 from cm.build.openflow.rules import refuse_open
@@ -69,6 +69,7 @@ class OpenFlow:
                 task.result()
         static = self._static()
         features = static_features(self.database, self.layouts.values(), static)
+        self._complete("the static part", left_out(self.database, static, features, self.database.tiles))
         with ThreadPoolExecutor(self.settings.jobs) as pool:
             runs = [pool.submit(self._module, one, static, features) for one in self.system.implementations]
             modules = {one.name: run.result() for one, run in zip(self.system.implementations, runs, strict=True)}
@@ -141,7 +142,15 @@ class OpenFlow:
             return told[:3] + [f"{what}: {-value:.2f} ns too long" for what, value in left.items() if value < 0]
 
         self._placed(files, job, "", judge, f"module {one.name}")
-        return module_features(self.database, layout, read_side(files, inputs, static=False))
+        side = read_side(files, inputs, static=False)
+        found = module_features(self.database, layout, side)
+        self._complete(f"module {one.name}", left_out(self.database, side, features | found, layout.tiles))
+        return found
+
+    @staticmethod
+    def _complete(what: str, missing: list[str]) -> None:
+        if missing:
+            raise BuildError(f"{what}: {missing[0]}")
 
     def _placed(self, files: Files, job: dict[str, object], xdc: str, judge: Judge, what: str) -> None:
         """Place and route with one seed after another, until nothing is wrong with what came out."""

@@ -14,6 +14,7 @@ from cm.build.plan.pins import Placement
 from cm.xray import Database, Tile, Wires
 
 Job = dict[str, Any]
+_LEAF = "HCLK_LEAF_CLK_"
 
 
 def static_job(database: Database, layouts: Sequence[Layout]) -> Job:
@@ -30,7 +31,7 @@ def module_job(database: Database, wires: Wires, layout: Layout, static: Routed,
     areas = {_harness(layout): _harness_places(layout), "module": [_at(tile) for tile in layout.logic_tiles]}
     bels = [*_anchor_bels([layout]), ["cm_clock_buffer", clock_buffer]]
     blocked = fence(database, wires, layout) | passing(database, wires, layout, static)
-    blocked |= other_lanes(database, wires, static)
+    blocked |= other_lanes(database, wires, layout, static)
     cells = [[_harness(layout), _harness(layout)], ["", "module"]]
     return {"bels": bels, "areas": areas, "cells": cells, "blocked": sorted(blocked)}
 
@@ -69,15 +70,21 @@ def passing(database: Database, wires: Wires, layout: Layout, static: Routed) ->
     return found
 
 
-def other_lanes(database: Database, wires: Wires, static: Routed) -> set[str]:
-    """Lanes into the rows of clocks that the static part's clock does not take: a module's clock comes as it does."""
-    used = {wire for net in static.nets.values() if net["driver"].endswith(CLOCK) for wire in net["wires"]}
+def other_lanes(database: Database, wires: Wires, layout: Layout, static: Routed) -> set[str]:
+    """Lanes into the rows of clocks, and leaves outside the region, that the static part's clock does not take.
+
+    A module's clock comes as it does: the frames in which those are switched are not the module's.
+    """
+    clocks = [net["wires"] for net in static.nets.values() if net["driver"].endswith(CLOCK)]
+    used = {name for net in clocks for wire, way in net.items() for name in (wire, way[0].rpartition("/")[0] if way else "")}
+    kinds = {"CLK_HROW_": "CLK_HROW_CK_MUX_OUT_", "HCLK_L": _LEAF, "HCLK_R": _LEAF}
     every = {
         f"{_at(tile)}/{wire}"
         for tile in database.tiles.values()
-        if tile.kind.startswith("CLK_HROW_")
+        for kind, start in kinds.items()
+        if tile.kind.startswith(kind) and tile.name not in layout.tiles
         for wire in wires.kind(tile.kind).wires
-        if wire.startswith("CLK_HROW_CK_MUX_OUT_")
+        if wire.startswith(start)
     }
     return every - used
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass
 
 from cm.build.openflow.layout import Anchor, Layout, site_kind
@@ -11,6 +11,7 @@ from cm.build.openflow.routed import PASSED, Routed, feature_of, tile_of
 from cm.xray import Database, Feature, Wires
 
 CLOCK = "cm_clock_buffer"
+_PASSING = ("INT_", "HCLK_")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +29,9 @@ def static_features(database: Database, layouts: Iterable[Layout], side: Side) -
     regions = list(layouts)
     inside = {name for layout in regions for name in layout.tiles}
     own = {feature for feature in side.features if feature.tile not in inside}
-    own |= {
-        feature for feature in side.features if feature.tile in inside and feature.tile.startswith("INT_")
-    } - dropped
+    # also leaves of the clock: a column of the static part may have its clock from the one beside it
+    passing = {feature for feature in side.features if feature.tile in inside and feature.tile.startswith(_PASSING)}
+    own |= passing - dropped
     own |= _through(database, side, inside)
     return frozenset(own | {f for layout in regions for f in _anchored(layout, side)})
 
@@ -75,6 +76,15 @@ def strays(database: Database, layout: Layout, side: Side, static: frozenset[Fea
             what = "the clock comes another way than in the static part" if clock else f"net {name} leaves the region"
             found.append(f"{what}: {feature}")
     return found
+
+
+def left_out(database: Database, side: Side, features: frozenset[Feature], tiles: Container[str]) -> list[str]:
+    """Sentences on switches in tiles that a side needs, and that are not among the features that it becomes."""
+    kept, _ = _pips(database, side.routed)
+    missing = sorted(
+        one for one in kept - features if one.tile in tiles and one in side.features and _has_bits(database, one)
+    )
+    return [f"{one} is needed, and is left out of the bitstream" for one in missing]
 
 
 def two_drivers(database: Database, features: Iterable[Feature]) -> list[str]:
