@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a flipped bit changes about nextpnr's routed design, by the meaning of the bit (UG474, UG953, nextpnr's fasm.cc).
+"""What a flipped bit changes about nextpnr's routed design, by what the bit means (UG474, UG953, its fasm.cc).
 
 Each function returns None where what the bit means then is not written anywhere.
 """
@@ -21,7 +21,7 @@ _MEMORIES = ("RAMD32", "SRL")
 
 @dataclass(frozen=True)
 class Change:
-    """What is different about the design. `pins`: the nets that a pin of a cell reads now, 1 where all are; of none 1."""
+    """What is different about the design. `pins`: the nets that a pin of a cell reads now, 1 where all are 1."""
 
     cells: Mapping[str, Cell] = field(default_factory=dict)
     pins: Mapping[Pin, tuple[int, ...]] = field(default_factory=dict)
@@ -115,7 +115,9 @@ def written(design: Design, tile: str, site: str, letter: str, what: str) -> Cha
     above = {"A": "BI", "B": "DI", "C": "DI"}[letter]  # what comes in place of the table's own pin
     if any(cell.kind.startswith("SRL") for cell in design.of_slice(tile, site, ("SRL",))):
         return None
-    return Change(pins={(cell.name, "DI1"): design.net_at(tile, f"{site}.{above}") for cell in own if "DI1" in cell.nets})
+    return Change(
+        pins={(cell.name, "DI1"): design.net_at(tile, f"{site}.{above}") for cell in own if "DI1" in cell.nets}
+    )
 
 
 def carry(design: Design, tile: str, site: str, what: str) -> Change | None:
@@ -163,7 +165,7 @@ def cut(design: Design, pip: str) -> Change | None:
 def joined(design: Design, pip: str, other: str) -> Change | None:
     """A second pip drives the wire of one in use: 0 wins."""
     nets = design.net_of(pip), design.beside(pip).get(other)
-    if None in nets or nets[0] == nets[1] or design.clock in nets:
+    if None in nets or nets[0] == nets[1] or design.clock in nets or nets[0] in design.beyond:
         return None
     return _behind(design, pip, nets)
 

@@ -86,9 +86,13 @@ class Design:
 
     def beside(self, pip: str) -> Mapping[str, int]:
         """The pips into the same wire whose source carries a net of the module, and its number."""
-        beyond = {cell.nets.get("Q") for cell in self.cells.values() if cell.outside}
         found = {other: self._numbers[net] for other, net in self._beside.get(pip, {}).items() if net in self._numbers}
-        return {other: net for other, net in found.items() if net not in beyond}
+        return {other: net for other, net in found.items() if net not in self.beyond}
+
+    @cached_property
+    def beyond(self) -> frozenset[int | None]:
+        """The nets that come from beyond the anchors."""
+        return frozenset(cell.nets.get("Q") for cell in self.cells.values() if cell.outside)
 
     def behind(self, pip: str) -> frozenset[Pin]:
         """The pins that a net comes to through a pip."""

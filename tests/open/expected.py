@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import signal
 import subprocess
-from graphlib import CycleError, TopologicalSorter
 from collections.abc import Iterator, Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 from changes import Change

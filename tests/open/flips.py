@@ -20,7 +20,10 @@ from cm.bits import Simulation, extract
 from cm.xray import Feature, Tile, Wires, bits_of, decode, tiles_with_bits
 
 BATCH = 25  # designs in one run of Icarus
-TURNS = "table register pip control join table pip memory register pip control join carry pip table multiplexer".split()
+TURNS = [
+    *("table", "register", "pip", "control", "join", "table", "pip", "memory"),
+    *("register", "pip", "control", "join", "carry", "pip", "table", "multiplexer"),
+]
 _CONTROLS = ("FFSYNC", "LATCH", "CLKINV", "CEUSEDMUX", "SRUSEDMUX")
 
 

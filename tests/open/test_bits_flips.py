@@ -32,7 +32,7 @@ def test_flipped_bits_do_what_the_routed_design_says(
         if any(value not in (-1, found) for value, found in zip(wanted, flips.found(flip), strict=True)):
             wrong.append(f"{flip.kind} {flip.name} (bit {flip.bit})")
     with capsys.disabled():
-        print(f"\n{COUNT} flips, seed {SEED}: how many, how many of them seen from outside, how many the models leave open")
+        print(f"\n{COUNT} flips, seed {SEED}: how many, how many seen from outside, how many the models leave open")
         for kind, count in sorted(every.items()):
             print(f"  {kind:18} {count:4} {seen[kind]:4} {unknown[kind]:4}")
         print(f"  {'all':18} {COUNT:4} {seen.total():4} {unknown.total():4}")

@@ -76,7 +76,9 @@ def other_lanes(database: Database, wires: Wires, layout: Layout, static: Routed
     A module's clock comes as it does: the frames in which those are switched are not the module's.
     """
     clocks = [net["wires"] for net in static.nets.values() if net["driver"].endswith(CLOCK)]
-    used = {name for net in clocks for wire, way in net.items() for name in (wire, way[0].rpartition("/")[0] if way else "")}
+    used = {
+        name for net in clocks for wire, way in net.items() for name in (wire, way[0].rpartition("/")[0] if way else "")
+    }
     kinds = {"CLK_HROW_": "CLK_HROW_CK_MUX_OUT_", "HCLK_L": _LEAF, "HCLK_R": _LEAF}
     every = {
         f"{_at(tile)}/{wire}"
