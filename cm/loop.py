@@ -54,6 +54,7 @@ class Loop:
         self._order = itertools.count()  # timers of the same time are served as they were set
         self._calls: deque[Callback] = deque()
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._woken = False
         self._thread: int | None = None
         self._stopping = False
         self.add(self._wake, self._drain_wake)
@@ -63,7 +64,9 @@ class Loop:
     def call_threadsafe(self, callback: Callback) -> None:
         """Call in the loop's thread, soon."""
         self._calls.append(callback)
-        os.eventfd_write(self._wake, 1)
+        if not self._woken:  # else it has not looked yet
+            self._woken = True
+            os.eventfd_write(self._wake, 1)
 
     def ask(self, call: Callable[[], _T], timeout: float = 10.0) -> _T:
         """Call in the loop's thread and return what that returned, or raise what it raised.
@@ -218,6 +221,7 @@ class Loop:
     def _drain_wake(self) -> None:
         with suppress(BlockingIOError):
             os.eventfd_read(self._wake)
+        self._woken = False  # after it was read, and before calls are made: none is without a waking or a call
 
 
 def _fulfil(answer: Future[_T], call: Callable[[], _T]) -> None:

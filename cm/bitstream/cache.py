@@ -29,8 +29,8 @@ class Inspected:
     report: Report
 
 
-def _state(descriptor: int) -> InodeState:
-    found = os.fstat(descriptor)
+def _state(file: int | Path) -> InodeState:
+    found = os.stat(file)  # noqa: PTH116 (of a descriptor, too)
     return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
 
 
@@ -47,12 +47,15 @@ class ReportCache:
 
         Raises what `cm.bitstream.inspect` raises.
         """
-        with path.open("rb") as file:
-            digest = self._by_inode.get(_state(file.fileno()), "")
-            if digest in self._by_hash:
-                self._by_hash.move_to_end(digest)
-                return self._by_hash[digest]
-        return self.read(path).report
+        return self.known(path) or self.read(path).report
+
+    def known(self, path: Path) -> Report | None:
+        """The report of a file that was inspected before and did not change since; raises OSError."""
+        digest = self._by_inode.get(_state(path), "")
+        report = self._by_hash.get(digest)
+        if report is not None:
+            self._by_hash.move_to_end(digest)
+        return report
 
     def read(self, path: Path) -> Inspected:
         """Return the file's bytes with their report: what is loaded is then what was inspected."""

@@ -161,7 +161,7 @@ class Handlers:
             held = status.leases, status.streams, self._s.streams.allocated()
             status = replace(status, clients=with_holdings(self._s.connections.budgets.snapshot(), *held))
         respond(Reply(status))
-        self._s.manager.status_read()
+        self._s.manager.reporter.was_read()
 
     def _read_config(self, request: rq.ReadConfig, respond: Respond) -> None:
         info = self._s.manager.describe(request.config_name, self._s.interrupts.counts)

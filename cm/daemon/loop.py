@@ -13,6 +13,7 @@ nothing more, and again after everything that was sent on it from elsewhere: by 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,11 +26,15 @@ from cm import multipart
 from cm.loop import Callback, Timer
 from cm.loop import Loop as EventLoop
 
-__all__ = ["Callback", "Loop", "Timer"]
+__all__ = ["Callback", "Loop", "Timer", "XpubSender"]
 
 _LOG = logging.getLogger(__name__)
 _POLLIN = int(zmq.POLLIN)  # arithmetic on the enumeration costs more than the call
 _TURNS = 16  # requests that one socket may have served before others get their turn
+# libzmq's thread takes short messages off a queue in no time, once it has a processor: seconds to give it.
+_PAUSES = (0.0001, 0.0005, 0.002, 0.01)
+_HOPELESS = 1.0  # seconds for which a queue that stayed full is not waited for again
+_NODROP, _NOBLOCK = int(zmq.XPUB_NODROP), int(zmq.NOBLOCK)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,3 +99,47 @@ class Loop(EventLoop):
 
     def _failed(self, error: Exception) -> None:
         _LOG.error("a callback failed", exc_info=error)
+
+
+class XpubSender:
+    """Sends what is published. The loop's thread.
+
+    The socket has ZMQ_XPUB_NODROP: it says when a subscriber's queue is full, which it does not otherwise, and the
+    message is sent again without, so that all others get it.
+    """
+
+    def __init__(self, loop: Loop, socket: zmq.Socket[bytes]) -> None:
+        self._loop = loop
+        self._socket = socket
+        self._hopeless_until = 0.0
+
+    def send(self, message: Sequence[Any]) -> None:
+        """Send a short message. Only a subscriber that has left its queue full for a while does not get it."""
+        for pause in _PAUSES:
+            try:
+                self._loop.send(self._socket, message, _NOBLOCK)
+                return
+            except zmq.Again:
+                if time.monotonic() < self._hopeless_until:
+                    break
+                time.sleep(pause)  # there is no event to wait for: one subscriber's queue is none to poll
+        else:
+            self._hopeless_until = time.monotonic() + _HOPELESS
+        self._send_to_all(message)
+
+    def send_frame(self, message: Sequence[Any]) -> bool:
+        """Send a frame; False if a subscriber does not get it, because as much as may wait for it already does."""
+        try:
+            self._loop.send(self._socket, message, _NOBLOCK)
+        except zmq.Again:
+            self._send_to_all(message)
+            return False
+        return True
+
+    def _send_to_all(self, message: Sequence[Any]) -> None:
+        """To all that have room; the others lose it."""
+        self._socket.setsockopt(_NODROP, 0)
+        try:
+            self._loop.send(self._socket, message, _NOBLOCK)
+        finally:
+            self._socket.setsockopt(_NODROP, 1)

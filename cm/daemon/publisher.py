@@ -1,79 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the manager tells: status, registers, interrupts and frames on the XPUB socket.
-
-The socket has ZMQ_XPUB_NODROP: it says when a subscriber's queue is full, which it does not otherwise, and the
-message is sent again without, so that all others get it.
-"""
+"""What the manager tells: status, registers, interrupts and frames on the XPUB socket."""
 
 from __future__ import annotations
 
+import logging
 import os
+import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from typing import Any, Protocol
 
 import zmq
 from zmq import zmq_poll
 
 from cm._version import __version__
-from cm.daemon.loop import Loop
+from cm.daemon.loop import Loop, XpubSender
 from cm.daemon.streams.compression import Compressor, compressions
 from cm.daemon.streams.stream import Frame
-from cm.messages.status import FrameInfo, Irq, LeaseStatus, RegValues, SensorStatus, Status, StreamStatus
+from cm.messages.status import ErrorInfo, FrameInfo, Irq, RegValues, SensorStatus, Status
 from cm.native import guard
 from cm.wire import encode, topics
 
-# libzmq's thread takes short messages off a queue in no time, once it has a processor: seconds to give it.
-_PAUSES = (0.0001, 0.0005, 0.002, 0.01)
-_HOPELESS = 1.0  # seconds for which a queue that stayed full is not waited for again
-
-_NODROP, _NOBLOCK = int(zmq.XPUB_NODROP), int(zmq.NOBLOCK)
+_LOG = logging.getLogger("cm")
 _AT_ONCE = 32  # subscriptions that are taken before others get their turn
 TOPICS_EACH, TOPICS_ALL = 64 << 10, 1 << 20  # bytes of the topics of one connection, and of all
 _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
-
-
-class XpubSender:
-    """Sends what is published. The loop's thread."""
-
-    def __init__(self, loop: Loop, socket: zmq.Socket[bytes]) -> None:
-        self._loop = loop
-        self._socket = socket
-        self._hopeless_until = 0.0
-
-    def send(self, message: Sequence[Any]) -> None:
-        """Send a short message. Only a subscriber that has left its queue full for a while does not get it."""
-        for pause in _PAUSES:
-            try:
-                self._loop.send(self._socket, message, _NOBLOCK)
-                return
-            except zmq.Again:
-                if time.monotonic() < self._hopeless_until:
-                    break
-                time.sleep(pause)  # there is no event to wait for: one subscriber's queue is none to poll
-        else:
-            self._hopeless_until = time.monotonic() + _HOPELESS
-        self._send_to_all(message)
-
-    def send_frame(self, message: Sequence[Any]) -> bool:
-        """Send a frame; False if a subscriber does not get it, because as much as may wait for it already does."""
-        try:
-            self._loop.send(self._socket, message, _NOBLOCK)
-        except zmq.Again:
-            self._send_to_all(message)
-            return False
-        return True
-
-    def _send_to_all(self, message: Sequence[Any]) -> None:
-        """To all that have room; the others lose it."""
-        self._socket.setsockopt(_NODROP, 0)
-        try:
-            self._loop.send(self._socket, message, _NOBLOCK)
-        finally:
-            self._socket.setsockopt(_NODROP, 1)
 
 
 class Wires(Protocol):
@@ -131,7 +84,9 @@ class Subscriptions:
     def covers(self, topic: bytes, least: int = 0) -> bool:
         """Whether one of `least` bytes or more is a prefix of a topic; as long as that, however many there are."""
         owners = self._owners
-        return bool(owners) and any(topic[:length] in owners for length in range(least, len(topic) + 1))
+        if topic in owners or not owners:
+            return bool(owners)
+        return any(topic[:length] in owners for length in range(least, len(topic)))
 
 
 class Publisher:
@@ -146,6 +101,8 @@ class Publisher:
         self._subscriptions = Subscriptions(wires)
         self._overruns: Counter[str] = Counter()
         self._started_ns = time.time_ns()
+        self._counting = threading.Lock()
+        self._last_logged = ""
         self._sensors: tuple[SensorStatus, ...] = ()
         self.sequence = 0
 
@@ -186,19 +143,16 @@ class Publisher:
         """What the board's sensors say now; told with the statuses from here on. Any thread."""
         self._sensors = sensors
 
-    def complete(self, status: Status, streams: tuple[StreamStatus, ...], leases: tuple[LeaseStatus, ...]) -> Status:
-        """A status with what only the daemon knows."""
-        return replace(
-            status,
-            streams=streams,
-            leases=leases,
-            sequence=self.sequence,
-            version=__version__,
-            started_ns=self._started_ns,
-            board=self._board,
-            realtime_offset_ns=time.time_ns() - time.monotonic_ns(),
-            sensors=self._sensors,
-        )
+    def beside(self) -> dict[str, Any]:
+        """What of a status only the daemon knows, but for streams and leases."""
+        return {
+            "sequence": self.sequence,
+            "version": __version__,
+            "started_ns": self._started_ns,
+            "board": self._board,
+            "realtime_offset_ns": time.time_ns() - time.monotonic_ns(),
+            "sensors": self._sensors,
+        }
 
     def status(self, make: Callable[[], Status]) -> bool:
         """Publish a status under a new number; False if none is made, as no one subscribes to it.
@@ -206,11 +160,29 @@ class Publisher:
         A change tells a dozen, each of which takes longer to make and encode than the step that it tells of.
         Who subscribes gets one at once, so nothing is missed; the number counts all the same.
         """
-        self.sequence += 1
-        if not self.has_subscriber(topics.STATUS):
+        if self.passes_over():
             return False
+        self._count()
         self._sender.send(encode.encode_status(make()))
         return True
+
+    def passes_over(self) -> bool:
+        """Count a status that no one subscribes to; False where someone does. Any thread."""
+        if self.has_subscriber(topics.STATUS):
+            return False
+        self._count()
+        return True
+
+    def _count(self) -> None:
+        with self._counting:
+            self.sequence += 1
+
+    def log(self, error: ErrorInfo | None, change: int) -> None:
+        """The error of a status, once, however often it is told; `change`: the last one's number."""
+        text = f"{error.code}: {error.message}" if error else ""
+        if error and text != self._last_logged:
+            _LOG.warning("%s", text, extra={"cm_code": error.code, "cm_change": change or None})
+        self._last_logged = text
 
     def registers(self, values: RegValues) -> None:
         """Publish changed registers, where anyone subscribes to them, or may: unlike a status, they are told once."""

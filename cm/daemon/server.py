@@ -40,6 +40,7 @@ from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
 from cm.manager.access.leases import Leases
 from cm.manager.manager import Environment, Manager
+from cm.manager.reporting.status import Moment
 from cm.manager.state.journal import Journal
 from cm.messages.requests import ChangeMode
 from cm.messages.status import ErrorInfo, RegValues, Status
@@ -90,10 +91,9 @@ class Server:
         self._dispatcher = self._make_dispatcher()
         self._metrics = Metrics(self._services(), self._dispatcher)
         self._sensors = SensorWatch(options.root, self._publisher.measured)
-        self._statuses: deque[Status] = deque()
+        self._statuses: deque[Moment] = deque()
         self._service = ServiceManager()
         self._reloader = self._make_reloader()
-        self._last_logged = ""
 
     def _configs(self) -> dict[str, Config]:
         self._provisioner.recover()
@@ -201,8 +201,13 @@ class Server:
 
     def status_changed(self) -> None:
         """Every status is told, in order, even if the next follows at once."""
-        self._statuses.append(self._manager.status())
+        self._statuses.append(self._manager.reporter.moment())
         self._loop.call_threadsafe(self._flush_statuses)
+
+    def progressed(self) -> None:
+        """Most statuses of a change say no more than that: where no one subscribes, they are counted and not made."""
+        if not self._publisher.passes_over():
+            self.status_changed()
 
     def registers_changed(self, values: RegValues) -> None:
         """Registers are written in the loop's thread only."""
@@ -210,31 +215,24 @@ class Server:
 
     def _flush_statuses(self) -> None:
         while self._statuses:
-            status = self._statuses.popleft()
-            if not status.fpga_busy:
+            moment = self._statuses.popleft()
+            if not moment.running:
                 self._watch_interrupts()
-            if self._publisher.status(partial(self._status, status)):
-                self._manager.status_read()
-            self._log_error(status.last_error, status.last_change)
+            if self._publisher.status(partial(self._status, moment)):
+                self._manager.reporter.was_read()
+            self._publisher.log(moment.error, moment.last[0])
 
     def _watch_interrupts(self) -> None:
         config = self._manager.loaded_config()
         if self._interrupts.incomplete or config is not self._interrupts.config:
             self._interrupts.watch(config)
 
-    def _log_error(self, error: ErrorInfo | None, change: int) -> None:
-        """Each error once, however often its status is published."""
-        text = f"{error.code}: {error.message}" if error else ""
-        if error and text != self._last_logged:
-            _LOG.warning("%s", text, extra={"cm_code": error.code, "cm_change": change or None})
-        self._last_logged = text
-
     def _note_error(self, error: ErrorInfo) -> None:
         self._manager.note_error(error)
 
-    def _status(self, status: Status | None = None) -> Status:
+    def _status(self, moment: Moment | None = None) -> Status:
         streams, leases = self._streams.status(), self._manager.leases.told()
-        return self._publisher.complete(status or self._manager.status(), streams, leases)
+        return self._manager.status(moment, streams=streams, leases=leases, **self._publisher.beside())
 
     # ---- regular work ---------------------------------------------------------------------
 

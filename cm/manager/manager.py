@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import Any
 
 from cm.manager.access.leases import Leases, leases_concerned
 from cm.manager.access.memory_service import MemoryService
@@ -23,7 +24,7 @@ from cm.manager.planning import goals
 from cm.manager.planning.goals import Goal
 from cm.manager.recovery.startup import destination, is_whole, repair, take_stock
 from cm.manager.reporting.descriptions import config_info
-from cm.manager.reporting.status import StatusReporter
+from cm.manager.reporting.status import Moment, StatusReporter
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.record import Pending
 from cm.manager.state.table import BoardState, slept
@@ -46,9 +47,9 @@ class Manager:
         self._loaders = Loaders(env.devices, env.files, env.time, env.settings.prefetch_bytes)
         self.registers = RegisterService(state, self._bus, self.leases)
         self.memories = MemoryService(state, self.registers, self._bus, self.leases)
-        self._reporter = StatusReporter(state, env.observer)
+        self.reporter = StatusReporter(state, env.observer)
         self._tools = Tools(
-            state, self._reporter, env.devices, self._bus, self._loaders, env.files, env.data_plane, env.time
+            state, self.reporter, env.devices, self._bus, self._loaders, env.files, env.data_plane, env.time
         )
         self._worker = Worker(self._tools, self.leases, prefetches=env.settings.prefetch_bytes > 0)
 
@@ -78,11 +79,11 @@ class Manager:
         """Compare record and board (again). Called before the worker starts, or when it is idle."""
         finding = take_stock(self._state, self._env.devices, self._bus)
         if finding.notes:
-            self._reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
+            self.reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
         self._repair(finding.interrupted)
         self._env.data_plane.resume(self.loaded_config(), self.state.mode, self.state.modules)
-        self._reporter.note(self._state.try_record())  # a disk that is full is no reason not to serve
-        self._reporter.changed()
+        self.reporter.note(self._state.try_record())  # a disk that is full is no reason not to serve
+        self.reporter.changed()
         return finding.notes
 
     def _repair(self, interrupted: Pending | None) -> None:
@@ -116,20 +117,20 @@ class Manager:
         there = destination(before, None, self.configs)
         self._bus.forget(lost=False)
         self._state.update(slept)
-        self._reporter.set_notice(ErrorInfo("slept", "the machine slept: what the PL held is loaded again"))
-        self._reporter.note(self._state.try_record())
+        self.reporter.set_notice(ErrorInfo("slept", "the machine slept: what the PL held is loaded again"))
+        self.reporter.note(self._state.try_record())
         if there is not None:
             static = before.static_config if before.static_config in self.configs else None
             self._worker.add(Change(self._state.next_number(), there.config.name, there.mode, static=static))
-        self._reporter.changed()
+        self.reporter.changed()
 
     def board_lost(self, error: Exception) -> None:
         """The board does not answer any more: nothing is known of it."""
         with self._state.lock:
             self._loaders.forget()
             self._bus.forget(lost=True)
-            self._reporter.set_error(ErrorInfo("device_gone", f"the board does not answer: {error}"), failed=True)
-        self._reporter.changed()
+            self.reporter.set_error(ErrorInfo("device_gone", f"the board does not answer: {error}"), failed=True)
+        self.reporter.changed()
 
     def stop(self) -> None:
         """End after the running change; queued ones are refused as cancelled."""
@@ -148,7 +149,7 @@ class Manager:
             self._state.update(lambda state: replace(state, mode=None))  # it is in none of the modes that there are now
         if self.state.config == config.name and not self._worker.busy:
             self._env.data_plane.resume(config, self.state.mode, self.state.modules)
-        self._reporter.changed()
+        self.reporter.changed()
 
     def forget_config(self, name: str) -> None:
         """Make a configuration unknown. Raises ChangeBusy while it is in use."""
@@ -156,7 +157,7 @@ class Manager:
             raise ChangeBusy(f"configuration {name!r} is in use")
         self._env.files.forget(name)
         self._state.forget_config(name)
-        self._reporter.changed()
+        self.reporter.changed()
 
     def in_use(self, name: str) -> bool:
         """Whether a configuration is loaded, or a change runs or waits that may need it."""
@@ -172,13 +173,9 @@ class Manager:
         """The configuration that is loaded."""
         return self._state.loaded_config()
 
-    def status_read(self) -> None:
-        """A client has been told the status: what was found out at start need not be told for ever."""
-        self._reporter.was_read()
-
-    def status(self) -> Status:
-        """As it is told; streams, sequence and version are the daemon's to add."""
-        return self._reporter.status()
+    def status(self, moment: Moment | None = None, **beside: Any) -> Status:
+        """The state as it is told, of a moment or of now, with what is the daemon's: streams, sequence, version."""
+        return self.reporter.status(moment, **beside)
 
     def describe(self, name: str, counts: Mapping[str, int]) -> ConfigInfo:
         """A configuration, with its schema's text; the loaded one if `name` is empty."""
@@ -241,9 +238,9 @@ class Manager:
 
     def flush(self) -> None:
         """Record register values that were written since the last record."""
-        self._reporter.note(self._state.flush())
+        self.reporter.note(self._state.flush())
 
     def note_error(self, error: ErrorInfo) -> None:
         """Tell an error of a request that has no reply."""
-        self._reporter.set_error(error)
-        self._reporter.changed()
+        self.reporter.set_error(error)
+        self.reporter.changed()

@@ -4,14 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import lru_cache
+from typing import Any
 
 from cm.messages import status as st
 from cm.wire import cm_pb2 as pb
 from cm.wire import holders
 
 _PR_MODES = tuple(st.PrMode)  # in the order of the enum PrMode of cm.proto
-_PR_NAMES = {mode: pb.PrMode.Name(number) for number, mode in enumerate(_PR_MODES)}
+_PR_NUMBERS: dict[st.PrMode, Any] = {mode: number for number, mode in enumerate(_PR_MODES)}
 
 
 def error_to_pb(error: st.ErrorInfo) -> pb.Error:
@@ -23,42 +23,84 @@ def error_from_pb(m: pb.Error) -> st.ErrorInfo:
 
 
 def status_to_pb(s: st.Status) -> pb.Status:
+    return pb.Status.FromString(encoded_status(s))
+
+
+def encoded_status(s: st.Status) -> bytes:
+    """A status' message: two of them behind each other are one that has the fields of both."""
     message = pb.Status(
         config_name=s.config_name,
         mode=s.mode,
         fpga_busy=s.fpga_busy,
-        pr_mode=_PR_NAMES[s.pr_mode],
+        pr_mode=_PR_NUMBERS[s.pr_mode],
         sequence=s.sequence,
-        regions=[pb.RegionState(name=r.name, module=r.module or "", state=r.state, loader=r.loader) for r in s.regions],
-        version=s.version,
-        started_ns=s.started_ns,
         last_change=s.last_change,
         last_change_seconds=s.last_change_seconds,
-        clocks=_clocks_to_pb(s.clocks),
-        board=s.board,
         realtime_offset_ns=s.realtime_offset_ns,
         generation=s.generation,
-        leases=[holders.lease_state_to_pb(x) for x in s.leases],
-        clients=[holders.client_to_pb(x) for x in s.clients],
     )
+    for region in s.regions:
+        message.regions.add(name=region.name, module=region.module or "", state=region.state, loader=region.loader)
     if s.progress is not None:
         message.progress.CopyFrom(_progress_to_pb(s.progress))
     if s.last_error is not None:
         message.last_error.CopyFrom(error_to_pb(s.last_error))
-    message.MergeFromString(_lasting(s.configs, s.streams, s.sensors))
-    return message
+    if s.leases:
+        message.leases.extend([holders.lease_state_to_pb(x) for x in s.leases])
+    if s.clients:
+        message.clients.extend([holders.client_to_pb(x) for x in s.clients])
+    lasting = s.configs, s.streams, s.sensors, s.clocks, s.version, s.started_ns, s.board
+    return bytes(_LASTING.encoded(lasting) + message.SerializeToString())
 
 
-@lru_cache(maxsize=8)
-def _lasting(
-    configs: tuple[str, ...], streams: tuple[st.StreamStatus, ...], sensors: tuple[st.SensorStatus, ...]
-) -> bytes:
+_Lasting = tuple[
+    tuple[str, ...],
+    tuple[st.StreamStatus, ...],
+    tuple[st.SensorStatus, ...],
+    tuple[st.ClockStatus, ...],
+    str,
+    int,
+    str,
+]
+
+
+class _LastingParts:
     """The longest parts of a status, encoded: the dozen statuses of one change of mode have them in common."""
-    return pb.Status(
+
+    def __init__(self) -> None:
+        self._last: tuple[_Lasting | None, bytes] = (None, b"")
+
+    def encoded(self, parts: _Lasting) -> bytes:
+        """Of these; what is the very same as the last time is not looked into."""
+        before, encoded = self._last
+        if parts != before:
+            encoded = _encoded_parts(*parts)
+            self._last = parts, encoded
+        return encoded
+
+
+_LASTING = _LastingParts()
+
+
+def _encoded_parts(
+    configs: tuple[str, ...],
+    streams: tuple[st.StreamStatus, ...],
+    sensors: tuple[st.SensorStatus, ...],
+    clocks: tuple[st.ClockStatus, ...],
+    version: str,
+    started_ns: int,
+    board: str,
+) -> bytes:
+    message = pb.Status(
         configs=configs,
         streams=[stream_to_pb(x) for x in streams],
         sensors=[pb.SensorState(device=x.device, name=x.name, quantity=x.quantity, value=x.value) for x in sensors],
-    ).SerializeToString()
+        clocks=_clocks_to_pb(clocks),
+        version=version,
+        started_ns=started_ns,
+        board=board,
+    )
+    return message.SerializeToString()
 
 
 def status_from_pb(m: pb.Status) -> st.Status:

@@ -204,6 +204,8 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
         message.error.CopyFrom(bodies.error_to_pb(error))
     if isinstance(body, st.RegValues):
         bodies.registers_into(message.registers, body)
+    elif isinstance(body, st.Status):
+        message.status.MergeFromString(bodies.encoded_status(body))
     elif body is not None:
         field, to_pb, _ = _BODIES[type(body)]
         getattr(message, field).CopyFrom(to_pb(body))
@@ -260,7 +262,7 @@ def decode_reply(frames: Sequence[Frame]) -> st.Reply:
 
 def encode_status(status: st.Status) -> list[Frame]:
     """A status → the frames published on ``cm_status``."""
-    return [topics.STATUS, bodies.status_to_pb(status).SerializeToString()]
+    return [topics.STATUS, bodies.encoded_status(status)]
 
 
 def encode_registers(values: st.RegValues) -> list[Frame]:

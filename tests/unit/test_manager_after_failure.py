@@ -234,7 +234,7 @@ def test_what_was_found_at_start_is_told_until_a_client_has_read_it(
         assert told.code == "reconciled"
         assert "the change to duo/both was cut short" in told.message
         assert again.manager.status().pr_mode.value == "idle"
-        again.manager.status_read()
+        again.manager.reporter.was_read()
         assert again.manager.status().last_error == told  # until something has happened since
         assert again.go("default", config="duo") is None
         assert again.manager.status().last_error is None

@@ -65,7 +65,7 @@ def test_a_status_without_subscriber_counts_but_is_not_made(publisher: Publisher
 def test_whoever_subscribes_to_a_prefix_of_the_status_gets_it(socket: Any, publisher: Publisher, topic: bytes) -> None:
     publisher.status(never)
     with subscriber(socket, publisher, topic) as sub:
-        assert publisher.status(lambda: publisher.complete(Status("camera", "default"), (), ()))
+        assert publisher.status(lambda: Status("camera", "default", **publisher.beside()))
         told: Any = decode_event(sub.recv_multipart())
     assert (told.config_name, told.mode, told.sequence, told.board) == ("camera", "default", 2, "a board")
 
@@ -104,7 +104,7 @@ def test_statuses_that_have_streams_and_sensors_in_common_differ_where_they_diff
         publisher.measured((sensor,))
         told: list[Any] = []
         for mode, now in (("one", stream), ("two", stream), ("two", failed), ("one", stream)):
-            publisher.status(lambda mode=mode, now=now: publisher.complete(Status("c", mode), (now,), ()))  # type: ignore[misc]
+            publisher.status(lambda mode=mode, now=now: Status("c", mode, streams=(now,), **publisher.beside()))  # type: ignore[misc]
             told.append(decode_event(sub.recv_multipart()))
     assert [(x.mode, x.streams, x.sensors) for x in told] == [
         ("one", (stream,), (sensor,)),

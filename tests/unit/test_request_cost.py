@@ -22,16 +22,19 @@ class Calls:
 
     def __init__(self) -> None:
         self.messages: list[list[str]] = []
+        self._thread = 0
         self._inside: FrameType | None = None
+        self._called: list[str] = []
 
     def __call__(self, frame: FrameType, event: str, _: object) -> None:
-        if self._inside is None:
-            if event == "call" and frame.f_code is ARRIVED:
-                self._inside = frame
-                self.messages.append([])
+        if event == "call" and frame.f_code is ARRIVED:
+            self._thread, self._inside, self._called = threading.get_ident(), frame, []
+        elif self._inside is None or threading.get_ident() != self._thread:
+            return
         elif event == "call":
-            self.messages[-1].append(frame.f_code.co_name)
+            self._called.append(frame.f_code.co_name)
         elif event == "return" and frame is self._inside:
+            self.messages.append(self._called)
             self._inside = None
 
 

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 import zmq
 
-from cm.daemon.loop import Loop
-from cm.daemon.publisher import XpubSender
+from cm.daemon.loop import Loop, XpubSender
 from cm.daemon.queue_limit import mark
 from cm.schema.model import Config, Direction, Mode, Stream
 

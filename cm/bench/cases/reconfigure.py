@@ -103,8 +103,12 @@ class _Watch:
         self.manager: Manager | None = None
         self.marks: list[tuple[int, str]] = []
 
-    def status_changed(self) -> None:
+    def progressed(self) -> None:
         """A step begins, or goes on."""
+        self.status_changed()
+
+    def status_changed(self) -> None:
+        """A step goes on, or the change has ended."""
         progress = self.manager.status().progress if self.manager else None
         name = progress.step if progress else "end"
         if not self.marks or self.marks[-1][1] != name:

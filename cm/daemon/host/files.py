@@ -165,7 +165,7 @@ class BoardFiles:
         expect = expect_module(config, module, learned)
         path = bitstream_path(config, module, self._root)
         report = self._reader.validated(path, expect)
-        if not region.footprint:
+        if not (region.footprint or learned):
             lesson = Lesson(module.name, report.sha256, footprint_of(report))
             self._footprints.learn(config.name, region.name, lesson)
         return image_of(path, report)

@@ -48,6 +48,7 @@ class Streams:
         self._driver = StreamDriver(loop, devices, audience, self._policy, on_error, limits.slots_each)
         self.memories = self._driver.echoes, self._driver.allocations  # for clients that want no stream
         self.moved = self._driver.moved
+        self._idle: dict[str, tuple[Stream, StreamStatus]] = {}
         self.renew(limits)
 
     def renew(self, limits: Limits) -> None:
@@ -78,6 +79,7 @@ class Streams:
     def _enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
         for name in self._policy.enter(config, mode, held):
             self._driver.stop(name)
+        self._idle.clear()
         self._driver.failures.clear()
         for opened in self._driver.open.values():
             opened.label(config.name if config else "", mode or "")
@@ -166,17 +168,25 @@ class Streams:
 
     def status(self) -> tuple[StreamStatus, ...]:
         """All streams of this mode."""
-        return tuple(self.status_of(name) for name in self._policy.streams)
+        return tuple([self.status_of(name) for name in self._policy.streams])
 
     def status_of(self, name: str) -> StreamStatus:
         """One stream."""
         opened = self._driver.open.get(name)
-        status = opened.status() if opened else stream_status(self._policy.streams[name])
+        status = opened.status() if opened else self._closed(self._policy.streams[name])
         failure = status.last_error or self._driver.failures.get(name)
         if failure is not None:
             status = replace(status, last_error=failure)
         overruns = self._audience.overruns(name)
         return replace(status, overruns=overruns) if overruns else status  # not for nothing: it is half the work
+
+    def _closed(self, stream: Stream) -> StreamStatus:
+        """Of one that does not run, which is not made anew as long as that stays."""
+        then, status = self._idle.get(stream.name) or (None, None)
+        if then is not stream or status is None:
+            status = stream_status(stream)
+            self._idle[stream.name] = stream, status
+        return status
 
     def allocated(self) -> Counter[str]:
         """Bytes of memory for masters in the PL, by client."""

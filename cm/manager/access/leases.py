@@ -108,6 +108,8 @@ class Leases:
 
     def told(self) -> tuple[LeaseStatus, ...]:
         """The same, as all may know them."""
+        if not self._held:
+            return ()
         with self._lock:
             self._expire()
             return tuple(

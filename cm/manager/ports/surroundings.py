@@ -36,5 +36,8 @@ class Observer(Protocol):
     def status_changed(self) -> None:
         """The status differs from before."""
 
+    def progressed(self) -> None:
+        """Likewise, in nothing but how far the running change is."""
+
     def registers_changed(self, values: RegValues) -> None:
         """Registers were written."""

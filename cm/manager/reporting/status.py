@@ -3,14 +3,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from operator import is_
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from cm.manager.ports import Observer
 from cm.manager.state.board_state import ManagerState
 from cm.manager.state.choice import Choice
-from cm.manager.state.table import BoardState
+from cm.manager.state.table import BoardState, RegionState
 from cm.messages.status import ClockStatus, ErrorInfo, PrMode, Progress, RegionStatus, Status, StreamStatus
 from cm.schema.model import Config, Stream
+
+_T = TypeVar("_T")
+_UNKNOWN = RegionState()  # of which nothing was heard
+
+
+class Moment(NamedTuple):
+    """What a status is made of: as all of it stays as it is, the status can be made later, in another thread."""
+
+    running: bool
+    pr_mode: PrMode
+    progress: Progress | None
+    error: ErrorInfo | None
+    last: tuple[int, float]  # number and seconds of the last change
+    generation: int
+    board: BoardState
+    config: Config | None  # that is loaded
+    configs: Mapping[str, Config]
+    choices: Mapping[tuple[str, str], Choice]
+
+
+class _Kept(Generic[_T]):
+    """What is made of the very same things as the last time is not made again."""
+
+    def __init__(self, make: Callable[..., _T]) -> None:
+        self._make = make
+        self._last: tuple[tuple[object, ...], _T | None] = ((), None)
+
+    def of(self, *things: object) -> _T:
+        """`make` of them."""
+        before, made = self._last
+        if made is None or not all(map(is_, things, before)):
+            made = self._make(*things)
+            self._last = things, made
+        return made
 
 
 class StatusReporter:
@@ -27,6 +63,8 @@ class StatusReporter:
         self._notice_read = False
         self._failed = False
         self._last: tuple[int, float] = (0, 0.0)  # number and seconds of the last change
+        self._regions, self._clocks = _Kept(region_states), _Kept(clock_states)
+        self._configs = _Kept(lambda configs: tuple(sorted(configs)))
 
     def begun(self, number: int, config: str, mode: str, full: bool) -> None:
         """A change runs from now on; `full` if it loads a whole image."""
@@ -36,7 +74,7 @@ class StatusReporter:
     def progress(self, progress: Progress) -> None:
         """How far the running change is."""
         self._progress = progress
-        self._observer.status_changed()
+        self._observer.progressed()
 
     def ended(self, number: int, error: ErrorInfo | None, seconds: float) -> None:
         """No change runs any more; `changed` tells it."""
@@ -68,22 +106,30 @@ class StatusReporter:
         """The status differs from before."""
         self._observer.status_changed()
 
-    def status(self) -> Status:
-        """The state as it is told; streams, sequence and version are the daemon's to add."""
-        running, progress, board = self._running, self._progress, self._state.board
+    def moment(self) -> Moment:
+        """What a status of now is made of. Any thread."""
+        running, state, error = self._running, self._state, self._error or self._notice
+        board, generation = state.board, state.generation
+        what = running, self._pr_mode(running), self._progress, error, self._last, generation, board
+        return Moment(*what, state.loaded_config(), state.configs, state.choices)
+
+    def status(self, moment: Moment | None = None, **beside: Any) -> Status:
+        """The state of a moment as it is told, or of now; `beside`: streams, sequence and the like, the daemon's."""
+        m = moment or self.moment()
         return Status(
-            config_name=board.config or "",
-            mode=board.mode or "",
-            fpga_busy=running,
-            pr_mode=self._pr_mode(running),
-            progress=progress,
-            last_error=self._error or self._notice,
-            regions=region_states(self._state.loaded_config(), board, self._state.choices),
-            configs=tuple(sorted(self._state.configs)),
-            last_change=self._last[0],
-            last_change_seconds=self._last[1],
-            clocks=clock_states(self._state.loaded_config(), board),
-            generation=self._state.generation,
+            config_name=m.board.config or "",
+            mode=m.board.mode or "",
+            fpga_busy=m.running,
+            pr_mode=m.pr_mode,
+            progress=m.progress,
+            last_error=m.error,
+            regions=self._regions.of(m.config, m.board.regions, m.choices),
+            configs=self._configs.of(m.configs),
+            last_change=m.last[0],
+            last_change_seconds=m.last[1],
+            clocks=self._clocks.of(m.config, m.board.clocks),
+            generation=m.generation,
+            **beside,
         )
 
     def _pr_mode(self, running: bool) -> PrMode:
@@ -109,14 +155,13 @@ def stream_status(stream: Stream) -> StreamStatus:
 
 
 def region_states(
-    config: Config | None, state: BoardState, choices: Mapping[tuple[str, str], Choice]
+    config: Config | None, regions: Mapping[str, RegionState], choices: Mapping[tuple[str, str], Choice]
 ) -> tuple[RegionStatus, ...]:
     """All regions that are known, those of the loaded configuration first."""
-    names = dict.fromkeys([*(config.regions if config else ()), *state.regions])
+    names = dict.fromkeys([*(config.regions if config else ()), *regions])
     chosen = {n: choices.get((config.name, n)) for n in names} if config else {}
-    return tuple(
-        RegionStatus(n, state.region(n).module, state.region(n).phase.value, _loader(chosen.get(n))) for n in names
-    )
+    states = ((n, regions.get(n, _UNKNOWN)) for n in names)
+    return tuple(RegionStatus(n, x.module, x.phase.value, _loader(chosen.get(n))) for n, x in states)
 
 
 def _loader(choice: Choice | None) -> str:
@@ -125,7 +170,7 @@ def _loader(choice: Choice | None) -> str:
     return f"{choice.kind.value} ({choice.why})" if choice.why else choice.kind.value
 
 
-def clock_states(config: Config | None, state: BoardState) -> tuple[ClockStatus, ...]:
+def clock_states(config: Config | None, rates: Mapping[str, int]) -> tuple[ClockStatus, ...]:
     """The clocks of the loaded configuration, with the rates that were read back."""
     clocks = config.clocks.values() if config else ()
-    return tuple(ClockStatus(clock.name, clock.rate, state.clocks.get(clock.name, 0)) for clock in clocks)
+    return tuple(ClockStatus(clock.name, clock.rate, rates.get(clock.name, 0)) for clock in clocks)
