@@ -111,7 +111,7 @@ def read(blob: bytes) -> Fdt:
     """All that a blob holds.
 
     Raises:
-        FdtError: it is no device tree of version 16 or 17, or it is cut off or inconsistent.
+        FdtError: it is not a device tree of version 16 or 17, or it is cut off or inconsistent.
     """
     if len(blob) < _HEADER.size:
         raise FdtError(f"{len(blob)} bytes are fewer than a header has")

@@ -80,7 +80,7 @@ ssize_t cm_dma_take(struct cm_dma *dma, struct cm_dma_completion *completions, s
  * @timeout_ns: see cm_node_wait()
  *
  * Returns 1.  Errors: ETIMEDOUT, those of cm_node_wait() and cm_node_take().  A
- * transfer that failed is no error of this call: see the completion's status.
+ * transfer that failed is not an error of this call: see the completion's status.
  */
 int cm_dma_wait(struct cm_dma *dma, int64_t timeout_ns, struct cm_dma_completion *completion);
 

@@ -26,7 +26,7 @@ enum cm_config_event_kind {
 	CM_CONFIG_DESYNC =
 		6, /* count: writes since CRC or RCRC, extra: those of them that touch frames */
 	CM_CONFIG_FILL = 7,   /* count zero words between packets */
-	CM_CONFIG_STRAY = 8,  /* the first word outside of sync that is no padding: value */
+	CM_CONFIG_STRAY = 8,  /* the first word outside of sync that is not padding: value */
 	CM_CONFIG_OPAQUE = 9, /* count words of ciphertext follow (DWC) */
 	CM_CONFIG_FAULT = 10, /* reg: enum cm_config_fault, value: the word */
 };

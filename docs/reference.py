@@ -236,7 +236,7 @@ def _text(found: Any) -> list[str]:
 
 
 def write() -> None:
-    """Write all pages, and remove those that are no more."""
+    """Write all pages, and remove those that no longer exist."""
     FOLDER.mkdir(exist_ok=True)
     made = pages()
     for old in FOLDER.glob("*.md"):

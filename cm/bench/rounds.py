@@ -33,7 +33,7 @@ class Samples:
 
     @property
     def p99(self) -> float:
-        """99 of 100 trips were no longer."""
+        """99 of 100 trips were not longer."""
         ordered = sorted(self.all)
         return ordered[min(len(ordered) - 1, len(ordered) * 99 // 100)]
 

@@ -73,7 +73,7 @@ class LoadedBits:
         """Of a design, with no frames yet. BitsError, XrayError where its device is not known."""
         device = device_by_name(system.device)
         if device is None:
-            raise BitsError(f"{system.device} is no device that bitstreams are known of")
+            raise BitsError(f"{system.device} is not a device that bitstreams are known of")
         database = Database.open(system.project.part)
         return cls(database, FrameMemory(device), layouts(system, database), tools, watched, folder)
 

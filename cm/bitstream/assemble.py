@@ -99,7 +99,7 @@ def _known(device: str | Device) -> Device:
 
 def _write_frames(writer: StreamWriter, device: Device, run: FrameRun | SharedFrame) -> None:
     if not run.data or len(run.data) % (4 * device.family.frame_words):
-        raise ValueError(f"{len(run.data)} bytes are no whole frames of {4 * device.family.frame_words} bytes")
+        raise ValueError(f"{len(run.data)} bytes are not whole frames of {4 * device.family.frame_words} bytes")
     first = run.address if isinstance(run, FrameRun) else run.addresses[0]
     writer.write(Register.FAR, encode_far(first, device.family))
     writer.command(Command.WCFG)
@@ -149,7 +149,7 @@ def assemble_stream(
 ) -> bytes:
     """Return the big-endian configuration words of one sync…DESYNC section for each of `sections`.
 
-    Raises `UnknownDevice`, or ValueError for frame data that is no whole number of frames.
+    Raises `UnknownDevice`, or ValueError for frame data that is not a whole number of frames.
     """
     known = _known(device)
     writer = StreamWriter()

@@ -41,7 +41,7 @@ class Container(Enum):
 class BitHeader:
     """The header fields of a `.bit`: `fields` are the ``KEY=value`` pairs behind the design's name.
 
-    The value is None where only a word stands. Bytes that are no UTF-8 survive as surrogates.
+    The value is None where only a word stands. Bytes that are not UTF-8 survive as surrogates.
     """
 
     design: str
@@ -91,7 +91,7 @@ class Image:
 def read_source(source: Source) -> memoryview:
     """Return the bytes of a file or of a buffer; a `str` is a path.
 
-    A file whose first bytes are no bitstream's is not read to its end. Raises what `open_image` raises.
+    A file whose first bytes are not bitstream's is not read to its end. Raises what `open_image` raises.
     """
     if isinstance(source, (str, Path)):
         with Path(source).open("rb") as file:
@@ -100,7 +100,7 @@ def read_source(source: Source) -> memoryview:
 
 
 def read_bitstream(file: BinaryIO) -> bytes:
-    """Return the bytes of an open file, all of them; refuses from the head what is no bitstream."""
+    """Return the bytes of an open file, all of them; refuses from the head what is not a bitstream."""
     head = file.read(_HEAD)
     check_head(memoryview(head))
     return head + file.read()

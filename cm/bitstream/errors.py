@@ -13,7 +13,7 @@ class BitstreamError(CmError, ValueError):
 
 
 class BadContainer(BitstreamError):
-    """The file is no .bit, .bin or boot image, or its header contradicts its length."""
+    """The file is not a .bit, .bin or boot image, or its header contradicts its length."""
 
     code = "bitstream_container"
 
@@ -31,7 +31,7 @@ class NoSync(BitstreamError):
 
 
 class BadPacket(BitstreamError):
-    """Words that are no configuration packet, or a packet that must not stand in a bitstream."""
+    """Words that are not a configuration packet, or a packet that is not allowed in a bitstream."""
 
     code = "bitstream_packet"
 

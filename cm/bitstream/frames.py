@@ -86,12 +86,12 @@ def check_frames(events: native.Events, family: Family) -> list[Refusal]:
         problems.append(
             _refusal(
                 FramesIncomplete,
-                f"word {row['word']}: {row['count']} words of frame data at FAR {row['value']:08X} are no whole "
+                f"word {row['word']}: {row['count']} words of frame data at FAR {row['value']:08X} are not a whole "
                 f"frames of {family.frame_words} words",
             )
         )
     for row in events[(events["value"] & np.uint32(~family.far.used & 0xFFFFFFFF)) != 0][:1]:
-        problems.append(_refusal(BadPacket, f"word {row['word']}: {row['value']:08X} is no frame address"))
+        problems.append(_refusal(BadPacket, f"word {row['word']}: {row['value']:08X} is not a frame address"))
     for row in shared[shared["extra"] != 0][:1]:
         problems.append(_refusal(BadPacket, f"word {row['word']}: an MFWR packet carries data other than zeros"))
     return problems
@@ -100,4 +100,4 @@ def check_frames(events: native.Events, family: Family) -> list[Refusal]:
 def check_fills(counts: Sequence[int], family: Family) -> list[Refusal]:
     """Zero words between packets stand only in debug bitstreams: two frames of them after a row."""
     odd = Counter(count for count in counts if count % (2 * family.frame_words))
-    return [_refusal(BadPacket, f"{count} zero words between packets are no padding frames") for count in odd]
+    return [_refusal(BadPacket, f"{count} zero words between packets are not padding frames") for count in odd]

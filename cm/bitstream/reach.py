@@ -3,7 +3,7 @@
 
 A run goes on into the columns behind its address. The last frame that is written only pushes the
 one before it out of the frame buffer, and where a row ends two more do (UG470; on UltraScale+ up to
-four were seen in Vivado's files), so these are no frames of the next column.
+four were seen in Vivado's files), so these are not frames of the next column.
 """
 
 from __future__ import annotations

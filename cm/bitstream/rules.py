@@ -27,7 +27,7 @@ _NEUTRAL = {
 }
 _COMMANDS = {int(command) for command in Command}
 _FAULTS = {
-    1: "is no packet header",
+    1: "is not a packet header",
     2: "is neither a write nor the exact NOP 20000000",
     3: "addresses a register that no bitstream writes",
     4: "has a word count that its register cannot have",
@@ -112,7 +112,7 @@ class Rules:
         if event.kind == native.FAULT:
             self.refuse(BadPacket, f"word {event.word}: {event.value:08X} {_FAULTS[event.reg]}")
         elif event.kind == native.STRAY:
-            self.refuse(BadPacket, f"word {event.word}: {event.value:08X} stands outside of sync and is no padding")
+            self.refuse(BadPacket, f"word {event.word}: {event.value:08X} is outside of sync and is not padding")
 
     def _write(self, event: Event) -> None:
         self.registers.add(event.reg)
@@ -129,7 +129,7 @@ class Rules:
 
     def _command(self, event: Event) -> None:
         if event.value not in _COMMANDS:
-            self.refuse(BadPacket, f"word {event.word}: CMD {event.value:08X} must not stand in a bitstream")
+            self.refuse(BadPacket, f"word {event.word}: CMD {event.value:08X} is not allowed in a bitstream")
         elif event.value == Command.START:
             self._start(event)
         elif event.value == Command.RCRC:

@@ -41,7 +41,7 @@ class StatusRecord:
 
 @dataclass(frozen=True, slots=True)
 class StreamFormat:
-    """A stream in the mode that runs, and what its frames are. `encoding` is empty where they are no pictures."""
+    """A stream in the mode that runs, and what its frames are. `encoding` is empty where they are not pictures."""
 
     name: str
     writes: bool  # towards the hardware

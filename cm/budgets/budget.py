@@ -125,7 +125,7 @@ class Budget(Client):
         """Raise RepliesUnread where it has not read so much that it gets no more."""
         if not self.has_room(1):
             raise RepliesUnread(
-                f"{self.leaving_bytes} bytes of answers to {self.name} are on their way or unread, "
+                f"{self.leaving_bytes} bytes of answers to {self.name} are under way or unread, "
                 f"{self._all.leaving_bytes()} to all (limits.replies_mib): read them first"
             )
 

@@ -36,7 +36,7 @@ def is_hdl(path: Path) -> bool:
 
 
 def others(files: Iterable[Path], folder: Path, cores: Sequence[Path], top: str | None) -> list[Given]:
-    """The modules of files that are no HDL; paths in keys are relative to `folder`."""
+    """The modules of files that are not HDL; paths in keys are relative to `folder`."""
     found: list[Given] = []
     for path in files:
         suffix = path.suffix.lower()

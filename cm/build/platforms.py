@@ -63,7 +63,7 @@ class Platform:
         raise BuildError(f"{self.name} has {self.irq_count} interrupt lines from the PL; one more was asked for")
 
     def spi_at(self, pin: str, index: int) -> int | None:
-        """GIC SPI of bit `index` of a pin of the PS; None where it is no shared interrupt (nFIQ, nIRQ)."""
+        """GIC SPI of bit `index` of a pin of the PS; None where it is not a shared interrupt (nFIQ, nIRQ)."""
         for name, lines, first in self.irq_pins:
             if name != pin:
                 continue
@@ -121,7 +121,7 @@ def device_of(part: str) -> str:
     """The device of a full part name: ``xc7z020clg400-1`` is of ``xc7z020``, ``xck26-sfvc784-2LV-c`` of ``xck26``."""
     found = re.match(r"(x[caq]7z\d{3}s?|x[caq]zu\d+(?:eg|ev|cg|dr)|xck\d+)", part)
     if found is None:
-        raise BuildError(f"{part} is no part of the Zynq-7000 or Zynq UltraScale+ family (like xc7z020clg400-1)")
+        raise BuildError(f"{part} is not part of the Zynq-7000 or Zynq UltraScale+ family (like xc7z020clg400-1)")
     return found.group(1)
 
 

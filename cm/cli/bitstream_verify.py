@@ -50,7 +50,7 @@ def add_verify(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 def _idcode(text: str) -> int:
     value = int(text, 16)
     if not 0 < value <= 0xFFFFFFFF:
-        raise argparse.ArgumentTypeError(f"{text} is no IDCODE: up to eight hexadecimal digits are")
+        raise argparse.ArgumentTypeError(f"{text} is not an IDCODE: up to eight hexadecimal digits are")
     return value
 
 

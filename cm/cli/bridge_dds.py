@@ -113,4 +113,4 @@ def _serve(args: argparse.Namespace, transport: object, name: NodeName) -> None:
 def _look(node: BoardNode, ended: threading.Event, following: threading.Thread) -> None:
     while not ended.wait(node.look()):
         if not following.is_alive():
-            raise InvalidRequest("the bridge's follower has ended; what it said stands above")
+            raise InvalidRequest("the bridge's follower has ended; its messages are above")

@@ -53,7 +53,7 @@ def run_configure(args: argparse.Namespace) -> int:
     earlier = {} if args.answers else read_answers(source)
     interactive = not args.defaults and args.answers is None
     if interactive and not sys.stdin.isatty():
-        raise BuildError("there is no terminal to ask on: give --answers FILE or --defaults")
+        raise BuildError("there is no terminal to ask on: use --answers FILE or --defaults")
     answers = answer_all(asked, given, _ask if interactive else None, source, earlier)
     for key in earlier.keys() - answers.keys():
         print(f"no longer asked: {key}: {earlier[key]}")

@@ -40,7 +40,7 @@ def run_init(args: argparse.Namespace) -> int:
     """Write the schema, and its JSON Schema for editors beside it; a file that is there is not overwritten."""
     output: Path = args.output
     if output.exists():
-        raise BuildError(f"{output} is there already; give another name with --output")
+        raise BuildError(f"{output} exists already; give another name with --output")
     folder = output.absolute().parent
     text = init_text(args.files, folder, args.name or folder.name, args.part, args.top, args.cores)
     folder.mkdir(parents=True, exist_ok=True)

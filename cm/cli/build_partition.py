@@ -71,7 +71,7 @@ def add_partition_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
 
 def _count(text: str) -> int:
     if not text.isdecimal() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of regions")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of regions")
     return int(text)
 
 
@@ -81,7 +81,7 @@ def _seconds(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r} is no time in seconds")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time in seconds")
     return value
 
 
@@ -91,7 +91,7 @@ def _percent(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0 < value <= 100:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number above 0 and at most 100")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and at most 100")
     return value
 
 
@@ -135,7 +135,7 @@ def _write(path: Path, folder: Path, text: str) -> None:
     if path.absolute().parent.resolve() != folder.resolve():
         raise BuildError(f"{path} must lie in {folder}: paths in a build schema are relative to its folder")
     if path.exists():
-        raise BuildError(f"{path} is there already: name another file, or move it away")
+        raise BuildError(f"{path} exists already: name another file, or move it away")
     path.write_text(text, encoding="utf-8")
 
 

@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         told = {"config_name": status.config_name, "mode": status.mode}
         print_json({"change": under_way, "cancelled": cancelled and bool(under_way), **told})
     elif not under_way:
-        print(f"no change is under way; the board is at {reached}")
+        print(f"no change is running; the board is in {reached}")
     elif cancelled:
         print(f"change {under_way} was cancelled; the board is at {reached}")
     else:

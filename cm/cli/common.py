@@ -47,7 +47,7 @@ def print_json(value: Any, lines: bool = False) -> None:
 
 
 def _plain(value: object) -> Any:
-    """What JSON has no word for: mappings that are no dict, and paths."""
+    """What JSON has no word for: mappings that are not a dict, and paths."""
     if hasattr(value, "keys") and hasattr(value, "__getitem__"):
         return {key: value[key] for key in value.keys()}  # noqa: SIM118 - a mapping proxy, or the like
     return str(value)

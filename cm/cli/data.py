@@ -32,7 +32,7 @@ def _shape(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no shape such as 480x640 or 480x640x3") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a shape such as 480x640 or 480x640x3") from None
 
 
 def run(args: argparse.Namespace) -> int:

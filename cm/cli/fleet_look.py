@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 def add(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Add the actions."""
     for name, run, text in (
-        ("ls", run_ls, "the boards that are there"),
-        ("status", run_status, "what is loaded where, what goes on, and how far the clocks agree"),
+        ("ls", run_ls, "list the boards of the fleet"),
+        ("status", run_status, "what is loaded where, what is going on, and how closely the clocks agree"),
         ("watch", run_watch, "follow the boards as they change, come and go"),
     ):
         parser = actions.add_parser(name, help=text)
@@ -62,7 +62,7 @@ def run_ls(args: argparse.Namespace) -> int:
     if args.json:
         print_json(found)
     else:
-        print("\n".join(found) if found else "no board's bridge is there")
+        print("\n".join(found) if found else "no board's bridge is running")
     return 0
 
 

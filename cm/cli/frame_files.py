@@ -90,7 +90,7 @@ class NpyFiles:
 
 
 class PngFiles:
-    """A picture for each frame, numbered if there are several; what is no picture goes into a .npy file beside."""
+    """A picture for each frame, numbered if there are several; what is not a picture goes into a .npy file beside."""
 
     def __init__(self, path: Path, alone: bool) -> None:
         self.files: list[str] = []
@@ -110,7 +110,7 @@ class PngFiles:
         np.save(data, frame)
         self._write(path, data.getvalue())
         why = "flat bytes, without a shape" if frame.ndim == 1 else f"of shape {frame.shape} {frame.dtype}"
-        return f"{path.name}: {why}, is no picture (cm stream set NAME --shape says what it is)"
+        return f"{path.name}: {why}, is not a picture (cm stream set NAME --shape says what it is)"
 
     def _write(self, path: Path, data: bytes) -> None:
         try:
@@ -163,7 +163,7 @@ class Output:
         elif is_picture(frame):
             self._to.write(png(frame))
         else:
-            raise InvalidRequest(f"a frame of {frame.shape} {frame.dtype} is no picture: --format npy, or raw")
+            raise InvalidRequest(f"a frame of {frame.shape} {frame.dtype} is not a picture: --format npy, or raw")
         self._to.flush()
         return ""
 

@@ -95,7 +95,7 @@ def run_archive(args: argparse.Namespace) -> int:
 
 def _count(text: str) -> int:
     if not text.isascii() or not text.isdigit():
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of versions")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of versions")
     return int(text)
 
 

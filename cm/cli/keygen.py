@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     """Write key files; the exit status."""
     import zmq
 
-    authorized("", {"public": "0" * 40, "role": args.role, "expires": args.expires})  # refuses what is no day
+    authorized("", {"public": "0" * 40, "role": args.role, "expires": args.expires})  # refuses what is not a day
 
     if not zmq.has("curve"):
         raise InvalidRequest("this ZeroMQ library was built without CURVE; keys cannot be made")

@@ -45,7 +45,7 @@ def load_server_keys(path: Path) -> Security:
 
     keys = read_key_file(path)
     if not {"public", "secret"} <= keys.keys() or "server-public" in keys:
-        raise InvalidRequest(f"{path} is no server key file; 'cm keygen' makes one")
+        raise InvalidRequest(f"{path} is not a server key file; 'cm keygen' makes one")
     status = path.stat()
     if stat.S_IMODE(status.st_mode) & 0o077:
         raise ReadableKey(

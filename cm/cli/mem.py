@@ -80,7 +80,7 @@ def _shape(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no shape such as 256 or 16x32") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a shape such as 256 or 16x32") from None
 
 
 def run_list(args: argparse.Namespace) -> int:

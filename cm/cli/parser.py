@@ -56,7 +56,7 @@ def build_full_parser() -> argparse.ArgumentParser:
 
 
 def chosen_command(arguments: list[str]) -> str | None:
-    """The command in `arguments`: the first word that is no option. `cm` itself has no options with values."""
+    """The command in `arguments`: the first word that is not an option. `cm` itself has no options with values."""
     return next((word for word in arguments if not word.startswith("-")), None)
 
 

@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(plain(plan))
         return 0
     if not plan.steps:
-        print(f"{plan.config_name}/{plan.mode}: nothing to do, the board is there")
+        print(f"{plan.config_name}/{plan.mode}: nothing to do, the board is already in this mode")
         return 0
     rows = [
         (i, s.text, s.bytes or "", f"{s.seconds * 1000:.2f}" if s.seconds else "") for i, s in enumerate(plan.steps, 1)

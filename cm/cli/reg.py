@@ -66,7 +66,7 @@ def _assignment(text: str) -> tuple[str, int | str]:
 def _seconds(text: str) -> float:
     value = float(text)
     if not 0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text} is no time in seconds")
+        raise argparse.ArgumentTypeError(f"{text} is not a time in seconds")
     return value
 
 

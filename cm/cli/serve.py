@@ -113,7 +113,7 @@ def _mebibytes(text: str) -> int:
     except ValueError:
         value = -1.0
     if not 0 <= value <= 1 << 20:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of MiB from 0 to 1048576")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of MiB from 0 to 1048576")
     return int(value * (1 << 20))
 
 

@@ -106,7 +106,7 @@ def _shape(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(extent) for extent in text.lower().replace(",", "x").split("x"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no shape such as 480x640") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a shape such as 480x640") from None
 
 
 _SETTINGS = (

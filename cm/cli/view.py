@@ -58,14 +58,14 @@ def _rate(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0 < value <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of pictures per second")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of pictures per second")
     return value
 
 
 def _size(text: str) -> Size:
     columns, _, rows = text.lower().partition("x")
     if not (columns.isdecimal() and rows.isdecimal() and 0 < int(columns) <= 4096 and 0 < int(rows) <= 4096):
-        raise argparse.ArgumentTypeError(f"{text!r} is no size such as 80x24")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size such as 80x24")
     return Size(int(columns), int(rows))
 
 
@@ -85,7 +85,7 @@ def _screen(args: argparse.Namespace) -> Iterator[Screen]:
     if not sys.stdout.isatty():
         if args.way == "auto":
             raise InvalidRequest(
-                "standard output is no terminal: say what to write by --as kitty, sixel or blocks, or --as window; "
+                "standard output is not a terminal: choose --as kitty, sixel or blocks, or --as window; "
                 "'cm stream capture' writes files"
             )
         yield into_file(args.way, args.size or Size(80, 24))

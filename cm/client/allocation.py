@@ -33,7 +33,7 @@ class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
         """Where its first byte lies for the device. Raises InvalidRequest for an array in ordinary memory."""
         memory, place = self._memory, self.__array_interface__["data"][0]
         if memory is None or not memory.begin <= place < memory.begin + memory.length:
-            raise InvalidRequest("this array lies in ordinary memory: a result of arithmetic, or a copy, is no part")
+            raise InvalidRequest("this array lies in ordinary memory: a result of arithmetic, or a copy, is not part")
         return memory.address + int(place - memory.begin)
 
     def sync_to_device(self) -> None:

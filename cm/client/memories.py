@@ -29,7 +29,7 @@ class Memory:
     def read(self, offset: int = 0, length: int | None = None) -> Array:
         """A copy of `length` bytes (None: the rest), as an array of the memory's dtype.
 
-        The whole comes in the memory's shape. Parts are arrays of one axis; those that are no whole elements
+        The whole comes in the memory's shape. Parts are arrays of one axis; those that are not whole elements
         are uint8. Raises RequestFailed.
         """
         return self._board.run(memory.read(self.name, offset, length))

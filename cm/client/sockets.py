@@ -34,7 +34,7 @@ class Sockets:
 
     A context waits for its sockets when it ends. Left to the garbage collector, it may end before them and
     wait for ever, since sockets that are garbage themselves are no longer known to it; so whoever owns this
-    lets `close` be called when it is collected (`weakref.finalize`), and what is held here is no garbage.
+    lets `close` be called when it is collected (`weakref.finalize`), and what is held here is not garbage.
     """
 
     def __init__(self, context: zmq.Context[Any], endpoints: Endpoints, keys: Keys | None) -> None:
@@ -99,8 +99,8 @@ class Sockets:
 def not_subscribed(address: str) -> NotAdmitted:
     """What is raised where the manager does not let us subscribe."""
     return NotAdmitted(
-        f"the manager at {address} does not let us subscribe: that takes the right to observe everything; "
-        "ask for what is allowed instead"
+        f"the manager at {address} refuses subscriptions, which need the right to observe everything; "
+        "request what is allowed instead"
     )
 
 

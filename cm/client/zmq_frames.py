@@ -34,7 +34,7 @@ class Wanted:
         if self.depth < 0:
             raise InvalidRequest(f"a stream of depth {self.depth}: frames that may wait are 1 or more")
         if self.compression and self.newest:
-            raise InvalidRequest("the newest frame is asked for when it is read, and comes as it is: no compression")
+            raise InvalidRequest("newest=True requests each frame as it is, without compression: leave out one of them")
         if self.compression not in ("", "lz4"):
             raise InvalidRequest(f"frames cannot be compressed with {self.compression!r}; there is 'lz4'")
         if self.compression:
@@ -54,7 +54,7 @@ class Arrivals:
         self._expected: int | None = None
 
     def frame(self, frames: Sequence[Any]) -> Frame:
-        """Raises InvalidRequest for what is no frame."""
+        """Raises InvalidRequest for what is not a frame."""
         info = decode_event(frames)
         if not isinstance(info, FrameInfo) or len(frames) != 3:
             raise InvalidRequest(f"{type(info).__name__} in {len(frames)} parts came on a stream's topic")
@@ -79,7 +79,7 @@ def unpacked(info: FrameInfo, payload: Any) -> Any:
         unpacker = lz4.LZ4FrameDecompressor()
         data = unpacker.decompress(bytes(payload), max_length=info.length + 1)  # not more than it claims to be
     except (RuntimeError, EOFError, ValueError) as error:
-        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is no lz4 frame: {error}") from error
+        raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is not an lz4 frame: {error}") from error
     if len(data) != info.length:
         raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} has not the {info.length} bytes that it claims")
     return data

@@ -85,7 +85,7 @@ def _cases() -> Iterator[Case]:
     )
     yield Case(
         "unknown-code",
-        "so has one never heard of",
+        "and so does an unknown one",
         (_read("x"),),
         ({"error": "of_tomorrow"},),
         plays.refuse("of_tomorrow"),
@@ -120,7 +120,7 @@ def _cases() -> Iterator[Case]:
         (_read("focus"), _read("focus")), (FAILS, _value(focus=2)), plays.Late(), timeout=0.5,
     )  # fmt: skip
     yield Case(
-        "vanished", "who waits hears of a manager that goes away",
+        "vanished", "waiting requests end when the manager goes away",
         (_read("focus"),), (FAILS,), lambda stage, _: stage.vanish(), timeout=60.0,
     )  # fmt: skip
     yield Case(
@@ -175,6 +175,6 @@ def _cases() -> Iterator[Case]:
     )  # fmt: skip
     yield Case("keys", "over TCP with CURVE", ({"do": "status"},), (status,), plays.status, keys="known")
     yield Case(
-        "unknown-keys", "who is not let in is told, and does not wait for ever",
+        "unknown-keys", "a client that is not admitted is told so, and does not wait for ever",
         ({"do": "status"},), (FAILS,), plays.status, keys="unknown", timeout=5.0,
     )  # fmt: skip

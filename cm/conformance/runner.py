@@ -32,7 +32,7 @@ class Outcome:
 
 
 class DriverGone(CmError):
-    """The driver ended, or answered with what is no line of JSON."""
+    """The driver ended, or answered with what is not a line of JSON."""
 
     code = "driver"
 

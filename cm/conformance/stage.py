@@ -177,7 +177,7 @@ class Stage:
         try:
             request = decode_request(frames)
         except InvalidRequest as error:
-            self.violations.append(f"what was sent is no request: {error}")
+            self.violations.append(f"what was sent is not a request: {error}")
             return
         topic = frames[0].decode().partition(" ")[0]
         taken = Taken(envelope, topic, request, tuple(frames[2:]))

@@ -62,7 +62,7 @@ class BoardWatch:
         try:
             self._manager.board_restarted()
         except (CmError, OSError) as error:
-            _LOG.info("the board is there again but does not answer yet: %s", error)
+            _LOG.info("the board is back but does not answer yet: %s", error)
             return
         self._known = boot_id
         self._begin()

@@ -21,8 +21,8 @@ class UnsafeFolder(CmError, PermissionError):
 def own_folder(folder: Path, group: int | None = None, mode: int = FOLDER_MODE) -> None:
     """Make a folder where there is none; with a group, give it that. Raises UnsafeFolder if it is another's.
 
-    Ours is one that belongs to this user (or to root, who can do anything anyway), is no link, and that no others may
-    write to. A link further up is followed only where all above it is safe too: /var/run is one on most systems.
+    Ours is one that belongs to this user (or to root, who can do anything anyway), is not a link, and which no others
+    may write to. A link further up is followed only where all above it is safe too: /var/run is one on most systems.
     """
     folder.mkdir(mode=mode, parents=True, exist_ok=True)
     fd = _opened(folder)
@@ -53,7 +53,7 @@ def _opened(folder: Path) -> int:
     try:
         return os.open(folder, flags)
     except NotADirectoryError:
-        raise UnsafeFolder(f"{folder} is no folder, or a link to one: name the folder itself") from None
+        raise UnsafeFolder(f"{folder} is not a folder, or a link to one: name the folder itself") from None
 
 
 def open_inside(folder: Path, name: str, flags: int, mode: int = 0o640) -> int:
@@ -66,7 +66,7 @@ def open_inside(folder: Path, name: str, flags: int, mode: int = 0o640) -> int:
         raise UnsafeFolder(f"{folder / name} is a link; what it leads to is left alone") from error
     if not stat.S_ISREG(os.fstat(fd).st_mode):
         os.close(fd)
-        raise UnsafeFolder(f"{folder / name} is no file")
+        raise UnsafeFolder(f"{folder / name} is not a file")
     return fd
 
 

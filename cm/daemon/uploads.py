@@ -87,11 +87,11 @@ class Uploads:
             raise UnknownUpload(f"upload {part.id!r}: there are no bytes before {part.offset}; begin with offset 0")
         if client.upload_bytes + part.length > self._most or self._total() + part.length > self._all_most:
             raise TooMuchUploaded(
-                f"{client.upload_bytes} bytes of {client.name} lie here unused, {self._total()} of all; "
+                f"{client.upload_bytes} bytes of {client.name} are stored here unused, {self._total()} of all; "
                 f"{part.length} more are too many (limits.upload_mib, limits.uploads_mib)"
             )
         if sum(1 for name, _ in self._there if name == client.name) >= EACH:
-            raise TooMuchUploaded(f"{EACH} uploads of {client.name} lie here unused")
+            raise TooMuchUploaded(f"{EACH} uploads of {client.name} are stored here unused")
         upload = _Upload(self._new(part), part.length, time.monotonic() + IDLE)
         self._there[key] = upload, client
         client.upload_bytes += part.length
@@ -127,7 +127,7 @@ class Uploads:
     def _use(self, client: Budget, name: str) -> memoryview:
         found = self._there.get((client.name, name))
         if found is None or found[0].got != found[0].length:
-            got = f"{found[0].got} of {found[0].length} bytes are there" if found else "there is none of that name"
+            got = f"{found[0].got} of {found[0].length} bytes are there" if found else "there is no upload of that name"
             raise UnknownUpload(f"upload {name!r}: {got}")
         try:
             return found[0].view()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The functions of libddsc by which a sample is made from pieces of memory: one copy, where the Python API makes two.
 
-They are no public interface, so each library is tried before it is used (`proved`): where it is another than
+They are not a public interface, so each library is tried before it is used (`proved`): where it is another than
 expected, `Library.open` gives None, and samples take the way of the Python API.
 """
 

@@ -76,7 +76,7 @@ class Service:
             if not name or name in self._listening():
                 return True
             if time.monotonic() > until:
-                _LOG.warning("%s: DDS does not find the reader of who asked", self._asked)
+                _LOG.warning("%s: DDS does not find the reader of the client that asked", self._asked)
                 return False
             time.sleep(_LOOK)
         return False

@@ -63,7 +63,7 @@ class PlClock:
             return int(text)
         except ValueError:
             path = self._attributes.path(name)
-            raise DeviceError(errno.EIO, f"{path} reads {text!r}, which is no number", path) from None
+            raise DeviceError(errno.EIO, f"{path} reads {text!r}, which is not a number", path) from None
 
 
 class PlClocks:

@@ -15,7 +15,7 @@ ECHO_DEPTH = 64  # transfers under way where there is no channel
 
 @dataclass(frozen=True, slots=True)
 class StreamSetup:
-    """How a stream runs: lengths in bytes; `lines` is 0 where a frame is no video frame; `period_ns` 0: no limit."""
+    """How a stream runs: lengths in bytes; `lines` is 0 where a frame is not a video frame; `period_ns` 0: no limit."""
 
     write: bool
     length: int

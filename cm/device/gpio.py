@@ -92,7 +92,7 @@ def _opened(root: Root, name: str, line: int, what: str) -> Handle:
 
 def _hint(error: OSError, root: Root, name: str) -> str:
     if error.errno == errno.EBUSY:
-        return "somebody holds it; gpioinfo tells who"
+        return "it is in use; gpioinfo shows by whom"
     if error.errno == errno.EINVAL and (chip := _chip(root, name)) is not None:
         return f"{name} ({chip.label}) has lines 0 to {chip.lines - 1}"
     return advice.unopened(error, root, root.join("dev", name), _names(root))

@@ -42,7 +42,7 @@ _SENTENCES = {
     IcapErrors.DMA: "the DMA engine reported an error",
     IcapErrors.TIMEOUT: "the port did not finish",
     IcapErrors.NOSYNC: "no sync word was seen",
-    IcapErrors.PORT: "the port tells an error, and not its cause",
+    IcapErrors.PORT: "the port reports an error without its cause",
 }
 
 

@@ -46,13 +46,11 @@ class Overlays:
         """Apply the overlay ``dtbo`` under ``name``.
 
         A refused one is removed again.  Raises DeviceExists if the name is taken, DeviceInvalid for
-        what is no device-tree blob, DeviceUnsupported, DeviceError with the kernel's word.
+        what is not a device-tree blob, DeviceUnsupported, DeviceError with the kernel's word.
         """
         self._check(name)
         if not dtbo.startswith(_MAGIC):
-            text = (
-                f"overlay {name}: this is no device-tree blob (it has to begin with d0 0d fe ed); compile it with dtc"
-            )
+            text = f"overlay {name}: not a device-tree blob (it has to begin with d0 0d fe ed); compile it with dtc"
             raise DeviceInvalid(errno.EINVAL, text, self._attributes.path(name))
         self._attributes.mkdir(name)
         try:

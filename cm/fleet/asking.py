@@ -35,7 +35,7 @@ def absent(board: str, there: bool) -> ErrorInfo:
     if there:
         return ErrorInfo(
             ABSENT,
-            f"{board} is there and did not answer: it hangs, it took too long, or the router's rules keep us from it",
+            f"{board} is in the fleet but did not answer: it hangs, is too slow, or the router's rules keep us off",
         )
     return ErrorInfo(ABSENT, f"{board} is not in the fleet now")
 

@@ -204,7 +204,7 @@ def fetched(session: Any, site: str, bundle: FetchBundle, parts: Parts, patience
             continue
         data = _from_one_of(session, [part_key(place, bundle.sha256, part) for place in places], part, patience)
         if data is None:
-            raise PartMissing(f"{bundle.name}: nobody hands out part {part[:12]} ({parts.have(bundle)} bytes are here)")
+            raise PartMissing(f"{bundle.name}: nobody offers part {part[:12]} ({parts.have(bundle)} bytes are here)")
         parts.put(part, data)
 
 

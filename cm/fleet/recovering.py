@@ -67,7 +67,7 @@ NO_PART = member.NotNow.code
 def _apart(answer: FleetRecord | ErrorInfo) -> ErrorInfo:
     if isinstance(answer, ErrorInfo):
         return answer
-    return ErrorInfo(NO_PART, "it took no part in the change: it is where it was before")
+    return ErrorInfo(NO_PART, "it did not take part in the change: it is in its previous mode")
 
 
 async def refuse_other(record: FleetRecord, keep: bool, ask: Asking) -> None:

@@ -26,7 +26,7 @@ _LIMIT = 64 * 1024 * 1024  # bytes; the largest real ones have a few
 
 
 class HwhError(CmError, ValueError):
-    """A file that is no hardware handoff."""
+    """A file that is not a hardware handoff."""
 
     code = "hwh"
 
@@ -39,7 +39,7 @@ def read(path: Path, name: str = "") -> Hwh:
 def parse(data: bytes, name: str = ".hwh") -> Hwh:
     """Read the bytes of a file; `name` is for messages."""
     if len(data) > _LIMIT:
-        raise HwhError(f"{name}: {len(data)} bytes are no hardware handoff")
+        raise HwhError(f"{name}: {len(data)} bytes are not a hardware handoff")
     if b"\0" in data:  # UTF-16 would hide a document type from the next check
         raise HwhError(f"{name}: no UTF-8 text")
     if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
@@ -76,7 +76,7 @@ def _number(text: str | None, what: str) -> int:
     try:
         return int((text or "").replace("_", "") or "0", 0)
     except ValueError:
-        raise ValueError(f"{what} {text!r} is no number") from None
+        raise ValueError(f"{what} {text!r} is not a number") from None
 
 
 def _rate(text: str | None, what: str) -> int:

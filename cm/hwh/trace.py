@@ -80,7 +80,7 @@ class DecouplerInfo:
     """A DFX decoupler: the register bit or GPIO line that drives it (1 decouples), and the instances behind it."""
 
     instance: str
-    base: int | None  # None: driven by something that is no register of the PL
+    base: int | None  # None: driven by something that is not a register of the PL
     offset: int
     bit: int
     driver: str  # instance that drives it

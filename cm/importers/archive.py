@@ -128,7 +128,7 @@ def _opened(archive: Path) -> Iterator[tarfile.TarFile]:
 
 def _check_name(archive: Path, member: tarfile.TarInfo, parts: tuple[str, ...], top: str) -> None:
     if not member.isreg():
-        raise ImportRefused(f"{archive}: {member.name} is no plain file; links and devices are not unpacked")
+        raise ImportRefused(f"{archive}: {member.name} is not a plain file; links and devices are not unpacked")
     if len(parts) != 2 or ".." in parts or parts[0] in ("/", ".") or "\0" in member.name:
         raise ImportRefused(f"{archive}: {member.name!r} where <configuration>/<file> is expected")
     if parts[0] != top or top.startswith("."):

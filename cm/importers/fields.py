@@ -20,7 +20,7 @@ class Fields:
 
     @classmethod
     def read(cls, path: Path) -> Fields:
-        """Read a file. Raises `ImportRefused` for what is no JSON object."""
+        """Read a file. Raises `ImportRefused` for what is not a JSON object."""
         try:
             values = json.loads(path.read_text(encoding="utf-8-sig"))
         except (ValueError, RecursionError) as error:
@@ -63,7 +63,7 @@ def to_number(text: str, where: str, base: int = 0) -> int | None:
     try:
         value = int(text, base)
     except ValueError:
-        raise ImportRefused(f"{where}: {text!r} is no number") from None
+        raise ImportRefused(f"{where}: {text!r} is not a number") from None
     if value < 0:
         raise ImportRefused(f"{where}: {text} is below 0")
     return value

@@ -21,7 +21,7 @@ class OverlayInfo:
 
 
 def overlay_info(data: bytes, name: str = ".dtbo") -> OverlayInfo:
-    """Return what an overlay does. Raises `ImportRefused` for what is no device tree."""
+    """Return what an overlay does. Raises `ImportRefused` for what is not a device tree."""
     try:
         tree = fdt.unpack(data)
     except fdt.FdtError as error:

@@ -32,7 +32,7 @@ def import_pynq(bit: Path) -> Imported:
     report = inspect(bit)
     if report.partial:
         raise ImportRefused(
-            f"{bit}: a partial bitstream; give the .bit of its static design, partials are found beside it"
+            f"{bit}: a partial bitstream; give the .bit of its static design; partial bitstreams are found beside it"
         )
     verify(report, Expectation(partial=False))
     hwh = _handoff(bit, report)

@@ -198,7 +198,7 @@ def _registers(slot: Slot, hwh: Hwh, base: int, size: int, notes: list[str]) -> 
         module = hwh.modules.get(window.instance)
         offset = within(window.base, base, size)
         if module is None or offset is None:
-            notes.append(f"{prefix} at 0x{window.base:x}: lies outside of the region's {size} bytes, left out")
+            notes.append(f"{prefix} at 0x{window.base:x}: is outside the region's {size} bytes, left out")
             continue
         infos = handoff.registers(module, window.interface)
         if infos:

@@ -137,7 +137,7 @@ class VerifyFailed(CmError):
 
 
 class BadOverlay(InvalidRequest):
-    """A .dtbo that is no device-tree overlay, or that would load another bitstream than the one that was checked."""
+    """A .dtbo that is not a device-tree overlay, or that would load another bitstream than the one that was checked."""
 
     code = "bad_overlay"
 

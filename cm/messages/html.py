@@ -51,7 +51,7 @@ def plan(p: Any) -> str:
     """A `cm.messages.status.PlanInfo`."""
     goal = f"{p.config_name}/{p.mode}"
     if not p.steps:
-        return paragraph("nothing to do, the board is there", strong=goal)
+        return paragraph("nothing to do, the board is already in this mode", strong=goal)
     rows = [(step.text, step.bytes or "", f"{step.seconds * 1000:.2f}" if step.seconds else "") for step in p.steps]
     return table(("step", "bytes", "ms"), rows, f"{goal}: {p.bytes} bytes to load, about {p.seconds * 1000:.1f} ms")
 

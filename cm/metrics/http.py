@@ -30,7 +30,7 @@ def split_address(text: str) -> tuple[str, int]:
     """``HOST:PORT``, or ``PORT`` on this machine only. Raises InvalidRequest."""
     host, colon, port = text.rpartition(":")
     if not port.isascii() or not port.isdecimal() or int(port) > 65535 or (colon and not host):
-        raise InvalidRequest(f"{text!r} is no address for metrics: PORT on this machine, or HOST:PORT")
+        raise InvalidRequest(f"{text!r} is not an address for metrics: PORT on this machine, or HOST:PORT")
     return (host or "127.0.0.1").strip("[]"), int(port)
 
 

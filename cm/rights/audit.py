@@ -42,7 +42,7 @@ class Audit:
             self._end(burst)
         elif len(self._bursts) >= _MOST:
             if connection or kind:
-                self.note("", "", lambda: "more goes on than is logged one by one", level)
+                self.note("", "", lambda: "more is going on than is logged line by line", level)
             return
         text = say()
         _LOG.log(level, "%s", text)

@@ -179,7 +179,7 @@ class Gate:
 
 
 def _where(publishes: str) -> str:
-    return " to what is published, which takes the right to observe everything" if publishes else ""
+    return " to publications, which need the right to observe everything" if publishes else ""
 
 
 def check(who: Principal, rights: Rights, *needs: Need) -> None:

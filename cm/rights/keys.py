@@ -16,13 +16,13 @@ _DEFAULT = ("provision",)
 
 
 def pairs_of(text: str) -> dict[str, str]:
-    """The lines of a key file that are no comments, by name. The last of a name counts."""
+    """The lines of a key file that are not comments, by name. The last of a name counts."""
     lines = (line.partition(":") for line in text.splitlines() if line.strip() and not line.startswith("#"))
     return {name.strip(): value.strip() for name, _, value in lines}
 
 
 def authorized(name: str, pairs: Mapping[str, str]) -> AuthorizedKey:
-    """The key of a client. Raises InvalidRequest for what is no public key of one."""
+    """The key of a client. Raises InvalidRequest for what is not a public key of one."""
     public = pairs.get("public", "")
     if "secret" in pairs:
         raise InvalidRequest("it holds a secret key: only NAME.pub belongs here, the .key is the client's alone")
@@ -42,7 +42,7 @@ def _until(text: str) -> float | None:
     try:
         when = datetime.fromisoformat(text.replace("Z", "+00:00"))
     except ValueError:
-        raise InvalidRequest(f"expires: {text[:80]!r} is no day such as 2030-12-31, and no time") from None
+        raise InvalidRequest(f"expires: {text[:80]!r} is not a day such as 2030-12-31, and no time") from None
     if len(text) == len("2030-12-31"):
         when = when.replace(hour=23, minute=59, second=59)
     return (when if when.tzinfo else when.replace(tzinfo=timezone.utc)).timestamp()

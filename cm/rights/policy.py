@@ -70,7 +70,7 @@ def of_guest(name: str, bridge: Rights, access: Access) -> Rights:
 
 
 def grants(roles: Iterable[str], access: Access) -> tuple[Grant, ...]:
-    """The grants of roles by name; a name that nothing is called is no grant (settings refuse it beforehand)."""
+    """The grants of roles by name; a name that nothing is called is not a grant (settings refuse it beforehand)."""
     return tuple(found for name in roles if (found := _grant(name, access)) is not None and found.role > Role.NONE)
 
 

@@ -17,7 +17,7 @@ _CODES = {
     "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
 _BYTES = ("byte", "uint8")
-_MOST = 1 << 26  # elements of a sequence that is read: what is longer is no message of ours
+_MOST = 1 << 26  # elements of a sequence that is read: what is longer is not a message of ours
 
 Values = Mapping[str, Any]
 _Put = Callable[[bytearray, Any], None]
@@ -60,7 +60,7 @@ def read(name: str, reader: Reader) -> dict[str, Any]:
     try:
         values: dict[str, Any] = _taker(name)(reader)
     except (struct.error, IndexError, UnicodeDecodeError, ValueError) as error:
-        raise InvalidRequest(f"this is no {name}: {error}") from error
+        raise InvalidRequest(f"this is not a valid {name}: {error}") from error
     return values
 
 
@@ -72,7 +72,7 @@ def decode_head(name: str, data: bytes | memoryview) -> tuple[dict[str, Any], in
         values = {field.name: _field_taker(field)(reader) for field in fields}
         length = int(reader.take("I", 4))
     except (struct.error, IndexError, UnicodeDecodeError, ValueError) as error:
-        raise InvalidRequest(f"this is no {name}: {error}") from error
+        raise InvalidRequest(f"this is not a valid {name}: {error}") from error
     return values, length, reader.at
 
 

@@ -39,7 +39,7 @@ class NodeName:
         words = [self.name, *(word for word in self.namespace.strip("/").split("/") if word)]
         for word in words:
             if not _NAME.fullmatch(word):
-                raise InvalidRequest(f"{word!r} is no name for ROS: letters, digits and _, and no digit first")
+                raise InvalidRequest(f"{word!r} is not a name for ROS: letters, digits and _, and no digit first")
         if not self.namespace.startswith("/"):
             raise InvalidRequest(f"a namespace begins with /, as in /{self.namespace}")
 
@@ -85,7 +85,7 @@ class BoardNode:
     def link(self, board: Board | None, problem: str) -> None:
         """The manager is there, or not."""
         if problem not in (self._problem, ENDED):
-            _LOG.warning("%s", problem or "the manager is there again")
+            _LOG.warning("%s", problem or "the manager is back")
         with self._lock:
             self._board, self._problem = board, problem
             if board is None:

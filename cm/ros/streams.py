@@ -99,14 +99,14 @@ class WritableStream:
             _LOG.warning("frames for %s are not written: %s", self._stream.name, problem)
 
     def _rows_follow_each_other(self, values: Mapping[str, Any], length: int) -> bool:
-        """Raises InvalidRequest for what is no picture of this stream."""
+        """Raises InvalidRequest for what is not a picture of this stream."""
         if not self._stream.encoding:
             return True
         if values["encoding"] != self._stream.encoding:
             raise InvalidRequest(f"it is {values['encoding']}; the stream takes {self._stream.encoding}")
         height, step = values["height"], values["step"]
         if not height or length < height * step or (step and self._row(values) > step):
-            raise InvalidRequest(f"{length} bytes are no {height} rows of {step} bytes")
+            raise InvalidRequest(f"{length} bytes are not {height} rows of {step} bytes")
         return not step or (self._row(values) == step and length == height * step)
 
     def _rows(self, values: Mapping[str, Any], body: Body) -> npt.NDArray[np.uint8]:

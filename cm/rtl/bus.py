@@ -17,7 +17,7 @@ from cm.sim.hardware.fabric import Fabric
 _WHY = {
     errno.EFAULT: "no slave has that address (DECERR)",
     errno.EIO: "the slave refuses it (SLVERR), as a region does that is cut off",
-    errno.ETIMEDOUT: "nothing answers: on a board the processor would stand still",
+    errno.ETIMEDOUT: "nothing answers: on a board the processor would hang",
 }
 
 

@@ -93,7 +93,7 @@ def _scale(text: str) -> float:
     except ValueError:
         value = 0.0
     if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r} is no number of seconds: 100 lets 10 ns take a microsecond")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of seconds: 100 lets 10 ns take a microsecond")
     return value
 
 
@@ -108,7 +108,7 @@ def _maker(design: RtlDesign, folder: Path, args: argparse.Namespace, make: Make
     try:
         tools = find_tools()
     except ToolMissing as error:
-        logging.getLogger(__name__).warning("the RTL %s; models in software stand in for it", error)
+        logging.getLogger(__name__).warning("the RTL %s; models in software are used instead", error)
         return SoftwareLogic
     return partial(_start, tools, design, folder, args, make)
 

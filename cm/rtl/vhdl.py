@@ -44,7 +44,7 @@ def _synthesise(
     for library, files in libraries.items():
         if files:
             _run([ghdl, "-i", *_FLAGS, *places, f"--work={library}", *map(str, files)], scratch, module.name)
-    # brings the units into their order; what it says of generics without a value is no error here
+    # brings the units into their order; what it says of generics without a value is not an error here
     subprocess.run([ghdl, "-m", *_FLAGS, *places, module.top], cwd=scratch, capture_output=True, check=False)
     return _run([ghdl, "--synth", *_FLAGS, *places, "--out=verilog", *generics, module.top], scratch, module.name)
 

@@ -42,7 +42,7 @@ def source(schema: bytes) -> str:
     try:
         compile(head + code, MODULE, "exec")
     except SyntaxError as error:
-        raise ValueError(f"this fastjsonschema writes source that is no Python: {error}") from error
+        raise ValueError(f"this fastjsonschema writes source that is not Python: {error}") from error
     return head + code
 
 

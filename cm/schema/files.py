@@ -57,7 +57,7 @@ def _is_file(place: str) -> bool:
 def bitstream_path(config: Config, module: Module | str | None, root: Path | str = "/") -> Path:
     """The bitstream of `module`, or (None) of the whole configuration.
 
-    Raises `FileMissing`, or `NotFound` for a name that is no module.
+    Raises `FileMissing`, or `NotFound` for a name that is not a module.
     """
     if module is None:
         return find_file(config, _candidates(config.name, config.bitstream), root)

@@ -101,7 +101,7 @@ def pixel_bytes(encoding: str) -> int:
 
 
 def misfit(encoding: str, shape: tuple[int, ...] | None, item: int) -> str:
-    """Why frames of this shape, of elements of `item` bytes, are no pictures of `encoding`; empty if they are."""
+    """Why frames of this shape, of elements of `item` bytes, are not pictures of `encoding`; empty if they are."""
     if shape is None or len(shape) < 2:
         return f"{encoding} is of pictures, and the frames have no rows and columns"
     wanted, there = pixel_bytes(encoding), item * math.prod(shape[2:])
@@ -111,7 +111,7 @@ def misfit(encoding: str, shape: tuple[int, ...] | None, item: int) -> str:
 
 
 def implied_encoding(shape: tuple[int, ...] | None, dtype: str) -> str:
-    """What frames of this shape and dtype are where nothing is said; empty where that is no picture."""
+    """What frames of this shape and dtype are where nothing is said; empty where that is not a picture."""
     if shape is None or len(shape) not in (2, 3):
         return ""
     channels = shape[2] if len(shape) == 3 else 1

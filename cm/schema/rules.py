@@ -85,7 +85,9 @@ def _check_regions(regions: Mapping[str, Region], context: Context) -> None:
     for name, region in regions.items():
         path: KeyPath = (*_TOP, "regions", name)
         if name == STATIC:
-            context.report(path, "name_clash", "static is what is in no region", "give the region another name")
+            context.report(
+                path, "name_clash", "static is everything outside the regions", "give the region another name"
+            )
         _check_footprint(region, path, context)
         if (cut := region.decoupler) is not None:
             _check_decoupler(cut, (*path, "decoupler"), context)

@@ -61,7 +61,7 @@ def _check_place(memory: Memory, path: KeyPath, config: Config, context: Context
     if memory.size % WORD:
         low = memory.size // WORD * WORD
         hint = f"accesses have 32 bits: {f'{low} or ' if low else ''}{low + WORD}"
-        context.report((*path, "size"), "bad_value", f"size {memory.size} is no multiple of {WORD}", hint)
+        context.report((*path, "size"), "bad_value", f"size {memory.size} is not a multiple of {WORD}", hint)
     if memory.end > 1 << 64:
         context.report((*path, "size"), "value_range", f"it ends at {memory.end:#x}", "addresses have 64 bits")
     if memory.region is not None and memory.region not in config.regions:
@@ -74,7 +74,7 @@ def _check_form(memory: Memory, path: KeyPath, context: Context) -> None:
     if memory.shape is None:
         if memory.size % item and memory.size % WORD == 0:  # else its size was reported
             hint = f"a multiple of {item}"
-            context.report((*path, "size"), "bad_value", f"{memory.size} bytes are no whole {memory.dtype}s", hint)
+            context.report((*path, "size"), "bad_value", f"{memory.size} bytes are not whole {memory.dtype}s", hint)
         return
     length = math.prod(memory.shape) * item
     if length != memory.size:

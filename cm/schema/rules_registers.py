@@ -101,7 +101,7 @@ def _check_fields(register: Register, path: KeyPath, context: Context) -> None:
 class _Together:
     """Of registers that are visible in one mode: one place per name, one name per place.
 
-    The same name at the same place, again, is no clash: a module or mode may give a register of the
+    The same name at the same place, again, is not a clash: a module or mode may give a register of the
     configuration another default. The configuration's registers are compared with each other once,
     and those that a mode adds with them and with each other.
     """

@@ -13,6 +13,6 @@ class SignatureRefused(CmError):
 
 
 class SigningUnavailable(CmError):
-    """The package that knows ed25519 is not installed, or a key file is no ed25519 key."""
+    """The package that knows ed25519 is not installed, or a key file is not an ed25519 key."""
 
     code = "signing_unavailable"

@@ -47,7 +47,7 @@ def _signature(manifest: bytes, path: Path) -> str:
 
 
 def public_keys(folder: Path) -> Mapping[str, Ed25519PublicKey]:
-    """Return the keys of a folder's ``*.pem`` by name. Raises SigningUnavailable for what is no public ed25519 key."""
+    """Return the keys of a folder's ``*.pem`` by name. Raises SigningUnavailable for all but public ed25519 keys."""
     ed25519, serialization = _library()
     found = {}
     for path in sorted(folder.glob("*.pem")):

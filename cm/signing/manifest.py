@@ -58,7 +58,7 @@ def parse(data: bytes, path: Path) -> Manifest:
         raise SignatureRefused(f"{path}: config must be a name, version a number, files a map")
     for name, sha256 in files.items():
         if Path(name).name != name or not isinstance(sha256, str) or not _SHA256.fullmatch(sha256):
-            raise SignatureRefused(f"{path}: {name!r} is no plain file name with its sha256")
+            raise SignatureRefused(f"{path}: {name!r} is not a plain file name with its sha256")
     return Manifest(config, version, files)
 
 

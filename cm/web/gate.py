@@ -44,13 +44,13 @@ class Gate:
         """Why a request with this Host is refused; empty if it is not."""
         name = _hostname(host)
         if name is None:
-            return "the request has no Host, or one that is no address"
+            return "the request has no Host, or one that is not an address"
         if name in self.names or _is_address(name):
             return ""
         return f"this machine is not known as {name!r}; if it is, say: cm web --name {name}"
 
     def refuses_origin(self, origin: str | None, host: str) -> str:
-        """Why a page of this origin may not connect; empty if it may. Programs that are no browser send none."""
+        """Why a page of this origin may not connect; empty if it may. Programs other than browsers send none."""
         if origin is None or urlsplit(origin).netloc.lower() == host.lower():
             return ""
         return f"a page of {origin!r} may not connect here"

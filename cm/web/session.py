@@ -54,7 +54,7 @@ class Session:
                 if message.type is WSMsgType.TEXT:
                     self._take(json.loads(message.data))
         except (ValueError, TypeError, AttributeError, KeyError):
-            await self._socket.close(code=1003, message=b"that is no message of the page's")
+            await self._socket.close(code=1003, message=b"that is not a message of the page's")
         finally:
             self._hub.topics.ignore(self._tell)
             for stream in tuple(self._sent):
@@ -74,7 +74,7 @@ class Session:
 
     def _take(self, message: Any) -> None:
         if not isinstance(message, dict):
-            raise TypeError(f"{message!r} is no message")
+            raise TypeError(f"{message!r} is not a message")
         if "drawn" in message:
             stream = str(message["drawn"])
             self._waiting[stream] = max(0, self._waiting.get(stream, 0) - 1)
@@ -97,7 +97,7 @@ class Session:
     def _do(self, message: Mapping[str, Any]) -> None:
         number, what, words = int(message["id"]), str(message["do"]), dict(message.get("with") or {})
         if len(self._tasks) >= _ASKED:
-            self._reply({"reply": number, "error": {"code": "busy", "message": "too much is under way already"}})
+            self._reply({"reply": number, "error": {"code": "busy", "message": "too many requests are under way"}})
             return
         task = asyncio.create_task(self._answer(number, what, words))
         self._tasks.add(task)

@@ -59,7 +59,7 @@ def _parse(message_type: type[_Message], topic: str, payload: bytes) -> _Message
     try:
         message = message_type.FromString(payload)
     except DecodeError as error:
-        raise InvalidRequest(f"{topic}: the second frame is no {message_type.__name__} message ({error})") from error
+        raise InvalidRequest(f"{topic}: the second frame is not a {message_type.__name__} message ({error})") from error
     bounds.check(topic, message, len(payload))
     return message
 

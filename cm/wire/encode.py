@@ -250,7 +250,7 @@ def decode_reply(frames: Sequence[Frame]) -> st.Reply:
     try:
         message = pb.Reply.FromString(bytes(frames[1]))
     except DecodeError as problem:
-        raise InvalidRequest(f"a reply that is no Reply message: {problem}") from problem
+        raise InvalidRequest(f"a reply that is not a Reply message: {problem}") from problem
     field = message.WhichOneof("body")
     return st.Reply(
         body=_FROM_FIELD[field](getattr(message, field)) if field else None,
@@ -294,7 +294,7 @@ def _message(kind: Any, data: bytes) -> Any:
     try:
         return kind.FromString(data)
     except DecodeError as problem:
-        raise InvalidRequest(f"the payload is no {kind.__name__} message ({problem})") from problem
+        raise InvalidRequest(f"the payload is not a valid {kind.__name__} message ({problem})") from problem
 
 
 Event = st.Status | st.RegValues | st.Irq | st.FrameInfo

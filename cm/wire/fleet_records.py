@@ -21,7 +21,7 @@ def parsed(kind: type[_M], data: bytes) -> _M:
     try:
         return kind.FromString(data)
     except DecodeError as problem:
-        raise InvalidRequest(f"the payload is no {kind.__name__} message ({problem})") from problem
+        raise InvalidRequest(f"the payload is not a valid {kind.__name__} message ({problem})") from problem
 
 
 def encode_step(step: fl.FleetStep) -> bytes:
@@ -42,7 +42,7 @@ def encode_step(step: fl.FleetStep) -> bytes:
 
 
 def decode_step(data: bytes) -> fl.FleetStep:
-    """Raises InvalidRequest for what is no step, has no id, or a ballot that none may follow."""
+    """Raises InvalidRequest for what is not a step, has no id, or a ballot that none may follow."""
     m = parsed(pb.FleetStep, data)
     if not m.id or not m.id.isascii() or not m.id.isprintable() or len(m.id) > 64 or "/" in m.id:
         raise InvalidRequest(f"a change of a fleet has an id of 1 to 64 printable characters without /, not {m.id!r}")

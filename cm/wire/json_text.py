@@ -25,7 +25,7 @@ def to_json(kind: str, data: bytes) -> str:
     try:
         message = _class_of(kind).FromString(data)
     except DecodeError as problem:
-        raise InvalidRequest(f"the payload is no {kind} message ({problem})") from problem
+        raise InvalidRequest(f"the payload is not a valid {kind} message ({problem})") from problem
     return json_format.MessageToJson(message, preserving_proto_field_name=True, indent=None)
 
 

@@ -101,7 +101,7 @@ def _wrong_entry(payload: bytes, text: str, at: int) -> InvalidRequest:
 
 
 def _no_integer(name: str) -> InvalidRequest:
-    return InvalidRequest(f"cm_write_reg: the value of {name!r} is no integer of 0 or more, such as 2 or 0x2")
+    return InvalidRequest(f"cm_write_reg: the value of {name!r} is not an integer of 0 or more, such as 2 or 0x2")
 
 
 def _no_mapping(payload: bytes) -> InvalidRequest:

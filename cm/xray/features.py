@@ -66,7 +66,7 @@ def parse(lines: Iterable[str], source: str = "FASM") -> Iterator[Setting]:
             continue
         found = _LINE.fullmatch(text)
         if found is None:
-            raise XrayError(f"{source}, line {number}: {text[:80]!r} is no line of FASM (TILE.FEATURE[7:0] = 8'h2A)")
+            raise XrayError(f"{source}, line {number}: {text[:80]!r} is not a line of FASM (TILE.FEATURE[7:0] = 8'h2A)")
         yield _setting(found, f"{source}, line {number}")
 
 
@@ -76,7 +76,7 @@ def _setting(found: re.Match[str], where: str) -> Setting:
     try:
         value = 1 if found["value"] is None else int(found["value"].replace("_", ""), _BASES[found["base"]])
     except ValueError as error:
-        raise XrayError(f"{where}: {found['value']!r} is no number of base {_BASES[found['base']]}") from error
+        raise XrayError(f"{where}: {found['value']!r} is not a number of base {_BASES[found['base']]}") from error
     setting = Setting(found["tile"], found["name"], high, low, value)
     if setting.width < 1 or value >> setting.width:
         raise XrayError(f"{where}: {value} does not fit {setting.width} bits")

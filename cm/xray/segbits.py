@@ -63,7 +63,7 @@ def read_ppips(path: Path) -> Mapping[str, str]:
 def _bit(text: str, where: str) -> Bit:
     found = _BIT.fullmatch(text)
     if found is None:
-        raise XrayError(f"{where}: {text!r} is no bit (FRAME_BIT or !FRAME_BIT)")
+        raise XrayError(f"{where}: {text!r} is not a bit (FRAME_BIT or !FRAME_BIT)")
     return Bit(int(found[2]), int(found[3]), not found[1])
 
 

@@ -74,7 +74,7 @@ def read_tiles(path: Path) -> dict[str, Tile]:
         found = json.loads(path.read_text(encoding="utf-8"))
         return {name: _tile(name, entry) for name, entry in found.items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise XrayError(f"{path} is no tile grid of Project X-Ray: {error!r}") from error
+        raise XrayError(f"{path} is not a tile grid of Project X-Ray: {error!r}") from error
 
 
 def _tile(name: str, entry: dict[str, Any]) -> Tile:

@@ -311,7 +311,7 @@ int64_t connection_now_ms(void)
 	return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }
 
-/* What is left of @timeout_ms, which began at @begun; packets that are no frames do not prolong it. */
+/* What is left of @timeout_ms, which began at @begun; packets that are not frames do not prolong it. */
 static int left_ms(int timeout_ms, int64_t begun)
 {
 	int64_t gone = timeout_ms > 0 ? connection_now_ms() - begun : 0;

@@ -34,7 +34,7 @@ static void parts_are_counted_within_one_message(void)
 	check("\1\1a\1\1b\0\1c\1\0\1\0\0\0", 16, CM_GUARD_REQUESTS, -1);
 	check("\1\0\1\0\1\0\0\0", 8, CM_GUARD_REQUESTS, CM_GUARD_PARTS);
 	check("\4\5READY\1\0\4\0\4\0\1\0\0\0", 17, CM_GUARD_REQUESTS,
-	      -1); /* commands are no parts */
+	      -1); /* commands are not parts */
 }
 
 static void bytes_are_counted_over_all_parts_and_when_they_are_announced(void)

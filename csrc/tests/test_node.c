@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-/* A node that does not keep to cm_node.h, that dies, or that is no node. */
+/* A node that does not keep to cm_node.h, that dies, or that is not a node. */
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/mman.h>

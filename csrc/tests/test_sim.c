@@ -163,7 +163,7 @@ static void short_and_long_packets(void)
 	stop(bench);
 }
 
-/* What is no plain submit stays in the socket, and the thread gives the channels back. */
+/* What is not a plain submit stays in the socket, and the thread gives the channels back. */
 static void parks_for(struct request request)
 {
 	struct bench *bench = start();

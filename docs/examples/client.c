@@ -75,7 +75,7 @@ static Cm__Reply *ask(void *req, const char *topic, const void *message, size_t 
 	for (int i = 0; i < count && i < 3; i++)
 		zmq_msg_close(&frames[i]);
 	if (!reply)
-		die("the reply is no Reply message");
+		die("the reply is not a Reply message");
 	if (!reply->ok) {
 		fprintf(stderr, "%s: %s: %s\n", topic, reply->error->code, reply->error->message);
 		exit(1);

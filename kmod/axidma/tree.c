@@ -113,7 +113,7 @@ static int read_channel(struct device *dev, int index, struct cm_channel_config 
 		return dev_err_probe(dev, -EINVAL, "dmas %d names no channel's node\n", index);
 	ret = read_kind(node, config);
 	if (ret)
-		dev_err_probe(dev, ret, "%pOF is no channel of an AXI DMA or VDMA\n", node);
+		dev_err_probe(dev, ret, "%pOF is not a channel of an AXI DMA or VDMA\n", node);
 	else
 		ret = of_property_read_u32(node, "xlnx,device-id", id);
 	if (ret)

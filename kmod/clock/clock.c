@@ -162,7 +162,7 @@ static int clock_add(struct device *parent, const char *name)
 	if (IS_ERR(clk))
 		return dev_err_probe(parent, PTR_ERR(clk), "no clock \"%s\"\n", name);
 	if (strchr(name, '/') || !name_free(name))
-		return dev_err_probe(parent, -EEXIST, "\"%s\" is no name, or another's\n", name);
+		return dev_err_probe(parent, -EEXIST, "\"%s\" is not a name, or another's\n", name);
 	clock = kzalloc(sizeof(*clock), GFP_KERNEL);
 	if (!clock)
 		return -ENOMEM;

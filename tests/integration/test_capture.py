@@ -97,7 +97,7 @@ def test_what_has_no_shape_is_no_picture_one_pixel_high(
     board.configure_stream("camera", shape=(307200,), force=True)
     place = ["--runtime-dir", str(manager.runtime)]
     assert main(["stream", "capture", "camera", str(tmp_path / "x.png"), *place]) == 0
-    assert "x.npy: flat bytes, without a shape, is no picture" in capsys.readouterr().out
+    assert "x.npy: flat bytes, without a shape, is not a picture" in capsys.readouterr().out
     assert not (tmp_path / "x.png").exists()
     assert np.load(tmp_path / "x.npy").shape == (307200,)
     board.set_mode("edge_detection")  # with another mode the schema's shape comes back

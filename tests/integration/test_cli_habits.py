@@ -48,7 +48,7 @@ def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
         said = json.loads(capsys.readouterr().out)
         assert (said["change"], said["config_name"], said["mode"]) == (change.number, "camera", "default")
         assert main(["cancel", *place]) == 0
-        assert capsys.readouterr().out == "no change is under way; the board is at camera/default\n"
+        assert capsys.readouterr().out == "no change is running; the board is in camera/default\n"
 
 
 @pytest.mark.parametrize("words", [("watch",), ("reg", "watch", "focus")], ids=lambda words: words[0])

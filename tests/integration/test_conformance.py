@@ -46,12 +46,12 @@ writes = [pb.RegWrite(name="focus", value=3)]
 req.send_multipart([b"", b"cm_write_reg", pb.WriteReg(writes=writes).SerializeToString()])
 say({**values(req.recv_multipart()), "generation": 41})
 """, "it should have written .*mask=0"),
-    "what is sent is no message": ("status", """
+    "what is sent is not a message": ("status", """
 req.send_multipart([b"", b"cm_status", b"\\xff\\xff"])
 req.send_multipart([b"", b"cm_status", b""])
 req.recv_multipart()
 say({"config": "camera", "mode": "default", "busy": False})
-""", "what was sent is no request"),
+""", "what was sent is not a request"),
     "digits are lost": ("write-64-bits", """
 writes = [pb.RegWrite(name="wide", value=int(float((1 << 64) - 2048)))]
 req.send_multipart([b"", b"cm_write_reg", pb.WriteReg(writes=writes).SerializeToString()])

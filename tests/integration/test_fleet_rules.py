@@ -69,7 +69,7 @@ def test_who_operates_changes_modes_and_registers_by_the_name_in_its_certificate
 def test_who_observes_sees_everything_and_the_router_drops_its_commands(closed: Closed) -> None:
     with closed.connected("olga") as fleet:
         assert isinstance(fleet.status()["b1"], BoardStatus)
-        assert "rules keep us from it" in error_of(fleet.write({"led": 2})).message
+        assert "rules keep us off" in error_of(fleet.write({"led": 2})).message
         with fleet.watch() as statuses:
             assert next(statuses)[0] == "b1"
 

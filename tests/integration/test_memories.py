@@ -190,7 +190,7 @@ def test_what_there_is_can_be_listed(board: cm.Board) -> None:
         (lambda b: b.memories["taps"].read(2, 4), RequestInvalid, "invalid_request", "multiples of 4"),
         (lambda b: b.memories["taps"].read(-4, 4), InvalidRequest, "invalid_request", "64 bits"),
         (lambda b: b.memories["taps"].write(b""), InvalidRequest, "invalid_request", "no bytes"),
-        (lambda b: b.configure_stream("taps", slots=4), RequestInvalid, "invalid_request", "is no stream"),
+        (lambda b: b.configure_stream("taps", slots=4), RequestInvalid, "invalid_request", "is not a stream"),
         (lambda b: b.configure_memory("taps", 0x60100, 64), RequestInvalid, "invalid_request", "another name"),
         (lambda b: b.configure_memory("x", 0x7000, 64), RequestFailed, "device_not_found", "windows in"),
     ],

@@ -500,7 +500,7 @@ def test_a_limit_thins_the_stream_out(board: cm.Board) -> None:
         times = [f.timestamp_ns for f in islice(stream, 6)]
         sequences = [f.sequence for f in islice(stream, 2)]
     assert 5e9 / (times[-1] - times[0]) < 12, "five gaps in a second at most; a busy machine makes them longer"
-    assert sequences[1] - sequences[0] == 1, "what a limit leaves out is no loss"
+    assert sequences[1] - sequences[0] == 1, "what a limit leaves out is not a loss"
     board.configure_stream("camera", rate=float("inf"), force=True)
 
 

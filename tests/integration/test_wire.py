@@ -117,8 +117,8 @@ def test_replies_to_a_dealer_carry_its_own_frames_back(peer: Peer, manager: Mana
     ("frames", "code", "words"),
     [
         ([b"cm_nonsense", b""], "invalid_request", "unknown topic"),
-        ([b"cm_write_reg", b"\xff\xff\xff"], "invalid_request", "no WriteReg message"),
-        ([b"cm_write_reg", b"{ 'focus': 'two' }"], "invalid_request", "no integer"),
+        ([b"cm_write_reg", b"\xff\xff\xff"], "invalid_request", "not a WriteReg message"),
+        ([b"cm_write_reg", b"{ 'focus': 'two' }"], "invalid_request", "not an integer"),
         ([b"cm_write_reg", b"{ 'focus': 0x10 }"], "out_of_range", "0 to 15"),
         ([b"cm_write_reg", b"{ 'nix': 1 }"], "unknown_register", "nix"),
         ([b"cm_write_reg", b""], "invalid_request", "at least one"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make release-check`: what it finds in trees that are no release, and the bill of materials."""
+"""`make release-check`: what it finds in trees that are not a release, and the bill of materials."""
 
 from __future__ import annotations
 

@@ -186,7 +186,7 @@ proc vivado::read_checkpoint {given plain} {
     readable $plain
     opened read_checkpoint
     set cell [dict get $given -cell]
-    if {[lindex [checkpoint [lindex $plain 0]] 0] ne "module"} { refuse "[lindex $plain 0] is no module synthesised out of context" }
+    if {[lindex [checkpoint [lindex $plain 0]] 0] ne "module"} { refuse "[lindex $plain 0] is not a module synthesised out of context" }
     in_reach read_checkpoint $cell
     dict lappend ::vivado filled $cell
 }

@@ -220,7 +220,7 @@ def test_one_frame_more_than_a_column_has_is_refused(column: int) -> None:
     fits = assemble("xc7z020", [FrameRun(address, frames(width + 1))])  # the last only pushes the one before it out
     assert codes(fits, expect) == []
     assert footprint_of(inspect(fits)) == expect.footprint
-    more = 4 if column == 73 else 2  # behind a row's end its padding, which is no frame of anything
+    more = 4 if column == 73 else 2  # behind a row's end its padding, which is not a frame of anything
     assert codes(assemble("xc7z020", [FrameRun(address, frames(width + more))]), expect) == ["footprint_outside"]
 
 

@@ -238,7 +238,7 @@ def test_part_names_lead_to_their_device() -> None:
 
 
 def test_frame_size_is_that_of_the_family() -> None:
-    with pytest.raises(ValueError, match="no whole frames of 372 bytes"):
+    with pytest.raises(ValueError, match="not whole frames of 372 bytes"):
         assemble("xczu3eg", [FrameRun(HERE, bytes(FRAME_BYTES))])
 
 

@@ -205,7 +205,7 @@ def test_a_direction_of_a_multichannel_engine_that_lacks_an_interrupt_is_left_ou
     found = engines(handoff.parse(multichannel(*MC_LINES[:3])), ZYNQ7000)
     assert [c.stream for c in found.found[0].channels] == ["mc_mm2s_0", "mc_mm2s_1"]
     assert any("stream mc_s2mm_1: the interrupt of mc goes nowhere" in note for note in found.notes)
-    assert any("mc_s2mm_0 cannot be told either" in note for note in found.notes)
+    assert any("mc_s2mm_0 is left out too" in note for note in found.notes)
 
 
 @needs("dtc")

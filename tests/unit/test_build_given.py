@@ -90,7 +90,7 @@ def test_a_core_brings_its_target_with_what_it_depends_on_before_it(tmp_path: Pa
 def test_a_target_gives_a_parameter_text_as_it_is_and_no_number_that_is_none(tmp_path: Path) -> None:
     core = cores(tmp_path)
     core.write_text(CORE.replace("parameters: [HIGH", "parameters: [HIGH=*x"))
-    with pytest.raises(BuildError, match=r"the parameter HIGH is given '\*x', which is no value"):
+    with pytest.raises(BuildError, match=r"the parameter HIGH is given '\*x', which is not a value"):
         core_files(core, roots=[tmp_path])
     core.write_text(core.read_text().replace("HIGH: {datatype: int, default: 15", "HIGH: {datatype: str"))
     assert core_files(core, roots=[tmp_path]).parameters["HIGH"] == "*x"

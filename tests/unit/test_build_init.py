@@ -37,7 +37,7 @@ def test_a_schema_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytes
     schema.write_text("mine\n")
     assert main(["build", "init", *map(str, CAMERA), "-o", str(schema)]) == 1
     assert schema.read_text() == "mine\n"
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err
 
 
 def test_a_module_without_a_bus_is_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

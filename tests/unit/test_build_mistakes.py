@@ -56,7 +56,7 @@ def changed(*pairs: tuple[str, str]) -> str:
 @pytest.mark.parametrize(
     ("old", "new", "sentence"),
     [
-        ("xc7z020clg400-1", "xc7a35tcsg324-1", "1:24: project.part: xc7a35tcsg324-1 is no part of the Zynq-7000"),
+        ("xc7z020clg400-1", "xc7a35tcsg324-1", "1:24: project.part: xc7a35tcsg324-1 is not part of the Zynq-7000"),
         ("xc7z020clg400-1", "xc7z020", "1:24: project.part: 'xc7z020' does not fit (Full part, e.g. xc7z020clg400-1; "),
         (
             "400-1}",
@@ -85,9 +85,9 @@ def changed(*pairs: tuple[str, str]) -> str:
             "SLICE_X0Y0:SLICE_X9Y9)",
         ),
         ("pblock: auto", "pblock: [SLICE_X0Y0:DSP48_X1Y1]", "is from SLICE to DSP48 (both ends are sites of one kind)"),
-        ("pblock: auto", "pblock: [auto, SLICE_X0Y0:SLICE_X1Y1]", "6:14: regions.prr0.pblock[0]: auto stands beside"),
+        ("pblock: auto", "pblock: [auto, SLICE_X0Y0:SLICE_X1Y1]", "6:14: regions.prr0.pblock[0]: auto is combined"),
         ("clock: fclk0", "clock: fclk9", "7:5: regions.prr0.clock: there is no clock 'fclk9' (did you mean fclk0?)"),
-        ("clock: fclk0", "window: 5000", "7:5: regions.prr0.window: 0x1388 is no power of two (write 0x2000)"),
+        ("clock: fclk0", "window: 5000", "7:5: regions.prr0.window: 0x1388 is not a power of two (write 0x2000)"),
         ("clock: fclk0", "clock: fclk0\n    clock: fclk0", "8:5: regions.prr0.clock: clock is here again (it is in li"),
         ("    clock: fclk0", "\tclock: fclk0", "7:1: not YAML: found a tab character"),
         (

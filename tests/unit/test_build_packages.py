@@ -164,7 +164,7 @@ def test_a_package_that_is_nowhere_is_named(repository: Repository, tmp_path: Pa
 
 @pytest.mark.parametrize("name", ["", "-oDebug=1", "a/b", "A", "a b"])
 def test_a_name_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(PackagesUnavailable, match="no name of a Debian package"):
+    with pytest.raises(PackagesUnavailable, match="not a name of a Debian package"):
         fetch([name], tmp_path)
 
 

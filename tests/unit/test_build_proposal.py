@@ -141,4 +141,4 @@ def test_a_proposal_lies_beside_the_build_schema_and_replaces_no_file(
     assert main(["build", "partition", str(path), "-o", str(tmp_path / "x.yaml")]) == 1
     assert "must lie in" in capsys.readouterr().err
     assert main(["build", "partition", str(path), "-o", str(path)]) == 1
-    assert "is there already" in capsys.readouterr().err
+    assert "exists already" in capsys.readouterr().err

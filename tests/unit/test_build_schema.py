@@ -51,7 +51,7 @@ MISTAKES = {
     "wrong type": (MINIMAL.replace("pblock: auto", "window: big"), 3, "bad_type", "expected an integer"),
     "missing file": (MINIMAL.replace("one.v", "two.v"), 6, "file_not_found", "two.v does not exist"),
     "foreign part": (MINIMAL.replace("xc7z020clg400-1", "xc7a35tcpg236-1"), 1, "bad_value", "Zynq"),
-    "window": (MINIMAL.replace("pblock: auto", "window: 5000"), 3, "bad_value", "no power of two"),
+    "window": (MINIMAL.replace("pblock: auto", "window: 5000"), 3, "bad_value", "not a power of two"),
     "clock": (MINIMAL.replace("pblock: auto", "clock: fclk7"), 3, "unknown_clock", "did you mean fclk0?"),
     "region": (MINIMAL + "    regions: [prr0, prr1]\n", 7, "unknown_region", "did you mean prr0?"),
     "module in a mode": (MINIMAL + "modes: {m: {modules: {prr0: on}}}\n", 7, "unknown_module", "did you mean one?"),
@@ -117,7 +117,7 @@ def test_all_mistakes_are_told_in_the_order_of_the_file(tmp_path: Path) -> None:
 def test_a_module_must_say_where_it_goes_when_there_are_several_regions(tmp_path: Path) -> None:
     text = MINIMAL.replace("  prr0: {pblock: auto}", "  prr0: {}\n  prr1: {}")
     messages = [str(problem) for problem in check_project(project(tmp_path, text))]
-    assert any("with several regions a module must say where it may go" in message for message in messages)
+    assert any("with several regions, a module must say which of them it fits" in message for message in messages)
 
 
 @pytest.mark.parametrize("name", NAMES)

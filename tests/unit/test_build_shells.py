@@ -84,7 +84,7 @@ def test_every_step_replays_and_no_modules_step_opens_the_static_design(tmp_path
             "read_checkpoint -cell static_part/right",
             "not in the abstract shell",
         ),
-        ("checkpoints/synth_two.dcp", "checkpoints/run_1.dcp", "is no module synthesised out of context"),
+        ("checkpoints/synth_two.dcp", "checkpoints/run_1.dcp", "is not a module synthesised out of context"),
         ("read_checkpoint", "#", "holds no module"),
     ],
 )

@@ -60,7 +60,7 @@ def test_both_families_are_read() -> None:
     [
         ("", "no row for LUTs, registers, Block RAM Tile, DSPs"),
         (ULTRASCALE.replace("| DSPs  ", "| DPSs  "), "no row for DSPs"),
-        (ULTRASCALE.replace("5365", "many"), "CLB LUTs: 'many' is no number"),
+        (ULTRASCALE.replace("5365", "many"), "CLB LUTs: 'many' is not a number"),
     ],
 )
 def test_what_is_no_report_is_told(text: str, reason: str) -> None:

@@ -70,7 +70,7 @@ def test_what_came_in_parts_is_written_once(flowing: Daemon) -> None:
     assert [bytes(payload[0]) for payload in payloads] == [PICTURE]
     assert uploaded(flowing) == 0
     code, message = flowing.refused(rq.WriteData("to_pl", upload="a"))
-    assert (code, "there is none of that name" in message) == ("unknown_upload", True)
+    assert (code, "there is no upload of that name" in message) == ("unknown_upload", True)
 
 
 def test_what_is_not_all_there_is_not_used_until_it_is(flowing: Daemon) -> None:

@@ -76,7 +76,7 @@ def test_the_routers_rules_follow_the_members(keys: KeyFolder) -> None:
     assert subjects() == {"b1", "anna"}
     keys.remove("anna")
     assert subjects() == {"b1"}
-    with pytest.raises(NotFound, match="nobody is called anna; there are b1"):
+    with pytest.raises(NotFound, match="nobody has the name anna; there are b1"):
         keys.remove("anna")
 
 

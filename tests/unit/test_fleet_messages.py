@@ -73,5 +73,5 @@ def test_messages_are_json_with_the_names_of_the_protocol() -> None:
     assert json.loads(to_json("WriteReg", data))["writes"][0]["value"] == str(2**64 - 1)
     with pytest.raises(InvalidRequest, match=r"WriteReg as JSON: .*writings"):
         from_json("WriteReg", '{"writings": []}')
-    with pytest.raises(InvalidRequest, match="no Status message"):
+    with pytest.raises(InvalidRequest, match="not a valid Status message"):
         to_json("Status", b"\xff\xff\xff")

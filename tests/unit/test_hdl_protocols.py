@@ -65,7 +65,7 @@ def test_module_with_the_other_directions_is_the_slave(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "the file is empty"),
-        ("protocols: 3", r"p\.yaml:1:12: a list must stand here"),
+        ("protocols: 3", r"p\.yaml:1:12: a list is expected here"),
         ("protocols:\n  - {name: a}", "the key signals is missing"),
         ("protocols:\n  - {name: axis, signals: {a: in}}", "axis is built in"),
         ("protocols:\n  - {name: a, signals: {}}", "at least one signal"),

@@ -304,7 +304,7 @@ def test_file_that_is_not_there_is_told() -> None:
 
 
 def test_file_without_a_module_is_told_with_the_first_error(tmp_path: Path) -> None:
-    (tmp_path / "a.v").write_text("this is no Verilog")
+    (tmp_path / "a.v").write_text("this is not a Verilog")
     with pytest.raises(HdlError, match=r"no module and no entity.*a\.v:1"):
         extract([tmp_path / "a.v"])
 

@@ -215,7 +215,7 @@ def test_connections_are_read() -> None:
         (b"<EDKSYSTEM/>", "no hardware handoff"),
         (b"<html><SYSTEMINFO/></html>", "found html"),
         (b'<!DOCTYPE x [<!ENTITY a "b">]><EDKSYSTEM><SYSTEMINFO/></EDKSYSTEM>', "document type"),
-        (hwh(module("ps", PS, memory(("x", 0, 16)).replace("0x00000000", "zero"))), "'zero' is no number"),
+        (hwh(module("ps", PS, memory(("x", 0, 16)).replace("0x00000000", "zero"))), "'zero' is not a number"),
     ],
 )
 def test_what_is_no_handoff_is_refused(data: bytes, reason: str) -> None:
@@ -252,5 +252,5 @@ def test_rate_of_a_clock_may_be_a_decimal_number() -> None:
     """As Vivado 2022.2 writes it where a frequency was computed."""
     pin = port("CLK", "I", kind="clk").replace("<PORT ", '<PORT CLKFREQUENCY="93750000.0" ')
     assert handoff.parse(hwh(module("a", "a", ports(pin)))).modules["a"].ports["CLK"].rate == 93_750_000
-    with pytest.raises(HwhError, match="port CLK: CLKFREQUENCY '93 MHz' is no number"):
+    with pytest.raises(HwhError, match="port CLK: CLKFREQUENCY '93 MHz' is not a number"):
         handoff.parse(hwh(module("a", "a", ports(pin.replace("93750000.0", "93 MHz")))))

@@ -75,7 +75,7 @@ MAY = {
 }
 
 
-# Library → packages that may import it; what is not named here is no dependency.
+# Library → packages that may import it; what is not named here is not a dependency.
 LIBRARIES = {
     "PIL": {"cli", "demo", "sim", "web"},
     "aiohttp": {"web"},

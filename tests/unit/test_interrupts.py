@@ -148,7 +148,7 @@ def test_during_a_change_the_line_stays_masked_and_the_interrupt_comes_after_it(
     assert bench.made.fault.names.count("uio.read") == before, "what is being changed must not be accessed"
     assert not bench.loop.serve(0)
     assert not bench.told
-    assert not bench.errors, "a change that runs is no error"
+    assert not bench.errors, "a change that runs is not an error"
     go_on.set()
     assert change.wait(60)
     assert change.error is None

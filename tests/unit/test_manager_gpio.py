@@ -122,7 +122,7 @@ def test_a_line_that_does_not_follow_loads_nothing(made: Rig, sim: SimBoard) -> 
 
 
 def test_the_manager_holds_its_lines_while_it_runs(made: Rig, sim: SimBoard) -> None:
-    with pytest.raises(OSError, match="somebody holds it"):
+    with pytest.raises(OSError, match="it is in use"):
         GpioLine.open("zynq_gpio", 54, sim.root)
     made.close()
     GpioLine.open("zynq_gpio", 54, sim.root).close()

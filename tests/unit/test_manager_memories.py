@@ -287,7 +287,7 @@ def test_a_change_is_refused_for_a_lease_on_a_memory_that_it_would_lose(made: Ri
     made.manager.leases.request(TakeLease("memories:taps", holder="anna"))
     with pytest.raises(HeldBy, match="anna"):
         made.go("both", config="filter")
-    assert made.go("other", config="filter") is None  # taps is no part of it
+    assert made.go("other", config="filter") is None  # taps is not part of it
 
 
 # ---- blocks that the schema does not name ------------------------------------------------

@@ -276,7 +276,7 @@ def test_a_keys_file_says_role_and_end() -> None:
         ("public: short\n", "no line 'public:'"),
         (f"public: {KEY}\nsecret: {KEY}\n", "holds a secret key"),
         (f"public: {KEY}\nroles: admin\n", "unknown line 'roles'"),
-        (f"public: {KEY}\nexpires: tomorrow\n", "no day such as"),
+        (f"public: {KEY}\nexpires: tomorrow\n", "not a day such as"),
     ],
 )
 def test_a_keys_file_that_is_wrong_says_what_is(text: str, told: str) -> None:

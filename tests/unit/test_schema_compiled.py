@@ -51,7 +51,7 @@ def test_what_is_wrong_is_told_in_full_either_way() -> None:
 
 
 def test_a_condition_whose_consequence_the_walk_checks_leaves_nothing_to_generate() -> None:
-    """fastjsonschema 2.16 and 2.18, those of Debian 12 and of scarthgap, write an empty branch that is no Python."""
+    """fastjsonschema 2.16 and 2.18, those of Debian 12 and of scarthgap, write an empty branch that is not Python."""
     needs = {"if": {"not": {"required": ["a"]}}, "then": {"required": ["b"]}}
     kept = {"if": {"type": "string"}, "then": {"minLength": 2}}
     assert for_values({"type": "object", "properties": {"x": needs, "y": kept}}) == {

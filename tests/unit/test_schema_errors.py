@@ -174,7 +174,7 @@ CASES = [
     ("interrupts that cannot be told apart", "interrupt_conflict", "interrupts.j", "status register",
      "interrupts:\n  i: {base_address: 0}\n  §j: {base_address: 0}"),
     ("clock without rate", "missing_key", "clocks.fclk", "rate is missing", "clocks: {fclk: §{doc: x}}"),
-    ("region called as what is in none", "name_clash", "regions.static", "static is what is in no region",
+    ("region called as what is in none", "name_clash", "regions.static", "static is everything outside the regions",
      "regions: {§static: {}}"),
     ("identity at an odd address", "misaligned_offset", "regions.a.identity.offset",
      "address 0x1002 of an access of 32 bits (a multiple of 4)",

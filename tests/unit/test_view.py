@@ -124,7 +124,7 @@ def test_an_odd_row_has_nothing_under_it() -> None:
         (b"\x1b_Gi=31;OK\x1b\\\x1b[6;38;17t\x1b[?62;c", Ability("kitty", (17, 38))),
         (b"\x1b_Gi=31;ENODATA:no\x1b\\\x1b[?62;4c", Ability("sixel")),
         (b"\x1b[?1;2c", Ability("blocks")),  # tmux 3.3
-        (b"\x1b[?64;1;2;6;9;15;18;21;22c", Ability("blocks")),  # xterm: 64 and 14 are no 4
+        (b"\x1b[?64;1;2;6;9;15;18;21;22c", Ability("blocks")),  # xterm: 64 and 14 are not 4
         (b"\x1b[?4c", Ability("blocks")),  # a VT132, by its first number
         (b"", Ability("blocks")),
     ],

@@ -166,8 +166,8 @@ def test_lines_of_fasm_are_read_with_values_and_comments() -> None:
     ("line", "told"),
     [
         ("T.S.INIT[1:0] = 3'b111", "7 does not fit 2 bits"),
-        ("no feature", "is no line of FASM"),
-        ("T.A = 2'b12", "is no number of base 2"),
+        ("no feature", "is not a line of FASM"),
+        ("T.A = 2'b12", "is not a number of base 2"),
         ("T.A[0:3] = 4'b0", "does not fit"),
     ],
 )

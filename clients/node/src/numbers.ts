@@ -21,7 +21,7 @@ export function count(value: Long | number | null | undefined): number {
 export function unsigned(value: Int, what: string): Long {
   const whole = typeof value === "bigint" || Number.isSafeInteger(value);
   if (!whole || value < 0 || BigInt(value) >= 1n << 64n) {
-    throw new RangeError(`${what}: ${String(value)} is no unsigned integer of 64 bits (beyond 2^53 as a bigint)`);
+    throw new RangeError(`${what}: ${String(value)} is not an unsigned integer of 64 bits (beyond 2^53 as a bigint)`);
   }
   return Long.fromString(String(value), true);
 }

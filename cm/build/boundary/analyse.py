@@ -36,7 +36,7 @@ class Analysis:
     modules: Mapping[str, ModuleInfo]
     boundaries: Mapping[str, Boundary]
     differences: Mapping[str, tuple[str, ...]]
-    flat: Mapping[str, Flat] = field(default_factory=dict)  # wrappers of modules whose ports are no vectors
+    flat: Mapping[str, Flat] = field(default_factory=dict)  # wrappers of modules whose ports are not vectors
 
     @property
     def refused(self) -> tuple[str, ...]:
@@ -154,7 +154,7 @@ def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[Modu
         if spec.component is None and spec.ip:
             return hdl.load_xci(spec.ip[0], protocols), ()
         if spec.component is None:
-            raise hdl.HdlError(f"{spec.name}: nothing tells its interfaces; give sources, sim_sources or component")
+            raise hdl.HdlError(f"{spec.name}: nothing describes its interfaces; give sources, sim_sources or component")
         return hdl.load_component_xml(spec.component), ()
     reading = hdl.read(
         spec.readable,

@@ -129,7 +129,7 @@ def engines(design: hwh.Hwh, platform: Platform) -> Engines:
         mine = [channel for channel in listed if channel.instance == instance]
         module, window = design.modules[instance], windows.get(instance)
         if module.type not in KINDS or window is None:
-            why = "has no address" if module.type in KINDS else f"is an {module.type}, whose channels are not told here"
+            why = "has no address" if module.type in KINDS else f"is an {module.type}, whose channels are not described"
             result.notes.append(f"{instance} {why}: its streams need a DMA node in the board's own tree")
             continue
         channels = tuple(_channels(mine, names, lines, platform, module, result.notes))
@@ -137,7 +137,7 @@ def engines(design: hwh.Hwh, platform: Platform) -> Engines:
             channels, alone = _whole(channels, mine)
             if alone:
                 left = ", ".join(channel.stream for channel in alone)
-                result.notes.append(f"{instance}: without all interrupts of a direction {left} cannot be told either")
+                result.notes.append(f"{instance}: without all interrupts of a direction, {left} is left out too")
         if channels:
             result.found.append(_engine(module, window, channels, design))
     return result

@@ -47,4 +47,4 @@ def interrupts(design: hwh.Hwh, platform: Platform) -> ForeignInterrupts:
 
 
 _OWN_TREE = "no overlay can give that to a UIO device; it needs a node in the board's own tree"
-_ONE = "a UIO device has one, so this one is not told (join them in the PL, with a status register)"
+_ONE = "a UIO device has one, so this one is left out (join them in the PL, with a status register)"

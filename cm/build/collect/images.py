@@ -32,7 +32,7 @@ class Image:
     def columns(self) -> frozenset[tuple[int, int, int]]:
         """Block type, row and column of the logic and block RAM that it writes.
 
-        Every partial bitstream of 7-series writes block type 2 too, which is no place of the device.
+        Every partial bitstream of 7-series writes block type 2 too, which belongs to no place of the device.
         """
         items = self.report.footprint
         return frozenset((item.block_type, item.row, item.column) for item in items if item.block_type <= 1)

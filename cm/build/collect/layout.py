@@ -17,7 +17,7 @@ def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
         if Path(name).name != name:
-            raise BuildError(f"{name!r} is no plain file name")
+            raise BuildError(f"{name!r} is not a plain file name")
         part = folder / f".{name}.part"
         part.write_bytes(data)
         part.replace(folder / name)

@@ -27,7 +27,7 @@ from cm.build.hdl.protocols import UserProtocol
 from cm.build.hdl.signals import drives_clock, interrupt_mode, is_clock, is_reset, reset_polarity
 from cm.build.hdl.tagged import Tagged, read_tags
 
-NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be told"
+NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be recognised"
 
 
 class Detector:
@@ -50,7 +50,7 @@ class _Detection:
         self._builtin = builtin
         self._user = user
         self._free = {port.name: port for port in module.ports if port.flat}
-        self._reasons = {port.name: "is no vector of bits" for port in module.ports if not port.flat}
+        self._reasons = {port.name: "is not a vector of bits" for port in module.ports if not port.flat}
         self._interfaces: list[Interface] = []
         self._problems: list[Problem] = []
         self._rejected: list[tuple[Candidate, str]] = []

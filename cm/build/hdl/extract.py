@@ -99,7 +99,7 @@ class _Sources:
     def add(self, path: Path, text: str) -> None:
         self._paths.append(path)
         if _ENCRYPTED.search(text):
-            what = "parts of this file are encrypted (`protect) and not seen: a component.xml tells more"
+            what = "parts of this file are encrypted (`protect) and cannot be read: a component.xml describes more"
             self.problems.append(Problem(what, str(path)))
         if path.suffix.lower() in VHDL_SUFFIXES:
             self._vhdl = self._vhdl or VhdlReader()

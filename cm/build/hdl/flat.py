@@ -53,7 +53,7 @@ class Wanted:
 
 
 def needs_wrapper(info: ModuleInfo) -> bool:
-    """Whether ports are no vectors."""
+    """Whether ports are not vectors."""
     return any(not port.flat for port in info.ports)
 
 

@@ -76,9 +76,9 @@ def _signals(top: str, name: str, body: Any, modport: str, index: int | None) ->
             continue  # a task or function
         direction = _DIRECTIONS.get(signal.direction.name)
         if direction not in (IN, OUT):
-            raise HdlError(f"{top}: {name}.{signal.name} goes both ways: wrap it by hand")
+            raise HdlError(f"{top}: {name}.{signal.name} goes both ways: write a wrapper by hand")
         if not signal.type.isIntegral or not signal.type.bitWidth:
-            raise HdlError(f"{top}: {name}.{signal.name} is no vector of bits ({signal.type}): wrap it by hand")
+            raise HdlError(f"{top}: {name}.{signal.name} is not a vector of bits ({signal.type}): wrap it by hand")
         yield FlatPort(f"{flat}_{signal.name}", direction, signal.type.bitWidth, f"{inner}.{signal.name}")
 
 

@@ -53,7 +53,8 @@ def flat_vhdl(wanted: Wanted) -> Flat:
         kind = port.type.partition("(")[0].strip().lower().rpartition(".")[2]
         if kind in scope.records:
             if direction is PortDirection.INOUT:
-                raise HdlError(f"{home}:{port.line}: port {port.name} is a record that goes both ways: wrap it by hand")
+                message = f"port {port.name} is a record that goes both ways: write a wrapper by hand"
+                raise HdlError(f"{home}:{port.line}: {message}")
             records[port.name] = port.type
             ports += _fields(f"{home}:{port.line}: port {port.name}", port.name, port.type, direction, scope)
         else:

@@ -43,7 +43,7 @@ _LEFT_OVER = "belongs to no bus interface of the component"
 
 
 def component_root(data: bytes) -> ElementTree.Element:
-    """The root element of a file's bytes. Raises ValueError for what is no XML.
+    """The root element of a file's bytes. Raises ValueError for what is not XML.
 
     Files are met that have a licence comment before the declaration, which XML does not allow.
     """
@@ -51,7 +51,7 @@ def component_root(data: bytes) -> ElementTree.Element:
 
 
 def load_component_xml(path: str | Path) -> ModuleInfo:
-    """Read a component.xml. Raises `HdlError` where it is no IP-XACT component.
+    """Read a component.xml. Raises `HdlError` where it is not an IP-XACT component.
 
     The name is the model name of the synthesis view (the HDL's top), else the component's.
     """

@@ -15,7 +15,7 @@ _TITLES = {"aximm": "AXI", "axis": "AXI4-Stream"}
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The mode where all is well, else the reason why these ports are no bus."""
+    """The mode where all is well, else the reason why these ports are not a bus."""
 
     mode: Mode | None
     reason: str = ""
@@ -30,7 +30,7 @@ def judge(name: str, protocol: Protocol, ports: Mapping[str, Port], *, trusted: 
     if masters and slaves:
         return Verdict(None, f"{what}, but its directions are mixed ({_mixed(masters, slaves)}): a monitor, or no bus")
     if not masters and not slaves:
-        return Verdict(None, f"{what}, but no port has a direction that tells the mode")
+        return Verdict(None, f"{what}, but no port has a direction that determines the mode")
     missing = _missing(protocol, ports)
     if missing and not trusted:
         return Verdict(None, f"{what}, but {missing}")

@@ -160,7 +160,7 @@ def _hls_header(path: Path, module: str) -> Registers:
     bits = {name: int(width) for name, width in _BITS.findall(text)}
     found: Registers = {}
     for name, offset in _DEFINE.findall(text):
-        if name.endswith(("_BASE", "_HIGH")):  # memories are no registers
+        if name.endswith(("_BASE", "_HIGH")):  # memories are not registers
             continue
         plain = identifier(name.removesuffix("_DATA"))
         width = bits.get(name, 32)

@@ -89,7 +89,7 @@ def _value(symbol: Any, text: str) -> int | float | str | None:
 
 
 def _integer(value: Any) -> int | None:
-    """A slang integer as a Python one; None where it has unknown bits or is no integer (an array, a queue)."""
+    """A slang integer as a Python one; None where it has unknown bits or is not an integer (an array, a queue)."""
     try:
         return int(value)
     except (TypeError, ValueError, RuntimeError):
@@ -132,7 +132,7 @@ class _Ports:
         if symbol.type.isError:
             return self._unknown(symbol, line, text, kind)
         if not symbol.type.isIntegral:
-            return self._unflat(symbol, line, f"is no vector of bits ({symbol.type})", kind)
+            return self._unflat(symbol, line, f"is not a vector of bits ({symbol.type})", kind)
         return self._make(symbol, line, symbol.type.bitWidth, text, kind)
 
     def _make(self, symbol: Any, line: int, width: int | None, text: str, kind: str, flat: bool = True) -> Port:

@@ -64,7 +64,7 @@ def integer(text: str, names: Mapping[str, Value | None]) -> int:
     """`evaluate`, where only an integer will do."""
     value = evaluate(text, names)
     if isinstance(value, bool) or not isinstance(value, int):
-        raise Unknown(f"{text.strip()} is no integer")
+        raise Unknown(f"{text.strip()} is not an integer")
     return value
 
 
@@ -189,7 +189,7 @@ def _sign(word: str, value: Value) -> Value:
             raise Unknown("not of a vector")
         return not value
     if isinstance(value, (str, bool)):
-        raise Unknown(f"{word} of what is no number")
+        raise Unknown(f"{word} of what is not a number")
     return -value if word == "-" else abs(value) if word == "abs" else value
 
 

@@ -21,7 +21,7 @@ _MAX_CHAIN = 16
 
 
 class NotFlat(Unknown):
-    """The type is no vector of bits, whatever its generics are."""
+    """The type is not a vector of bits, whatever its generics are."""
 
 
 def width_of(indication: str, names: Mapping[str, Value | None], subtypes: Subtypes, depth: int = 0) -> int:
@@ -36,7 +36,7 @@ def width_of(indication: str, names: Mapping[str, Value | None], subtypes: Subty
         return _vector(indication, match[2], names)
     if kind in subtypes:
         return width_of(subtypes[kind], names, subtypes, depth + 1)
-    raise NotFlat(f"its type {indication} is no vector of std_logic: needs a flat wrapper")
+    raise NotFlat(f"its type {indication} is not a vector of std_logic: needs a flat wrapper")
 
 
 def base_type(indication: str, subtypes: Subtypes, depth: int = 0) -> str:

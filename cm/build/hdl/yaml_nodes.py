@@ -47,12 +47,12 @@ class Node:
     def items(self) -> list[tuple[Node, Node]]:
         """Keys and values of a map, in order; a key may stand only once."""
         if not isinstance(self.node, yaml.MappingNode):
-            raise self.error("a map (key: value) must stand here")
+            raise self.error("a map (key: value) is expected here")
         pairs = [(Node(key, self.file), Node(value, self.file)) for key, value in self.node.value]
         seen: set[str] = set()
         for key, _ in pairs:
             if key.text() in seen:
-                raise key.error(f"the key {key.text()} stands here twice")
+                raise key.error(f"the key {key.text()} occurs twice here")
             seen.add(key.text())
         return pairs
 
@@ -71,20 +71,20 @@ class Node:
     def sequence(self) -> list[Node]:
         """The items of a list."""
         if not isinstance(self.node, yaml.SequenceNode):
-            raise self.error("a list must stand here")
+            raise self.error("a list is expected here")
         return [Node(item, self.file) for item in self.node.value]
 
     def text(self) -> str:
         """A scalar as written."""
         if not self.is_scalar or not self.node.value:
-            raise self.error("a name must stand here")
+            raise self.error("a name is expected here")
         return str(self.node.value)
 
     def identifier(self) -> str:
         """A name of letters, digits and `_`."""
         text = self.text()
         if not _IDENTIFIER.fullmatch(text):
-            raise self.error(f"{text!r} is no name: letters, digits and _ only, no digit first")
+            raise self.error(f"{text!r} is not a name: letters, digits and _ only, no digit first")
         return text
 
     def choice(self, choices: Mapping[str, _Choice]) -> _Choice:

@@ -67,7 +67,7 @@ def partial_image(
         address = decode_far(first << _MINOR_BITS, Family.SERIES7)
         row = geometry.row(address.block_type, address.row)
         if row is None:
-            raise BuildError(f"{name}: {address} is no column of {device}")
+            raise BuildError(f"{name}: {address} is not a column of {device}")
         places = [FrameAddress(address.block_type, address.row, address.column + more) for more in range(many)]
         data = b"".join(_column(frames, place, row.frames(place.column)) for place in places)
         runs.append(FrameRun(address, data + _EMPTY))

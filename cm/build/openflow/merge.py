@@ -73,7 +73,7 @@ def strays(database: Database, layout: Layout, side: Side, static: frozenset[Fea
                 continue
             if not _has_bits(database, feature):
                 continue  # between tiles that have no choice
-            what = "the clock comes another way than in the static part" if clock else f"net {name} leaves the region"
+            what = "the clock takes another route than in the static part" if clock else f"net {name} leaves the region"
             found.append(f"{what}: {feature}")
     return found
 

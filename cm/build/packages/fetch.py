@@ -47,7 +47,7 @@ def fetch(
     wanted = sorted(set(names))
     for name in wanted:
         if not _NAME.fullmatch(name):
-            raise PackagesUnavailable(f"{name!r} is no name of a Debian package")
+            raise PackagesUnavailable(f"{name!r} is not a name of a Debian package")
     place = (folder or default_folder()).resolve()
     place.mkdir(parents=True, exist_ok=True)
     root = place / f"{suite}-{_digest(wanted)}"

@@ -35,7 +35,7 @@ def advise(problem: Problem, objective: str = "worst", seconds: float = SECONDS)
     where none fits the part, or none was found in that time.
     """
     if objective not in ("worst", "mean"):
-        raise BuildError(f"{objective} is no objective: worst or mean")
+        raise BuildError(f"{objective} is not an objective: worst or mean")
     if any(group_of(problem, [name]).share > 1 for name in problem.units):
         raise _nothing_fits(problem)
     answer = solve(Program(problem, objective), seconds)

@@ -20,7 +20,7 @@ Bytes of a full bitstream, checked:
 - xczu3eg, xczu7ev, xczu9eg: FreeBSD's zynqmp_fpga.c after UG1085 table 11-10; xczu7ev also by Vivado's own bitstream
   in alliedvision/zynq-mipi-bitstreams 4f0f401: 51 906 frames of 372 bytes and 2060 bytes beside them.
 
-Not checked: xck26 and xczu5. Table 11-10 has 7 658 736 bytes for ZU4 and ZU5, which is no whole number of frames beside
+Not checked: xck26 and xczu5. Table 11-10 has 7 658 736 bytes for ZU4 and ZU5, not a whole number of frames beside
 those 2060 bytes, as the other lengths are; 7 797 692 is (20 956 frames), and goes with the frames that a compressed
 bitstream for K26 writes (Xilinx/kria-apps-firmware ebaef9a, kr260-gps-1588-ptp.bit: 4468 in row 0, 3072 of block RAM).
 """

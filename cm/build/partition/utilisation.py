@@ -30,7 +30,7 @@ def read_utilisation(path: Path) -> Resources:
     """Resources used; BuildError with the file's name where it is no such report."""
     try:
         if path.stat().st_size > _LIMIT:
-            raise BuildError(f"{path} is no utilisation report: it has {path.stat().st_size} bytes")
+            raise BuildError(f"{path} is not a utilisation report: it has {path.stat().st_size} bytes")
         return parse_utilisation(path.read_text(encoding="utf-8", errors="replace"), str(path))
     except OSError as error:
         raise BuildError(f"{path}: {error.strerror}") from None
@@ -47,7 +47,7 @@ def parse_utilisation(text: str, name: str = "report") -> Resources:
     if missing:
         wanted = {"lut": "LUTs", "ff": "registers", "bram": "Block RAM Tile", "dsp": "DSPs"}
         rows = ", ".join(wanted[key] for key in missing)
-        raise BuildError(f"{name} is no report of report_utilization: no row for {rows} (-hierarchical has none)")
+        raise BuildError(f"{name} is not a report of report_utilization: no row for {rows} (-hierarchical has none)")
     return Resources(int(found["lut"]), int(found["ff"]), found["bram"], int(found["dsp"]))
 
 
@@ -67,5 +67,5 @@ def _used(text: str) -> Iterator[tuple[str, str]]:
 
 def _number(text: str, site: str, name: str) -> float:
     if not re.fullmatch(r"\d+(\.\d+)?", text, re.ASCII):
-        raise BuildError(f"{name}: {site}: {text!r} is no number of sites used")
+        raise BuildError(f"{name}: {site}: {text!r} is not a number of sites used")
     return float(text)

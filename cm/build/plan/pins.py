@@ -105,7 +105,7 @@ def _pins(system: System, text: str, iostandard: str | None) -> tuple[Pin, ...]:
             raise BuildError(f"{text} is a package pin: iostandard: must say its voltage, such as LVCMOS33")
         return (Pin(text, text, iostandard),)
     if system.project.kit is None:
-        raise BuildError(f"{text} is no package pin, and project.board is none of the board library's")
+        raise BuildError(f"{text} is not a package pin, and project.board is none of the board library's")
     return system.project.kit.pins(text)
 
 

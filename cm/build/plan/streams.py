@@ -71,7 +71,7 @@ def _video_problem(interface: Interface, spec: ConnectionSpec, width: int) -> tu
         hint = "TLAST ends each line, TUSER[0] begins each frame (UG934); connect: dma takes packets as frames"
         return f"a VDMA needs {' and '.join(missing)}", hint
     if width % 8:
-        return f"{width} bits are no whole number of bytes, which a VDMA's streams have", "pad the pixels to bytes"
+        return f"{width} bits are not a whole number of bytes, which a VDMA's streams have", "pad the pixels to bytes"
     if spec.shape is None or len(spec.shape) < 2:
         return "a VDMA's frames have lines and columns", "write shape: [lines, columns], with dtype"
     return None

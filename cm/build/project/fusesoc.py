@@ -50,7 +50,7 @@ class _Core:
 
 
 def core_files(path: Path, target: str = "default", roots: Iterable[Path] = ()) -> CoreFiles:
-    """The files of a core's target; BuildError where it is no core file or has no such target."""
+    """The files of a core's target; BuildError where it is not a core file or has no such target."""
     core = _read(path)
     targets = core.data.get("targets") or {}
     if target not in targets:
@@ -211,13 +211,13 @@ class _Reader:
 
 
 def _value(name: str, text: str, spec: Mapping[str, Any]) -> Any:
-    """What `name=text` of a target gives a parameter; ValueError where it is no value."""
+    """What `name=text` of a target gives a parameter; ValueError where it is not a value."""
     if spec.get("datatype") in ("str", "file"):
         return text
     try:
         return yaml.safe_load(text)
     except yaml.YAMLError:
-        raise ValueError(f"the parameter {name} is given {text!r}, which is no value") from None
+        raise ValueError(f"the parameter {name} is given {text!r}, which is not a value") from None
 
 
 def _both(data: Mapping[str, Any], key: str) -> Iterator[Any]:

@@ -55,7 +55,7 @@ def _region(project: Project, region: RegionSpec, report: Report) -> None:
             unknown(report, (*key, "clocks", port), "clock", clock, (*project.clocks, "external"))
     if region.window & (region.window - 1):
         nearest = 1 << region.window.bit_length()
-        report((*key, "window"), "bad_value", f"{region.window:#x} is no power of two", f"write {nearest:#x}")
+        report((*key, "window"), "bad_value", f"{region.window:#x} is not a power of two", f"write {nearest:#x}")
     for index, text in enumerate(region.pblock):
         _range(text, region.pblock, (*key, "pblock", index), report)
     if not project.modules_of(region.name):
@@ -65,7 +65,7 @@ def _region(project: Project, region: RegionSpec, report: Report) -> None:
 def _range(text: str, ranges: tuple[str, ...], key: KeyPath, report: Report) -> None:
     """A range has two sites of one kind, the lower left one first."""
     if text == "auto":
-        report(key, "bad_value", f"auto stands beside {len(ranges) - 1} ranges", "write auto alone, or ranges")
+        report(key, "bad_value", f"auto is combined with {len(ranges) - 1} ranges", "write auto alone, or ranges")
         return
     first, last = (_SITE.fullmatch(site) for site in (text.split(":")[0], text.split(":")[-1]))
     if first is None or last is None:  # the JSON Schema has told
@@ -98,7 +98,7 @@ def _module(project: Project, module: ModuleSpec, report: Report) -> None:
     key = ("modules", module.name)
     if not module.regions:
         hint = f"write regions: with some of {', '.join(project.regions)}"
-        report(key, "missing_key", "with several regions a module must say where it may go", hint)
+        report(key, "missing_key", "with several regions, a module must say which of them it fits", hint)
     for index, region in enumerate(module.regions):
         if region not in project.regions:
             unknown(report, (*key, "regions", index), "region", region, project.regions)

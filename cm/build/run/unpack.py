@@ -37,7 +37,7 @@ class Unpacked:
 def unpack(source: Path, out: Path) -> Unpacked:
     """Take the files of `source`, an archive or a folder, into `out`.
 
-    BuildError where it is no packed flow, is of another state of the files, or has names that lead elsewhere.
+    BuildError where it is not a packed flow, is of another state of the files, or has names that lead elsewhere.
     """
     if source.is_dir():
         return _take(source, out)
@@ -96,7 +96,7 @@ def _find(folder: Path) -> tuple[Path, dict[str, Any]]:
     """The output folder in what came back, and what was packed."""
     found = sorted(folder.rglob(PACK), key=lambda path: len(path.parts))
     if not found:
-        raise BuildError(f"{folder} holds no {PACK}: it is no flow that cm build pack has packed")
+        raise BuildError(f"{folder} holds no {PACK}: it is not a flow that cm build pack has packed")
     try:
         told = json.loads(found[0].read_text(encoding="utf-8"))
         if told["version"] != VERSION or not all(isinstance(told[key], kind) for key, kind in _KEYS.items()):

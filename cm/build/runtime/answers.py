@@ -79,7 +79,7 @@ def parse_answers(data: Mapping[str, Any], source: Path) -> Answers:
         elif len(parts) == 3 and parts[0] == "registers" and _whole(value):
             registers[parts[1], parts[2]] = value
         else:
-            raise BuildError(f"{at_key(source, key)}: {value!r} is no answer to anything that is asked")
+            raise BuildError(f"{at_key(source, key)}: {value!r} answers none of the questions")
     return Answers(default_mode, static_overlay, {k: StreamAnswer(**v) for k, v in streams.items()}, registers)
 
 

@@ -123,10 +123,10 @@ def problem(question: Question, value: Any) -> str:
         return "" if isinstance(value, bool) else f"{value!r} is neither yes nor no"
     if isinstance(question.default, list):
         good = isinstance(value, list) and all(isinstance(size, int) and size > 0 for size in value)
-        return "" if good else f"{value!r} is no shape (like 480,640,3)"
+        return "" if good else f"{value!r} is not a shape (like 480,640,3)"
     if isinstance(question.default, int):
         if not isinstance(value, int) or isinstance(value, bool):
-            return f"{value!r} is no integer"
+            return f"{value!r} is not an integer"
         low, high = question.low or 0, question.high
         return "" if low <= value and (high is None or value <= high) else f"{value} is not within {low} to {high}"
     if question.key.endswith(".dtype"):
@@ -135,7 +135,7 @@ def problem(question: Question, value: Any) -> str:
 
 
 def _dtype_problem(value: Any) -> str:
-    return "" if value in DTYPES else f"{value!r} is no numpy dtype of frames ({', '.join(DTYPES)})"
+    return "" if value in DTYPES else f"{value!r} is not a numpy dtype of frames ({', '.join(DTYPES)})"
 
 
 def _shown(default: Any) -> str:

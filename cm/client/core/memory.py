@@ -80,7 +80,7 @@ def _array(payload: Any, frame: FrameInfo) -> Array:
         return np.frombuffer(payload, dtype_of(frame.dtype)).reshape(frame.shape)
     except (ValueError, TypeError) as error:
         raise InvalidRequest(
-            f"memory {frame.stream!r}: the answer is no {frame.shape} {frame.dtype}: {error}"
+            f"memory {frame.stream!r}: the answer is not a valid {frame.shape} {frame.dtype}: {error}"
         ) from error
 
 

@@ -70,7 +70,7 @@ class BitstreamReader:
     def has_words_of(self, path: Path, image: Image) -> bool:
         """Whether a file, in whatever container, holds the words that were validated.
 
-        Raises OSError, and the refusals of `cm.bitstream` where it is no bitstream.
+        Raises OSError, and the refusals of `cm.bitstream` where it is not a bitstream.
         """
         return self._compared(path, image, self._same, bytes)
 
@@ -110,4 +110,4 @@ def _effective(words: bytes) -> bytes:
 def _check_size(path: Path) -> None:
     size = path.stat().st_size
     if size > MAX_BYTES:
-        raise BadContainer(f"{path}: {size} bytes are no bitstream; at most {MAX_BYTES >> 20} MiB are read")
+        raise BadContainer(f"{path}: {size} bytes are not a bitstream; at most {MAX_BYTES >> 20} MiB are read")

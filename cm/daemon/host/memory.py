@@ -69,4 +69,4 @@ def _told(buffer: DmaBuffer) -> DmaBuffer:
     if buffer.address:
         return buffer
     buffer.close()
-    raise NotFound("the kernel module does not tell where memory lies: it is older than this package")
+    raise NotFound("the kernel module does not report the addresses of memory: it is older than this package")

@@ -46,7 +46,7 @@ def firmware_loads(name: str, blob: bytes) -> tuple[FirmwareLoad, ...]:
         if _NAME in node.properties and node.name != "__overlay__" and _is_region(node):
             raise BadOverlay(
                 f"{name}: node {node.name} adds an fpga-region with {_NAME}, which the kernel refuses: "
-                "a region loads when it is there, by an overlay that targets it"
+                "a region is loaded once it exists, by an overlay that targets it"
             )
     return tuple(_load(name, node) for node in _targets(root) if _says_of_loading(name, node))
 
@@ -112,7 +112,7 @@ def _load(name: str, node: fdt.FdtNode) -> FirmwareLoad:
         raise BadOverlay(f"{name}: {_NAME} and {_EXTERNAL} in one node contradict each other; the kernel refuses them")
     if (unknown := _unknown(node)) is not None:
         raise BadOverlay(
-            f"{name}: {unknown} asks for a way of loading that is not supported; known is {', '.join(_KNOWN)}"
+            f"{name}: {unknown} asks for a way of loading that is not supported; supported is {', '.join(_KNOWN)}"
         )
     value = node.properties[_NAME]
     if not value.endswith(b"\0") or value.count(b"\0") != 1 or len(value) < 2:
@@ -153,7 +153,7 @@ class OverlayFiles:
     def loading(self, config: Config, module: Module, image: Image) -> bytes:
         """The overlay by which a module is loaded, naming our own copy of its image.
 
-        Raises FileMissing, and BadOverlay where it names anything but that image, or is no overlay for it.
+        Raises FileMissing, and BadOverlay where it names anything but that image, or is not an overlay for it.
         """
         path = find_file(config, [f"{module.name}.dtbo"], self._root)
         data = self._overlay(path)
@@ -170,7 +170,9 @@ class OverlayFiles:
         if found is not None and found[0] == key:
             return found[1]
         if state.st_size > _MAX_OVERLAY:
-            raise BadOverlay(f"{path}: {state.st_size} bytes are no overlay; at most {_MAX_OVERLAY >> 20} MiB are read")
+            raise BadOverlay(
+                f"{path}: {state.st_size} bytes are not an overlay; it has at most {_MAX_OVERLAY >> 20} MiB"
+            )
         data = checked_overlay(str(path), self._read(path))
         self._checked[path] = (key, data)
         return data

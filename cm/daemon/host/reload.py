@@ -124,7 +124,7 @@ class Reloader:
         self._ours = (self._ours - gone) | found.configs.keys()
         self.continue_waiting()
         for name in sorted(self._waiting):
-            _LOG.warning("configuration %s is in use; what is new of it counts when another is loaded", name)
+            _LOG.warning("configuration %s is in use; its new version takes effect when another is loaded", name)
         for note in found.notes:
             _LOG.warning("%s", note)
         _LOG.info("reloaded; configurations: %s", ", ".join(found.configs) or "none")

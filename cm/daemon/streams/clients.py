@@ -71,7 +71,7 @@ class LocalClients:
             self._clients[client] = replace(self._clients[client], leaving=True)
 
     def gone(self, client: int) -> str | None:
-        """It has hung up; the name of its stream, None where it was no client of ours."""
+        """It has hung up; the name of its stream, None where it was not a client of ours."""
         local = self._clients.pop(client, None)
         return local.stream if local else None
 

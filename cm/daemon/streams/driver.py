@@ -65,7 +65,7 @@ class StreamDriver:
         self.allocations = Allocations(self.plane, devices.memory)
         self.open: dict[str, OpenStream] = {}
         self._totals = StreamTotals()
-        self.failures: dict[str, ErrorInfo] = {}  # of streams of this mode: why the last time was no success
+        self.failures: dict[str, ErrorInfo] = {}  # of streams of this mode: why the last time was not a success
         self.locals = LocalClients(self.plane, on_error)
         self.zmq = ZmqClients(loop, self.plane, audience.frame)
         self._stalled = StalledChannels(devices.probe_dma)

@@ -202,7 +202,7 @@ class StreamPolicy:
         if self.is_held(name):
             raise StreamStopped(f"stream {name!r} is stopped while its region changes")
         if self.phase(name) is _P.STALLED:
-            raise Timeout(f"stream {name!r}: the board does not answer; it goes on when the board does")
+            raise Timeout(f"stream {name!r}: the board does not answer; the stream resumes when it does")
         if self._overrides.runs(name) is False:
             raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")
 

@@ -124,7 +124,7 @@ def _lines(stream: Stream) -> tuple[int, int]:
 
 
 def frame_bytes(stream: Stream) -> int:
-    """Bytes of one frame; 0 where the schema gives no shape. Raises InvalidRequest for what is no dtype of numbers."""
+    """Bytes of one frame; 0 if the schema gives no shape. Raises InvalidRequest for what is not a dtype of numbers."""
     import numpy as np
 
     if stream.shape is None and stream.dtype == "uint8":
@@ -134,5 +134,5 @@ def frame_bytes(stream: Stream) -> int:
     except (TypeError, ValueError, SyntaxError):
         dtype = None
     if dtype is None or dtype.kind not in _NUMBERS or len(stream.dtype.encode()) > _DTYPE_NAME:
-        raise InvalidRequest(f"stream {stream.name!r}: {stream.dtype!r} is no numpy dtype such as 'uint8'")
+        raise InvalidRequest(f"stream {stream.name!r}: {stream.dtype!r} is not a numpy dtype such as 'uint8'")
     return math.prod(stream.shape) * dtype.itemsize if stream.shape is not None else 0

@@ -17,7 +17,7 @@ _NEWCOMERS = 16  # for processes that hold none yet
 
 
 class NoSlots(Busy):
-    """There are no slots, or is no DMA memory, for one more reader or writer."""
+    """There are no slots, or is not DMA memory, for one more reader or writer."""
 
     code = "no_slots"
 

@@ -41,7 +41,7 @@ def checks(machine: Machine) -> Iterator[Finding]:
 
 def _unbound(machine: Machine, device: PlatformDevice, module: str) -> Finding:
     if module in machine.loaded or module in machine.built_in:
-        advice = f"{module} is there but did not bind: dmesg | grep {device.name}"
+        advice = f"{module} exists but did not bind: dmesg | grep {device.name}"
         if module == "uio_pdrv_genirq":
             advice += "; its of_id has to be one of the node's compatible strings"
     else:

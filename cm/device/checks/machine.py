@@ -73,7 +73,7 @@ class Machine:
 
     @cached_property
     def family(self) -> str | None:
-        """``zynq`` or ``zynqmp``; None where this is no board of these."""
+        """``zynq`` or ``zynqmp``; None where this is not a board of these."""
         return next((FAMILIES[name] for name in self.compatible if name in FAMILIES), None)
 
     @cached_property

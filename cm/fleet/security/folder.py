@@ -71,7 +71,7 @@ class KeyFolder:
         endpoint, members = self._load()
         left = tuple(member for member in members if member.name != name)
         if len(left) == len(members):
-            raise NotFound(f"nobody is called {name}; there are {', '.join(m.name for m in members) or 'none'}")
+            raise NotFound(f"nobody has the name {name}; there are {', '.join(m.name for m in members) or 'none'}")
         self._save(endpoint, left)
         self._rewrite_router()
         (self.folder / f"{name}.json5").unlink(missing_ok=True)

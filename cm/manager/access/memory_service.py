@@ -69,7 +69,7 @@ class MemoryService:
         """Raise InvalidRequest where a memory has this name, of which only streams have settings."""
         if self.find(name) is not None:
             raise InvalidRequest(
-                f"memory {name!r} is no stream: only one that was defined at run time can be defined anew, "
+                f"memory {name!r} is not a stream: only one that was defined at run time can be defined anew, "
                 "with address and length"
             )
 
@@ -188,7 +188,7 @@ class Transfer:
 
     @property
     def form(self) -> tuple[tuple[int, ...], str]:
-        """Shape and dtype of the bytes; plain bytes where they are no whole elements."""
+        """Shape and dtype of the bytes; plain bytes where they are not whole elements."""
         memory, length = self.memory, self.length
         if self.offset % memory.item or length % memory.item:
             return (length,), "uint8"
@@ -199,7 +199,7 @@ class Transfer:
 def _check_range(memory: Memory, offset: int, length: int) -> None:
     if offset % _WORD or length % _WORD:
         raise InvalidRequest(
-            f"memory {memory.name!r}: {length} bytes at offset {offset} are no whole words: multiples of {_WORD} are"
+            f"memory {memory.name!r}: {length} bytes at offset {offset} are not whole words: multiples of {_WORD} are"
         )
     if offset + length > memory.size or not length:
         there = f"it has {memory.size}, and one word is the least"

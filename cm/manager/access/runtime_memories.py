@@ -29,7 +29,7 @@ def requested(request: DefineMemory, config: Config) -> Memory:
         raise InvalidRequest(f"memory {name!r}: {missing} is missing; address and length, in bytes, define a memory")
     if request.address % _WORD or request.length % _WORD:
         place = f"{request.length} bytes at {request.address:#x}"
-        raise InvalidRequest(f"memory {name!r}: {place} are no whole words: multiples of {_WORD} are")
+        raise InvalidRequest(f"memory {name!r}: {place} are not whole words: multiples of {_WORD} are")
     if request.address + request.length > 1 << 64:
         raise InvalidRequest(f"memory {name!r}: it ends behind the last address of 64 bits")
     if request.access not in _ACCESS:

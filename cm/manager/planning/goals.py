@@ -63,7 +63,7 @@ def _word(word: str, configs: Mapping[str, Config], loaded: str | None) -> tuple
                 raise
     if word in configs:
         return configs[word], configs[word].first_mode()
-    raise NothingLoaded(f"nothing is loaded and {word!r} is no configuration; there are {listed(configs)}")
+    raise NothingLoaded(f"nothing is loaded and {word!r} is not a configuration; there are {listed(configs)}")
 
 
 def hint(name: str, known: Iterable[str]) -> str:

@@ -100,7 +100,7 @@ class _Planner:
     def _check_static_known(self) -> None:
         if self._state.static_lost:
             raise StaticUnknown(
-                f"the load of a full image did not end well, so nobody knows what the device holds; "
+                f"the load of a full image failed, so it is unknown what the device holds; "
                 f"{self._config.name} is partial and needs its static part: load a full configuration, "
                 "or restart the board"
             )

@@ -64,7 +64,7 @@ class BoardSpec:
         """The union of what the configurations need.
 
         Raises:
-            SimError: two of them want different devices, or a name is no file name.
+            SimError: two of them want different devices, or a name is not a file name.
         """
         given = tuple(configs)
         if not given:

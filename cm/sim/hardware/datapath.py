@@ -67,7 +67,7 @@ class Datapath:
             cell.value += 1
 
     def frame(self, data: Bytes) -> Bytes:
-        """Bytes as lines of the stream's width; as one line where they are no whole number of lines."""
+        """Bytes as lines of the stream's width; as one line where they are not a whole number of lines."""
         whole = self._width and len(data) % self._width == 0
         return data.reshape(-1, self._width) if whole else data.reshape(1, -1)
 

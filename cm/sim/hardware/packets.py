@@ -38,7 +38,7 @@ class PortError(Flag):
     NONE = 0
     CRC = auto()  # CRC_ERROR of STAT
     IDCODE = auto()  # ID_ERROR of STAT
-    PACKET = auto()  # words that are no packet; nothing more is taken until reset
+    PACKET = auto()  # words that are not a packet; nothing more is taken until reset
 
 
 @dataclass(frozen=True, slots=True)

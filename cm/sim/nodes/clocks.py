@@ -76,5 +76,5 @@ def _number(data: bytes, most: int = (1 << 64) - 1) -> int:
     """Raises NodeError (EINVAL) as kstrtoul does."""
     text = data.decode("ascii", "replace").strip()
     if not text.isdigit() or int(text) > most:
-        raise NodeError(errno.EINVAL, f"{text!r} is no number up to {most}")
+        raise NodeError(errno.EINVAL, f"{text!r} is not a number up to {most}")
     return int(text)

@@ -112,7 +112,7 @@ class DmaSession:
         flags, handle, lines, offset, line_bytes, stride, cookie = fields
         protocol.require_zero(flags & ~protocol.SUBMIT_CYCLIC)
         if self._channel.spec.simple:
-            raise NodeError(errno.EOPNOTSUPP, "without scatter/gather lines cannot lie apart")
+            raise NodeError(errno.EOPNOTSUPP, "without scatter/gather there can be no gaps between lines")
         buffer = self._buffer(handle)
         if not lines or not line_bytes or stride < line_bytes:
             raise NodeError(errno.EINVAL, "a frame has lines of at least one byte, and strides that hold them")
