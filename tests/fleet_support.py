@@ -132,6 +132,22 @@ def fleet_board(
 
 
 @contextlib.contextmanager
+def fleet_boards(
+    router: Sequence[str], arguments: dict[str, Sequence[str]], guests: str = '{"*": operate}'
+) -> Iterator[dict[str, FleetBoard]]:
+    """Boards by name, each with further arguments of its bridge, started at once."""
+    with contextlib.ExitStack() as stack:
+        contexts = {name: fleet_board(name, router, more, guests=guests) for name, more in arguments.items()}
+        with ThreadPoolExecutor(len(contexts)) as threads:
+            found = dict(
+                zip(contexts, threads.map(lambda context: context.__enter__(), contexts.values()), strict=True)
+            )
+        for context in contexts.values():
+            stack.push(context)
+        yield found
+
+
+@contextlib.contextmanager
 def fleet_of(
     *names: str, labels: dict[str, str] | None = None
 ) -> Iterator[tuple[Router, dict[str, FleetBoard], Fleet]]:
@@ -139,14 +155,8 @@ def fleet_of(
     with contextlib.ExitStack() as stack:
         router = Router()
         stack.callback(router.kill)
-        contexts = {}
-        for name in names:
-            label = ("--label", labels[name]) if labels and name in labels else ()
-            contexts[name] = fleet_board(name, ("--router", router.endpoint), label)
-        with ThreadPoolExecutor(len(names)) as threads:
-            found = dict(zip(names, threads.map(lambda context: context.__enter__(), contexts.values()), strict=True))
-        for context in contexts.values():
-            stack.push(context)
+        arguments = {name: ("--label", labels[name]) if labels and name in labels else () for name in names}
+        found = stack.enter_context(fleet_boards(("--router", router.endpoint), arguments))
         fleet = stack.enter_context(cm.fleet.connect(router.endpoint, caller="anna", timeout=30.0))
         until(lambda: set(fleet.boards()) == set(names), 60.0)
         yield router, found, fleet

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fleet_support import Router, fleet_board
+from fleet_support import FleetBoard, Router, fleet_boards
 from manager_process import until
 
 import cm.fleet
@@ -41,9 +41,9 @@ def router() -> Iterator[Router]:
     found.kill()
 
 
-@pytest.fixture
-def packed(tmp_path: Path) -> Path:
-    path = tmp_path / "vision.tar.gz"
+@pytest.fixture(scope="module")
+def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("sent") / "vision.tar.gz"
     path.write_bytes(archive("vision", {"vision.yaml": SCHEMA, "edge.bin": EDGE}))
     return path
 
@@ -93,41 +93,50 @@ def test_without_a_cache_boards_of_a_site_ask_who_sends(router: Router, packed: 
         assert sent() == bundle.length
 
 
-def test_boards_put_an_archive_in_force_as_their_policy_lets_them(
-    router: Router, packed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    strict = tmp_path / "strict.yaml"
-    (tmp_path / "signers").mkdir()
-    strict.write_text(json.dumps({"policy": {"signatures": "require", "signers": str(tmp_path / "signers")}}))
-    places = {name: tmp_path / name for name in ("b1", "b2")}
+@pytest.fixture(scope="module")
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where boards put what they import, a folder for each."""
+    return tmp_path_factory.mktemp("imported")
+
+
+@pytest.fixture(scope="module")
+def boards(router: Router, places: Path) -> Iterator[dict[str, FleetBoard]]:
+    """b1 takes archives, b2 signed ones, b3 none; anna may provision."""
+    (places / "signers").mkdir()
+    strict = places / "strict.yaml"
+    strict.write_text(json.dumps({"policy": {"signatures": "require", "signers": str(places / "signers")}}))
     options = {
-        "b1": ("--import-to", str(places["b1"]), "--after-import", "touch " + str(tmp_path / "reloaded")),
-        "b2": ("--import-to", str(places["b2"]), "--settings", str(strict)),
+        "b1": ("--import-to", str(places / "b1"), "--after-import", "touch " + str(places / "reloaded")),
+        "b2": ("--import-to", str(places / "b2"), "--settings", str(strict)),
+        "b3": (),
     }
-    guests = '{"zenoh:anna": provision, "*": operate}'
-    way = ("--router", router.endpoint)
-    with (
-        fleet_board("b1", way, options["b1"], guests=guests),
-        fleet_board("b2", way, options["b2"], guests=guests),
-        cm.fleet.connect(router.endpoint, caller="anna", timeout=30.0) as fleet,
-    ):
-        until(lambda: fleet.boards() == ("b1", "b2"), 60.0)
+    with fleet_boards(("--router", router.endpoint), options, '{"zenoh:anna": provision, "*": operate}') as found:
+        yield found
+
+
+def test_boards_put_an_archive_in_force_as_their_policy_lets_them(
+    boards: dict[str, FleetBoard], router: Router, packed: Path, places: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with cm.fleet.connect(router.endpoint, caller="anna", timeout=30.0) as fleet:
+        until(lambda: fleet.boards() == tuple(boards), 60.0)
         found = fleet.push(packed)
-        first, second = found["b1"], found["b2"]
+        first, second, third = found["b1"], found["b2"], found["b3"]
         assert isinstance(first, BundleState)
         assert (first.config_name, first.error) == ("vision", None)
-        assert (places["b1"] / "vision" / "edge.bin").read_bytes() == EDGE
-        assert (tmp_path / "reloaded").exists()
+        assert (places / "b1" / "vision" / "edge.bin").read_bytes() == EDGE
+        assert (places / "reloaded").exists()
         assert isinstance(second, BundleState)
         assert second.error is not None
         assert "not signed" in second.error.message
-        assert not (places["b2"] / "vision").exists()
-        with cm.fleet.connect(router.endpoint, caller="bob", timeout=30.0) as other:
-            refused = other.push(packed, ["b1"])["b1"]
-        assert isinstance(refused, ErrorInfo)
-        assert refused.code == "forbidden"
-        assert main(["fleet", "push", str(packed), "b1", "--as", "anna", "--router", router.endpoint]) == 0
-        assert "vision" in capsys.readouterr().out
+        assert not (places / "b2" / "vision").exists()
+        assert isinstance(third, ErrorInfo)
+        assert "start it with --import-to DIR" in third.message
+    with cm.fleet.connect(router.endpoint, caller="bob", timeout=30.0) as other:
+        refused = other.push(packed, ["b1"])["b1"]
+    assert isinstance(refused, ErrorInfo)
+    assert refused.code == "forbidden"
+    assert main(["fleet", "push", str(packed), "b1", "--as", "anna", "--router", router.endpoint]) == 0
+    assert "vision" in capsys.readouterr().out
 
 
 MINI = """
@@ -141,10 +150,12 @@ config:
 """
 
 
-def test_a_configuration_is_sent_in_parts_by_any_client_and_loaded(router: Router) -> None:
+def test_a_configuration_is_sent_in_parts_by_any_client_and_loaded(
+    boards: dict[str, FleetBoard], router: Router
+) -> None:
     """With zenoh and the messages of cm.proto alone."""
-    way = ("--router", router.endpoint)
-    with fleet_board("b3", way, guests='{"zenoh:anna": provision}') as board, joined(router) as plain:
+    board = boards["b3"]
+    with joined(router) as plain:
 
         def done(verb: str, message: Any, data: bytes | None = None) -> Any:
             sent = message.SerializeToString()
