@@ -135,9 +135,12 @@ def test_the_service_is_in_the_package_with_its_files() -> None:
     for name in (
         "lib/systemd/system/cm.service", "lib/udev/rules.d/60-cm.rules", "usr/lib/tmpfiles.d/fpga-cm.conf",
         "etc/cm/cm.yaml", "usr/lib/modprobe.d/cm.conf", "usr/bin/cm",
+        "lib/systemd/system/cm-bridge@.service", "lib/systemd/system/cm-bridge-reload.path",
+        "lib/systemd/system/cm-bridge-reload.service", "etc/cm/bridge-zenoh.conf", "etc/cm/bridge-dds.conf",
     ):  # fmt: skip
         assert f"./{name}\n" in listing, name
-    assert "/etc/cm/cm.yaml" in run(["dpkg-deb", "--info", deb, "conffiles"])
+    conffiles = run(["dpkg-deb", "--info", deb, "conffiles"]).split()
+    assert {"/etc/cm/cm.yaml", "/etc/cm/bridge-zenoh.conf", "/etc/cm/bridge-dds.conf"} <= set(conffiles)
 
 
 @debs

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
@@ -11,9 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from cm.cli.parser import build_parser
+
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEM = ROOT / "system"
 UNIT = SYSTEM / "systemd/cm.service"
+BRIDGE = SYSTEM / "systemd/cm-bridge@.service"
+BRIDGES = ("zenoh", "dds")
 LIMIT = 2.5  # exposure, of 10
 
 
@@ -37,23 +42,48 @@ needs_systemd = pytest.mark.skipif(not shutil.which("systemd-analyze"), reason="
 
 
 @needs_systemd
-def test_the_service_is_little_exposed() -> None:
-    text = run("systemd-analyze", "security", "--offline=true", f"--threshold={LIMIT * 10:.0f}", str(UNIT))
-    found = re.search(r"Overall exposure level for cm.service: ([\d.]+)", text)
+@pytest.mark.parametrize("unit_file", [UNIT, BRIDGE], ids=lambda path: path.name)
+def test_the_service_is_little_exposed(unit_file: Path) -> None:
+    text = run("systemd-analyze", "security", "--offline=true", f"--threshold={LIMIT * 10:.0f}", str(unit_file))
+    found = re.search(r"Overall exposure level for \S+\.service: ([\d.]+)", text)
     assert found is not None
     assert float(found[1]) <= LIMIT
 
 
 @needs_systemd
-def test_the_unit_has_no_line_that_systemd_does_not_know(tmp_path: Path) -> None:
-    (tmp_path / "cm.service").write_text(UNIT.read_text().replace("/usr/bin/cm ", "/bin/true "))
+@pytest.mark.parametrize("name", ["cm.service", "cm-bridge@.service", "cm-bridge-reload.path"])
+def test_the_unit_has_no_line_that_systemd_does_not_know(name: str, tmp_path: Path) -> None:
+    for path in (SYSTEM / "systemd").iterdir():
+        (tmp_path / path.name).write_text(path.read_text().replace("/usr/bin/cm ", "/bin/true "))
+    shown = name.replace("@.", "@zenoh.")
     done = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", str(tmp_path / "cm.service")],
+        ["systemd-analyze", "verify", "--man=no", str(tmp_path / shown)],
         capture_output=True,
         text=True,
         check=False,
+        env={**os.environ, "SYSTEMD_UNIT_PATH": f"{tmp_path}:"},
     )
-    assert "cm.service" not in done.stderr
+    assert name not in done.stderr
+    assert shown not in done.stderr
+
+
+def test_each_bridge_of_the_unit_has_its_file_of_settings_with_arguments_that_cm_takes() -> None:
+    assert "EnvironmentFile=/etc/cm/bridge-%i.conf" in BRIDGE.read_text()
+    for name in BRIDGES:
+        text = (SYSTEM / f"bridge-{name}.conf").read_text()
+        found = re.findall(r"^#?ARGUMENTS=(.*)$", text, re.MULTILINE)
+        assert found
+        for arguments in found:
+            assert build_parser("bridge").parse_args(["bridge", name, *arguments.split()]).run
+
+
+def test_the_bridges_user_is_no_other_services() -> None:
+    """Who speaks to a network is not the manager's user, who may do everything."""
+    user = re.search(r"^User=(.*)$", BRIDGE.read_text(), re.MULTILINE)
+    assert user is not None
+    assert f"u {user[1]} " in (SYSTEM / "sysusers.d/cm.conf").read_text()
+    assert f"m {user[1]} fpga" in (SYSTEM / "sysusers.d/cm.conf").read_text()
+    assert user[1] not in unit("Service", "User")
 
 
 @pytest.mark.skipif(not shutil.which("systemd-sysusers"), reason="needs systemd-sysusers")
@@ -63,7 +93,7 @@ def test_users_and_groups_are_those_of_the_unit(tmp_path: Path) -> None:
     users = (tmp_path / "etc/passwd").read_text()
     groups = (tmp_path / "etc/group").read_text()
     assert f"\n{unit('Service', 'User')[0]}:" in f"\n{users}"
-    assert re.search(rf"^{unit('Service', 'Group')[0]}:.*:cm$", groups, re.MULTILINE)
+    assert re.search(rf"^{unit('Service', 'Group')[0]}:.*:cm,cm-bridge$", groups, re.MULTILINE)
 
 
 def test_every_kind_of_node_that_udev_gives_to_the_group_is_one_that_the_unit_may_open() -> None:

@@ -209,7 +209,9 @@ def _is_there(board: str, network: Any) -> bool:
 
 
 def default_state() -> Path:
-    """`$XDG_STATE_HOME`/cm/fleet, for root /var/lib/cm/fleet."""
+    """That of the service (`$STATE_DIRECTORY`), else `$XDG_STATE_HOME`/cm/fleet, for root /var/lib/cm/fleet."""
+    if service := os.environ.get("STATE_DIRECTORY"):
+        return Path(service) / "fleet"
     with suppress(AttributeError):
         if os.geteuid() == 0:
             return Path("/var/lib/cm/fleet")

@@ -17,25 +17,35 @@ inherit python_setuptools_build_meta ptest systemd update-rc.d useradd
 
 PACKAGE_BEFORE_PN = "${PN}-client ${PN}-sim ${PN}-build ${PN}-bench ${PN}-web ${PN}-bridge ${PN}-udev"
 
+SYSTEMD_PACKAGES = "${PN} ${PN}-bridge"
 SYSTEMD_SERVICE:${PN} = "cm.service"
+SYSTEMD_SERVICE:${PN}-bridge = "cm-bridge@.service cm-bridge-reload.path"
+SYSTEMD_AUTO_ENABLE:${PN}-bridge = "disable"
 INITSCRIPT_NAME = "cm"
 INITSCRIPT_PARAMS = "defaults 80"
 INITSCRIPT_PACKAGES = "${PN}"
 
-USERADD_PACKAGES = "${PN} ${PN}-udev"
+USERADD_PACKAGES = "${PN} ${PN}-bridge ${PN}-udev"
 GROUPADD_PARAM:${PN} = "--system fpga"
 USERADD_PARAM:${PN} = "--system --no-create-home --home-dir ${localstatedir}/lib/cm --shell /sbin/nologin \
                        --user-group --groups fpga cm"
+GROUPADD_PARAM:${PN}-bridge = "--system fpga"
+USERADD_PARAM:${PN}-bridge = "--system --no-create-home --home-dir ${localstatedir}/lib/cm-bridge --shell /sbin/nologin \
+                              --user-group --groups fpga cm-bridge"
 GROUPADD_PARAM:${PN}-udev = "--system fpga"
 
 do_install:append:class-target() {
     if ${@bb.utils.contains('DISTRO_FEATURES', 'systemd', 'true', 'false', d)}; then
         install -D -m 0644 ${S}/system/systemd/cm.service ${D}${systemd_system_unitdir}/cm.service
+        for unit in cm-bridge@.service cm-bridge-reload.path cm-bridge-reload.service; do
+            install -m 0644 ${S}/system/systemd/$unit ${D}${systemd_system_unitdir}/
+        done
         install -D -m 0644 ${S}/system/tmpfiles.d/cm.conf ${D}${nonarch_libdir}/tmpfiles.d/cm.conf
     else
         install -D -m 0755 ${S}/system/sysv/cm ${D}${sysconfdir}/init.d/cm
     fi
     install -D -m 0644 ${S}/system/cm.yaml ${D}${sysconfdir}/cm/cm.yaml
+    install -m 0644 ${S}/system/bridge-zenoh.conf ${S}/system/bridge-dds.conf ${D}${sysconfdir}/cm/
     install -d ${D}${sysconfdir}/cm/configs
     install -d -o cm -g fpga -m 0700 ${D}${sysconfdir}/cm/keys
     install -d ${D}${nonarch_base_libdir}/firmware/cm
@@ -53,12 +63,14 @@ FILES:${PN}-client += "${bindir}/cm ${PYTHON_SITEPACKAGES_DIR}/*.dist-info ${CM}
                        ${CM}/cli ${CM}/client ${CM}/messages ${CM}/native ${CM}/view ${CM}/wire"
 FILES:${PN}-sim += "${CM}/data ${CM}/demo ${CM}/rtl ${CM}/sim"
 FILES:${PN}-web += "${CM}/web"
-FILES:${PN}-bridge += "${CM}/bridge ${CM}/dds ${CM}/fleet ${CM}/ros"
+FILES:${PN}-bridge += "${CM}/bridge ${CM}/dds ${CM}/fleet ${CM}/ros \
+                       ${systemd_system_unitdir}/cm-bridge* ${sysconfdir}/cm/bridge-*.conf"
 FILES:${PN}-build += "${CM}/build"
 FILES:${PN}-bench += "${CM}/bench"
 FILES:${PN}-udev += "${nonarch_base_libdir}/udev ${nonarch_base_libdir}/modprobe.d"
 FILES:${PN} += "${nonarch_base_libdir}/firmware ${nonarch_libdir}/tmpfiles.d"
 CONFFILES:${PN} = "${sysconfdir}/cm/cm.yaml"
+CONFFILES:${PN}-bridge = "${sysconfdir}/cm/bridge-zenoh.conf ${sysconfdir}/cm/bridge-dds.conf"
 
 # What the modules of each package import; a test compares. None of it is wanted of the native variant.
 CM_NEEDS_CLIENT = "python3-asyncio \
