@@ -5,19 +5,23 @@ A ROUTER and a SUB hand out one message of each connection in turn, whoever thes
 client would have 256 turns. So messages are taken in ahead, a round of all connections that have some, and wait here.
 Who pipelines is held back all the same: a round that brings nothing new is followed by none for a while, as long as
 each client that waits has something here.
+
+Who does not read its answers gets no more of them: what it asks for waits here, until there is room for its answers
+again. Of whom a lot waits here, connections are not read any more until little does: the rest waits in its own sockets.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from time import monotonic_ns
-from typing import Any
+from typing import Any, Protocol
 
 import zmq
 from zmq import zmq_poll
 
 from cm import multipart
-from cm.budgets.budget import Budget, TooMuchWaiting
+from cm.budgets.brakes import Brakes, Connections
+from cm.budgets.budget import LITTLE, Budget, TooMuchWaiting
 from cm.budgets.registry import Budgets
 from cm.budgets.turns import Turns
 from cm.multipart import Message
@@ -27,8 +31,20 @@ _AHEAD = 32  # messages of a socket that are taken in before one is served
 _QUIET = 8  # messages that are served after a round that brought nothing new
 _KEEPING = 1024  # bytes that a message takes here beside its own
 _BLIND = 100_000  # nanoseconds of serving after which it is looked whether someone else waits
+_MUCH = 1 << 20  # bytes that wait here; then it is seen to whose they are
+_AGAIN = 0.005  # seconds until it is looked again whether answers were read
 _Serve = Callable[[Message, Budget], None]
 _NO_MESSAGE = Message("", [], -1, 0)
+
+
+class Loop(Protocol):
+    """Whose thread all of this is in (`cm.loop.Loop`)."""
+
+    def call_soon(self, callback: Callable[[], None]) -> None:
+        """Call in its next turn, which then does not wait."""
+
+    def call_later(self, seconds: float, callback: Callable[[], None]) -> object:
+        """Call once, `seconds` from now."""
 
 
 class _Source:
@@ -63,10 +79,11 @@ class _Source:
 class Intake:
     """What came and was not served yet. The loop's thread, in each turn of which one message is served."""
 
-    def __init__(self, budgets: Budgets, soon: Callable[[Callable[[], None]], None]) -> None:
-        """`soon` has something called in the next turn of the loop, which then does not wait."""
+    def __init__(self, budgets: Budgets, loop: Loop, connections: Connections) -> None:
         self._budgets = budgets
-        self._soon = soon
+        self._loop = loop
+        self._brakes = Brakes(connections)
+        self._looking = False  # a timer runs, since somebody does not read answers
         self._sources: list[_Source] = []
         self._turns: Turns[Budget, tuple[_Serve, Message, int]] = Turns()
         self._called = False
@@ -91,9 +108,14 @@ class Intake:
     def _arrived(self, source: _Source) -> None:
         if self._called:  # then all sockets are looked at
             return
-        began, message = monotonic_ns(), multipart.receive_from(source.socket, source.routed)
+        began, stopped = monotonic_ns(), self._turns.stopped
+        message = multipart.receive_from(source.socket, source.routed, bool(stopped))
         budget = self._budgets.came(message)
-        if self._blind >= _BLIND and self._others_wait(source):
+        if (
+            (self._blind >= _BLIND and self._others_wait(source))
+            or (budget.leaving_bytes > LITTLE and not budget.reads(source.sender(message)))
+            or (stopped and budget in stopped)
+        ):
             self._keep(source, message, budget, began)
             self._go_on()
             return
@@ -117,13 +139,13 @@ class Intake:
         except TooMuchWaiting:
             budget.refused += 1
             raise
-        self._turns.add(budget, key, (lambda _, __: call(), _NO_MESSAGE, _KEEPING))
+        self._turns.add(budget, (None, key), (lambda _, __: call(), _NO_MESSAGE, _KEEPING))
         self._come_back()
 
     def _come_back(self) -> None:
         if not self._called:
             self._called = True
-            self._soon(self._go_on)
+            self._loop.call_soon(self._go_on)
 
     def _serve(self, budget: Budget, began: int, serve: _Serve, message: Message) -> None:
         try:
@@ -135,18 +157,39 @@ class Intake:
 
     def _keep(self, source: _Source, message: Message, budget: Budget, began: int) -> bool:
         """Let a message wait; whether it ended a round of its socket's connections."""
-        size = sum(map(len, message.frames)) + _KEEPING
-        sender = source.sender(message)
+        size, sender = sum(map(len, message.frames)) + _KEEPING, source.sender(message)
+        news = False
         try:
             budget.queue(size)
         except TooMuchWaiting as error:
             budget.refused += 1
-            source.refuse(message, budget, error)
-            news = False
+            if budget.reads(sender):
+                source.refuse(message, budget, error)
+            elif message.source >= 0:  # not even that would be read
+                self._brakes.cut(budget, message.source)
         else:
             news = self._turns.add(budget, (source, sender), (source.serve, message, size))
+        if message.source >= 0 and self._has_enough(budget, source, sender):
+            self._brakes.hold(budget, message.source)
         budget.charge(monotonic_ns() - began)
         return source.came(sender, news)
+
+    def _has_enough(self, budget: Budget, source: _Source, sender: Hashable) -> bool:
+        """Whether a connection is not to be read for now."""
+        return budget.has_much_waiting or (source, sender) in self._turns.stopped.get(budget, ())
+
+    def _look_again(self) -> None:
+        """Let those go on who have read something."""
+        self._looking = False
+        if self._turns.go_on(_may_be_served):
+            self._come_back()
+        if self._turns.stopped:
+            self._look_later()
+
+    def _look_later(self) -> None:
+        if not self._looking:
+            self._looking = True
+            self._loop.call_later(_AGAIN, self._look_again)
 
     def _take_in(self, source: _Source) -> bool:
         """Take in what came meanwhile; whether there may be more, of which nothing else will tell."""
@@ -156,7 +199,8 @@ class Intake:
         for _ in range(_AHEAD):
             if not zmq_poll(source.ready, 0):
                 return False
-            began, message = monotonic_ns(), multipart.receive_from(source.socket, source.routed)
+            began, known = monotonic_ns(), bool(self._turns.stopped) or self._budgets.queued_bytes > _MUCH
+            message = multipart.receive_from(source.socket, source.routed, known)
             if self._keep(source, message, self._budgets.came(message), began):
                 return True
         return True
@@ -167,15 +211,26 @@ class Intake:
         try:
             more = [self._take_in(source) for source in self._sources]
         finally:
-            if self._turns:  # also where a socket failed
+            if self._turns.anyone:  # also where a socket failed
                 self._come_back()
-        if not self._turns:
+        try:
+            budget, (serve, message, size) = self._turns.take(_may_be_served)
+        except IndexError:
+            budget = None
+        if self._turns.stopped:
+            self._look_later()
+        if budget is None:
             if any(more):
                 self._come_back()
             return
-        budget, (serve, message, size) = self._turns.take()
         budget.unqueue(size)
         if not budget.waiting:  # it may have sent more
             for each in self._sources:
                 each.quiet = 0
+        if self._brakes.held and budget in self._brakes.held:
+            self._brakes.release(budget)
         self._serve(budget, monotonic_ns(), serve, message)
+
+
+def _may_be_served(budget: Budget, key: Any) -> bool:
+    return budget.reads(key[1])

@@ -21,6 +21,8 @@ _pull = super(zmq.Socket, zmq.Socket).recv
 _USER: Any = b"User-Id"  # a string would be encoded each time
 _new = tuple.__new__  # what making a named tuple comes to, without a function in Python
 _SMALL = 4096  # bytes; larger frames stay where libzmq put them
+_TINY = 255  # bytes of a frame, such as a routing id, that does not count (CM_GUARD_SMALL of csrc/guard.h)
+_MANY = 16  # parts of a message; of more, each counts as so many bytes
 _SOURCE = int(zmq.SRCFD)
 _PARTS = 1024  # of a message; further ones are dropped
 _LOCAL = "ipc:"  # what the user ids of processes of this machine begin with (`cm.rights.principal`)
@@ -31,7 +33,8 @@ Frame = bytes | memoryview
 class Message(NamedTuple):
     """A message, and the user id that authentication gave its connection; empty where it gave none.
 
-    Of one that has large frames, or comes from elsewhere: the connection's descriptor (-1: not known), and their bytes.
+    Of one that is not short, or comes from elsewhere: the connection's descriptor (-1: not known), and its bytes, as
+    `cm.native.guard` counts them.
     """
 
     connection: str
@@ -60,26 +63,31 @@ def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryvie
     return frames
 
 
-def receive_from(socket: zmq.Socket[bytes], routed: bool) -> Message:
-    """As `receive`, with where it came from. `routed`: from a ROUTER, which puts a short frame before every message."""
+def receive_from(socket: zmq.Socket[bytes], routed: bool, known: bool = False) -> Message:
+    """As `receive`, with where it came from. `routed`: from a ROUTER, which puts a short frame before every message.
+
+    `known`: the descriptor is wanted, however short the message is.
+    """
     frames: list[Frame] = [_pull(socket)] if routed else []
     large = 0
     more = True
     while more:
         frame = _pull(socket, 0, False)
         size, more = len(frame), frame.more
-        if size <= _SMALL:
+        if size <= _TINY:
             frames.append(frame.bytes)
         else:
-            frames.append(frame.buffer)
+            frames.append(frame.bytes if size <= _SMALL else frame.buffer)
             large += size
         if len(frames) > _PARTS:
             del frames[-2]
+    if len(frames) > _MANY + routed:
+        large += _TINY * (len(frames) - routed)
     try:  # of the last frame: libzmq 4.3.4 knows none of a routing id that it read ahead, as after a poll
         connection = frame.get(_USER)
     except zmq.ZMQError:
         connection = ""
-    source = _source(frame) if large or connection[:4] != _LOCAL else -1
+    source = _source(frame) if large or known or connection[:4] != _LOCAL else -1
     return _new(Message, (connection, frames, source, large))
 
 

@@ -16,7 +16,7 @@ pthread_mutex_t cm_guard_lock = PTHREAD_MUTEX_INITIALIZER;
 /* Only pages of descriptors that were used are memory. */
 static struct cm_guard_place places[DESCRIPTORS];
 static int first = -1;
-static struct cm_guard_limits limits;
+struct cm_guard_limits cm_guard_limits;
 static struct cm_guard_counts counts;
 static uint64_t serials;
 int cm_guard_spare = -1;
@@ -27,7 +27,12 @@ struct cm_guard_place *cm_guard_place(int fd)
 	return fd >= 0 && fd < DESCRIPTORS ? &places[fd] : NULL;
 }
 
-static bool same(const struct cm_guard_peer *a, const struct cm_guard_peer *b)
+int cm_guard_first(void)
+{
+	return first;
+}
+
+bool cm_guard_same(const struct cm_guard_peer *a, const struct cm_guard_peer *b)
 {
 	return a->pid || b->pid ? a->pid == b->pid
 				: !memcmp(a->address, b->address, sizeof(a->address));
@@ -80,39 +85,41 @@ static int cause_against(const struct cm_guard_peer *peer)
 	uint32_t held = 0, user = 0;
 
 	for (int fd = first; fd >= 0; fd = places[fd].next) {
-		held += same(&places[fd].peer, peer);
+		held += cm_guard_same(&places[fd].peer, peer);
 		user += peer->pid && places[fd].peer.pid && places[fd].peer.uid == peer->uid;
 	}
 	if (peer->fd >= DESCRIPTORS ||
 	    (!getrlimit(RLIMIT_NOFILE, &most) && most.rlim_cur != RLIM_INFINITY &&
-	     (uint64_t)peer->fd + limits.descriptors >= most.rlim_cur))
+	     (uint64_t)peer->fd + cm_guard_limits.descriptors >= most.rlim_cur))
 		return CM_GUARD_DESCRIPTORS;
-	if ((limits.each && held >= limits.each) ||
-	    (limits.connections && user >= limits.connections / 4 * 3))
+	if ((cm_guard_limits.each && held >= cm_guard_limits.each) ||
+	    (cm_guard_limits.connections && user >= cm_guard_limits.connections / 4 * 3))
 		return CM_GUARD_EACH;
-	if (limits.connections &&
-	    counts.connections + (held < FEW ? 0 : limits.newcomers) >= limits.connections)
+	if (cm_guard_limits.connections &&
+	    counts.connections + (held < FEW ? 0 : cm_guard_limits.newcomers) >=
+		    cm_guard_limits.connections)
 		return CM_GUARD_FULL;
 	return -1;
 }
 
-static void enter(const struct cm_guard_peer *peer)
+static bool enter(const struct cm_guard_peer *peer)
 {
 	struct cm_guard_place *place = cm_guard_place(peer->fd);
 
 	place->peer = *peer;
+	if (!cm_guard_owe(place))
+		return false;
 	place->next = first;
 	place->before = -1;
-	place->held_s = 0;
 	cm_guard_begin(&place->stream);
-	atomic_store(&place->large, 0); /* one by one: somebody may be told of the one before */
-	atomic_store(&place->frames, 0);
+	atomic_store(&place->frames, 0); /* one by one: somebody may be told of the one before */
 	if (first >= 0)
 		places[first].before = peer->fd;
 	first = peer->fd;
 	place->peer.serial = ++serials;
 	counts.connections++;
 	atomic_store(&place->kind, peer->kind);
+	return true;
 }
 
 bool cm_guard_admit(int fd, uint32_t kind)
@@ -122,9 +129,9 @@ bool cm_guard_admit(int fd, uint32_t kind)
 
 	pthread_mutex_lock(&cm_guard_lock);
 	cause = cause_against(&peer);
-	if (cause < 0)
-		enter(&peer);
-	else
+	if (cause < 0 && !enter(&peer))
+		cause = CM_GUARD_FULL;
+	if (cause >= 0)
 		cm_guard_refuse(&peer, cause);
 	pthread_mutex_unlock(&cm_guard_lock);
 	return cause < 0;
@@ -139,12 +146,13 @@ void cm_guard_leave(struct cm_guard_place *place)
 	if (place->next >= 0)
 		places[place->next].before = place->before;
 	counts.connections--;
+	cm_guard_quit(place);
 }
 
 void cm_guard_limit(const struct cm_guard_limits *wanted)
 {
 	pthread_mutex_lock(&cm_guard_lock);
-	limits = *wanted;
+	cm_guard_limits = *wanted;
 	if (cm_guard_spare < 0)
 		cm_guard_spare = open("/dev/null", O_RDONLY | O_CLOEXEC);
 	pthread_mutex_unlock(&cm_guard_lock);
@@ -155,7 +163,7 @@ struct cm_guard_limits cm_guard_bounds(void)
 	struct cm_guard_limits now;
 
 	pthread_mutex_lock(&cm_guard_lock);
-	now = limits;
+	now = cm_guard_limits;
 	pthread_mutex_unlock(&cm_guard_lock);
 	return now;
 }
@@ -214,17 +222,6 @@ int cm_guard_cut(int fd)
 	if (result)
 		errno = ENOENT;
 	return result;
-}
-
-void cm_guard_taken(int fd, uint64_t bytes)
-{
-	struct cm_guard_place *place = cm_guard_place(fd);
-
-	if (!place || !atomic_load(&place->kind))
-		return;
-	atomic_fetch_add(&place->large, bytes);
-	atomic_store(&place->frames,
-		     place->stream.frames); /* of another thread: a word, and not to the frame */
 }
 
 void cm_guard_count(struct cm_guard_counts *now)

@@ -15,7 +15,7 @@
 
 #include <stdint.h>
 
-#define CM_GUARD_SMALL 4096
+#define CM_GUARD_SMALL 255 /* bytes of a frame, such as a routing id, that does not count */
 
 enum cm_guard_kind {
 	CM_GUARD_NONE,	   /* not ours */
@@ -33,6 +33,7 @@ enum cm_guard_cause {
 	CM_GUARD_BYTES,	      /* a message that is too long, or has no end */
 	CM_GUARD_RATE,	      /* subscribes too often */
 	CM_GUARD_CUT,	      /* by cm_guard_cut() */
+	CM_GUARD_SLOW,	      /* kept others waiting who had long messages to send, too */
 	CM_GUARD_CAUSES,
 };
 
@@ -42,7 +43,8 @@ struct cm_guard_limits {
 	uint32_t newcomers;   /* of all, for peers with few */
 	uint32_t descriptors; /* of the process, that no connection may take */
 	uint32_t parts;	      /* of a message */
-	uint64_t bytes;	      /* of a message; of twice as many that nobody took, no more is read */
+	uint64_t
+		bytes; /* of a message; and of how many that nobody took more is read, see guard_owe.c */
 	uint32_t
 		topics; /* subscriptions and their ends at once; a sixteenth of it comes back every second */
 };
@@ -89,8 +91,20 @@ uint64_t cm_guard_serial(int fd);
 /* End a connection: libzmq sees that its peer has gone. ENOENT. */
 int cm_guard_cut(int fd);
 
-/* A message of this connection was taken, which has @bytes in frames of more than CM_GUARD_SMALL. */
+/*
+ * A message of this connection was taken, which has @bytes in frames of more than CM_GUARD_SMALL; with more than 16
+ * parts, CM_GUARD_SMALL more for each.
+ */
 void cm_guard_taken(int fd, uint64_t bytes);
+
+/* Read nothing more of a connection, or again. ENOENT. */
+int cm_guard_hold(int fd, int hold);
+
+/*
+ * Once a second: end connections that keep others from sending long messages by sending theirs for longer than ten
+ * of these looks.
+ */
+void cm_guard_look_on(void);
 
 void cm_guard_count(struct cm_guard_counts *counts);
 

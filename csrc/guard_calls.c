@@ -2,6 +2,7 @@
 /* What libzmq calls in place of the C library's functions. */
 #include <errno.h>
 #include <fcntl.h>
+#include <poll.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -9,7 +10,6 @@
 
 #define FRAMES \
 	32768 /* that nobody took: more than libzmq lets wait, unless their message has no end */
-#define PATIENCE 10 /* seconds for which a message without end is not read any further */
 
 /* No descriptor is left: the cm_guard_spare one lets who waits be refused, so that nobody is called for it for ever. */
 static void turn_away(int listener)
@@ -91,25 +91,31 @@ static int64_t seconds(void)
 	return now.tv_sec + 1;
 }
 
-/*
- * As much as may wait of this connection does: let its peer wait. libzmq asks again at once, since the descriptor is
- * readable still, so it is kept for a moment. A message that is encrypted may be one without end, which nobody can take.
- */
-static bool holds_back(struct cm_guard_place *place, const struct cm_guard_limits *limits)
+/* Whether it is not read now; what is left of a peer that has gone is. */
+static bool is_held(int fd, struct cm_guard_place *place)
 {
-	/* Below zero: a message was taken of one that had this descriptor before. */
-	int64_t waits = (int64_t)(place->stream.large -
-				  atomic_load_explicit(&place->large, memory_order_relaxed));
+	struct pollfd peer = { .fd = fd };
 
-	if (!limits->bytes || waits <= (int64_t)(2 * limits->bytes) ||
-	    !cm_guard_between(&place->stream)) {
-		place->held_s = 0;
+	if (!atomic_load_explicit(&place->held, memory_order_relaxed))
 		return false;
-	}
-	if (!place->held_s)
-		place->held_s = seconds();
-	nanosleep(&(struct timespec){ .tv_nsec = 200000 }, NULL);
+	if (poll(&peer, 1, 0) > 0 && peer.revents & (POLLHUP | POLLERR))
+		return false;
+	if (place->epoll < 0) /* nobody keeps libzmq from asking again at once */
+		nanosleep(&(struct timespec){ .tv_nsec = 200000 }, NULL);
 	return true;
+}
+
+/* Most messages leave nothing to settle. */
+static void settle(struct cm_guard_place *place, const struct cm_guard_limits *limits)
+{
+	const struct cm_guard_stream *stream = &place->stream;
+
+	if (stream->came == place->came && !stream->small &&
+	    cm_guard_is_long(stream) == place->has_place)
+		return;
+	pthread_mutex_lock(&cm_guard_lock);
+	cm_guard_settle(place, limits);
+	pthread_mutex_unlock(&cm_guard_lock);
 }
 
 static int ended(struct cm_guard_place *place, int cause)
@@ -132,21 +138,25 @@ ssize_t cm_guard_recv(int fd, void *data, size_t size, int flags)
 
 	if (kind)
 		limits = cm_guard_bounds();
-	if (kind == CM_GUARD_REQUESTS && holds_back(place, &limits)) {
-		if (place->stream.curve && seconds() - place->held_s > PATIENCE)
-			return ended(place, CM_GUARD_BYTES);
+	if (kind && is_held(fd, place)) {
 		errno = EAGAIN;
 		return -1;
 	}
+	if (kind == CM_GUARD_REQUESTS && size > cm_guard_room(&place->stream))
+		size = cm_guard_room(&place->stream);
 	got = recv(fd, data, size, flags);
 	if (got <= 0 || !kind)
 		return got;
+	if (place->has_place)
+		atomic_fetch_add_explicit(&place->read, (uint64_t)got, memory_order_relaxed);
 	cause = cm_guard_follow(&place->stream, kind, &limits, data, (size_t)got,
 				kind == CM_GUARD_TOPICS ? seconds() : 0);
 	if (cause < 0 && kind == CM_GUARD_REQUESTS && place->stream.curve &&
 	    place->stream.frames - atomic_load_explicit(&place->frames, memory_order_relaxed) >
 		    FRAMES)
 		cause = CM_GUARD_PARTS;
+	if (cause < 0 && kind == CM_GUARD_REQUESTS)
+		settle(place, &limits);
 	return cause < 0 ? got : ended(place, cause);
 }
 

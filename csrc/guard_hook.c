@@ -42,6 +42,7 @@ static const struct replacement replacements[] = {
 	{ "accept4", (void (*)(void))cm_guard_accept4 },
 	{ "listen", (void (*)(void))cm_guard_listen },
 	{ "close", (void (*)(void))cm_guard_close },
+	{ "epoll_ctl", (void (*)(void))cm_guard_epoll_ctl },
 	{ "recv", (void (*)(void))cm_guard_recv },
 	{ "__recv_chk", (void (*)(void))cm_guard_recv_chk },
 };

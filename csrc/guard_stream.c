@@ -9,6 +9,10 @@
 #define MORE 0x01
 #define LONG 0x02
 #define COMMAND 0x04
+#define COMMANDS 4096 /* bytes of one, which the handshake's are far below */
+#define PARTS 16      /* of a message; with more, each counts as a frame that is not small */
+#define AT_ONCE 512   /* bytes that are read of short messages: what was read waits, held or not */
+#define FREE (32 << 10) /* bytes of a message that needs no place */
 #define SEALED \
 	33 /* bytes that CURVE adds to a frame: a command's name, a number, a flag and the seal */
 
@@ -19,15 +23,16 @@ void cm_guard_begin(struct cm_guard_stream *stream)
 	stream->phase = IN_GREETING;
 	stream->flags = stream->got = 0;
 	stream->curve = false;
-	stream->left = stream->bytes = stream->large = 0;
+	stream->shakes = 0;
+	stream->left = stream->bytes = stream->counts = stream->came = stream->small = 0;
 	stream->parts = stream->credit = 0;
 	stream->credit_s = 0;
 	atomic_store(&stream->frames, 0);
 }
 
-bool cm_guard_between(const struct cm_guard_stream *stream)
+bool cm_guard_is_long(const struct cm_guard_stream *stream)
 {
-	return stream->phase == AT_FLAGS;
+	return stream->bytes > FREE;
 }
 
 /* The signature, and a version that has frames as they are followed here. */
@@ -39,8 +44,10 @@ static int greet(struct cm_guard_stream *stream, uint8_t byte)
 		return CM_GUARD_PROTOCOL;
 	if (at == 12)
 		stream->curve = byte == 'C';
-	if (stream->got == GREETING)
+	if (stream->got == GREETING) {
 		stream->phase = AT_FLAGS;
+		stream->shakes = stream->curve ? 2 : 1; /* HELLO and INITIATE, or READY */
+	}
 	return -1;
 }
 
@@ -58,33 +65,65 @@ static bool has_credit(struct cm_guard_stream *stream, uint32_t most, int64_t no
 	return stream->credit && stream->credit--;
 }
 
+/* A command, and before it has shaken hands nothing else: who that is, nobody knows yet. */
+static int command(struct cm_guard_stream *stream)
+{
+	if (!(stream->flags & COMMAND))
+		return stream->shakes ? CM_GUARD_PROTOCOL : -1;
+	if (stream->left > COMMANDS)
+		return CM_GUARD_BYTES;
+	if (stream->shakes)
+		stream->shakes--;
+	return -1;
+}
+
+/* Of what the manager is given: what it tells cm_guard_taken() of, by the same rules. */
+static void count(struct cm_guard_stream *stream)
+{
+	uint64_t size = stream->left;
+
+	stream->bytes += size;
+	stream->parts++;
+	if (stream->curve)
+		size -= size < SEALED ? size : SEALED;
+	if (size > CM_GUARD_SMALL)
+		stream->counts += size;
+	else if (stream->curve) /* it may be half of a ping, which nobody takes */
+		stream->small += size + sizeof(*stream);
+}
+
 /* A frame of stream->left bytes begins. */
 static int begin(struct cm_guard_stream *stream, uint32_t kind,
 		 const struct cm_guard_limits *limits, int64_t now_s)
 {
+	bool shakes_hands = stream->shakes;
+	int cause = command(stream);
+
 	stream->phase = IN_BODY;
+	if (cause >= 0 || shakes_hands)
+		return cause;
 	if (kind == CM_GUARD_TOPICS && limits->topics && !has_credit(stream, limits->topics, now_s))
 		return CM_GUARD_RATE;
 	if (limits->bytes &&
 	    (stream->left > limits->bytes || stream->bytes > limits->bytes - stream->left))
 		return CM_GUARD_BYTES;
 	stream->frames++;
-	if (stream->left > CM_GUARD_SMALL + (stream->curve ? SEALED : 0))
-		stream->large += stream->left - (stream->curve ? SEALED : 0);
 	if (stream->flags & COMMAND)
 		return -1;
-	stream->bytes += stream->left;
-	stream->parts++;
-	if (limits->parts && stream->parts > limits->parts)
-		return CM_GUARD_PARTS;
-	return -1;
+	count(stream);
+	return limits->parts && stream->parts > limits->parts ? CM_GUARD_PARTS : -1;
 }
 
 static void end(struct cm_guard_stream *stream)
 {
 	stream->phase = AT_FLAGS;
-	if (!(stream->flags & (MORE | COMMAND)))
-		stream->parts = 0, stream->bytes = 0;
+	if (stream->flags & (MORE | COMMAND))
+		return;
+	stream->came += stream->counts;
+	if (stream->parts > PARTS)
+		stream->came += (uint64_t)stream->parts * CM_GUARD_SMALL;
+	stream->parts = 0;
+	stream->bytes = stream->counts = 0;
 }
 
 static int length(struct cm_guard_stream *stream, uint8_t byte, uint32_t kind,
@@ -99,6 +138,11 @@ static int length(struct cm_guard_stream *stream, uint8_t byte, uint32_t kind,
 	if (!stream->left)
 		end(stream);
 	return cause;
+}
+
+size_t cm_guard_room(const struct cm_guard_stream *stream)
+{
+	return stream->phase == IN_BODY && stream->left > AT_ONCE ? (size_t)stream->left : AT_ONCE;
 }
 
 int cm_guard_follow(struct cm_guard_stream *stream, uint32_t kind,

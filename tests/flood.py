@@ -9,6 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from manager_process import environment
+
 # Connects so often, says how many of them were not hung up on, and holds them until its input ends.
 _IDLE = """
 import select, socket, sys
@@ -42,6 +44,88 @@ def idle_connections(where: Path | tuple[str, int], count: int, processes: int) 
         for process in made:
             process.communicate()
             process.wait()
+
+
+# Asks for the configuration, which has to take some 15 KiB, over so many connections, and reads once it is told to.
+_UNREAD = """
+import sys
+import zmq
+from cm.messages.requests import ReadConfig
+from cm.wire.encode import encode_request
+runtime, connections, each = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+ask = encode_request(ReadConfig())
+context = zmq.Context()
+context.set(zmq.MAX_SOCKETS, 4096)
+made = [context.socket(zmq.DEALER) for _ in range(connections)]
+for one in made:
+    one.linger = 0
+    one.sndhwm, one.rcvhwm, one.rcvbuf = 0, 1, 4096
+    one.connect(f"ipc://{runtime}/req")
+for _ in range(each):
+    for one in made:
+        one.send_multipart(ask)
+print("asked", flush=True)
+sys.stdin.readline()
+poller, read = zmq.Poller(), 0
+for one in made:
+    poller.register(one, zmq.POLLIN)
+while read < connections * each and (ready := poller.poll(60_000)):
+    read += sum([10 << 10 < len(one.recv_multipart()[-1]) < 16 << 10 for one, _ in ready])
+print(read, flush=True)
+"""
+
+# Sends seven MiB of a message of eight over so many connections, as far as they are taken, and holds them.
+_HALVES = """
+import socket, sys
+path, before, connections = sys.argv[1], bytes.fromhex(sys.argv[2]), int(sys.argv[3])
+family, place = (socket.AF_UNIX, path) if "/" in path else (socket.AF_INET, ("127.0.0.1", int(path)))
+half = before + b"\2" + ((8 << 20) - 100).to_bytes(8, "big") + bytes(7 << 20)
+made = [socket.socket(family) for _ in range(connections)]
+left = dict.fromkeys(made, memoryview(half))
+for one in made:
+    one.connect(place)
+    one.setblocking(False)
+for _ in range(50):
+    for one in made:
+        try:
+            while left[one]:
+                left[one] = left[one][one.send(left[one]) :]
+        except BlockingIOError:
+            pass
+        except ConnectionError:
+            left[one] = left[one][:0]
+print("sent", flush=True)
+sys.stdin.read()
+"""
+
+
+@contextlib.contextmanager
+def _hostile(script: str, first: str, *words: object) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-c", script, *map(str, words)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, env=environment(), **pipes) as process:  # type: ignore[call-overload]
+        try:
+            assert process.stdout.readline() == first + "\n"
+            yield process
+        finally:
+            process.kill()
+
+
+@contextlib.contextmanager
+def unread_replies(runtime: Path, connections: int, each: int) -> Iterator[subprocess.Popen[str]]:
+    """A process that asks `each` times for the configuration, of 15 KiB, over each of its connections, and reads none.
+
+    To a line on its input it reads them, and says how many came.
+    """
+    with _hostile(_UNREAD, "asked", runtime, connections, each) as process:
+        yield process
+
+
+@contextlib.contextmanager
+def half_messages(where: Path | int, before: bytes, connections: int) -> Iterator[None]:
+    """A process that sends `before` and half a message over each of its connections to a socket, or a port."""
+    with _hostile(_HALVES, "sent", where, before.hex(), connections):
+        yield
 
 
 def descriptors(pid: int) -> int:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -12,6 +12,10 @@ from cm.budgets.turns import Account, Client
 from cm.errors import Busy
 from cm.messages.status import Reply
 
+_PROBE = 16 << 10  # bytes of replies of a connection of which one tells that those before it have left
+LITTLE = 2 * _PROBE  # bytes of replies that each connection may leave unread, whatever others do
+_REPLY = 320  # bytes that ZeroMQ takes for a reply beside its own
+_SENDERS = 1024  # connections whose replies are reckoned up
 PENDING = 64  # requests of one client that take their time: reads of data, changes, configurations that are stored
 
 
@@ -35,24 +39,28 @@ class Tracker(Protocol):
         """Whether it has left."""
 
 
+_Sent = tuple[Tracker, int, Hashable]  # one reply of some, bytes of all of those, and their connection
+
+
 class AllClients(Protocol):
     """What all clients have together."""
 
     queued_bytes: int  # of messages that wait for their turn
+    leaving_bytes: int  # of replies that are being made, or were not read
 
     def waiting_bytes(self) -> int:
         """Of requests that wait."""
 
-    def leaving_bytes(self) -> int:
-        """Of replies that are being made, or were not read."""
+    def look_at_replies(self) -> None:
+        """Count those that were read."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
     """Of one client: bytes of requests that wait, and of replies that it does not read.
 
-    All clients together may have one and a half times as many waiting, and unread; beyond that only who has nothing
-    there gets a request through.
+    All clients of an account together may have an eighth more waiting, and unread, all clients one and a half times as
+    many; beyond that only who has nothing there gets a request through.
     """
 
     waiting_bytes: int
@@ -63,8 +71,8 @@ class Budget(Client):
     """One client's."""
 
     __slots__ = (
-        "_all", "_replies", "bounds", "connections", "name", "pending", "place", "refused", "replies_bytes",
-        "requests", "upload_bytes", "waiting_bytes",
+        "_all", "_sent", "_unknown", "_unread", "_untold", "bounds", "connections", "leaving_bytes", "made_bytes",
+        "name", "pending", "place", "refused", "requests", "upload_bytes", "waiting_bytes",
     )  # fmt: skip
 
     def __init__(self, name: str, bounds: Bounds, of_all: AllClients, account: Account) -> None:
@@ -78,9 +86,13 @@ class Budget(Client):
         self.refused = 0
         self.pending = 0  # requests under way that take their time
         self.waiting_bytes = 0  # of requests that wait
-        self.replies_bytes = 0  # that are being made
+        self.made_bytes = 0  # of replies that are being made
+        self.leaving_bytes = 0  # these, and of those that were not read when it was last looked
         self.upload_bytes = 0
-        self._replies: deque[tuple[Tracker, int]] = deque()  # large ones that were sent, perhaps not read
+        self._sent: deque[_Sent] = deque()
+        self._unread: dict[Hashable, int] = {}  # bytes of these, by connection
+        self._untold: dict[Hashable, int] = {}  # bytes of replies to each connection since one that tells
+        self._unknown = 0  # the same of those that are not there
 
     def begin(self, size: int = 0) -> None:
         """A request is under way that holds `size` bytes. Raises TooMuchWaiting; else `end` follows."""
@@ -117,22 +129,100 @@ class Budget(Client):
         self.account.queued_bytes += size
         self._all.queued_bytes += size
 
-    def has_room(self, reply: int) -> bool:
+    @property
+    def has_much_waiting(self) -> bool:
+        """Of what came and was not served; so much that what is on its way has to find room yet."""
+        return self.queued_bytes > self.bounds.waiting_bytes // 4
+
+    @property
+    def has_little_waiting(self) -> bool:
+        """Then more may come."""
+        return self.queued_bytes < self.bounds.waiting_bytes // 8
+
+    def has_room(self, reply: int = 0) -> bool:
         """Whether so many bytes may be made for it now: whether it reads what it asked for."""
-        return not _is_full(self.leaving_bytes, reply, self.bounds.replies_bytes, self._all.leaving_bytes)
+        if not self._is_full(reply):
+            return True
+        self.look_at_replies()
+        if not self._is_full(reply):
+            return True
+        self._all.look_at_replies()
+        return not self._is_full(reply)
+
+    def reads(self, sender: Hashable) -> bool:
+        """Whether one of its connections gets more replies: it has read all but a little, or there is room."""
+        if self.leaving_bytes <= LITTLE or self._unread.get(sender, 0) <= LITTLE:
+            return True
+        return self.has_room() or self._unread.get(sender, 0) <= LITTLE
+
+    def _is_full(self, more: int) -> bool:
+        """As far as it is known. Who has little gets a short one, and a long one where its account has nothing."""
+        own, account, most = self.leaving_bytes, self.account.leaving_bytes, self.bounds.replies_bytes
+        if own and own + more > most:
+            return True
+        if account + more <= most * 9 // 8 and self._all.leaving_bytes + more <= most * 3 // 2:
+            return False
+        return own > LITTLE if more <= _PROBE else account > 0
 
     def check_room(self) -> None:
         """Raise RepliesUnread where it has not read so much that it gets no more."""
         if not self.has_room(1):
             raise RepliesUnread(
                 f"{self.leaving_bytes} bytes of answers to {self.name} are under way or unread, "
-                f"{self._all.leaving_bytes()} to all (limits.replies_mib): read them first"
+                f"{self._all.leaving_bytes} to all (limits.replies_mib): read them first"
             )
 
+    def make(self, size: int) -> None:
+        """A reply of so many bytes is being made (negative: it was)."""
+        self.made_bytes += size
+        self._leaving(size)
+
+    def replied(self, sender: Hashable, size: int) -> int:
+        """A reply of `size` bytes is to go to one of its connections. 0, or bytes that are known to have been read once
+        this reply has: then it is to be sent so that this can be told, and goes to `sent`.
+        """
+        untold = self._untold.get(sender, self._unknown) + size + _REPLY
+        if untold < _PROBE:
+            self._untold[sender] = untold
+            return 0
+        self._untold[sender] = 0
+        return untold
+
+    def sent(self, tracker: Tracker, size: int, sender: Hashable) -> None:
+        """Replies of so many bytes were given to ZeroMQ, the last of them with a tracker."""
+        self._sent.append((tracker, size, sender))
+        self._unread[sender] = self._unread.get(sender, 0) + size
+        self._leaving(size)
+        if self._sent[0][0].done:
+            self.look_at_replies()
+
+    def look_at_replies(self) -> None:
+        """Count those that were read."""
+        waiting = [sent for sent in self._sent if not sent[0].done]
+        if len(waiting) == len(self._sent):
+            return
+        self._sent = deque(waiting)
+        self._unread = {}
+        for _, size, sender in waiting:
+            self._unread[sender] = self._unread.get(sender, 0) + size
+        self._leaving(sum(self._unread.values()) + self.made_bytes - self.leaving_bytes)
+
+    def forget_connections(self) -> None:
+        """There may be some that have gone; what of the others is unread is reckoned with, whatever it is."""
+        if len(self._untold) > _SENDERS:
+            self._untold.clear()
+            self._unknown = _PROBE
+
+    def _leaving(self, size: int) -> None:
+        self.leaving_bytes += size
+        self.account.leaving_bytes += size
+        self._all.leaving_bytes += size
+
     @property
-    def leaving_bytes(self) -> int:
-        """Of replies that are being made, or were not read."""
-        return self.unread_bytes + self.replies_bytes
+    def unread_bytes(self) -> int:
+        """Of replies that ZeroMQ still has, but for less than 16 KiB of each connection."""
+        self.look_at_replies()
+        return self.leaving_bytes - self.made_bytes
 
     def end(self, size: int = 0) -> None:
         """It was answered."""
@@ -149,22 +239,10 @@ class Budget(Client):
 
         return answered
 
-    def sent(self, tracker: Tracker, size: int) -> None:
-        """A large reply was given to ZeroMQ."""
-        self._replies.append((tracker, size))
-
-    @property
-    def unread_bytes(self) -> int:
-        """Of large replies that ZeroMQ still has."""
-        replies = self._replies
-        while replies and replies[0][0].done:
-            replies.popleft()
-        return sum([size for tracker, size in replies if not tracker.done]) if replies else 0
-
     @property
     def idle(self) -> bool:
         """Whether nothing is left of it."""
-        return not (self.connections or self.pending or self.waiting or self.upload_bytes)
+        return not (self.connections or self.pending or self.waiting or self.upload_bytes or self.leaving_bytes)
 
 
 def _is_full(own: int, more: int, most: int, of_all: Callable[[], int]) -> bool:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from time import monotonic_ns
 from types import MappingProxyType
 from typing import Protocol
 
@@ -13,6 +14,8 @@ from cm.budgets.budget import Bounds, Budget
 from cm.budgets.names import Peer, Who, name_of, place_of
 from cm.budgets.turns import Account, Clock
 from cm.messages.status import ClientStatus, LeaseStatus, StreamStatus
+
+_LOOK = 1_000_000  # nanoseconds between two looks at what all clients have read
 
 
 class Message(Protocol):
@@ -28,7 +31,7 @@ class Message(Protocol):
 
     @property
     def large(self) -> int:
-        """Bytes of its large frames."""
+        """Bytes of its frames that are not small."""
 
 
 class Budgets:
@@ -43,8 +46,8 @@ class Budgets:
         shares: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
         """`who` knows clients by the ids of their connections. `taken` is told of messages that were taken off one, by
-        its descriptor and the bytes of large frames; `peers` tells what connections there are. `shares`: of the
-        loop's time, by the name of a user or a key.
+        its descriptor and the bytes of frames that are not small; `peers` tells what connections there are. `shares`:
+        of the loop's time, by the name of a user or a key.
         """
         self._bounds = bounds
         self._who = who
@@ -55,7 +58,9 @@ class Budgets:
         self._accounts: dict[str, Account] = {}
         self._clock = Clock()
         self._shares = shares
+        self._looked = 0  # when, in nanoseconds
         self.queued_bytes = 0  # of messages that wait for their turn
+        self.leaving_bytes = 0  # of replies that are being made, or were not read
 
     def renew(self, bounds: Bounds, shares: Mapping[str, float]) -> None:
         """Other bounds and shares from now on; what waits stays."""
@@ -106,15 +111,21 @@ class Budgets:
         """Of all clients."""
         return sum([budget.waiting_bytes for budget in self])
 
-    def leaving_bytes(self) -> int:
-        """Of all clients."""
-        return sum([budget.leaving_bytes for budget in self])
+    def look_at_replies(self) -> None:
+        """Count those that were read, of all clients; often enough."""
+        now = monotonic_ns()
+        if now - self._looked > _LOOK:
+            self._looked = now
+            for budget in self:
+                budget.look_at_replies()
 
     def settle(self) -> None:
         """Count connections anew, and forget who has nothing any more."""
         there = Counter(map(place_of, self._peers()))
         for budget in self._named.values():
             budget.connections = there[budget.place]
+            budget.look_at_replies()
+            budget.forget_connections()
         self._named = {name: budget for name, budget in self._named.items() if not budget.idle}
         self._known = {key: budget for key, budget in self._known.items() if budget.name in self._named}
         used = {budget.account.name for budget in self}
@@ -155,6 +166,7 @@ def _told(budget: Budget) -> ClientStatus:
         connections=budget.connections,
         upload_bytes=budget.upload_bytes,
         waiting_bytes=budget.waiting_bytes + budget.queued_bytes + budget.unread_bytes,
+        unread_bytes=budget.unread_bytes,
         loop_seconds=budget.busy_ns / 1e9,
         requests=budget.requests,
         refused=budget.refused,

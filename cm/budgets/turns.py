@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable
 from itertools import count
 from typing import Generic, TypeVar
 
@@ -47,7 +47,7 @@ class Spender:
 class Account(Spender):
     """A user, a key or an address, with whatever it is connected. `share`: how much more it gets than others."""
 
-    __slots__ = ("clients", "name", "queued_bytes", "share")
+    __slots__ = ("clients", "leaving_bytes", "name", "queued_bytes", "share")
 
     def __init__(self, name: str, clock: Clock, share: float = 1.0) -> None:
         super().__init__(clock)
@@ -55,6 +55,7 @@ class Account(Spender):
         self.share = share
         self.clients = Clock()
         self.queued_bytes = 0  # of messages that wait for their turn
+        self.leaving_bytes = 0  # of replies that are being made, or were not read
 
 
 class Client(Spender):
@@ -133,13 +134,22 @@ class Turns(Generic[_C, _T]):
         self._clients: dict[Account, _Line[_C]] = {}
         self._there: dict[_C, dict[Hashable, deque[_T]]] = {}  # by connection, whose turn it is first
         self._count = 0
+        self.stopped: dict[_C, dict[Hashable, deque[_T]]] = {}  # what waits of connections that get no turn now
 
     def __len__(self) -> int:
         return self._count
 
+    @property
+    def anyone(self) -> bool:
+        """Whether it is somebody's turn."""
+        return bool(self._accounts)
+
     def add(self, client: _C, connection: Hashable, item: _T) -> bool:
         """Something waits; whether it is the only one of its connection."""
         self._count += 1
+        if self.stopped and connection in self.stopped.get(client, ()):
+            self.stopped[client][connection].append(item)
+            return False
         connections = self._there.get(client)
         if connections is None:
             connections = self._enter(client)
@@ -152,29 +162,59 @@ class Turns(Generic[_C, _T]):
 
     def _enter(self, client: _C) -> dict[Hashable, deque[_T]]:
         client.comes()
+        self._line_up(client)
+        made = self._there[client] = {}
+        return made
+
+    def _line_up(self, client: _C) -> None:
         account = client.account
         if account not in self._clients:
             self._clients[account] = _Line()
             self._accounts.join(account)
         self._clients[account].join(client)
-        made = self._there[client] = {}
-        return made
 
-    def take(self) -> tuple[_C, _T]:
-        """Whose turn it is, and what of it. Raises IndexError where nothing waits."""
-        account = self._accounts.leave()
-        line = self._clients[account]
-        client = line.leave()
+    def go_on(self, may: Callable[[_C, Hashable], bool]) -> bool:
+        """Give turns again to connections that may have them; whether there were any."""
+        found = [(client, one) for client, held in self.stopped.items() for one in held if may(client, one)]
+        for client, connection in found:
+            connections = self._there.get(client)
+            if connections is None:
+                connections = self._enter(client)
+            connections[connection] = self.stopped[client].pop(connection)
+            if not self.stopped[client]:
+                del self.stopped[client]
+        return bool(found)
+
+    def take(self, may: Callable[[_C, Hashable], bool] = lambda _, __: True) -> tuple[_C, _T]:
+        """Whose turn it is, and what of it; connections that may have none are stopped. Raises IndexError where it is
+        nobody's.
+        """
+        while True:
+            account = self._accounts.leave()
+            line = self._clients[account]
+            client = line.leave()
+            connection = self._next_of(client, may)
+            if connection is not None:
+                break
+            self._back(account, line, client)
         client.goes()
         connections = self._there[client]
-        connection, items = next(iter(connections.items()))
+        items = connections.pop(connection)
         item = items.popleft()
-        del connections[connection]
         if items:
             connections[connection] = items  # behind the others
         self._count -= 1
         self._back(account, line, client)
         return client, item
+
+    def _next_of(self, client: _C, may: Callable[[_C, Hashable], bool]) -> Hashable | None:
+        connections = self._there[client]
+        while connections:
+            connection = next(iter(connections))
+            if may(client, connection):
+                return connection
+            self.stopped.setdefault(client, {})[connection] = connections.pop(connection)
+        return None
 
     def _back(self, account: Account, line: _Line[_C], client: _C) -> None:
         """Into line again, where more of it waits."""
@@ -182,6 +222,9 @@ class Turns(Generic[_C, _T]):
             line.join(client)
         else:
             del self._there[client]
+        self._account_back(account, line)
+
+    def _account_back(self, account: Account, line: _Line[_C]) -> None:
         if line:
             self._accounts.join(account)
         else:

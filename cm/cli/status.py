@@ -60,6 +60,7 @@ def run_clients(args: argparse.Namespace) -> int:
             x.slots,
             x.waiting,
             _mebibytes(x.waiting_bytes),
+            _mebibytes(x.unread_bytes),
             _mebibytes(x.upload_bytes),
             _mebibytes(x.memory_bytes),
             f"{x.loop_seconds:.3f}",
@@ -68,8 +69,8 @@ def run_clients(args: argparse.Namespace) -> int:
         )
         for x in clients
     ]
-    heads = ("CLIENT", "ACCOUNT", "CONNECTIONS", "LEASES", "SLOTS", "WAITING", "WAITING MIB", "SENT MIB", "MEMORY MIB")
-    print_table(rows, (*heads, "LOOP S", "REQUESTS", "REFUSED"))
+    heads = ("CLIENT", "ACCOUNT", "CONNECTIONS", "LEASES", "SLOTS", "WAITING", "WAITING MIB", "UNREAD MIB", "SENT MIB")
+    print_table(rows, (*heads, "MEMORY MIB", "LOOP S", "REQUESTS", "REFUSED"))
     return 0
 
 

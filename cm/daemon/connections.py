@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import resource
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from cm.budgets.registry import Budgets
 from cm.daemon.limits import Limits
 from cm.daemon.uploads import Uploads
 from cm.intake import Intake
+from cm.loop import Loop
 from cm.native import guard
 from cm.native.guard import REQUESTS, TOPICS
 
@@ -39,7 +40,8 @@ _CAUSES = {
     "parts": f"it sent a message of more than {PARTS} parts",
     "bytes": "it sent a message that is too long, or has no end (limits.message_mib)",
     "rate": f"it subscribed to more than {_TOPICS} topics at once",
-    "cut": "it has lost its right to be connected",
+    "cut": "it has lost its right to be connected, or does not read its answers and goes on asking",
+    "slow": "others had long messages to send while it did not end one (64 KiB in a second, 10 s in all)",
 }
 
 
@@ -61,6 +63,29 @@ def listening(kind: int) -> Iterator[None]:
         guard.expect(guard.NONE)
 
 
+class Guarded:
+    """Connections by their descriptors, if they are still of who is at a place."""
+
+    def hold(self, fd: int, place: str) -> bool:
+        """Read nothing more of a connection; False where it is another's."""
+        with suppress(OSError):
+            if place_of(guard.peer(fd)) == place:
+                guard.hold(fd, True)
+                return True
+        return False
+
+    def release(self, fd: int) -> None:
+        """Read it again."""
+        with suppress(OSError):  # it has gone
+            guard.hold(fd, False)
+
+    def cut(self, fd: int, place: str) -> None:
+        """End it."""
+        with suppress(OSError):
+            if place_of(guard.peer(fd)) == place:
+                guard.cut(fd)
+
+
 class Connections:
     """Sets the bounds, knows what each client takes, and tells once in a while of connections that were refused."""
 
@@ -69,16 +94,15 @@ class Connections:
         limits: Limits,
         who: Callable[[str], Who],
         folder: Path,
-        soon: Callable[[Callable[[], None]], None],
+        loop: Loop,
     ) -> None:
-        """`soon` has something called in the loop's next turn."""
         raise_descriptors()
         if not guard.install():
             _LOG.warning("connections cannot be limited here: libzmq does not call the C library by its tables")
         guard.limit(bounds(limits))
         each = Bounds(limits.waiting_bytes, limits.replies_bytes)
         self.budgets = budgets = Budgets(each, who, guard.taken, guard.peers, limits.shares)
-        self.intake = Intake(budgets, soon)
+        self.intake = Intake(budgets, loop, Guarded())
         self.uploads = Uploads(folder, limits.upload_bytes, limits.uploads_bytes, budgets.upload_bytes)
         self._message_bytes = limits.message_bytes
         self._told = guard.counts().refused
@@ -95,6 +119,7 @@ class Connections:
 
     def tell(self) -> None:
         """Forget who has gone, and log what was refused since the last call: one line for each cause."""
+        guard.look_on()
         self.uploads.forget_old()
         self.budgets.settle()
         now = guard.counts()

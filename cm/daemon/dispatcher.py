@@ -13,7 +13,6 @@ from cm.budgets.budget import Budget
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.endpoints import Sockets
 from cm.daemon.handlers import Handlers
-from cm.daemon.loop import Loop
 from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.register_handlers import takes_long
@@ -38,7 +37,6 @@ _LOOKS = (rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIr
 _STORES = (rq.Provision, rq.RemoveConfig)
 _LASTING = frozenset({rq.ChangeMode, rq.PlanChange, *_STORES, rq.ReadData, rq.WriteData})  # not done at once
 _OBSERVE = Role.OBSERVE  # a look into an enum's class is not free
-_TRACKED = 16 << 10  # bytes of a reply of which it is known whether it has left
 _WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
 _Waiting = tuple[rq.Request, Respond, str]  # and who asked, as `cm.rights` knows it
 
@@ -157,7 +155,6 @@ class Dispatcher:
 
     def __init__(
         self,
-        loop: Loop,
         sockets: Sockets,
         handlers: Handlers,
         manager: Manager,
@@ -166,7 +163,6 @@ class Dispatcher:
         board: BoardWatch,
         note_error: Callable[[ErrorInfo], None],
     ) -> None:
-        self._loop = loop
         self._sockets = sockets
         self._gate, intake = handlers.gate, handlers.intake
         self._order = Order(handlers, manager)
@@ -216,17 +212,21 @@ class Dispatcher:
             self._reply(frames[:-2], READ_REG, budget, refusal(error))
             return True
         if reply is not None:
-            multipart.send(self._sockets.req, [*frames[:-1], reply])
+            self._send([*frames[:-1], reply], budget)
         return reply is not None
 
     def _reply(self, envelope: list[Frame], topic: bytes, budget: Budget, reply: Reply) -> None:
         if reply.error is not None:
             self.refused[reply.error.code] += 1
-        frames = [*envelope, *encode_reply(topic, reply, self._publisher.sequence)]
-        if len(frames[-1]) < _TRACKED:
-            self._loop.send(self._sockets.req, frames)
+        self._send([*envelope, *encode_reply(topic, reply, self._publisher.sequence)], budget)
+
+    def _send(self, frames: list[Frame], budget: Budget) -> None:
+        """It may stay with ZeroMQ, unread; how much of a client does, its budget knows."""
+        told = budget.replied(frames[0], sum(map(len, frames)))
+        if told:
+            budget.sent(multipart.send_tracked(self._sockets.req, frames), told, frames[0])
         else:
-            budget.sent(multipart.send_tracked(self._sockets.req, frames), len(frames[-1]))
+            multipart.send(self._sockets.req, frames)
 
     def _obey(self, came: Message, budget: Budget) -> None:
         self.taken += 1

@@ -152,6 +152,7 @@ class Sockets:
         self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells of a full queue; see publisher.py
         self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_")
         self.req.setsockopt(zmq.ROUTER_HANDOVER, 1)
+        self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes, and none is dropped: see budget.py
         for socket in self.all:
             socket.setsockopt(zmq.LINGER, 0)
             socket.setsockopt(zmq.IPV6, 1)

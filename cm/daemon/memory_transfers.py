@@ -38,11 +38,11 @@ class MemoryTransfers:
             nonlocal reserved
             if client.has_room(transfer.length):
                 reserved = transfer.length
-                client.replies_bytes += reserved
+                client.make(reserved)
             return reserved > 0
 
         def ended(problem: Exception | None) -> None:
-            client.replies_bytes -= reserved
+            client.make(-reserved)
             done(problem)
 
         self._pieces.start(client, transfer, ended, may_begin)

@@ -126,6 +126,7 @@ class Metrics:
                 "Bytes of requests that wait, and of replies that were not read.",
                 {n: c.waiting_bytes for n, c in clients.items()},
             ),
+            "unread_bytes": ("Bytes of replies that were not read.", {n: c.unread_bytes for n, c in clients.items()}),
             "upload_bytes": ("Bytes sent in parts and not used yet.", {n: c.upload_bytes for n, c in clients.items()}),
             "waiting": ("Requests that wait for their turn.", {n: c.waiting for n, c in clients.items()}),
             "memory_bytes": ("Bytes of memory for masters in the PL.", {n: c.memory_bytes for n, c in clients.items()}),

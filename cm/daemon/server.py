@@ -62,7 +62,7 @@ class Server:
         self._locks = Locks(options.runtime_dir, options.root, options.group)
         self._loop = Loop()
         gate = Gate(options.access, system_users())
-        self._connections = Connections(options.limits, gate.principal, options.state_dir, self._loop.call_soon)
+        self._connections = Connections(options.limits, gate.principal, options.state_dir, self._loop)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._devices = BoardDevices(options.root)
         own_folder(options.state_dir)
@@ -116,7 +116,7 @@ class Server:
     def _make_dispatcher(self) -> Dispatcher:
         handlers, cache = Handlers(self._services()), ReadCache(self._manager.registers.prepare)
         told = self._publisher, self._board, self._note_error
-        return Dispatcher(self._loop, self._sockets, handlers, self._manager, cache, *told)
+        return Dispatcher(self._sockets, handlers, self._manager, cache, *told)
 
     def _services(self) -> Services:
         return Services(

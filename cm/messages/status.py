@@ -146,6 +146,7 @@ class ClientStatus:
     account: str = ""  # whose it is: a user, a key, or an address
     waiting: int = 0  # requests that came, and wait for their turn
     memory_bytes: int = 0  # for masters in the PL
+    unread_bytes: int = 0  # of `waiting_bytes`, replies that it has not read
 
 
 @dataclass(frozen=True, slots=True)

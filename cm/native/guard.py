@@ -11,7 +11,7 @@ from cm.native.call import check
 NONE: int = lib.CM_GUARD_NONE
 REQUESTS: int = lib.CM_GUARD_REQUESTS
 TOPICS: int = lib.CM_GUARD_TOPICS
-CAUSES = ("full", "each", "descriptors", "protocol", "parts", "bytes", "rate", "cut")
+CAUSES = ("full", "each", "descriptors", "protocol", "parts", "bytes", "rate", "cut", "slow")
 
 
 class Limits(NamedTuple):
@@ -86,8 +86,18 @@ def cut(fd: int) -> None:
 
 
 def taken(fd: int, size: int) -> None:
-    """A message was taken that has `size` bytes in large frames."""
+    """A message was taken that has `size` bytes in frames that are not small."""
     lib.cm_guard_taken(fd, size)
+
+
+def hold(fd: int, held: bool) -> None:
+    """Read nothing more of a connection, or again; OSError (ENOENT) where it is none."""
+    check(lib.cm_guard_hold(fd, held))
+
+
+def look_on() -> None:
+    """Once a second: end connections that keep others from sending long messages."""
+    lib.cm_guard_look_on()
 
 
 def counts() -> Counts:

@@ -37,6 +37,7 @@ def client_to_pb(x: st.ClientStatus) -> pb.ClientState:
         account=x.account,
         waiting=x.waiting,
         memory_bytes=x.memory_bytes,
+        unread_bytes=x.unread_bytes,
     )
 
 
@@ -54,4 +55,5 @@ def client_from_pb(m: pb.ClientState) -> st.ClientStatus:
         m.account,
         m.waiting,
         m.memory_bytes,
+        m.unread_bytes,
     )

@@ -39,3 +39,5 @@ uint64_t cm_guard_serial(int fd);
 int cm_guard_cut(int fd);
 void cm_guard_taken(int fd, uint64_t bytes);
 void cm_guard_count(struct cm_guard_counts *counts);
+int cm_guard_hold(int fd, int hold);
+void cm_guard_look_on(void);

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 import zmq
-from flood import resident_mib
+from flood import resident_mib, unread_replies
 from manager_process import Manager, served, until
 
 import cm
@@ -21,14 +21,15 @@ from cm.messages.status import Reply
 from cm.wire.encode import decode_reply, encode_request
 
 MIB = 1 << 20
-SCHEMA = """
+DESCRIBED = ", ".join(f"r{i}: {{offset: {0x100 + 4 * i:#x}, doc: {'register ' * 100}}}" for i in range(7))
+SCHEMA = f"""
 config:
   name: many
   regions: [left]
-  modules: {fir: {region: left}}
-  mmio: [{base_address: 0x1000, registers: {led: {offset: 0x10}}}]
-  memories: {big: {base_address: 0x10000000, size: 0xA00000}}
-  modes: {default: {modules: [fir]}}
+  modules: {{fir: {{region: left}}}}
+  mmio: [{{base_address: 0x1000, registers: {{led: {{offset: 0x10}}, {DESCRIBED}}}}}]
+  memories: {{big: {{base_address: 0x10000000, size: 0xA00000}}}}
+  modes: {{default: {{modules: [fir]}}}}
 """
 
 
@@ -94,6 +95,59 @@ def test_answers_that_nobody_reads_have_a_limit_in_bytes(manager: Manager, conte
     assert codes[""] >= 16  # what waited was made when there was room
     assert codes.keys() == {"", "busy"} or codes.keys() == {"", "busy", "too_much_waiting"}
     until(lambda: resident_mib(pid_of(manager)) < before + 32, 60)
+
+
+def test_short_answers_that_nobody_reads_have_the_same_limit(manager: Manager) -> None:
+    """250 connections of a process ask for 375 MiB in answers of 15 KiB: 318 MiB more than idle, before."""
+    with manager.connected() as board:
+        assert works(board)
+        before = resident_mib(pid_of(manager))
+        with unread_replies(manager.runtime, 250, 100) as hostile:
+            name = f"pid {hostile.pid} "
+
+            def unread() -> int:
+                return sum(client.unread_bytes for client in board.clients() if client.name.startswith(name))
+
+            until(lambda: unread() > 15 * MIB, 60)
+            for _ in range(200):
+                assert works(board)
+            assert unread() <= 17 * MIB
+            assert resident_mib(pid_of(manager)) < before + 64
+            assert hostile.stdin
+            assert hostile.stdout
+            hostile.stdin.write("read them\n")
+            hostile.stdin.flush()
+            assert hostile.stdout.readline() == "25000\n"  # none was lost meanwhile
+            until(lambda: unread() == 0, 60)
+        assert resident_mib(pid_of(manager)) < before + 64
+        until(lambda: not [client for client in board.clients() if client.name.startswith(name)], 60)
+
+
+def test_who_goes_without_reading_leaves_nothing(manager: Manager) -> None:
+    with manager.connected() as board:
+        before = resident_mib(pid_of(manager))
+        with unread_replies(manager.runtime, 100, 100) as hostile:
+            name = f"pid {hostile.pid} "
+            until(lambda: [x for x in board.clients() if x.name.startswith(name) and x.unread_bytes > 15 * MIB], 60)
+        until(lambda: not [client for client in board.clients() if client.name.startswith(name)], 60)
+        assert works(board)
+        assert resident_mib(pid_of(manager)) < before + 64
+
+
+def test_no_answer_is_lost_to_who_asks_for_many_before_it_reads(manager: Manager, context: zmq.Context[Any]) -> None:
+    """ZeroMQ drops them beyond a thousand of a connection, unless it is told not to."""
+    with manager.connected() as board:
+        assert works(board)
+    asker = dealer(context, manager)
+    asker.setsockopt(zmq.SNDHWM, 0)
+    asks = [encode_request(rq.ReadReg(("led",))), encode_request(rq.ReadIrq("none"))]
+    for number in range(8000):
+        asker.send_multipart([b"%d" % number, b"", *asks[number % 2]])
+    for number in range(8000):
+        assert asker.poll(60_000), f"{number} of 8000 came"
+        mark, _, *reply = asker.recv_multipart()
+        assert mark == b"%d" % number
+        assert (decode_reply(reply).error is None) == (number % 2 == 0)
 
 
 def test_what_waits_of_a_client_has_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:

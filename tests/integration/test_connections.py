@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 import zmq
-from flood import descriptors, idle_connections, resident_mib
+from flood import descriptors, half_messages, idle_connections, resident_mib
 from manager_process import Manager, served, short_folder, until
 
 import cm
@@ -114,14 +114,22 @@ def frame(flags: int, body: bytes = b"", length: int | None = None) -> bytes:
     return bytes([flags | 2]) + (len(body) if length is None else length).to_bytes(8, "big") + body
 
 
+def greeting(mechanism: bytes = b"NULL") -> bytes:
+    return b"\xff" + bytes(8) + b"\x7f\x03\x00" + mechanism.ljust(20, b"\0") + bytes(32)
+
+
+def handshake(kind: bytes = b"DEALER") -> bytes:
+    """As ZMTP 3.0 has it (RFC 23)."""
+    ready = b"\x05READY\x0bSocket-Type" + len(kind).to_bytes(4, "big") + kind
+    return greeting() + bytes([4, len(ready)]) + ready
+
+
 def raw(path: Path, kind: bytes = b"DEALER") -> socket.socket:
-    """A peer that has shaken hands as ZMTP 3.0 says (RFC 23), without libzmq."""
+    """A peer that has shaken hands, without libzmq."""
     made = socket.socket(socket.AF_UNIX)
     made.settimeout(60)
     made.connect(str(path))
-    made.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(16) + bytes(32))
-    ready = b"\x05READY\x0bSocket-Type" + len(kind).to_bytes(4, "big") + kind
-    made.sendall(bytes([4, len(ready)]) + ready)
+    made.sendall(handshake(kind))
     return made
 
 
@@ -169,6 +177,46 @@ def test_what_does_not_speak_zmtp_3_is_hung_up_on(guarded: Guarded) -> None:
                         break
                 except ConnectionResetError:
                     break
+
+
+def test_half_messages_of_250_connections_take_no_more_than_those_of_two(guarded: Guarded) -> None:
+    """Seven MiB of a message over each: 1761 MiB more than idle, before."""
+    before = resident_mib(guarded.pid)
+    with (
+        guarded.manager.connected() as board,
+        half_messages(guarded.manager.runtime / "req", handshake(), 250),
+        half_messages(guarded.manager.runtime / "sub", handshake(b"PUB"), 20),
+    ):
+        for _ in range(100):
+            assert works(board)
+        assert resident_mib(guarded.pid) < before + 64
+        test_a_message_as_long_as_may_be_arrives(guarded)  # of who waits, those who keep others waiting are ended
+        assert works(board)
+    assert resident_mib(guarded.pid) < before + 64
+
+
+@pytest.mark.parametrize("flags", [0, 4])
+def test_who_has_not_shaken_hands_sends_short_commands_only(guarded: Guarded, flags: int) -> None:
+    """Without a key, before anybody knows who it is."""
+    before = resident_mib(guarded.pid)
+    long = bytes([flags | 2]) + (1 << 20).to_bytes(8, "big")
+    for mechanism, port in ((b"CURVE", 2), (b"CURVE", 0), (b"NULL", 2)):
+        with socket.create_connection((guarded.tcp[0], guarded.tcp[1] + port), timeout=60) as peer:
+            peer.sendall(greeting(mechanism))
+            with suppress(ConnectionError):
+                peer.sendall(long)
+            assert hangs_up(peer)
+    with half_messages(guarded.tcp[1] + 2, greeting(b"CURVE"), 250), guarded.manager.connected() as board:
+        assert works(board)
+        assert resident_mib(guarded.pid) < before + 64
+
+
+def hangs_up(peer: socket.socket) -> bool:
+    """The manager does, after what it says in the handshake."""
+    with suppress(ConnectionError):
+        while peer.recv(4096):
+            pass
+    return True
 
 
 def test_a_million_subscriptions_are_cut_off_after_some_thousand(guarded: Guarded) -> None:

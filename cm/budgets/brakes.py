@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Connections that are not read for a while, so that what their clients send waits in their own sockets."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from cm.budgets.budget import Budget
+
+
+class Connections(Protocol):
+    """By their descriptors, each of whoever is at a place (`Budget.place`)."""
+
+    def hold(self, fd: int, place: str) -> bool:
+        """Read nothing more of a connection; False where it is another's."""
+
+    def release(self, fd: int) -> None:
+        """Read it again."""
+
+    def cut(self, fd: int, place: str) -> None:
+        """End it."""
+
+
+class Brakes:
+    """Which connections are not read, and whose they are."""
+
+    def __init__(self, connections: Connections) -> None:
+        self._connections = connections
+        self.held: dict[Budget, set[int]] = {}
+
+    def hold(self, budget: Budget, fd: int) -> None:
+        """Read nothing more of one of its connections."""
+        if self._connections.hold(fd, budget.place):
+            self.held.setdefault(budget, set()).add(fd)
+
+    def release(self, budget: Budget) -> None:
+        """Read its connections again, once little of it waits."""
+        if budget.has_little_waiting:
+            for fd in self.held.pop(budget):
+                self._connections.release(fd)
+
+    def cut(self, budget: Budget, fd: int) -> None:
+        """End one of its connections."""
+        self._connections.cut(fd, budget.place)

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: Apache-2.0
+/*
+ * Connections that are not read for a while. libzmq would ask again and again, since they stay readable; so where it
+ * waits for them (epoll_ctl), they are not waited for meanwhile.
+ */
+#include <errno.h>
+
+#include "guard_private.h"
+
+/* Have libzmq wait for it, or not. */
+static void await(struct cm_guard_place *place)
+{
+	struct epoll_event event = place->event;
+	int before = errno;
+
+	if (place->epoll >= 0) {
+		if (atomic_load(&place->held))
+			event.events &= ~(uint32_t)EPOLLIN;
+		epoll_ctl(place->epoll, EPOLL_CTL_MOD, place->peer.fd, &event);
+	}
+	errno = before;
+}
+
+bool cm_guard_stop(struct cm_guard_place *place, uint32_t why)
+{
+	uint32_t held = atomic_fetch_or(&place->held, why);
+
+	if (!held)
+		await(place);
+	return !(held & why);
+}
+
+bool cm_guard_go_on(struct cm_guard_place *place, uint32_t why)
+{
+	uint32_t held = atomic_fetch_and(&place->held, ~why);
+
+	if (held && !(held & ~why))
+		await(place);
+	return held & why;
+}
+
+int cm_guard_hold(int fd, int held)
+{
+	struct cm_guard_place *place = cm_guard_place(fd);
+	int result = -1;
+
+	pthread_mutex_lock(&cm_guard_lock);
+	if (place && atomic_load(&place->kind)) {
+		(held ? cm_guard_stop : cm_guard_go_on)(place, CM_GUARD_HELD_ASKED);
+		result = 0;
+	}
+	pthread_mutex_unlock(&cm_guard_lock);
+	if (result)
+		errno = ENOENT;
+	return result;
+}
+
+/* libzmq waits for a connection, or no longer: within the lock, so that it is held or not, whoever comes first. */
+int cm_guard_epoll_ctl(int epoll, int op, int fd, struct epoll_event *event)
+{
+	struct cm_guard_place *place = cm_guard_place(fd);
+	struct epoll_event now;
+	int result;
+
+	if (!place || !atomic_load(&place->kind))
+		return epoll_ctl(epoll, op, fd, event);
+	pthread_mutex_lock(&cm_guard_lock);
+	place->epoll = op == EPOLL_CTL_DEL ? -1 : epoll;
+	if (op != EPOLL_CTL_DEL) {
+		now = place->event = *event;
+		if (atomic_load(&place->held))
+			now.events &= ~(uint32_t)EPOLLIN;
+	}
+	result = epoll_ctl(epoll, op, fd, op == EPOLL_CTL_DEL ? event : &now);
+	pthread_mutex_unlock(&cm_guard_lock);
+	return result;
+}
