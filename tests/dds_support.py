@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import os
 import queue
 import select
 import signal
+import socket
 import struct
 import subprocess
 from collections.abc import Callable, Iterator
@@ -30,9 +33,21 @@ from cm.ros.typehash import type_hash
 PATIENCE = 60.0
 
 
+_CLAIM = socket.socket(socket.AF_UNIX)  # its name is the claim, as long as this process lives
+
+
+@functools.cache
 def domain() -> int:
-    """One that hardly another test here uses. From 102 on a domain has ports that Linux hands out by itself."""
-    return 1 + os.getpid() % 100
+    """One that no other run of tests on this machine uses: two nodes of one name in a domain answer for each other.
+
+    From 102 on a domain has ports that Linux hands out by itself.
+    """
+    first = os.getpid()
+    for number in (1 + (first + i) % 100 for i in range(100)):
+        with contextlib.suppress(OSError):
+            _CLAIM.bind(f"\0cm-tests-dds-{number}")
+            return number
+    raise AssertionError("a hundred runs of tests at once have all domains")
 
 
 class Bridge:

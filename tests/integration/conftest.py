@@ -50,9 +50,12 @@ def manager(shared: tuple[Manager, SimBoard]) -> Manager:
 
 @pytest.fixture
 def board(manager: Manager) -> Iterator[cm.Board]:
-    """A client of the shared manager: the camera example in its default mode, loaded anew."""
+    """A client of the shared manager: the camera example in its default mode, loaded anew; no stream is held open."""
     with manager.connected() as connected:
         connected.load("camera", "default", force=True)
+        for stream in connected.status.streams:
+            if stream.open:
+                connected.configure_stream(stream.name, automatic=True, force=True)
         yield connected
 
 

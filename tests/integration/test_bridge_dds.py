@@ -7,6 +7,7 @@ import itertools
 import os
 import queue
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -279,7 +280,9 @@ def test_diagnostics_tell_of_the_board(bridge: Bridge, peer: Peer, board: cm.Boa
     assert {"key": "config_name", "value": "camera"} in row["values"]
 
 
-def test_ros_tools_find_a_node_its_endpoints_their_hashes_and_quality(bridge: Bridge, peer: Peer) -> None:
+def test_ros_tools_find_a_node_its_endpoints_their_hashes_and_quality(
+    bridge: Bridge, peer: Peer, board: cm.Board
+) -> None:
     from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription
     from cyclonedds.core import Policy
 
@@ -287,18 +290,25 @@ def test_ros_tools_find_a_node_its_endpoints_their_hashes_and_quality(bridge: Br
         kind: BuiltinDataReader(peer.participant, kind)
         for kind in (BuiltinTopicDcpsPublication, BuiltinTopicDcpsSubscription)
     }
-    ends = {end.key.bytes: end for reader in readers.values() for end in reader.read(N=500)}
-    by_topic = {(end.topic_name, end.type_name): end for end in ends.values()}
-    image = by_topic["rt/lab/cm/camera/image_raw", "sensor_msgs::msg::dds_::Image_"]
+    wanted = {
+        "image": ("rt/lab/cm/camera/image_raw", "sensor_msgs::msg::dds_::Image_"),
+        "status": ("rt/lab/cm/status", "cm_interfaces::msg::dds_::Status_"),
+        "service": ("rq/lab/cm/set_modeRequest", "cm_interfaces::srv::dds_::SetMode_Request_"),
+    }
+    ends: dict[bytes, Any] = {}
+
+    def found(name: str) -> Any:  # discovery takes its time
+        ends.update((end.key.bytes, end) for reader in readers.values() for end in reader.read(N=500))
+        return next((end for end in ends.values() if (end.topic_name, end.type_name) == wanted[name]), None)
+
+    image, status, service = (until(partial(found, name), PATIENCE) for name in wanted)
     assert f"typehash={type_hash(IMAGE)};".encode() in image.qos[Policy.Userdata].data
-    status = by_topic["rt/lab/cm/status", "cm_interfaces::msg::dds_::Status_"]
     assert Policy.Durability.TransientLocal in status.qos
-    service = by_topic["rq/lab/cm/set_modeRequest", "cm_interfaces::srv::dds_::SetMode_Request_"]
     assert service.qos[Policy.Userdata].data.startswith(b"serviceid=")
     node = _node_of(peer, "/lab", "cm")
     gids = {bytes(g["data"]) for key in ("reader_gid_seq", "writer_gid_seq") for g in node[key]}
     assert {image.key.bytes, status.key.bytes, service.key.bytes} <= gids
-    assert gids <= ends.keys()
+    until(lambda: found("image") and gids <= ends.keys(), PATIENCE)
 
 
 def _node_of(peer: Peer, namespace: str, name: str) -> dict[str, Any]:
@@ -320,7 +330,9 @@ def _node_of(peer: Peer, namespace: str, name: str) -> dict[str, Any]:
     raise AssertionError("no such node")
 
 
-def test_a_sample_that_is_no_message_is_refused_and_the_node_goes_on(bridge: Bridge, peer: Peer) -> None:
+def test_a_sample_that_is_no_message_is_refused_and_the_node_goes_on(
+    bridge: Bridge, peer: Peer, board: cm.Board
+) -> None:
     from cyclonedds._clayer import ddspy_write
 
     client = peer.client("/lab/cm/plan", "cm_interfaces/srv/Plan")

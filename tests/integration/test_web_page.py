@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -251,6 +252,38 @@ def test_all_of_it_works_by_keyboard(page: Any, camera: tuple[Manager, SimBoard]
     nameless = """[...document.querySelectorAll('button, input, select, canvas, [role=img]')].filter((node) =>
         !node.disabled && !(node.getAttribute('aria-label') || node.textContent.trim() || node.labels?.length))"""
     assert page.evaluate(f"{nameless}.map((node) => node.outerHTML)") == []
+
+
+def test_a_value_that_comes_late_takes_no_step_of_a_slider_back(page: Any, camera: tuple[Manager, SimBoard]) -> None:
+    late: list[str | bytes] | None = None
+    ways: list[Any] = []
+
+    def between(socket: Any) -> None:
+        server = socket.connect_to_server()
+        ways.append(socket)
+        server.on_message(lambda message: socket.send(message) if late is None else late.append(message))
+
+    page.route_web_socket("**/ws", between)
+    page.reload()
+    page.wait_for_selector("li[data-mode=default][data-here=true]")
+    page.get_by_role("slider", name="focus").focus()
+    late = []
+    page.keyboard.press("ArrowRight")
+    until(lambda: page.evaluate("1") and any(_focus(message) == 2 for message in late or []), 60)
+    told, late = late, []
+    page.keyboard.press("ArrowRight")
+    for message in told:
+        ways[-1].send(message)
+    seen(page, "document.querySelector('[data-register=focus] .value').textContent === '2'")
+    page.keyboard.press("ArrowRight")
+    with camera[0].connected() as board:
+        until(lambda: page.evaluate("1") and board.registers["focus"] == 4, 60)
+
+
+def _focus(message: str | bytes) -> int | None:
+    """What a message to the page says of the register."""
+    registers = json.loads(message).get("registers", {}) if isinstance(message, str) else {}
+    return registers.get("focus", {}).get("value")
 
 
 def test_interrupts_count_as_they_come(page: Any) -> None:

@@ -5,6 +5,7 @@ import { empty, h, hex, keyed, set, text } from "./dom.js";
 
 const SLIDER_BITS = 12; // a wider one without bounds is a number to type
 const BETWEEN = 60; // milliseconds between two writes while a slider moves
+const SETTLED = 1000; // milliseconds from an answered write until what the board says counts, whatever it is
 
 export class Registers {
   constructor(node, { ask, failed, control }) {
@@ -42,14 +43,22 @@ export class Registers {
 
   makeValue(register, field) {
     const name = field ? `${register.name}.${field.name}` : register.name;
-    const write = throttled((value) => this.ask("write", { name, value }).catch(this.failed));
+    const row = { field, own: null };
+    const send = throttled((value) => this.ask("write", { name, value }).then(
+      () => { if (row.own?.value === value) row.own.answered = performance.now(); },
+      (error) => { row.own = null; this.failed(error); },
+    ));
+    const write = (value) => {
+      row.own = { value, answered: Infinity };
+      send(value);
+    };
     const input = this.input(register, field, name, write);
     const shown = h("output", { class: "value" });
     const label = field ? h("span", { class: "field", text: field.name, title: field.doc }) : null;
     const clear = register.access === "w1c"
       ? h("button", { type: "button", class: "small", text: "clear", onclick: () => write(field ? 2 ** field.width - 1 : 0xffffffff) })
       : null;
-    return { node: h("div", { class: "row value-row" }, label, input, clear, shown), input, clear, shown, field };
+    return Object.assign(row, { node: h("div", { class: "row value-row" }, label, input, clear, shown), input, clear, shown });
   }
 
   input(register, field, name, write) {
@@ -76,7 +85,7 @@ export class Registers {
       if (row.clear) row.clear.disabled = off;
       if (!row.input) continue;
       row.input.disabled = off;
-      if (value === undefined || row.input.matches(":active")) continue; // the user is moving it
+      if (value === undefined || row.input.matches(":active") || !settled(row, value)) continue; // the user is moving it
       if (row.input.type === "checkbox") row.input.checked = value > 0;
       else if (row.input.type === "text") {
         if (document.activeElement !== row.input) row.input.value = hex(value, register.width);
@@ -84,6 +93,13 @@ export class Registers {
       set(row.input, "aria-valuetext", name ?? null);
     }
   }
+}
+
+// Values on their way are older than one's own: a slider that took them would lose steps of the keyboard.
+function settled(row, value) {
+  if (row.own && value !== row.own.value && performance.now() - row.own.answered < SETTLED) return false;
+  row.own = null;
+  return true;
 }
 
 const key = (register) => `${register.name}@${register.address}/${register.fields.length}`;
