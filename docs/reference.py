@@ -58,6 +58,21 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "Loading and checking them. [The format](../schema.md).",
         ("cm.schema", "cm.schema.model", "cm.schema.pictures"),
     ),
+    "fleet": (
+        "Many boards",
+        "`cm.fleet.connect()` gives a `Fleet`. [The guide](../fleet.md).",
+        (
+            "cm.fleet.blocking", "cm.fleet.changing:Course Leg", "cm.fleet.change.coordinator:Outcome",
+            "cm.fleet.clocks:Reading", "cm.fleet.errors:NoSuchBoard FleetRefused ChangeFailed",
+            "cm.fleet.network:NoNetwork",
+            "cm.messages.fleet:BoardStatus ClockSync FleetRecord Policy Decision BundleState",
+        ),
+    ),
+    "fleet-aio": (
+        "Many boards, with asyncio",
+        "`cm.fleet.aio.connect()`: the same names, awaited; `Looker` has what only looks. [The guide](../fleet.md).",
+        ("cm.fleet.aio", "cm.fleet.looking", "cm.fleet.asking:Answer Told"),
+    ),
     "bitstream": (
         "Bitstreams",
         "Read, checked, converted. [The guide](../bitstreams.md).",
@@ -152,7 +167,12 @@ def is_public(name: str, member: Any) -> bool:
 
 
 def _import_from(module: str) -> str:
-    return {"cm.client.board": "cm", "cm.client.picture": "cm", "cm.client.aio.board": "cm.aio"}.get(module, module)
+    return {
+        "cm.client.board": "cm",
+        "cm.client.picture": "cm",
+        "cm.client.aio.board": "cm.aio",
+        "cm.fleet.blocking": "cm.fleet",
+    }.get(module, module)
 
 
 def _fields(found: Any) -> list[str]:

@@ -18,10 +18,10 @@ from cm.client.errors import request_error
 from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
 from cm.fleet import answers, asking, bundles, names
-from cm.fleet.asking import absent
+from cm.fleet.asking import Answer, absent
 from cm.fleet.change.asks import Ask, Verb
 from cm.fleet.change.coordinator import Outcome, first_step
-from cm.fleet.changing import Course, Progress, carried_out
+from cm.fleet.changing import Course, Progress, carried_out, nothing
 from cm.fleet.errors import ChangeFailed, FleetRefused
 from cm.fleet.looking import ALL, Looker
 from cm.fleet.network import Network, from_environment, session, zenoh_module
@@ -76,9 +76,9 @@ class Fleet(Looker):
 
     async def __aenter__(self) -> Fleet:
         self.session = await asyncio.to_thread(session, self._network)
-        self.presence = Presence(self.session)
+        self._presence = Presence(self.session)
         try:
-            await self.presence.begin(self.timeout)
+            await self._presence.begin(self.timeout)
         except BaseException:
             await self.close()
             raise
@@ -101,26 +101,32 @@ class Fleet(Looker):
 
     async def do(
         self, verb: str, board: str, message: bytes, data: bytes | None = None, timeout: float = 0.0
-    ) -> asking.Answer:
-        """A command for one board, in this caller's name; the answer's payload is a Reply."""
+    ) -> Answer:
+        """A command for one board, in this caller's name: `message` is serialised, `data` what travels beside it.
+
+        The answer's payload is a Reply; it has an error where none came within `timeout` seconds (0: the fleet's).
+        """
         key = names.command_key(names.check(board, "board"), verb, self.caller)
         payload, attachment = (message, None) if data is None else (data, message)
         found = await asking.get(self.session, key, payload, attachment, timeout or self.timeout)
-        return found[0] if found else asking.Answer(board, key, b"", error=absent(board, board in await self.boards()))
+        return found[0] if found else Answer(board, key, b"", error=absent(board, board in await self.boards()))
 
     async def write(
         self, values: Mapping[str, int | str], boards: Iterable[str] = ALL
     ) -> dict[str, RegValues | ErrorInfo]:
-        """Write registers on each board, in order; each board does all of it or nothing."""
+        """Write registers on each board, in order; each board does all of it or nothing, and has an answer of its own.
+
+        Raises NoSuchBoard.
+        """
         message = bytes(encode_request(write_registers(values).request)[1])
         chosen = await self.chosen(boards)
         said = await asyncio.gather(*(self.do("reg", name, message) for name in chosen))
         return {n: answers.registers(a) for n, a in zip(chosen, said, strict=True)}
 
     async def frame(self, board: str, stream: str) -> Frame:
-        """The next frame of a stream of one board, as an array. Raises RequestFailed."""
+        """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
         found = await asking.get(self.session, names.key(board, "frames", stream), timeout=self.timeout)
-        answer = found[0] if found else asking.Answer(board, "", b"", error=absent(board, board in await self.boards()))
+        answer = found[0] if found else Answer(board, "", b"", error=absent(board, board in await self.boards()))
         if answer.error is not None:
             raise request_error(answer.error)
         info = decode_event([topics.READ_DATA, answer.attachment])
@@ -145,7 +151,7 @@ class Fleet(Looker):
         policy: Policy | str = Policy.ALL,
         timeout: float = 60.0,
         settle: float = 0.0,
-        tell: Progress = lambda *_: None,
+        tell: Progress = nothing,
     ) -> Course:
         """Take all boards to a mode, or none: planned on all, prepared on all, done on all, kept or taken back.
 
@@ -170,9 +176,18 @@ class Fleet(Looker):
             raise ChangeFailed(course.outcome)
         return course
 
-    async def mode(self, mode: str, boards: Iterable[str] = ALL, **options: Any) -> Course:
-        """Take all boards to a mode of what they have loaded; as `load`."""
-        return await self.load("", mode, boards, **options)
+    async def mode(
+        self,
+        mode: str,
+        boards: Iterable[str] = ALL,
+        *,
+        policy: Policy | str = Policy.ALL,
+        timeout: float = 60.0,
+        settle: float = 0.0,
+        tell: Progress = nothing,
+    ) -> Course:
+        """Take all boards to a mode of what they have loaded, or none; as `load`."""
+        return await self.load("", mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
 
     async def _step(self, ask: Ask, timeout: float) -> FleetRecord | ErrorInfo:
         answer = await self.do(ask.verb.value, ask.board, encode_step(ask.step), timeout=timeout)
@@ -209,7 +224,11 @@ class Fleet(Looker):
     async def push(
         self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
     ) -> dict[str, BundleState | ErrorInfo]:
-        """Have boards fetch an archive of `cm build collect` from here and put it in force; again, it goes on."""
+        """Have boards fetch an archive of ``cm build collect`` from here and put it in force.
+
+        `timeout` in seconds, for all of it. What has come to a board stays there: the same again goes on where it was.
+        Raises NoSuchBoard, NotFound (no such file), OSError.
+        """
         path = Path(archive)
         bundle = await asyncio.to_thread(bundles.described, path)
         chosen = await self.chosen(boards)

@@ -15,10 +15,10 @@ from typing import Any, TypeVar
 from cm.client.frame import Frame
 from cm.fleet import aio
 from cm.fleet.change.coordinator import Outcome
-from cm.fleet.changing import Course
+from cm.fleet.changing import Course, Progress, nothing
 from cm.fleet.clocks import Reading
 from cm.fleet.looking import ALL
-from cm.messages.fleet import BoardStatus, BundleState, FleetRecord
+from cm.messages.fleet import BoardStatus, BundleState, FleetRecord, Policy
 from cm.messages.status import ErrorInfo, PlanInfo, RegValues
 
 _T = TypeVar("_T")
@@ -57,7 +57,10 @@ def connect(
 ) -> Fleet:
     """A fleet, connected: ``with cm.fleet.connect("tcp/router:7447") as fleet: fleet.mode("edge_detection")``.
 
-    Arguments as in `cm.fleet.aio.connect`. Raises NoNetwork.
+    `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, else who is heard on this
+    network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: who asks; with
+    certificates the name in one's own, else this user. `timeout`: seconds for an answer. Raises NoNetwork,
+    InvalidRequest for a caller's name that cannot be part of a key.
     """
     return Fleet(aio.connect(router, config=config, caller=caller, timeout=timeout))
 
@@ -89,35 +92,44 @@ class Fleet:
 
     @property
     def caller(self) -> str:
-        """Who asks."""
+        """Who asks: the manager of each board knows it as its guest ``zenoh:<name>``."""
         return self._fleet.caller
 
     def boards(self) -> tuple[str, ...]:
-        """Names of all boards whose bridges are there."""
+        """Names of all boards whose bridges are there, sorted."""
         return self._loop.wait_for(self._fleet.boards())
 
     def chosen(self, boards: Iterable[str] = ALL) -> tuple[str, ...]:
-        """The boards of a group, sorted. Raises NoSuchBoard."""
+        """The boards of a group, sorted: by name, glob or ``@label``. Raises NoSuchBoard for what leads to none."""
         return self._loop.wait_for(self._fleet.chosen(boards))
 
     def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
-        """The status of each board, or why there is none."""
+        """The status of each board, or why there is none (code ``no_answer``, or what its manager said).
+
+        Raises NoSuchBoard for a glob or a label that leads to none; a name that is not there has an error.
+        """
         return self._loop.wait_for(self._fleet.status(boards))
 
     def plan(self, mode: str = "", config: str = "", boards: Iterable[str] = ALL) -> dict[str, PlanInfo | ErrorInfo]:
-        """What going there would do on each board; touches nothing."""
+        """What going there would do on each board, in steps, bytes and seconds; touches nothing.
+
+        Without `mode` the default mode, without `config` that of what is loaded. Raises NoSuchBoard.
+        """
         return self._loop.wait_for(self._fleet.plan(mode, config, boards))
 
     def read(self, register: str, boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
-        """A register, or ``register.field``, of each board."""
+        """A register, or ``register.field``, of each board. Raises NoSuchBoard, InvalidRequest (a name with ``/``)."""
         return self._loop.wait_for(self._fleet.read(register, boards))
 
     def write(self, values: Mapping[str, int | str], boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
-        """Write registers on each board; each does all of it or nothing."""
+        """Write registers on each board, in order; each board does all of it or nothing, and has an answer of its own.
+
+        Raises NoSuchBoard.
+        """
         return self._loop.wait_for(self._fleet.write(values, boards))
 
     def frame(self, board: str, stream: str) -> Frame:
-        """The next frame of a stream of one board, as an array. Raises RequestFailed."""
+        """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
         return self._loop.wait_for(self._fleet.frame(board, stream))
 
     def send(self, board: str, stream: str, data: Any) -> None:
@@ -125,34 +137,81 @@ class Fleet:
         self._loop.wait_for(self._fleet.send(board, stream, data))
 
     def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
-        """How far each board's clock may be off."""
+        """How far each board's clock may be off, ns: as it says itself, and between which bounds it is from here.
+
+        Raises NoSuchBoard.
+        """
         return self._loop.wait_for(self._fleet.clocks(boards))
 
-    def load(self, config: str = "", mode: str = "", boards: Iterable[str] = ALL, **options: Any) -> Course:
-        """Take all boards to a mode, or none; `policy`, `timeout`, `settle` and errors as in `cm.fleet.aio`."""
-        return self._loop.wait_for(self._fleet.load(config, mode, boards, **options))
+    def load(
+        self,
+        config: str = "",
+        mode: str = "",
+        boards: Iterable[str] = ALL,
+        *,
+        policy: Policy | str = Policy.ALL,
+        timeout: float = 60.0,
+        settle: float = 0.0,
+        tell: Progress = nothing,
+    ) -> Course:
+        """Take all boards to a mode, or none: planned on all, prepared on all, done on all, kept or taken back.
 
-    def mode(self, mode: str, boards: Iterable[str] = ALL, **options: Any) -> Course:
-        """Take all boards to a mode of what they have loaded; as `load`."""
-        return self._loop.wait_for(self._fleet.mode(mode, boards, **options))
+        `policy`: ``all``, ``quorum`` or ``best_effort`` boards must be there for the change to stay. `timeout`: seconds
+        for each phase. `settle`: seconds after which a board that hears nothing asks what was decided (0: twice
+        `timeout`). `tell` is called with the phase, a board, and its answer, in another thread. Returns the outcome
+        with the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names
+        each board that differs).
+        """
+        changing = self._fleet.load(config, mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
+        return self._loop.wait_for(changing)
+
+    def mode(
+        self,
+        mode: str,
+        boards: Iterable[str] = ALL,
+        *,
+        policy: Policy | str = Policy.ALL,
+        timeout: float = 60.0,
+        settle: float = 0.0,
+        tell: Progress = nothing,
+    ) -> Course:
+        """Take all boards to a mode of what they have loaded, or none; as `load`."""
+        return self.load("", mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
 
     def recover(self, change: str = "", boards: Iterable[str] = ALL) -> dict[str, Outcome]:
-        """End changes whose coordinator is gone, by the boards' own records; as in `cm.fleet.aio`."""
+        """End changes whose client is gone, by the boards' own records: each with its outcome, by its name.
+
+        Most of the seats of a change are enough to decide it, or any board that was told. Without `change`: all that
+        are open on these boards and whose time is over; with it that one, at once. An outcome whose decision is None
+        has too few seats left: its boards are named, and wait. Raises NoSuchBoard, NotFound (no board has that change).
+        """
         return self._loop.wait_for(self._fleet.recover(change, boards))
 
     def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
-        """Decide in place of seats that never come back: if they do, they may say else; as in `cm.fleet.aio`."""
+        """Decide in place of seats that never come back: if they do, they may say else.
+
+        The record of each board, or its error. Raises NoSuchBoard, NotFound (no board has that change),
+        InvalidRequest where the change is decided, or can be without this, and otherwise.
+        """
         return self._loop.wait_for(self._fleet.settle(change, keep, boards))
 
     def push(
-        self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, timeout: float = 600.0
+        self, archive: str | os.PathLike[str], boards: Iterable[str] = ALL, *, timeout: float = 600.0
     ) -> dict[str, BundleState | ErrorInfo]:
-        """Have boards fetch an archive of `cm build collect` from here and put it in force."""
+        """Have boards fetch an archive of ``cm build collect`` from here and put it in force.
+
+        `timeout` in seconds, for all of it. What has come to a board stays there: the same again goes on where it was.
+        Raises NoSuchBoard, NotFound (no such file), OSError.
+        """
         return self._loop.wait_for(self._fleet.push(archive, boards, timeout=timeout))
 
     @contextmanager
     def watch(self, boards: str = "*") -> Iterator[Iterator[tuple[str, BoardStatus | None]]]:
-        """Statuses of boards as they change, and each second; None when a board has gone."""
+        """Statuses of boards as they change, and each second; None when a board has gone. One name, or ``*``.
+
+        ``with fleet.watch() as statuses: for name, status in statuses: ...``. Whoever takes them too slowly loses the
+        oldest beyond a thousand.
+        """
         context = self._fleet.watch(boards)
         statuses = self._loop.wait_for(context.__aenter__())
         try:

@@ -17,13 +17,17 @@ Asking = Callable[[Ask], Awaitable[FleetRecord | ErrorInfo]]  # an answer, or co
 Progress = Callable[[str, str, FleetRecord | ErrorInfo], None]  # phase, board, its answer
 
 
+def nothing(phase: str, board: str, answer: FleetRecord | ErrorInfo) -> None:
+    """Progress that nobody wants to see."""
+
+
 @dataclass(frozen=True, slots=True)
 class Leg:
     """One phase of a change: how long it took, and for whom it waited longest."""
 
-    phase: str
+    phase: str  # prepare, apply, seat, tell
     seconds: float
-    slowest: str
+    slowest: str  # the board
     slowest_seconds: float
 
 

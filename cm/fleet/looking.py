@@ -11,7 +11,7 @@ from time import time_ns
 from typing import Any
 
 from cm.fleet import asking, names
-from cm.fleet.asking import absent
+from cm.fleet.asking import Answer, Told, absent
 from cm.fleet.clocks import Reading, reading
 from cm.fleet.errors import NoSuchBoard
 from cm.fleet.presence import Presence
@@ -27,14 +27,14 @@ class Looker:
     """Boards, by name, glob (``line1-*``) or label (``@camera``); all of them where none is named."""
 
     session: Any
-    presence: Presence
+    _presence: Presence
     timeout: float  # seconds
 
     # ---- who is there -----------------------------------------------------------------------
 
     async def boards(self) -> tuple[str, ...]:
-        """Names of all boards whose bridges are there."""
-        return self.presence.boards()
+        """Names of all boards whose bridges are there, sorted."""
+        return self._presence.boards()
 
     async def chosen(self, wanted: Iterable[str] = ALL) -> tuple[str, ...]:
         """The boards of a group, sorted. Raises NoSuchBoard for a part of it that leads to none."""
@@ -57,25 +57,34 @@ class Looker:
     # ---- looking ------------------------------------------------------------------------------
 
     async def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
-        """The status of each board, or why there is none; who is there and says nothing is in it too."""
+        """The status of each board, or why there is none (code ``no_answer``, or what its manager said).
+
+        Raises NoSuchBoard for a glob or a label that leads to none; a name that is not there has an error.
+        """
         found = await self._each("status", boards)
         return {n: a.error or wire.board_status(a.payload) for n, a in found.items()}
 
     async def plan(
         self, mode: str = "", config: str = "", boards: Iterable[str] = ALL
     ) -> dict[str, PlanInfo | ErrorInfo]:
-        """What going there would do on each board; touches nothing."""
+        """What going there would do on each board, in steps, bytes and seconds; touches nothing.
+
+        Without `mode` the default mode, without `config` that of what is loaded. Raises NoSuchBoard.
+        """
         words = f"config?plan={mode}" + (f";config={config}" if config else "")
         found = await self._each(words, boards, max(self.timeout, 30.0))
         return {n: a.error or decode_plan(a.payload) for n, a in found.items()}
 
     async def read(self, register: str, boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
-        """A register, or ``register.field``, of each board."""
+        """A register, or ``register.field``, of each board. Raises NoSuchBoard, InvalidRequest (a name with ``/``)."""
         found = await self._each(f"reg/{names.check(register, 'register')}", boards)
         return {n: a.error or decode_registers(a.payload) for n, a in found.items()}
 
     async def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
-        """How far each board's clock may be off, as it says itself, and as this machine measures it."""
+        """How far each board's clock may be off, ns: as it says itself, and between which bounds it is from here.
+
+        Raises NoSuchBoard.
+        """
         chosen = await self.chosen(boards)
         found = await asyncio.gather(*(self._clock(name) for name in chosen))
         return dict(zip(chosen, found, strict=True))
@@ -90,7 +99,7 @@ class Looker:
                 best = found if isinstance(best, ErrorInfo) or found.width_ns < best.width_ns else best
         return best
 
-    async def _timed(self, board: str) -> tuple[asking.Answer, int, int]:
+    async def _timed(self, board: str) -> tuple[Answer, int, int]:
         asked = time_ns()
         answer = (await self._each("status", (board,)))[board]
         return answer, asked, time_ns()
@@ -98,10 +107,10 @@ class Looker:
     @asynccontextmanager
     async def watch(self, boards: str = "*") -> AsyncIterator[AsyncIterator[tuple[str, BoardStatus | None]]]:
         """Statuses of boards as they change, and each second; None when a board has gone. One name or ``*``."""
-        async with asking.listening(self.session, names.key(boards, "status"), self.presence) as told:
+        async with asking.listening(self.session, names.key(boards, "status"), self._presence) as told:
             yield self._statuses(told)
 
-    async def _statuses(self, told: AsyncIterator[asking.Told]) -> AsyncIterator[tuple[str, BoardStatus | None]]:
+    async def _statuses(self, told: AsyncIterator[Told]) -> AsyncIterator[tuple[str, BoardStatus | None]]:
         async for each in told:
             if each.payload is None:
                 yield each.board, None
@@ -109,12 +118,15 @@ class Looker:
                 yield each.board, wire.board_status(each.payload)
 
     @asynccontextmanager
-    async def listen(self, board: str, *parts: str) -> AsyncIterator[AsyncIterator[asking.Told]]:
-        """What a board publishes: ``listen("b1", "frames", "camera")``, ``listen("*", "irq", "*")``."""
+    async def listen(self, board: str, *parts: str) -> AsyncIterator[AsyncIterator[Told]]:
+        """What a board publishes: ``listen("b1", "frames", "camera")``, ``listen("*", "irq", "*")``.
+
+        Beyond 64 that wait for whoever iterates, the oldest is lost.
+        """
         async with asking.listening(self.session, names.key(board, *parts), waiting=64) as told:
             yield told
 
-    async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, asking.Answer]:
+    async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
         """An answer for each board; those that are there and say nothing, or are not there, have one that says so."""
         limit, groups = timeout or self.timeout, tuple(boards) or ALL
         if groups != ALL:
@@ -127,11 +139,11 @@ class Looker:
         left = await self._each_by_name(rest, tuple(name for name in there if name not in found), limit)
         return dict(sorted({**found, **left}.items()))
 
-    async def _each_by_name(self, rest: str, boards: tuple[str, ...], limit: float) -> dict[str, asking.Answer]:
+    async def _each_by_name(self, rest: str, boards: tuple[str, ...], limit: float) -> dict[str, Answer]:
         found = await asyncio.gather(*(asking.get(self.session, names.key(n, rest), timeout=limit) for n in boards))
         there = await self.boards() if not all(found) else boards
         return {
-            name: answers[0] if answers else asking.Answer(name, "", b"", error=absent(name, name in there))
+            name: answers[0] if answers else Answer(name, "", b"", error=absent(name, name in there))
             for name, answers in zip(boards, found, strict=True)
         }
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import runpy
 import select
 import shutil
 import signal
@@ -18,7 +19,7 @@ from pathlib import Path
 import pytest
 import zenoh
 from fleet_support import FleetBoard, Router, fleet_of, free_port
-from manager_process import Manager, environment, until
+from manager_process import REPOSITORY, Manager, environment, until
 from web_support import chromium, page_of, web_server
 
 import cm.fleet
@@ -240,6 +241,18 @@ def test_the_commands_show_a_fleet_and_change_it(
     assert main(["fleet", "reg", "read", "led", "b1", *router]) == 0
     assert "0x2" in capsys.readouterr().out
     assert main(["fleet", "mode", "nix", *router]) == 1
+
+
+def test_the_examples_of_the_reference_run(
+    boards: Boards, fleet: Fleet, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("CM_FLEET", ",".join(_endpoint(fleet)))
+    for name in ("fleet.py", "fleet_asyncio.py"):
+        runpy.run_path(str(REPOSITORY / "docs/examples" / name), run_name="__main__")
+    said = capsys.readouterr().out
+    assert "\n3 boards in " in said
+    assert "b1 (480, 640)" in said
+    assert "c3 default" in said
 
 
 # ---- ends ---------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ griffe = pytest.importorskip("griffe", reason="needs griffe: make lint installs 
 ROOT = Path(__file__).resolve().parents[2]
 
 # Named in signatures, and nothing that one makes or is given: short names for what arguments may be.
-SPELLINGS = {"Limit", "Key", "Array", "OnProgress", "AnyRoot", "Source", "Buffer", "Body"}
+SPELLINGS = {"Limit", "Key", "Array", "OnProgress", "AnyRoot", "Source", "Buffer", "Body", "Progress"}
 # Names of a class's own methods that are builtins in its signatures, and what only `open` of a device makes.
 INSIDE = {
     "cm.device.axidma.AxiDma names cm.native.call.Handle",
