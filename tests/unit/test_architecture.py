@@ -42,7 +42,7 @@ def test_the_page_names_every_package_and_their_order_holds() -> None:
 FLOORS = {
     "cm.manager": "The manager (`cm.manager`)",
     "cm.daemon": "The daemon (`cm.daemon`)",
-    "cm.sim": "The rooms of the simulator (`cm.sim`)",
+    "cm.sim": "The simulator (`cm.sim`)",
     "cm.build": "The build tool (`cm.build`)",
 }
 
