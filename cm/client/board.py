@@ -79,7 +79,7 @@ def connect(
     board = Board(endpoint, runtime_dir=runtime_dir, timeout=timeout, keys=keys, guest=guest)
     try:
         _ = board.status
-    except BaseException:
+    except BaseException:  # Ctrl-C while nobody answers, too
         board.close()
         raise
     return board
@@ -107,10 +107,12 @@ class Board(Guarded):
     ) -> None:
         self._place = place.find(endpoint, runtime_dir, keys, guest)
         self._sockets = Sockets(zmq.Context(), self._place.endpoints, self._place.keys)
+        # Not __del__: a finalizer also runs when the interpreter ends, before modules that it needs are taken apart.
         self._close = weakref.finalize(self, self._sockets.close)
         self._link = Link(self._sockets, timeout, guest)
         self._leases = HeldLeases()
         self._users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
+        # Past Guarded, which refuses to set them; no properties, since each access to a register would run them.
         object.__setattr__(self, "registers", Registers(self))
         object.__setattr__(self, "interrupts", Interrupts(self))
         object.__setattr__(self, "memories", Memories(self))
@@ -219,7 +221,7 @@ class Board(Guarded):
         subscription = self._changes()
         try:
             info = self.ask(calls.load(config, mode, wait=False, queue=queue, force=force, lease=lease))
-        except BaseException:
+        except BaseException:  # Ctrl-C too: nobody else would close it
             subscription.close()
             raise
         return ChangeHandle(self, info.number, subscription)

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 
 class Guarded:
-    """Attributes can be set that begin with an underscore, that have a setter, or that the class itself sets."""
+    """Attributes can be set that begin with an underscore, that have a setter, or that the class itself sets.
+
+    Python would take ``board.moed = "edge"`` for a new attribute, and nothing would happen to the board.
+    """
 
     _advice: dict[str, str] = {}  # noqa: RUF012 (never changed)
 

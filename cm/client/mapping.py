@@ -240,6 +240,8 @@ class LocalFrame(Frame):
     def __str__(self) -> str:
         return repr(self) if self.released else str(np.ndarray.__str__(self))
 
+    # The last reference to an array is all that says it is done with: numpy has no other hook, and views of the frame
+    # keep it alive as their base.
     def __del__(self) -> None:
         if self._lease is not None:
             self._lease.end()

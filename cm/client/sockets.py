@@ -20,7 +20,7 @@ def prepare(socket: _Socket, keys: Keys | None, depth: int = 0) -> _Socket:
     """Options that every client socket has, before it connects; `depth` messages wait (0: ZeroMQ's own number)."""
     if depth:
         socket.setsockopt(zmq.RCVHWM, depth)  # not to be set later: see cm/daemon/queue_limit.py
-    socket.setsockopt(zmq.LINGER, 0)
+    socket.setsockopt(zmq.LINGER, 0)  # close() must not wait for a manager that has gone
     socket.setsockopt(zmq.IPV6, 1)
     if keys is not None:
         socket.curve_serverkey = keys.server_public

@@ -75,5 +75,5 @@ def logged(work: Callable[[], None]) -> None:
         work()
     except CmError as error:
         _LOG.warning("%s", error)
-    except Exception:  # noqa: BLE001
+    except Exception:  # noqa: BLE001 (a defect in one handler)
         _LOG.exception("a sample was not taken")

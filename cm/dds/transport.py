@@ -35,10 +35,10 @@ class DdsTransport:
     """One participant with one node. Raises InvalidRequest where Cyclone DDS does not start."""
 
     def __init__(self, name: NodeName, domain: int, one_copy: bool = True) -> None:
-        os.environ["CYCLONEDDS_URI"] = config.uri()
+        os.environ["CYCLONEDDS_URI"] = config.uri()  # the library takes settings in no other way
         try:
             self._participant = DomainParticipant(domain, qos=DdsQos(Policy.Userdata(b"enclave=/;")))
-        except Exception as error:
+        except Exception as error:  # DDSException, or what its settings raise in the binding
             raise InvalidRequest(f"Cyclone DDS does not start in domain {domain}: {error}") from error
         self._library = Library.open() if one_copy else None
         self._graph = Graph(self._participant, name.name, name.namespace)

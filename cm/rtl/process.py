@@ -37,6 +37,7 @@ class EngineProcess:
 
     def __init__(self, program: Path, wiring: Path) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        # Frames lie in memory that both map; through the socket go only messages about them.
         memory = os.memfd_create("cm-rtl-arena", os.MFD_CLOEXEC)
         os.ftruncate(memory, ARENA_BYTES)
         self.arena = mmap.mmap(memory, ARENA_BYTES)

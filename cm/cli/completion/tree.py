@@ -52,7 +52,7 @@ def command_tree(parser: argparse.ArgumentParser) -> Word:
 
 def _word(parser: argparse.ArgumentParser, path: str, text: str, known: dict[str, str]) -> Word:
     options, choices, children, live, files = [], [], [], False, False
-    for action in parser._actions:
+    for action in parser._actions:  # argparse has no public way to walk a parser; the tests run on every Python
         if isinstance(action, argparse._SubParsersAction):
             helps = known | {choice.dest: _one_line(choice.help) for choice in action._choices_actions}
             for name, child in action.choices.items():

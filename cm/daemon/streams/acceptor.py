@@ -60,6 +60,7 @@ class Acceptor:
         self._group = group
         self._waiting: dict[int, socket.socket] = {}
         self._queued: set[socket.socket] = set()  # have said it, and wait for their turn
+        # Packets keep their bounds, and descriptors (SCM_RIGHTS) stay with the packet that they came in.
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
 
     def open(self) -> None:

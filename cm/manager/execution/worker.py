@@ -209,7 +209,7 @@ class Worker:
             self._check_board()
         try:
             take_steps(run, goal, ACTIONS)
-        except Exception as error:
+        except Exception as error:  # defects of ours too: the board must not stay half changed for one
             rollback = Rollback(self._tools, before, functools.partial(self._go_back, run), run.sealed)
             raise rollback.run(failure_of(run, error)) from error  # in no variable: its traceback has this frame
 
