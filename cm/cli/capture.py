@@ -8,15 +8,16 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stdout, suppress
-from typing import Any, TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from cm.cli.client import connected
 from cm.cli.common import print_json
 from cm.cli.frame_files import FORMATS, Incomplete, Sink, sink
-from cm.client.stream import Stream
 from cm.errors import Timeout
+from cm.lazy_numpy import np
+
+if TYPE_CHECKING:
+    from cm.client.stream import Stream
 
 _T = TypeVar("_T")
 EXIT_INTERRUPTED = 130

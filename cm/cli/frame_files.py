@@ -7,11 +7,14 @@ import io
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any, Protocol
-
-import numpy as np
+from typing import IO, TYPE_CHECKING, Any, Protocol
 
 from cm.errors import CmError, InvalidRequest
+
+if TYPE_CHECKING:
+    import numpy as np
+else:
+    from cm.lazy_numpy import np
 
 _HEADER = 128  # bytes of a .npy header with room for any number of frames: written anew with each
 FORMATS = ("npy", "png", "raw")

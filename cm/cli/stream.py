@@ -9,12 +9,11 @@ import time
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
-
 from cm.cli.capture import add_arguments, run_capture
 from cm.cli.client import connected, plain
 from cm.cli.common import add_connection_options, add_json_option, completes, print_json, print_table
 from cm.errors import InvalidRequest
+from cm.lazy_numpy import np
 from cm.messages.status import StreamStatus
 
 

@@ -10,8 +10,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
-import numpy.typing as npt
 import zmq
 
 from cm.client import place
@@ -24,7 +22,6 @@ from cm.client.core.events import StatusEvents
 from cm.client.core.leases import HeldLeases
 from cm.client.core.values import mode_name
 from cm.client.events import EventStream
-from cm.client.frame import Frame
 from cm.client.guard import Guarded
 from cm.client.interrupts import Interrupts
 from cm.client.lease import BoardLease
@@ -33,8 +30,6 @@ from cm.client.memories import Memories, Memory
 from cm.client.progress import OnProgress, Shown
 from cm.client.registers import Registers
 from cm.client.sockets import Sockets, closed
-from cm.client.stream import LocalStream, NewestStream, RemoteStream, Stream
-from cm.client.zmq_frames import Wanted
 from cm.messages import html
 from cm.messages import requests as rq
 from cm.messages.requests import ConfigureStream, DefineMemory
@@ -51,7 +46,11 @@ from cm.messages.status import (
 from cm.wire.plane_packets import Open
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from cm.client.allocation import DeviceArray
+    from cm.client.frame import Frame
+    from cm.client.stream import Stream
     from cm.client.writer import Writer
 
 _T = TypeVar("_T")
@@ -285,6 +284,9 @@ class Board(Guarded):
         `copy`: over ZeroMQ here too, so that frames are ours alone (docs/security.md). Guests of a bridge ask for
         each frame (`newest`), in their own name.
         """
+        from cm.client.stream import LocalStream, NewestStream, RemoteStream  # here: they need numpy
+        from cm.client.zmq_frames import Wanted
+
         if self._place.data is not None and not copy:
             wanted = Open(name, depth=depth, lease=self._leases.named(lease))
             return self._using(LocalStream(self._place.data, wanted, timeout, newest, owner=self))
@@ -334,7 +336,7 @@ class Board(Guarded):
         return self.ask(call, timeout=self.timeout + 5.0)
 
     def allocate(
-        self, shape: int | Sequence[int], dtype: npt.DTypeLike = np.uint8, timeout: Limit = DEFAULT
+        self, shape: int | Sequence[int], dtype: npt.DTypeLike = "uint8", timeout: Limit = DEFAULT
     ) -> DeviceArray:
         """An array in memory in one piece, for masters in the PL: ``registers["source"] = array.device_address``.
 

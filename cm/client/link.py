@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Sequence
@@ -10,7 +11,6 @@ from typing import Any, TypeVar
 
 import zmq
 from zmq import zmq_poll
-from zmq.utils.monitor import recv_monitor_message
 
 from cm import multipart
 from cm.client.core.calls import Call
@@ -19,6 +19,7 @@ from cm.client.core.requests import Requests, result
 from cm.client.sockets import Socket, Sockets, closed, not_subscribed
 
 _T = TypeVar("_T")
+_TOLD = struct.Struct("=Hi")  # event and value, zmq_socket_monitor(3); pyzmq's own reader of it imports asyncio
 _NOBLOCK = int(zmq.NOBLOCK)
 _POLLIN = int(zmq.POLLIN)  # an operation on pyzmq's enums costs as much as a system call
 
@@ -146,8 +147,8 @@ class Link:
     def _look(self) -> None:
         """Take what the monitor tells. Raises NotAdmitted; the next request tries anew."""
         while zmq_poll(self._sources[1:], 0):
-            told = recv_monitor_message(self._monitor)
-            self._handshake.take(int(told["event"]), int(told["value"]))
+            event, value = _TOLD.unpack(self._monitor.recv_multipart()[0])
+            self._handshake.take(event, value)
         refused = self._handshake.refused
         if refused is not None:
             self.close()

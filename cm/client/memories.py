@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from cm.client.core import memory
-from cm.client.core.memory import Array, Key
 from cm.messages.status import MemoryInfo
 
 if TYPE_CHECKING:
     from cm.client.board import Board
+    from cm.client.core.memory import Array, Key
 
 
 class Memory:

@@ -6,7 +6,6 @@ Several of them share a topic and a message on the wire (`cm.wire.decode` tells 
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field
 
 
@@ -48,6 +47,8 @@ class File:
 
     def uploaded(self, name: str) -> File:
         """The same, with its bytes sent before."""
+        import hashlib  # here: few requests have files
+
         return File(self.name, b"", self.sha256 or hashlib.sha256(self.data).hexdigest(), name)
 
 

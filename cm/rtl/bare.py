@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 _IN, _OUT = 64 << 20, 192 << 20  # places of the arena
 _DECOUPLE, _IDENTITY = 0x100, 0x10C  # of the first region, in the control registers

@@ -28,7 +28,7 @@ from cm.sim.hardware.running import RunningModels
 if TYPE_CHECKING:
     import numpy as np
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 _NO_MODELS = Models()
 

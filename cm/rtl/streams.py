@@ -21,7 +21,7 @@ from cm.sim.hardware.sensor import CameraLink
 if TYPE_CHECKING:
     import numpy as np
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 MAX_PACKET = SLOT
 

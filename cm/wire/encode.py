@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -41,6 +40,8 @@ def _change(r: rq.ChangeMode) -> pb.WriteConfig:
 
 
 def _provision(r: rq.Provision) -> list[Frame]:
+    import hashlib  # here: few requests have files
+
     files = [
         pb.File(name=f.name, upload=f.upload, sha256=f.sha256)
         if f.upload

@@ -11,7 +11,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, TypeVar
 
-import numpy as np
 import numpy.typing as npt
 import zmq.asyncio
 
@@ -305,7 +304,7 @@ class Board(Guarded):
         return await self.ask(call, timeout=self.timeout + 5.0)
 
     async def allocate(
-        self, shape: int | Sequence[int], dtype: npt.DTypeLike = np.uint8, timeout: Limit = DEFAULT
+        self, shape: int | Sequence[int], dtype: npt.DTypeLike = "uint8", timeout: Limit = DEFAULT
     ) -> DeviceArray:
         """An array in memory in one piece, for masters in the PL: ``{"source": array.device_address}``.
 

@@ -6,11 +6,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from cm.client.core import memory
-from cm.client.core.memory import Array, Key
 from cm.messages.status import MemoryInfo
 
 if TYPE_CHECKING:
     from cm.client.aio.board import Board
+    from cm.client.core.memory import Array, Key
 
 
 class Memory:

@@ -6,14 +6,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from cm.client.core.values import register_value, register_write
 from cm.client.errors import request_error
-from cm.client.frame import Frame, frame_of
 from cm.errors import InvalidRequest
+from cm.lazy_numpy import np
 from cm.messages import requests as rq
 from cm.messages.status import (
     ChangeInfo,
@@ -31,6 +29,9 @@ from cm.messages.status import (
     StreamStatus,
     UploadInfo,
 )
+
+if TYPE_CHECKING:
+    from cm.client.frame import Frame
 
 _T = TypeVar("_T")
 
@@ -144,6 +145,8 @@ def read_data(stream: str, timeout: float) -> Call[Frame]:
     """The next frame of a stream."""
 
     def result(reply: Reply) -> Frame:
+        from cm.client.frame import frame_of  # here: it needs numpy
+
         info = _body(reply, FrameInfo)
         return frame_of(info, reply.payload[0] if reply.payload else b"")
 
@@ -152,7 +155,8 @@ def read_data(stream: str, timeout: float) -> Call[Frame]:
 
 def write_data(stream: str, data: Any, lease: str) -> Call[FrameInfo]:
     """Send a frame; the reply comes when the hardware has taken it."""
-    view = memoryview(np.ascontiguousarray(data).data if isinstance(data, np.ndarray) else data).cast("B")
+    plain = isinstance(data, (bytes, bytearray, memoryview)) or not isinstance(data, np.ndarray)
+    view = memoryview(data if plain else np.ascontiguousarray(data).data).cast("B")
     return Call(rq.WriteData(stream, view, lease), lambda r: _body(r, FrameInfo))
 
 

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 from cm.client.core.effects import Deadline, Limit, seconds
-from cm.client.frame import Frame
 from cm.errors import InvalidRequest, Timeout
 from cm.messages.status import RegValues
+
+if TYPE_CHECKING:
+    from cm.client.frame import Frame
 
 
 class Written(dict[str, int]):

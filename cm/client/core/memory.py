@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
+from typing import TYPE_CHECKING, Any
 
 from cm.client.core import calls
 from cm.client.core.calls import Call
 from cm.errors import InvalidRequest
 from cm.messages.status import ConfigInfo, FrameInfo, MemoryInfo
 
-Array = npt.NDArray[Any]
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    Array = npt.NDArray[Any]
+else:
+    from cm.lazy_numpy import np
+
 Key = int | slice
 LENGTH_MAX = 4 << 20  # bytes that the manager takes in one request
 _WORD = 4

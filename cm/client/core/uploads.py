@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import secrets
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -45,7 +45,7 @@ def write_data(stream: str, data: Any, lease: str) -> Flow[Call[FrameInfo]]:
 
 def upload(data: bytes | memoryview) -> Flow[str]:
     """Send bytes in parts; the name that they have then. Empty where a manager is too old to know of parts."""
-    name, view = secrets.token_hex(8), memoryview(data)
+    name, view = os.urandom(8).hex(), memoryview(data)
     for start in range(0, max(len(view), 1), PART):
         try:
             yield calls.upload(rq.Upload(name, len(view), start, view[start : start + PART]))

@@ -6,8 +6,6 @@ from __future__ import annotations
 import operator
 from typing import Any
 
-import numpy as np
-
 from cm.errors import InvalidRequest
 from cm.messages.requests import RegWrite
 
@@ -16,7 +14,7 @@ _MOST = (1 << 64) - 1
 
 def register_value(name: str, value: Any) -> int:
     """An integer from 0 to 2**64 - 1. Raises InvalidRequest for bool, float, str and all else."""
-    if isinstance(value, (bool, np.bool_)):
+    if isinstance(value, bool) or (type(value).__module__, type(value).__name__.rstrip("_")) == ("numpy", "bool"):
         raise InvalidRequest(f"register {name!r} takes an integer, not {value!r}: write {int(value)}")
     try:
         number = operator.index(value)

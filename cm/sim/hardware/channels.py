@@ -13,7 +13,7 @@ from cm.schema.model import Config, Direction, Stream
 if TYPE_CHECKING:
     import numpy as np
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 
 DEFAULT_RATE = 30.0

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 
 QUEUE_DEPTH = 64

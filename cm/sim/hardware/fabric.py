@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 
 EMPTY_WORD = 0xDEADBEEF  # what a region without a module reads as

@@ -18,7 +18,7 @@ from cm.sim.hardware.interrupts import InterruptWiring
 if TYPE_CHECKING:
     import numpy as np
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 
 _WAITING = 16  # packets that a model may have sent and that have not been taken

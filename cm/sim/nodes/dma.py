@@ -20,7 +20,7 @@ from cm.sim.transport.syncs import Syncs
 if TYPE_CHECKING:
     import numpy as np
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 
 _CAPS = protocol.CAP_CYCLIC | protocol.CAP_VIDEO | protocol.CAP_RESIDUE

@@ -17,7 +17,7 @@ from cm.sim.transport.session import Later
 if TYPE_CHECKING:
     import numpy as np
 else:
-    from cm.sim.lazy_numpy import np
+    from cm.lazy_numpy import np
 
 
 BASE = "sys/class/fpga_manager/fpga0"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""numpy, imported when it is first used: a board that starts needs none, and is there sooner for it."""
+"""numpy, imported when it is first used: what needs no arrays is there sooner for it."""
 
 from __future__ import annotations
 
