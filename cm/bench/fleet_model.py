@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a fleet of up to 100,000 boards would take: reckoned from what fifty take, and played through.
+"""What a fleet of up to 100,000 boards would take: calculated and simulated from what fifty take.
 
 Reckoned: bytes and processor time that grow with the number of messages, flat, and with a router for each region of
 boards. Played through: a change of all, with the time of each board drawn from what boards took, boards that are away

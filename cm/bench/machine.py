@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The machine that a run was made on, and the one CPU that all of it is held to."""
+"""The machine that a run was made on, and the one CPU that all of it is pinned to."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Timing in interleaved rounds: what disturbs the machine disturbs every contestant alike."""
+"""Timing in interleaved rounds, so that disturbances of the machine affect all contestants alike."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all measurements of a run share: how much to measure, where, and the baselines that are at hand."""
+"""What all measurements of a run share: how much to measure, where, and which baselines are available."""
 
 from __future__ import annotations
 

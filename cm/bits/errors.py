@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the reading of configured logic."""
+"""Errors when reading configured logic."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files of a design lie that was built with open tools."""
+"""Where the files of a design are that was built with open tools."""
 
 from __future__ import annotations
 

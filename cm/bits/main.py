@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process of a simulated board whose regions run what the bits of their bitstreams configure."""
+"""The process of a simulated board whose regions behave as the bits of their bitstreams say."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A netlist cycle by cycle, in Python: for what is looked at once. `cm.bits.verilog` is for what runs for long."""
+"""Simulates a netlist cycle by cycle in Python, for short runs; `cm.bits.verilog` is for long ones."""
 
 from __future__ import annotations
 

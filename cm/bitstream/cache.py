@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports of files, kept by what the file is: its content's hash and its inode's state, never its name.
+"""Reports of files, cached by a file's content hash and inode state, never by its name.
 
 A file that was replaced under the same name (PYNQ#1545) has another inode or another change time,
 and is read again.

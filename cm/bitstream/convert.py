@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion between the containers, byte for byte; and the words as DMA memory wants them."""
+"""Conversion between the containers, byte for byte, and to the words that DMA memory needs."""
 
 from __future__ import annotations
 

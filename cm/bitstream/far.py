@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frame addresses: what a FAR word says, and the word for what is meant."""
+"""Frame addresses: FAR words decoded and encoded."""
 
 from __future__ import annotations
 

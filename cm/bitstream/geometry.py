@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many frames every column of a device has, where that is public.
+"""How many frames every column of a device has, as far as that is public.
 
 `data/columns.json` says from where. A device that is not in it has no geometry: then only the
 beginnings of runs are compared with a region.

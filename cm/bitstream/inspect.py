@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Inspection: everything that can be said about a bitstream without knowing what it is meant for."""
+"""Inspection: everything that can be said about a bitstream without knowing its purpose."""
 
 from __future__ import annotations
 

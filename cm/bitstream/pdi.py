@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Versal's programmable device images: named, and refused.
+"""Versal's programmable device images: recognised and refused.
 
 Their contents are not configuration packets, so nothing that is checked of other devices could be
 checked of them. Layout: bootgen (Apache-2.0), bootheader-versal.h and imageheadertable-versal.h.

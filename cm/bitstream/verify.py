@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verification: does a bitstream fit what it is meant for?"""
+"""Verification: does a bitstream fit its purpose?"""
 
 from __future__ import annotations
 

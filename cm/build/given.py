@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a file given to `cm build init` brings: HDL as it is, a core, an IP-XACT component, an IP instance, HLS C++."""
+"""What a file given to `cm build init` is: HDL, a core, an IP-XACT component, an IP instance, HLS C++."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm build init FILE…``: begin a build schema."""
+"""``cm build init FILE…``: write a first build schema."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm cancel``: end the change that runs; the board goes back to the mode before."""
+"""``cm cancel``: cancel the running change; the board goes back to the previous mode."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm check FILE…``: what is wrong with runtime schemas, as compilers say it."""
+"""``cm check FILE…``: reports what is wrong with runtime schemas, in the manner of compilers."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How commands reach a manager, and how they show what it says."""
+"""How commands reach a manager, and how they show its answers."""
 
 from __future__ import annotations
 

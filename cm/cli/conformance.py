@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm conformance``: whether a client, or a manager, keeps to the wire protocol."""
+"""``cm conformance``: whether a client, or a manager, conforms to the wire protocol."""
 
 from __future__ import annotations
 

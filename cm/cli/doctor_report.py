@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm doctor --report``: a form in Markdown with what can be found out filled in; the rest is for people."""
+"""``cm doctor --report``: a form in Markdown, filled in as far as a program can; the rest is for people."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What commands share that meet the fleet's network."""
+"""What all commands share that use the fleet's network."""
 
 from __future__ import annotations
 

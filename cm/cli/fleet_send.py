@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm fleet push`` and ``cm fleet cache``: archives to many boards, over each way once."""
+"""``cm fleet push`` and ``cm fleet cache``: archives for many boards, sent once to each site."""
 
 from __future__ import annotations
 

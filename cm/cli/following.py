@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events for as long as the user wants them: a manager that goes away is waited for, and the user is told."""
+"""Events until the user stops; if the manager goes away, says so and waits for it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames as they come → files that are whole after each of them, whatever ends the capture."""
+"""Frames as they arrive → files that are complete after each frame, whatever ends the capture."""
 
 from __future__ import annotations
 

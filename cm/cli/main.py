@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command `cm`: find the command, run it, and turn what goes wrong into a sentence and a status.
+"""The command `cm`: finds the command, runs it, and turns errors into a sentence and an exit status.
 
 Exit status: 0 done, 1 refused or failed, 2 wrong usage; 130 after Ctrl-C and 141 when the reader of
 our output went away, as shells report a program that these signals ended.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The parser of `cm`: one command's arguments in full, of the others only name and help."""
+"""The parser of `cm`: all arguments of one command, and only name and help of the others."""
 
 from __future__ import annotations
 

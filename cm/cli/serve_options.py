@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `cm serve` is told by its flags and by the settings file, brought together; flags override."""
+"""Options of `cm serve` from the command line and the settings file; the command line takes precedence."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated board that ``cm serve --sim`` brings along, or takes over from a manager that was killed."""
+"""The simulated board that ``cm serve --sim`` starts, or takes over from a manager that was killed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm status``: what is loaded and what goes on."""
+"""``cm status``: what is loaded and what is going on."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm web``: a page to look at a board through."""
+"""``cm web``: a page that shows a board in a browser."""
 
 from __future__ import annotations
 

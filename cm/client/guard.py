@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Attributes that cannot be set by mistake: hardware does not change because of a misspelt name."""
+"""Attributes that cannot be set by mistake: assigning to a misspelt name is an error."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocking request and reply over a DEALER, with a time-out and notice of a manager that goes away."""
+"""Blocking request and reply over a DEALER, with a time-out, and an error if the manager goes away."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arrays as pictures: PNG files, written here so that looking at a frame needs no further package."""
+"""Arrays as PNG pictures, written here so that showing a frame needs no other package."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a client's board is, and how it is reached: what the blocking client and the asyncio one begin with."""
+"""Where a client's board is, and how it is reached, for the blocking and the asyncio client."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams of a board: frames in DMA memory on the manager's machine, over ZeroMQ from elsewhere."""
+"""Streams of a board: frames in DMA memory on the manager's machine, over ZeroMQ on others."""
 
 from __future__ import annotations
 

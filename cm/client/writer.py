@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing frames without copies: borrow a slot, fill it, and leave it to the hardware."""
+"""Writing frames without copies: borrow a slot, fill it, and give it to the hardware."""
 
 from __future__ import annotations
 

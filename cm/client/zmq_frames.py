@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that come over ZeroMQ, without sockets: shared by `stream` and `aio_stream`."""
+"""Frames that arrive over ZeroMQ, without sockets: shared by both clients' streams."""
 
 from __future__ import annotations
 

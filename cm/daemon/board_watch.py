@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the board is there, and the same one as before: it may go, or be started anew, beside the manager."""
+"""Whether the board is there, and still the same one: it may go, or be restarted, while the manager runs."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Handlers of configurations that are listed, sent and removed."""
+"""Handlers of requests that list, send and remove configurations."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that come in → requests, each in its turn, and their replies."""
+"""Incoming messages → requests, each in its turn, and their replies."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders that must be ours: no other user can have put the files there that we open, or a link in their place."""
+"""Folders that must be ours, so that no other user can place files or links there that we would open."""
 
 from __future__ import annotations
 

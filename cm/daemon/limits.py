@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much one client may take, and all together: docs/limits.md has every bound, and what happens beyond it."""
+"""How much one client may take, and all together; docs/limits.md lists every bound and what happens beyond it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memories over ZeroMQ: long transfers go piece by piece, between which the loop serves everybody else."""
+"""Memories over ZeroMQ: long transfers go piece by piece, and the loop serves others in between."""
 
 from __future__ import annotations
 

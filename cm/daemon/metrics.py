@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `cm serve --metrics` tells, put together from manager, streams and the loop; docs/metrics.md has the list."""
+"""The metrics of `cm serve --metrics`, from manager, streams and the loop; docs/metrics.md lists them."""
 
 from __future__ import annotations
 

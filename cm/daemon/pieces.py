@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work that takes long, piece by piece: the loop serves everybody else between two, and clients take turns."""
+"""Long work, piece by piece: the loop serves others in between, and clients take turns."""
 
 from __future__ import annotations
 

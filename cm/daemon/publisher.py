@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the manager tells: status, registers, interrupts and frames on the XPUB socket."""
+"""What the manager publishes on the XPUB socket: status, registers, interrupts and frames."""
 
 from __future__ import annotations
 

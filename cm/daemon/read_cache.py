@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers that are read again, by requests of the same bytes.
+"""Register reads that repeat an earlier request byte for byte.
 
 A program that polls a register sends the same request again and again. What its bytes mean is found out
 once for each mode; after that only the access itself, and the values in a reply that is kept, are new.

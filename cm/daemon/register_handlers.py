@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Handlers of requests for registers: few at once, many piece by piece."""
+"""Handlers of requests for registers: a few at once, many piece by piece."""
 
 from __future__ import annotations
 

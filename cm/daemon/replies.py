@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client is told of an error."""
+"""Errors as clients get them."""
 
 from __future__ import annotations
 

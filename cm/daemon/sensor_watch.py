@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads the board's sensors every few seconds, in a thread of its own: a bus that hangs holds nothing up."""
+"""Reads the board's sensors every few seconds, in a thread of its own, so that a hanging bus delays nothing."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What clients send in parts, until a request uses it: files without a name in the state folder, mapped when used."""
+"""What clients send in parts, until a request uses it: unnamed files in the state folder, mapped when used."""
 
 from __future__ import annotations
 

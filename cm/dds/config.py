@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How Cyclone DDS is set: by CYCLONEDDS_URI as everywhere, else so that it loses no frames."""
+"""Settings of Cyclone DDS: from CYCLONEDDS_URI as everywhere, otherwise such that no frames are lost."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A thread that waits for samples of several readers and hands them on."""
+"""A thread that waits for samples of several readers and passes them on."""
 
 from __future__ import annotations
 

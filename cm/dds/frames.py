@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that come: from DDS's own sample to where they are wanted with one copy, where the library lets."""
+"""Incoming frames: copied once from DDS's own sample to where they are needed, if the library allows it."""
 
 from __future__ import annotations
 

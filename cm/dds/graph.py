@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What makes a participant a ROS node to others: its endpoints on ``ros_discovery_info``, as of ROS 2 Iron."""
+"""What makes a participant a ROS node: its endpoints on ``ros_discovery_info``, as since ROS 2 Iron."""
 
 from __future__ import annotations
 

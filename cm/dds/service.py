@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A service as rmw_cyclonedds has it: who asked and its number stand before request and reply, in two plain topics."""
+"""A service as in rmw_cyclonedds: two plain topics, with client and request number before request and reply."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to do when a device does not open: said once, for errors and for the survey."""
+"""What to do when a device does not open, for errors and for the survey."""
 
 from __future__ import annotations
 

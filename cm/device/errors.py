@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""errno becomes an exception that is ours, the builtin, and the general kind, in one place."""
+"""Turns errno into exceptions that are both ours and the builtin ones."""
 
 from __future__ import annotations
 

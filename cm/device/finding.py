@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a look at a machine finds: frozen data."""
+"""What a check of a machine found, as frozen data."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of GPIO chips, through the kernel's character device: what the processor drives without a register of ours."""
+"""Lines of GPIO chips, through the kernel's character device."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where devices lie: everything is relative to a root folder, ``CM_ROOT`` or ``/``."""
+"""Paths of devices: all are relative to a root folder, ``CM_ROOT`` or ``/``."""
 
 from __future__ import annotations
 

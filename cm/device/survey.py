@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a machine has of what we need, and what to do about the rest: the facts behind ``cm doctor``.
+"""What a machine has, what it lacks, and what to do about it: the facts behind ``cm doctor``.
 
 Nothing is opened: an exclusive device in use is as good as a free one, and asking must not disturb.
 """

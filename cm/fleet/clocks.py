@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the clocks of several boards agree: as they say themselves, and as it can be measured from here."""
+"""How closely the clocks of several boards agree: by their own account, and as measured from here."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be seen of a fleet: who is there, and what each board says."""
+"""What can be seen of a fleet: its boards, and what each says."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an accel.json says of an accelerator: devices and data movers."""
+"""What an accel.json says about an accelerator: devices and data movers."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a device-tree overlay of a foreign package does, as far as an import has to know."""
+"""What a device-tree overlay of another project's package does, as far as an import has to know."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The versions of an imported configuration: one in force, and those before it for a way back.
+"""The versions of an imported configuration: the one in use, and earlier ones for a rollback.
 
 ``<out>/<config>/`` is in force. ``<out>/.<config>.<number>/`` are those before it, the highest number the
 youngest. One takes the other's place by an exchange of names, in one step: killed before it, the old one is in

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The action ChangeMode: goals that the manager works off one after the other, with progress, and cancelled by it."""
+"""The action ChangeMode: the manager carries out goals one after the other, with progress and cancelling."""
 
 from __future__ import annotations
 

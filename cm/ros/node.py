@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A board as a ROS 2 node: what the follower tells is published, what is asked goes to the manager."""
+"""A board as a ROS 2 node: publishes what the follower reports, and passes requests to the manager."""
 
 from __future__ import annotations
 

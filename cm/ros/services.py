@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node's services: requests to the manager, whose refusals are answers and no silence."""
+"""The node's services: requests to the manager; refusals are answers too."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the node is given: a middleware that publishes, listens and answers, in ROS's terms."""
+"""What the node needs: a middleware that publishes, subscribes and answers, in ROS's terms."""
 
 from __future__ import annotations
 

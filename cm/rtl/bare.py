@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A design that runs without a board round it: registers, modules and packets by hand, to look at the logic alone."""
+"""A design that runs without a board around it: registers, modules and packets by hand, to test the logic alone."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The running logic: what is loaded where, and who hears of what the engine tells."""
+"""The running logic: what is loaded where, and who receives the engine's events."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A build schema as something to simulate: units to compile, and the wiring round them.
+"""A build schema as something to simulate: units to compile, and the wiring around them.
 
 The static part is the one that `cm build` generates, but for its regions: their pins are ports of the simulated
 part, so that the modules, libraries of their own, can come and go.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MCDMA engines in the simulated static part: what stands between their channels and the streams that they share.
+"""MCDMA engines in the simulated static part: what connects their channels to the streams that they share.
 
 The engine itself is not simulated. Its channels are ports, ``dma_<channel>_…``, behind the library's own join and
 split turned round: what the engine does to streams, packets of several channels one after the other, with TDEST.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the building of a configuration shares: where things are in the file, and who hears of problems."""
+"""What all parts of building a configuration share: positions in the file, and where problems are reported."""
 
 from __future__ import annotations
 

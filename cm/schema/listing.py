@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The form of the paper's Listing 1: lists of one-key maps where a map is meant.
+"""The form of the paper's Listing 1: lists of one-key maps instead of maps.
 
 Its ``modes:`` has its modes as sibling keys, so that YAML reads a map whose first key has no value:
 

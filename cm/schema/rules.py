@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must be true of a configuration beyond the form of its file."""
+"""What must be true of a configuration beyond the syntax of its file."""
 
 from __future__ import annotations
 

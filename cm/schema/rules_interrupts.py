@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must be true of interrupts: they have a line, and those that share one can be told apart."""
+"""What must be true of interrupts: they have a line, and those that share one can be distinguished."""
 
 from __future__ import annotations
 

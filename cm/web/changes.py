@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The changes of mode that were seen, with their steps, out of the statuses that the manager publishes."""
+"""The changes of mode so far, with their steps, from the statuses that the manager publishes."""
 
 from __future__ import annotations
 

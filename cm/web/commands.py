@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a page may ask for: to look, always; to change something, where the server was started with --control."""
+"""What a page may request: reading always; changes only if the server was started with --control."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The boards of a fleet, told to pages."""
+"""The boards of a fleet, for the pages."""
 
 from __future__ import annotations
 

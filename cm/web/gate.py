@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may talk to the page's server: by the token, and by where the browser says that it is.
+"""Who may use the page's server: decided by the token, and by the origin that the browser states.
 
 A page elsewhere that a browser has open can make it connect here, from the user's own machine, and a name that such a
 page controls can be made to lead here (DNS rebinding). Neither knows the token. Beyond that the Host has to be an

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is drawn over time: a point each second, for the last ten minutes."""
+"""What is drawn over time: a point per second, for the last ten minutes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one connection to the manager that all pages share, and what it says, told to them."""
+"""The one connection to the manager that all pages share, and what it sends, for the pages."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One page: what it asks for, and what it is told. What it does not take in time is told in its newest form only."""
+"""One page: its requests, and what it is sent. If it is slow, it gets only the latest state of each topic."""
 
 from __future__ import annotations
 

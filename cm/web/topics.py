@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pages are told, by topic: the newest of each counts, however seldom a page takes it."""
+"""What pages are sent, by topic: only the newest message of each counts, however slow a page is."""
 
 from __future__ import annotations
 

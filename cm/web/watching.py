@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams that pages look at: each is read once, however many watch it, and not at all when none does.
+"""Streams that pages show: each is read once, however many pages show it, and not at all if none does.
 
 Frames are taken off as they come, so that the hardware and other readers lose nothing by us; thirty a second at most
 are made into pictures. Who is slow gets the newest when it has drawn the last.

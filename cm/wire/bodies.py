@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Status, events and reply bodies ↔ protobuf messages; each pair stands side by side."""
+"""Status, events and reply bodies ↔ protobuf messages, side by side."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much one request may hold; docs/limits.md lists them. What is within costs the manager milliseconds at most."""
+"""Bounds of one request, listed in docs/limits.md; a request within them costs the manager milliseconds at most."""
 
 from __future__ import annotations
 

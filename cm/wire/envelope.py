@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands before a command: the way back, as ROUTER, REQ and DEALER sockets have it."""
+"""The frames before a command: the return path, as in ROUTER, REQ and DEALER sockets."""
 
 from __future__ import annotations
 

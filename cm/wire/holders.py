@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who holds and takes what, in the status ↔ protobuf messages."""
+"""Leases and clients in the status ↔ protobuf messages."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages as JSON (protobuf's own mapping, with the names of cm.proto) for who has no protobuf."""
+"""Messages as JSON (protobuf's own mapping, with the names of cm.proto) for clients without protobuf."""
 
 from __future__ import annotations
 

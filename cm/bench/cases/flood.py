@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client waits for its answers while another asks for all it can, beside what it waits alone."""
+"""How long a client waits for answers while another floods the manager, compared with being alone."""
 
 from __future__ import annotations
 

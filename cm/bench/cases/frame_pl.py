@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frame through the simulated PL and back, which moves its bytes once each way."""
+"""A frame through the simulated PL and back; the PL moves its bytes once each way."""
 
 from __future__ import annotations
 

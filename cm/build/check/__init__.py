@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in for Vivado: rules that a design must keep, each with the message that Vivado has for it."""
+"""Rules that a design must keep, in place of Vivado, each with Vivado's message for it."""

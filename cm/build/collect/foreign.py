@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A configuration from the files of a flow that is not ours: .hwh, full and partial bitstreams."""
+"""A configuration from the files of another flow: .hwh, full and partial bitstreams."""
 
 from __future__ import annotations
 

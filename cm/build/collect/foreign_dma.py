@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""DMA engines of a design that is not ours, from its .hwh, as its device-tree overlay needs them.
+"""DMA engines of other people's designs, from their .hwh, as the device-tree overlay needs them.
 
 Properties after the kernel's binding dma/xilinx/xilinx_dma.txt; which parameter of the IP gives which is
 told by Xilinx/device-tree-xlnx ac65e01, axi_dma.tcl and axi_vdma.tcl. An MCDMA has one clock for all but its

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interrupts of a design that is not ours, from its .hwh: those that its overlay can give to UIO devices.
+"""Interrupts of other people's designs, from their .hwh, as far as an overlay can give them to UIO devices.
 
 A UIO device has one interrupt, so of an instance with several lines the first that can be told is taken; the
 others become notes. What hangs on an axi_intc cannot be told: the kernel's driver of it (irq-xilinx-intc.c) is

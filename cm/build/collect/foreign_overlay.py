@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The static overlay of a design that is not ours: windows, engines, clocks, decouplers and regions."""
+"""The static overlay of other people's designs: windows, engines, clocks, decouplers and regions."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether bitstreams belong to one locked static part, and to the one that is here."""
+"""Whether bitstreams belong to one locked static part, and to the present one."""
 
 from __future__ import annotations
 

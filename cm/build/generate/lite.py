@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals of the AXI4-Lite interconnect of a clock, and the share that each window's slave has of them."""
+"""Signals of a clock's AXI4-Lite interconnect, and which of them each window's slave uses."""
 
 from __future__ import annotations
 

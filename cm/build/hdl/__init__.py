@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HDL in, interfaces out: ports, buses, clocks, resets and interrupts of Verilog, SystemVerilog and VHDL modules.
+"""Reads Verilog, SystemVerilog and VHDL modules, and finds their ports, buses, clocks, resets and interrupts.
 
     extract(files, top=None, include_dirs=(), defines={}, parameters={}, protocols=()) -> list[ModuleInfo]
     load_component_xml(path) -> ModuleInfo         IP-XACT (spirit 1685-2009) as Vivado writes it

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vivado's interface attributes (UG994, "Using X_INTERFACE_INFO"): what the designer said beats what names suggest."""
+"""Vivado's interface attributes (UG994, "Using X_INTERFACE_INFO"), which take precedence over names."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flat wrapper round a SystemVerilog module with interface ports: slang says what the interfaces hold."""
+"""A flat wrapper around a SystemVerilog module with interface ports; slang knows what the interfaces contain."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A flat wrapper round a VHDL entity with record ports: each field of a record is a port of its own."""
+"""A flat wrapper around a VHDL entity with record ports: each field of a record becomes a port."""
 
 from __future__ import annotations
 

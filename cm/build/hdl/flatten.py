@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modules whose ports are interfaces or records, as what their flat wrappers are."""
+"""Modules whose ports are interfaces or records, as their flat wrappers present them."""
 
 from __future__ import annotations
 

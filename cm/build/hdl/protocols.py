@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The user's own protocols: a YAML file of names, signals and directions, for interfaces that naming cannot tell.
+"""The user's own protocols: a YAML file of names, signals and directions, for unconventional interfaces.
 
 protocols:
   - name: pixels

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""YAML nodes that know where they stand, for messages with file, line and column."""
+"""YAML nodes that know their position, for messages with file, line and column."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nextpnr is told beside the netlist: places, areas, wires that are others', pins."""
+"""What nextpnr gets besides the netlist: places, areas, pins, and wires that others use."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Static part and module, placed and routed apart, as one set of features; and what must not have happened."""
+"""Merges the features of static part and module, placed and routed separately, and checks the result."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nextpnr routed: which ways belong to the design, and which only to the harness behind the anchors."""
+"""What nextpnr routed: which routes belong to the design, and which only to the harness behind the anchors."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the open tools cannot do, told before they run."""
+"""What the open tools cannot do, reported before they run."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps that are left out where their input is the same: each keeps a hash of what it was made from."""
+"""Steps that are skipped if their input is unchanged: each keeps a hash of what it was made from."""
 
 from __future__ import annotations
 

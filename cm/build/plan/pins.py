@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ports of the top and the package pins that the build schema gives them."""
+"""Ports of the top, and the package pins that the build schema assigns to them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which ports of the processing system carry the design's way to memory."""
+"""Which ports of the processing system connect the design to memory."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Abstract shells: a region with what a module needs of its surroundings, in place of the whole static design.
+"""Abstract shells: a region with only the surroundings that a module needs, instead of the static design.
 
 UG909, "Abstract Shell Design Flow": the first run is as ever; a shell of each region is made from it, and every other
 module is placed and routed in its region's shell. ``pr_verify`` compares the shell with the shell that holds the

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests of others, handed on as bytes: what a bridge has instead of a `Board`."""
+"""Requests of others, passed on as bytes: what a bridge uses instead of a `Board`."""
 
 from __future__ import annotations
 

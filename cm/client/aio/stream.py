@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams for asyncio: the twins of those in `cm.client.stream`."""
+"""Streams for asyncio, like those of `cm.client.stream`."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing frames without copies, for asyncio: the twin of `cm.client.writer`."""
+"""Writing frames without copies, for asyncio, like `cm.client.writer`."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change of mode as its asker sees it."""
+"""A change of mode, as the client that asked for it sees it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a flow may wait for. Each client has one function that runs flows by its own way of waiting."""
+"""What a flow may wait for. Each client has one function that runs flows, with its own way of waiting."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client is told unasked: statuses, register changes, interrupts; none is missed once one listens."""
+"""Events that a client subscribes to: statuses, register changes, interrupts; none is missed after subscribing."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a socket's monitor tells, understood: a manager that went away, or one that does not let us in. No sockets."""
+"""Interprets the events of a socket's monitor: the manager went away, or does not admit us. No sockets."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leases that are held now: within a with-block their holder's own calls pass."""
+"""Leases that this client holds: within a with-block, its own calls pass."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memories as numpy arrays: what has to be asked for a read or write, for the blocking client and the other.
+"""Memories as numpy arrays: the requests of a read or write, for both clients.
 
 The functions here are generators: they give calls, get their results sent, and return what was wanted.
 """

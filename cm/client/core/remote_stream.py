@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames over ZeroMQ: subscribed to, or each asked for when it is wanted."""
+"""Frames over ZeroMQ: subscribed to, or requested one by one."""
 
 from __future__ import annotations
 

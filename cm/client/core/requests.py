@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests on a DEALER: numbers that go out, and come back with the replies, and what is said where none comes."""
+"""Requests on a DEALER: numbers by which replies are matched, and the error if none arrives."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is too long for one message goes in parts before it. Each flow returns the call that is to be asked then."""
+"""Data too long for one message is sent in parts first. Each flow returns the call that follows."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values that mean what they say: what would be turned into something else on its way to the hardware is refused."""
+"""Values are taken literally: whatever would have to be converted is refused."""
 
 from __future__ import annotations
 

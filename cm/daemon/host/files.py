@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bitstreams and overlays of a configuration: found, validated once per content, and what they teach of regions.
+"""Bitstreams and overlays of a configuration: found, validated once per content, with the footprints they reveal.
 
 A footprint that was learned is worth no more than the bitstream it was learned from: where that module's file is not
 the same any more (a new build, another floorplan), it is learned anew.

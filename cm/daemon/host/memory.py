@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory in one piece that masters in the PL can reach, from whichever device of the board gives it."""
+"""Contiguous memory that masters in the PL can reach, from whichever device of the board provides it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Device-tree overlays: found, looked at before the kernel is given them, and what they would load."""
+"""Device-tree overlays: found, checked before the kernel gets them, and what they would load."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What clients send, held against the rules: names, paths, hashes, sizes, and whose it is."""
+"""Checks of what clients send: names, paths, hashes, sizes, and the owner."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the machine slept: CLOCK_BOOTTIME goes on in a suspend, CLOCK_MONOTONIC does not."""
+"""Whether the machine slept: CLOCK_BOOTTIME continues during a suspend, CLOCK_MONOTONIC does not."""
 
 from __future__ import annotations
 

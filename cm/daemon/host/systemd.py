@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a service manager is told, as sd_notify(3) has it: systemd, and others that speak its protocol."""
+"""Notifications for a service manager by sd_notify(3): systemd, and others with its protocol."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The socket ``data`` in the runtime folder: takes connections, and makes them clients of the data plane."""
+"""The socket ``data`` in the runtime folder: accepts connections, and makes them clients of the data plane."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory for masters in the PL, such as HLS kernels with `m_axi`: each client's goes when it hangs up."""
+"""Memory for masters in the PL, such as HLS kernels with `m_axi`; it is freed when its client hangs up."""
 
 from __future__ import annotations
 

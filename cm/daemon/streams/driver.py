@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens and closes streams as `policy` decides, and takes to it what comes of that. The loop's thread."""
+"""Opens and closes streams as `policy` decides, and reports the results back to it. The loop's thread."""
 
 from __future__ import annotations
 

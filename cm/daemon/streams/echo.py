@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory without hardware: what a client submits is done at once. For measuring, and for trying clients out."""
+"""Memory without hardware: what a client submits is done at once. For measuring and for testing clients."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is told of an open stream's counters: its rate, its median latency, why a transfer failed."""
+"""Figures from an open stream's counters: its rate, its median latency, why a transfer failed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The streams of the loaded mode: what `policy` decides is done here, with channels and their clients."""
+"""The streams of the loaded mode: carries out what `policy` decides, with channels and their clients."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many slots of a stream one more client may hold: none may hold all of them, and some are left for newcomers."""
+"""How many slots of a stream one more client may hold: none may hold all, and some are reserved for newcomers."""
 
 from __future__ import annotations
 

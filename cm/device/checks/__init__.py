@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Looks at a Zynq's kernel and device tree for what would stop its first frame; a sentence on each says what to do."""
+"""Checks a Zynq's kernel and device tree for what would prevent a first frame, and says what to do."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which DMA channels a board has and what lies at their other end."""
+"""Which DMA channels a board has, and what is at their other end."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The CRC of configuration words, by folding: apart from `csrc/bitstream_crc.c`, so that each can judge the other.
+"""The CRC of configuration words, by folding: independent of `csrc/bitstream_crc.c`, so that each checks the other.
 
 CRC-32C takes in 37 bits for each word: the word, then the five bits of the register's address, all
 least significant first (UG470). One word turns the CRC c into ``step(c ^ word) ^ five(register)``,

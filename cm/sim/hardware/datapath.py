@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A region as the data sees it that flows through."""
+"""A region from the point of view of the data that flows through it."""
 
 from __future__ import annotations
 

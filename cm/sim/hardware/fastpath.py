@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two channels that only pass data on, lent to a thread in C (``csrc/sim_fifo.h``) and taken back.
+"""Two channels that only pass on data, lent to a thread in C (``csrc/sim_fifo.h``) and taken back.
 
 While they are lent, this process does not know what is queued: code that is about to look at the channels, or to
 change what happens to their data, takes them back first.

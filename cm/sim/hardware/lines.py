@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GPIO chips of the processing system, and the regions that hang on their lines."""
+"""GPIO chips of the processing system, and the regions that their lines isolate."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies at the stream side of the DMA channels: a region's module between them, or a camera."""
+"""What is at the stream side of the DMA channels: a region's module between them, or a camera."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What lies behind the nodes of a board: the software models here, or something that runs the design itself.
+"""The logic behind the nodes of a board: the software models here, or something that runs the design itself.
 
 A maker gets the parts of the board that are the same for all (`LogicParts`) and gives a `Logic`. The regions of the
 fabric say what is loaded where: `Fabric.answering` is called when that changes.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps the mirrors of the windows true: which bytes can be read there, and for which the bus has to be asked."""
+"""Keeps the mirrors of the windows up to date: which bytes can be read there, and which need a bus access."""
 
 from __future__ import annotations
 

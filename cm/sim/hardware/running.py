@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The models with a state that run now: made when a module has been loaded, ended when its region is loaded anew."""
+"""Running models with state: made when a module has been loaded, ended when its region is loaded again."""
 
 from __future__ import annotations
 
