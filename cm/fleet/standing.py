@@ -30,7 +30,16 @@ def difference(status: BoardStatus) -> str:
     if not member.differs(record) or _place(status) == _goal(record):
         return ""
     cause = f": {record.error.message}" if record.error is not None else ""
-    return f"{change} was to {record.decision.value if record.decision else '?'}, and is {record.state} here{cause}"
+    kept = record.decision is Decision.KEEP
+    return f"{change} was {'kept, but failed here' if kept else 'taken back, but this board could not go back'}{cause}"
+
+
+def stands_apart(status: BoardStatus) -> bool:
+    """Whether somebody should look: the board is elsewhere than was decided, or waits for a decision after its time."""
+    record = status.fleet
+    if record is None or not difference(status):
+        return False
+    return member.ended(record) or (record.decision is None and late(status, record))
 
 
 def _place(status: BoardStatus) -> tuple[str, str]:

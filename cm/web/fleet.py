@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Callable
 from typing import Any
 
 from cm.errors import CmError
 from cm.fleet.aio import Fleet
 from cm.fleet.clocks import said_apart
-from cm.fleet.standing import difference
+from cm.fleet.standing import difference, disagreeing, stands_apart
 from cm.messages.fleet import BoardStatus
 from cm.messages.status import Status
 from cm.web.topics import Topics
@@ -55,7 +56,9 @@ class FleetWatch:
     def _take(self, name: str, status: BoardStatus | None) -> None:
         if status is None:
             self._statuses.pop(name, None)
-            self._rows[name] = {**self._rows.get(name, row(name, BoardStatus(Status()))), "state": "gone"}
+            last = self._rows.get(name, row(name, BoardStatus(Status())))
+            since = f"since {time.strftime('%H:%M:%S')}; what it had loaded then is shown"
+            self._rows[name] = {**last, "state": "gone", "note": since, "differs": False}
         else:
             self._statuses[name] = status
             self._rows[name] = row(name, status)
@@ -67,14 +70,16 @@ class FleetWatch:
 
     def _tell(self, problem: str) -> None:
         apart = said_apart({name: status.clock for name, status in self._statuses.items()}) if self._statuses else None
-        shown = [self._rows[name] for name in sorted(self._rows)[:_SHOWN]]
+        two = disagreeing(self._statuses)
+        rows = {**self._rows, **{name: {**self._rows[name], "note": why, "differs": True} for name, why in two.items()}}
+        shown = [rows[name] for name in sorted(rows)[:_SHOWN]]
         self._topics.tell("fleet", {"boards": shown, "count": len(self._rows), "problem": problem, "apart_ns": apart})
 
 
 def row(name: str, status: BoardStatus) -> dict[str, Any]:
     """A board as the page shows it."""
-    own, differs = status.status, difference(status)
-    note = differs or (own.last_error.message if own.last_error else "")
+    own = status.status
+    note = difference(status) or (own.last_error.message if own.last_error else "")
     return {
         "name": name,
         "loaded": f"{own.config_name} / {own.mode}" if own.mode else "",
@@ -83,5 +88,5 @@ def row(name: str, status: BoardStatus) -> dict[str, Any]:
         "labels": list(status.labels),
         "clock_ns": status.clock.error_ns if status.clock.synchronised else None,
         "note": note,
-        "differs": bool(differs),
+        "differs": stands_apart(status),
     }

@@ -13,6 +13,7 @@ from cm.wire import bodies
 from cm.wire import cm_pb2 as pb
 
 _M = TypeVar("_M", bound=Message)
+LONGEST = 30 * 86400  # seconds
 BALLOTS = 1 << 32  # far more than tries that one change can need
 
 
@@ -46,6 +47,10 @@ def decode_step(data: bytes) -> fl.FleetStep:
     m = parsed(pb.FleetStep, data)
     if not m.id or not m.id.isascii() or not m.id.isprintable() or len(m.id) > 64 or "/" in m.id:
         raise InvalidRequest(f"a change of a fleet has an id of 1 to 64 printable characters without /, not {m.id!r}")
+    if not 0 <= m.seconds <= LONGEST:  # no number is between them
+        raise InvalidRequest(
+            f"change {m.id}: 0 to {LONGEST} seconds until boards ask for the decision, not {m.seconds}"
+        )
     if m.ballot >= BALLOTS:
         raise InvalidRequest(f"ballot {m.ballot} of change {m.id}: they go up one by one, to below {BALLOTS}")
     where, members = _seats(m), tuple(m.members)

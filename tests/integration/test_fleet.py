@@ -445,7 +445,9 @@ def test_a_second_bridge_of_one_name_is_refused(boards: Boards, three: tuple[Rou
 
 
 @pytest.mark.timeout(300)  # a browser, each of whose waits may last a minute on a busy machine
-def test_the_page_shows_the_boards_of_the_fleet(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
+def test_the_page_shows_the_boards_of_the_fleet(
+    boards: Boards, three: tuple[Router, Boards, Fleet], tmp_path: Path
+) -> None:
     """In a browser, beside the one board that it is about."""
     router = ("--router", three[0].endpoint)
     with (
@@ -459,6 +461,15 @@ def test_the_page_shows_the_boards_of_the_fleet(boards: Boards, three: tuple[Rou
         assert "north" in page.text_content("[data-fleet-board=c3]")
         three[2].mode("edge_detection", ["c3"])
         page.wait_for_selector("[data-fleet-board=c3] >> text=camera / edge_detection")
+        boards["b2"].sim.control.inject("icap_crc", count=1)
+        with pytest.raises(ChangeFailed):
+            three[2].mode("colorise", policy="quorum")
+        page.wait_for_selector("[data-fleet-board=b2] >> text=differs")
+        assert "of anna was kept, but failed here: load colorise" in page.text_content("[data-fleet-board=b2]")
         boards["c3"].bridge.end()
         page.wait_for_selector("[data-fleet-board=c3] >> text=gone")
+        about = page.text_content("#fleet-about")
+        assert "2 of 3 are there. Gone: c3. Elsewhere than decided: b2." in about
+        page.locator("#fleet").screenshot(path=tmp_path / "fleet.png")
+        page.screenshot(path=tmp_path / "page.png", full_page=True)
     boards["c3"].bridge.start()

@@ -56,6 +56,12 @@ def test_a_ballot_after_which_none_can_come_is_refused() -> None:
         records.decode_step(records.encode_step(FleetStep("c1", ballot=2**63)))
 
 
+@pytest.mark.parametrize("seconds", [-1.0, float("nan"), float("inf"), 1e9])
+def test_a_time_after_which_nobody_would_ever_ask_is_refused(seconds: float) -> None:
+    with pytest.raises(InvalidRequest, match="seconds until boards ask for the decision"):
+        records.decode_step(records.encode_step(FleetStep("c1", seconds=seconds)))
+
+
 def test_a_record_with_a_decision_that_is_none_is_refused() -> None:
     with pytest.raises(InvalidRequest, match="keep or revert is wanted"):
         records.decode_record(pb.FleetRecord(id="c1", decision="maybe").SerializeToString())

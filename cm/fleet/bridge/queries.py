@@ -8,7 +8,7 @@ import logging
 from contextlib import suppress
 from typing import Any
 
-from cm.errors import CmError
+from cm.errors import CmError, NotFound
 from cm.fleet import names
 from cm.fleet.bridge.commands import Commands
 from cm.fleet.bridge.publishing import encoding
@@ -91,7 +91,10 @@ class Queries:
             named = {"reg": self._reader.register, "irq": self._reader.interrupt, "frames": self._reader.frame}
             if parts[2] in named:
                 return [await named[parts[2]](parts[3])]
-        return await self._reader.answers(lambda key: bool(expression.intersects(self._expression(key))), words)
+        found = await self._reader.answers(lambda key: bool(expression.intersects(self._expression(key))), words)
+        if not found and not names.WILD & set(wanted):  # nothing at all would look like a board that is not there
+            raise NotFound(f"there is nothing under {wanted}")
+        return found
 
     def _put(self, query: Any, sample: Sample, as_json: bool) -> None:
         shown, kind = _shown(sample.kind, sample.message, as_json)

@@ -168,7 +168,7 @@ class Participant:
         """Load as long as the record wants it. `begun`: no load can have been asked for before."""
         while True:
             step = member.todo(record, 0.0)
-            if step is Todo.NOTHING:
+            if step not in (Todo.LOAD_NEW, Todo.LOAD_OLD):
                 break
             record = await self._load(record, new=step is Todo.LOAD_NEW, begun=begun)
             begun = True

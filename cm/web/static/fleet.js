@@ -10,7 +10,8 @@ export class Fleet {
     byId("fleet").hidden = false;
     const there = fleet.boards.filter((board) => board.state !== "gone").length;
     const more = fleet.count > fleet.boards.length ? ` The first ${fleet.boards.length} of ${fleet.count} are shown.` : "";
-    text(byId("fleet-about"), fleet.problem || `${there} of ${fleet.count} are there. ${agreement(fleet)}${more}`);
+    const named = listed("Gone", fleet, (board) => board.state === "gone") + listed("Elsewhere than decided", fleet, apart);
+    text(byId("fleet-about"), fleet.problem || `${there} of ${fleet.count} are there. ${named}${agreement(fleet)}${more}`);
     const node = byId("fleet-boards");
     keyed(node, fleet.boards, (board) => board.name, (board) => {
       const parts = { loaded: h("span"), labels: h("span", { class: "muted small" }), note: h("span", { class: "muted small" }),
@@ -20,8 +21,8 @@ export class Fleet {
       return { node: line, parts };
     }, ({ parts }, board) => {
       const share = board.fraction === null ? "" : ` ${Math.round(board.fraction * 100)} %`;
-      text(parts.state, `${STATES[board.state] ?? board.state}${share}`);
-      parts.state.dataset.state = board.state === "gone" ? "error" : board.state;
+      text(parts.state, apart(board) ? "differs" : `${STATES[board.state] ?? board.state}${share}`);
+      parts.state.dataset.state = board.state === "gone" || apart(board) ? "error" : board.state;
       text(parts.loaded, board.loaded || "nothing loaded");
       text(parts.labels, board.labels.join(" "));
       text(parts.note, board.note);
@@ -29,6 +30,15 @@ export class Fleet {
     });
     empty(node, !fleet.boards.length, "No board's bridge is there.");
   }
+}
+
+// Not while it is on its way.
+const apart = (board) => board.differs && board.state !== "gone";
+
+function listed(what, fleet, which) {
+  const names = fleet.boards.filter(which).map((board) => board.name);
+  const shown = names.slice(0, 10).join(", ") + (names.length > 10 ? ` and ${names.length - 10} more` : "");
+  return names.length ? `${what}: ${shown}. ` : "";
 }
 
 function agreement(fleet) {

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Queries that reach a board's bridge: each is answered, with what its manager says or with a Reply that refuses it.
+
+An input is a key, the selector's parameters, a payload and what travels beside it; JSON where the first byte is odd.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any
+
+import zenoh
+from pieces import join, split
+
+from cm.errors import CmError
+from cm.fleet import names
+from cm.fleet.bridge.commands import Commands
+from cm.fleet.bridge.queries import Queries
+from cm.fleet.bridge.reading import Reader
+from cm.fleet.change.given import Planned
+from cm.fleet.change.member import OPEN
+from cm.fleet.change.participant import Participant
+from cm.messages.fleet import FetchBundle, FleetRecord, FleetStep
+from cm.messages.status import ErrorInfo
+from cm.wire import cm_pb2 as pb
+from cm.wire.fleet import encode_answer, encode_fetch
+from cm.wire.fleet_records import decode_record, encode_record, encode_step
+
+PACKAGES = ("cm.fleet", "cm.wire")
+MAX_LENGTH = 4096
+
+_REFUSED = encode_answer(ErrorInfo("unknown", "the manager of this fuzzer knows nothing"))
+
+
+class _Disk:
+    def __init__(self) -> None:
+        self.files: dict[str, bytes] = {}
+
+    def read(self, change: str) -> FleetRecord | None:
+        return decode_record(self.files[change]) if change in self.files else None
+
+    def last(self) -> FleetRecord | None:
+        own = (self.read(change) for change in reversed(self.files))
+        return next((record for record in own if record is not None and record.state != OPEN), None)
+
+    def write(self, record: FleetRecord) -> None:
+        self.files[record.id] = encode_record(record)
+
+
+class _Manager:
+    """What the bridge has of its manager and its fleet: everything works, and nothing is known."""
+
+    def guest(self, caller: str) -> str:
+        return f"zenoh:{caller}"
+
+    async def forward(self, frames: list[bytes], guest: str = "", timeout: float = 0.0) -> list[bytes]:
+        assert all(isinstance(frame, bytes) for frame in frames)
+        return [b"", _REFUSED]
+
+    async def ask(self, asked: Any, guest: str = "", timeout: float | None = None) -> Any:
+        if isinstance(asked, list):  # boards, of which none answers
+            return {}
+        raise CmError("nothing is known")
+
+    async def where(self) -> tuple[str, str]:
+        return "camera", "default"
+
+    async def plan(self, config: str, mode: str, caller: str) -> Planned:
+        return Planned(config, mode, 0.1, 1)
+
+    async def hold(self, record: FleetRecord) -> None: ...
+
+    async def release(self, record: FleetRecord) -> None: ...
+
+    async def load(self, config: str, mode: str, caller: str) -> float:
+        return 0.1
+
+
+class _Query:
+    """As zenoh hands one out."""
+
+    def __init__(self, key: Any, parameters: Any, payload: bytes | None, attachment: bytes | None, json: bool) -> None:
+        self.key_expr, self.parameters = key, parameters
+        self.payload, self.attachment = payload, attachment
+        self.encoding = "application/json" if json else ""
+        self.answers: list[tuple[bytes, str]] = []
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def reply(self, key: str, payload: bytes, encoding: str = "", attachment: bytes | None = None) -> None:
+        assert self.key_expr.intersects(zenoh.KeyExpr(key)), (str(self.key_expr), key)
+        self.answers.append((attachment or payload, encoding))
+
+    def reply_err(self, payload: bytes, encoding: str = "") -> None:
+        self.answers.append((payload, encoding))
+
+
+def seeds() -> list[bytes]:
+    step = encode_step(FleetStep("c1", "camera", "edge", ("b1",), ("b1", "b2"), keep=True, ballot=1))
+    fetch = encode_fetch(FetchBundle("0" * 64, 5, ("1" * 64, "2" * 64), 4, "a.tar.gz"))
+    verbs = ("prepare", "apply", "vote", "decide", "settle")
+    found = [[f"cm/b1/do/{verb}/anna".encode(), b"", step, b""] for verb in verbs]
+    found += [
+        [b"cm/b1/do/bundle/anna", b"", fetch, b""],
+        [b"cm/b1/do/data/anna", b"", b"1234", pb.WriteData(stream="camera").SerializeToString()],
+        [b"cm/b1/do/reg/anna", b"format=json", b'{"writes": [{"name": "led", "value": 5}]}', b""],
+        [b"cm/b1/do/settle/anna", b"format=json", b'{"id": "c1", "ballot": "1", "policy": "all"}', b""],
+        [b"cm/*/reg/led", b"format=json", b"", b""],
+        [b"cm/b1/config", b"plan=edge;config=camera", b"", b""],
+        [b"cm/b1/frames/camera", b"", b"", b""],
+    ]
+    return [bytes([number & 1]) + join(each) for number, each in enumerate(found)]
+
+
+def one(data: bytes) -> None:
+    pieces = [*split(data[1:]), b"", b"", b"", b""]
+    try:
+        key = zenoh.KeyExpr(pieces[0].decode())
+        parameters = zenoh.Parameters(pieces[1].decode())
+    except (UnicodeDecodeError, zenoh.ZError):
+        return  # nothing that the network would have carried
+    if not key.intersects(zenoh.KeyExpr("cm/b1/**")):
+        return
+    json = bool(data[0] & 1)
+    query = _Query(key, parameters, pieces[2] or None, pieces[3] or None, json)
+    asyncio.run(_answered(query))
+    for payload, encoding in query.answers:
+        if encoding == "application/json":
+            payload.decode()
+        elif encoding.endswith("cm.Reply"):
+            pb.Reply.FromString(payload)
+
+
+async def _answered(query: _Query) -> None:
+    manager: Any = _Manager()
+    participant = Participant("b1", _Disk(), manager, manager, lambda: 0.0)
+    commands = Commands(manager, participant, manager, _no_bundle)
+    session: Any = SimpleNamespace(declare_queryable=lambda *_, **__: None)
+
+    async def status() -> bytes:
+        return pb.Status(config_name="camera", mode="default").SerializeToString()
+
+    queries = Queries("b1", session, Reader("b1", manager, status), commands)
+    await queries._answer(query)
+    assert query.answers or names.WILD & set(str(query.key_expr)), "nobody was told anything"
+    await participant.go_on()  # whatever was written down can be gone on from
+
+
+async def _no_bundle(bundle: FetchBundle, caller: str) -> Any:
+    raise CmError("this board takes no archives")

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which boards are not where their fleet is: in the words of a status, and of the page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cm.fleet.change import member
+from cm.fleet.standing import difference, disagreeing, stands_apart
+from cm.messages.fleet import BoardStatus, ClockSync, Decision, FleetRecord
+from cm.messages.status import ErrorInfo, Status
+
+RECORD = FleetRecord(
+    "c1", member.PREPARED, "camera", "edge", "camera", "default", ("b1", "b2", "b3"), caller="anna", deadline=100.0
+)
+FAILED = replace(RECORD, state=member.FAILED, decision=Decision.KEEP, error=ErrorInfo("load_failed", "CRC"))
+
+
+def status(record: FleetRecord | None, mode: str = "default", now: float = 50.0) -> BoardStatus:
+    return BoardStatus(Status("camera", mode), clock=ClockSync(now_ns=int(now * 1e9)), fleet=record)
+
+
+SAID = [
+    (status(None), "", False),
+    (status(RECORD), "change c1 of anna: prepared", False),
+    (status(RECORD, now=101.0), "change c1 of anna: prepared, waits for b1, b2, b3 to say what was decided", True),
+    (status(FAILED), "change c1 of anna was kept, but failed here: CRC", True),
+    (status(FAILED, mode="edge"), "", False),  # somebody loaded it since
+    (status(replace(RECORD, state=member.NEW, decision=Decision.KEEP), mode="edge"), "", False),
+    (status(replace(RECORD, state=member.OPEN, decision=Decision.REVERT)), "", False),
+    (
+        status(replace(FAILED, state=member.STUCK, decision=Decision.REVERT), mode=""),
+        "change c1 of anna was taken back, but this board could not go back: CRC",
+        True,
+    ),
+]
+
+
+@pytest.mark.parametrize(("board", "words", "apart"), SAID)
+def test_a_board_says_why_it_is_not_where_its_fleet_is(board: BoardStatus, words: str, apart: bool) -> None:
+    assert (difference(board), stands_apart(board)) == (words, apart)
+
+
+def test_boards_that_hold_different_decisions_about_one_change_are_all_named() -> None:
+    kept = status(replace(RECORD, state=member.NEW, decision=Decision.KEEP))
+    back = status(replace(RECORD, state=member.OLD, decision=Decision.REVERT))
+    found = disagreeing({"b1": kept, "b2": back, "b3": kept, "b4": ErrorInfo("no_answer", "it is gone")})
+    assert found == dict.fromkeys(("b1", "b2", "b3"), "change c1 was decided differently: b1, b3: keep; b2: revert")
+    assert disagreeing({"b1": kept, "b3": kept}) == {}
