@@ -6,12 +6,13 @@ from __future__ import annotations
 import argparse
 
 from cm.cli.bridge_dds import add_dds_parser
+from cm.cli.bridge_rmw_zenoh import add_rmw_zenoh_parser
 from cm.cli.bridge_zenoh import add_zenoh_parser
 
 _DESCRIPTION = """\
-Connect a board to another network: as a ROS 2 node on DDS, or as a member of a fleet over zenoh. A bridge is a client
-like any other, with this user's rights or those of --keys. It runs until it is interrupted, and waits for a manager
-that goes away."""
+Connect a board to another network: as a ROS 2 node on DDS or zenoh, or as a member of a fleet over zenoh. A bridge is a
+client like any other, with this user's rights or those of --keys. It runs until it is interrupted, and waits for a
+manager that goes away."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -19,4 +20,5 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser = subparsers.add_parser("bridge", help="connect a board to another network", description=_DESCRIPTION)
     actions = parser.add_subparsers(dest="action", metavar="NETWORK", required=True)
     add_dds_parser(actions)
+    add_rmw_zenoh_parser(actions)
     add_zenoh_parser(actions)

@@ -16,6 +16,7 @@ from cm.dds.library import Library, Taken
 from cm.dds.types import Raw
 from cm.errors import InvalidRequest
 from cm.ros import cdr
+from cm.ros.samples import hand_on
 from cm.ros.transport import Body
 
 _HEAD = 4096  # bytes within which all fields before the frame's are
@@ -33,17 +34,6 @@ class _Within:
 
     def into(self, target: npt.NDArray[np.uint8]) -> None:
         self._sample.copy(self._offset, target.__array_interface__["data"][0], self.length)
-
-
-class Copied:
-    """Bytes that the Python API has copied already."""
-
-    def __init__(self, data: memoryview) -> None:
-        self._data, self.length = data, len(data)
-
-    def into(self, target: npt.NDArray[np.uint8]) -> None:
-        """Copy them all."""
-        target[:] = np.frombuffer(self._data, np.uint8)
 
 
 def taking(library: Library | None, reader: DataReader, kind: str, take: Take) -> Callable[[], None]:
@@ -68,12 +58,4 @@ def _by_python(reader: DataReader, kind: str, take: Take) -> None:
     while samples := reader.take(N=4):
         for sample in samples:
             if isinstance(sample, Raw):
-                logged(partial(_decoded, sample, kind, take))
-
-
-def _decoded(sample: Raw, kind: str, take: Take) -> None:
-    values, length, offset = cdr.decode_head(kind, sample.data)
-    data = memoryview(sample.data)[offset : offset + length]
-    if len(data) != length:
-        raise InvalidRequest(f"{length} bytes are said to follow, {len(data)} do")
-    take(values, Copied(data))
+                logged(partial(hand_on, kind, sample.data, take))

@@ -16,6 +16,7 @@ from cyclonedds.pub import DataWriter
 from cm.bridge.records import FrameRecord
 from cm.dds.library import Library, Pieces
 from cm.ros import cdr
+from cm.ros.samples import Gathering
 from cm.ros.transport import Values
 
 _LOG = logging.getLogger("cm.dds")
@@ -33,7 +34,7 @@ class DdsPublisher:
         self._lock = threading.Lock()
         self._library = library
         self._pieces: Pieces | None = None
-        self._buffer = bytearray()
+        self._gathering = Gathering(align=4)
         self._copies = 0
 
     @property
@@ -62,7 +63,7 @@ class DdsPublisher:
                 self._pieces = _proved(self._library, self.writer, self._kind) if self._library is not None else None
                 self._copies = 2 if self._pieces is None else 1
             if self._pieces is None:
-                self._send(self._gathered(start, data))
+                self._send(self._gathering.gathered(start, data))  # the copy of ours, before that of the Python API
                 return
             try:
                 self._pieces.write(start, _rows(data), data.nbytes)
@@ -72,15 +73,6 @@ class DdsPublisher:
     def _send(self, sample: bytes | bytearray) -> None:
         if ddspy_write(self.writer._ref, sample) < 0:
             _LOG.warning("%s: DDS did not take the sample", self._kind)
-
-    def _gathered(self, head: bytearray, data: npt.NDArray[Any]) -> bytearray:
-        """Head and frame in a buffer that is used again: the copy of ours, before that of the Python API."""
-        total = len(head) + data.nbytes
-        if len(self._buffer) != total + -total % 4:
-            self._buffer = bytearray(total + -total % 4)
-        self._buffer[: len(head)] = head
-        np.frombuffer(self._buffer, data.dtype, data.size, len(head)).reshape(data.shape)[...] = data
-        return self._buffer
 
     def listeners(self) -> int:
         """How many readers match."""

@@ -9,7 +9,7 @@ from typing import Any
 from cyclonedds.idl import IdlStruct, make_idl_struct, types
 from cyclonedds.idl.annotations import final
 
-from cm.ros.definitions import Field, message
+from cm.ros.definitions import Field, dds_name, message
 
 _KINDS: dict[str, Any] = {
     "bool": bool, "byte": types.byte, "int8": types.int8, "uint8": types.uint8, "int16": types.int16,
@@ -28,17 +28,11 @@ class Raw:
         self.sample_info: Any = None
 
 
-def type_name(name: str) -> str:
-    """``sensor_msgs/msg/Image`` as ROS calls it in DDS: ``sensor_msgs::msg::dds_::Image_``."""
-    package, kind, own = name.split("/")
-    return f"{package}::{kind}::dds_::{own}_"
-
-
 @cache
 def struct(name: str) -> Any:
     """A message's type, with its fields for whom they can tell something."""
     fields = {field.name: _field(field) for field in message(name).fields}
-    return final(make_idl_struct(name.rpartition("/")[2], type_name(name), fields))
+    return final(make_idl_struct(name.rpartition("/")[2], dds_name(name), fields))
 
 
 @cache
@@ -46,7 +40,7 @@ def sample_type(name: str, service: bool = False) -> Any:
     """The type of a topic, whose samples are `Raw`; of a service's with the header that Cyclone's RMW puts before."""
     fields: dict[str, Any] = {"header_guid": types.uint64, "header_sequence": types.int64} if service else {}
     fields.update({field.name: _field(field) for field in message(name).fields})
-    return final(make_idl_struct(name.rpartition("/")[2], type_name(name), fields, bases=(_Bytes,)))
+    return final(make_idl_struct(name.rpartition("/")[2], dds_name(name), fields, bases=(_Bytes,)))
 
 
 class _Bytes(IdlStruct):  # type: ignore[misc]

@@ -21,6 +21,7 @@ PRIMITIVES = frozenset(
 _ALIASES = {"char": "uint8", "builtin_interfaces/Time": "builtin_interfaces/msg/Time"}
 _TYPE = re.compile(r"([\w/]+)(?:<=(\d+))?(?:\[(<=)?(\d+)?(\])?)?")
 _NEEDS_ONE = "uint8 structure_needs_at_least_one_member"  # what rosidl puts where a message has no field
+_EVENT_INFO = "service_msgs/msg/ServiceEventInfo"
 _UUID, _TIME = "unique_identifier_msgs/msg/UUID", "builtin_interfaces/msg/Time"
 
 
@@ -48,7 +49,7 @@ class Message:
 
 @cache
 def message(name: str) -> Message:
-    """The message of that name; of a service ``_Request`` and ``_Response``, of an action what rosidl makes of it.
+    """The message of that name; what rosidl makes of a service or an action counts, too: ``Plan_Request``, ``Plan``.
 
     Raises NotFound.
     """
@@ -58,6 +59,12 @@ def message(name: str) -> Message:
     package = name.split("/")[0]
     fields = tuple(_field(line, package) for line in _lines(text)) or (_field(_NEEDS_ONE, package),)
     return Message(name, fields)
+
+
+def dds_name(name: str) -> str:
+    """``sensor_msgs/msg/Image`` as ROS's middlewares call it: ``sensor_msgs::msg::dds_::Image_``."""
+    package, kind, own = name.split("/")
+    return f"{package}::{kind}::dds_::{own}_"
 
 
 def names() -> tuple[str, ...]:
@@ -81,6 +88,7 @@ def _parts(name: str, text: str) -> Iterator[tuple[str, str]]:
     parts = re.split(r"^---$", text, flags=re.MULTILINE)
     if kind == "srv":
         yield from zip((f"{name}_Request", f"{name}_Response"), parts, strict=True)
+        yield from _service(name)
         return
     goal, result, feedback = (f"{name}_{part}" for part in ("Goal", "Result", "Feedback"))
     yield from zip((goal, result, feedback), parts, strict=True)
@@ -89,6 +97,15 @@ def _parts(name: str, text: str) -> Iterator[tuple[str, str]]:
     yield f"{name}_GetResult_Request", f"{_UUID} goal_id"
     yield f"{name}_GetResult_Response", f"int8 status\n{result} result"
     yield f"{name}_FeedbackMessage", f"{_UUID} goal_id\n{feedback} feedback"
+    yield from _service(f"{name}_SendGoal")
+    yield from _service(f"{name}_GetResult")
+
+
+def _service(name: str) -> Iterator[tuple[str, str]]:
+    """A service has a hash of its own: it is described as its request, its reply, and an event that tells of both."""
+    asked, replied, event = f"{name}_Request", f"{name}_Response", f"{name}_Event"
+    yield event, f"{_EVENT_INFO} info\n{asked}[<=1] request\n{replied}[<=1] response"
+    yield name, f"{asked} request_message\n{replied} response_message\n{event} event_message"
 
 
 def _lines(text: str) -> Iterator[str]:

@@ -57,6 +57,9 @@ STANDARD = MappingProxyType(
         "sensor_msgs/msg/RegionOfInterest": (
             "uint32 x_offset\nuint32 y_offset\nuint32 height\nuint32 width\nbool do_rectify"
         ),
+        "service_msgs/msg/ServiceEventInfo": (
+            "uint8 event_type\nbuiltin_interfaces/Time stamp\nchar[16] client_gid\nint64 sequence_number"
+        ),
         "std_msgs/msg/Header": "builtin_interfaces/Time stamp\nstring frame_id",
         "std_msgs/msg/String": "string data",
         "unique_identifier_msgs/msg/UUID": "uint8[16] uuid",

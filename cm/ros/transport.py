@@ -41,7 +41,7 @@ class Publisher(Protocol):
         """One whose last field is the frame's bytes; `head` are the others."""
 
     def listeners(self) -> int:
-        """How many subscribers there are."""
+        """How many subscribers there are; 1 for any where the middleware tells no more."""
 
     def close(self) -> None:
         """End it; twice is fine."""
@@ -75,5 +75,5 @@ class Transport(Protocol):
     def frames(self, topic: str, kind: str, qos: Qos, take: Callable[[dict[str, Any], Body], None]) -> Closing:
         """Listen to a topic whose last field is a frame's bytes: `take` gets the other fields, and copies these."""
 
-    def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> Closing:
+    def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> None:
         """Serve: `answer` may take its time, since each request has a thread; what it raises is logged."""

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real ROS 2 against both nodes of a board: rclpy sees and asks `cm bridge dds` as it does `cm_ros2`.
+"""Real ROS 2 against both nodes of a board: rclpy sees and asks `cm bridge dds`, or `rmw-zenoh`, as it does `cm_ros2`.
 
-Needs rclpy with rmw_cyclonedds_cpp and cm_interfaces built (docs/ros2.md), sourced into the environment.
+Needs rclpy and cm_interfaces built (docs/ros2.md), sourced into the environment, with rmw_cyclonedds_cpp, or what
+RMW_IMPLEMENTATION says: rmw_zenoh_cpp.
 """
 
 from __future__ import annotations
@@ -23,11 +24,9 @@ from cm.sim import Board as SimBoard
 
 if find_spec("rclpy") is None or find_spec("cm_interfaces") is None:
     pytest.skip("needs_rclpy: rclpy and cm_interfaces of a ROS 2 workspace", allow_module_level=True)
-pytest.importorskip("cyclonedds.domain")
-
-from dds_support import PATIENCE, Bridge, domain
-
-from cm.dds.local import loopback
+RMW = os.environ.get("RMW_IMPLEMENTATION", "rmw_cyclonedds_cpp")
+ZENOH = RMW == "rmw_zenoh_cpp"
+PATIENCE = 60.0
 
 pytestmark = pytest.mark.filterwarnings("default")  # what rclpy warns of is not ours
 
@@ -36,9 +35,6 @@ class Node:
     """A node of rclpy in this process, spun by a thread."""
 
     def __init__(self) -> None:
-        os.environ.update(
-            CYCLONEDDS_URI=loopback(), ROS_DOMAIN_ID=str(domain()), RMW_IMPLEMENTATION="rmw_cyclonedds_cpp"
-        )
         import rclpy
         from rclpy.executors import MultiThreadedExecutor
 
@@ -98,23 +94,53 @@ def lifecycle_node(manager: Manager) -> Iterator[None]:
 
 
 @contextmanager
-def dds_node(manager: Manager) -> Iterator[None]:
-    """`cm bridge dds`."""
-    bridge = Bridge(manager.runtime, "--namespace", "/lab")
+def bridge(manager: Manager) -> Iterator[None]:
+    """`cm bridge dds`, or `rmw-zenoh`."""
+    if ZENOH:
+        import zenoh_support
+
+        made: Any = zenoh_support.Bridge(manager.runtime, os.environ["ROUTER"], "--namespace", "/lab")
+    else:
+        import dds_support
+
+        made = dds_support.Bridge(manager.runtime, "--namespace", "/lab")
     try:
         yield
     finally:
-        bridge.stop()
+        made.stop()
+
+
+@contextmanager
+def network() -> Iterator[dict[str, str]]:
+    """The environment in which ROS's nodes meet, and nobody else."""
+    if not ZENOH:
+        pytest.importorskip("cyclonedds.domain")
+        from dds_support import domain
+
+        from cm.dds.local import loopback
+
+        yield {"CYCLONEDDS_URI": loopback(), "ROS_DOMAIN_ID": str(domain())}
+        return
+    from zenoh_support import DOMAIN, Router
+
+    router = Router()
+    try:
+        endpoints = f'connect/endpoints=["tcp/{router.where}"]'
+        yield {"ZENOH_CONFIG_OVERRIDE": endpoints, "ROS_DOMAIN_ID": str(DOMAIN), "ROUTER": router.where}
+    finally:
+        router.close()
 
 
 @pytest.fixture(scope="module")
 def ros() -> Iterator[Node]:
-    node = Node()
-    yield node
-    node.close()
+    with network() as environment:
+        os.environ.update(environment, RMW_IMPLEMENTATION=RMW)
+        node = Node()
+        yield node
+        node.close()
 
 
-@pytest.fixture(scope="module", params=[dds_node, lifecycle_node], ids=["dds", "cm_ros2"])
+@pytest.fixture(scope="module", params=[bridge, lifecycle_node], ids=["bridge", "cm_ros2"])
 def served(request: pytest.FixtureRequest, shared: tuple[Manager, SimBoard], ros: Node) -> Iterator[None]:
     with request.param(shared[0]):
         until(lambda: ("cm", "/lab") in ros.node.get_node_names_and_namespaces(), PATIENCE)

@@ -71,6 +71,7 @@ MAY = {
     "bridge": BASE | {"client", "messages", "schema", "wire"},
     "ros": BASE | {"bridge", "client", "messages", "schema.pictures"},
     "dds": BASE | {"bridge", "ros"},
+    "rmw_zenoh": BASE | {"bridge", "ros"},
     "conformance": BASE | {"client", "messages", "wire"},
     "testing": BASE | {"child", "client", "rtl", "sim"},
 }
@@ -114,7 +115,8 @@ LIBRARIES = {
     "tree_sitter_vhdl": {"build"},
     "yaml": {"build", "schema"},
     "zmq": {"bench", "cli", "client", "conformance", "daemon", "demo", "intake", "multipart", "zap"},
-    "zenoh": {"fleet"},
+    "xxhash": {"rmw_zenoh"},
+    "zenoh": {"fleet", "rmw_zenoh"},
 }
 FREE = {"bench", "cli", "demo"}  # may import all of ours; the baselines of the bench are libraries of their own
 

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the bridges that make a board a ROS 2 node share: the node's options, and its life."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import threading
+from typing import TYPE_CHECKING
+
+from cm.cli.common import add_connection_options
+from cm.errors import InvalidRequest
+
+if TYPE_CHECKING:
+    from cm.client.board import Board
+    from cm.ros.node import BoardNode, NodeName
+    from cm.ros.transport import Transport
+
+_MOST = 232  # domains have numbers to here
+
+
+def add_node_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a node: name, namespace, domain, whose rights, which publishers it hears."""
+    add_connection_options(parser)
+    parser.add_argument("--name", default="cm", help="the node's name (cm)")
+    parser.add_argument("--namespace", default="/", help="the node's namespace, such as /kria (/)")
+    parser.add_argument("--domain", type=int, metavar="N", help="the ROS domain (default: $ROS_DOMAIN_ID, or 0)")
+    parser.add_argument("--guest", default="", metavar="NAME", help="guest in whose name requests reach the manager")
+    parser.add_argument(
+        "--best-effort",
+        action="store_true",
+        help="receive from best-effort publishers too, whose lost frames are not repeated",
+    )
+
+
+def name_of(args: argparse.Namespace) -> NodeName:
+    """The node's name. Raises InvalidRequest for what is none."""
+    from cm.ros.node import NodeName
+
+    return NodeName(args.name, args.namespace)
+
+
+def domain_of(args: argparse.Namespace) -> int:
+    """The domain that was named, or ROS_DOMAIN_ID. Raises InvalidRequest for what is none."""
+    text = os.environ.get("ROS_DOMAIN_ID") or "0"
+    if args.domain is None and not text.isdecimal():
+        raise InvalidRequest(f"ROS_DOMAIN_ID is {text!r}; a number from 0 to {_MOST} is wanted")
+    number = int(text) if args.domain is None else int(args.domain)
+    if not 0 <= number <= _MOST:
+        raise InvalidRequest(f"domain {number}: a number from 0 to {_MOST} is wanted")
+    return number
+
+
+def serve(args: argparse.Namespace, transport: Transport, name: NodeName) -> None:
+    """Until interrupted."""
+    from cm.bridge.commands import Commands
+    from cm.bridge.follower import Follower
+    from cm.client.board import connect
+    from cm.ros.node import BoardNode
+    from cm.ros.transport import EVENTS, SENSOR_DATA
+
+    def connected(guest: str = "") -> Board:
+        return connect(args.connect, runtime_dir=args.runtime_dir, keys=args.keys, guest=guest)
+
+    commands = Commands(connected)
+    node = BoardNode(transport, name, commands, args.guest, SENSOR_DATA if args.best_effort else EVENTS)
+    follower = Follower(connected, node)
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    following = threading.Thread(target=follower.run, name="follower", daemon=True)
+    following.start()
+    print(f"cm bridge: {name.full}", file=sys.stderr, flush=True)
+    try:
+        _look(node, ended, following)
+    finally:
+        follower.stop()
+        following.join()
+        node.close()
+        commands.close()
+
+
+def _look(node: BoardNode, ended: threading.Event, following: threading.Thread) -> None:
+    while not ended.wait(node.look()):
+        if not following.is_alive():
+            raise InvalidRequest("the bridge's follower has ended; its messages are above")

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What comes from zenoh's threads, taken up by a thread of ours: zenoh's are the network's, and must not wait."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from cm.errors import CmError
+
+_LOG = logging.getLogger("cm.rmw_zenoh")
+
+
+class Inbox:
+    """The last `depth` that came; what is older is lost, as rmw_zenoh has it. `take` gets each."""
+
+    def __init__(self, name: str, depth: int, take: Callable[[Any], None]) -> None:
+        self._take = take
+        self._waiting: deque[Any] = deque(maxlen=depth)
+        self._turn = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def put(self, thing: Any) -> None:
+        """One more."""
+        with self._turn:
+            self._waiting.append(thing)
+            self._turn.notify()
+
+    def _run(self) -> None:
+        while (thing := self._next()) is not None:
+            logged(self._take, thing)
+
+    def _next(self) -> Any:
+        with self._turn:
+            self._turn.wait_for(lambda: self._closed or self._waiting)
+            return None if self._closed else self._waiting.popleft()
+
+    def close(self) -> None:
+        """End the thread, and wait for it; twice is fine."""
+        with self._turn:
+            self._closed = True
+            self._turn.notify()
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+
+
+def logged(work: Callable[[Any], None], thing: Any) -> None:
+    """What goes wrong with one message must not end the thread."""
+    try:
+        work(thing)
+    except CmError as error:
+        _LOG.warning("%s", error)
+    except Exception:  # noqa: BLE001
+        _LOG.exception("a message was not taken")

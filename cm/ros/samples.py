@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of frames in one piece, for transports whose library takes and gives no other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from cm.errors import InvalidRequest
+from cm.ros import cdr
+from cm.ros.transport import Body
+
+
+class Gathering:
+    """A buffer that is used again for each message; `align`: of its length in bytes."""
+
+    def __init__(self, align: int = 1) -> None:
+        self._align = align
+        self._buffer = bytearray()
+
+    def gathered(self, head: bytearray, data: npt.NDArray[Any]) -> bytearray:
+        """Head and frame, behind each other: one copy, whatever lies between the frame's rows. Good until the next."""
+        total = len(head) + data.nbytes
+        if len(self._buffer) != total + -total % self._align:
+            self._buffer = bytearray(total + -total % self._align)
+        self._buffer[: len(head)] = head
+        np.frombuffer(self._buffer, data.dtype, data.size, len(head)).reshape(data.shape)[...] = data
+        return self._buffer
+
+
+class Copied:
+    """The bytes of a frame that the library has copied already."""
+
+    def __init__(self, data: memoryview) -> None:
+        self._data, self.length = data, len(data)
+
+    def into(self, target: npt.NDArray[np.uint8]) -> None:
+        """Copy them all."""
+        target[:] = np.frombuffer(self._data, np.uint8)
+
+
+def hand_on(kind: str, message: bytes | memoryview, take: Callable[[dict[str, Any], Body], None]) -> None:
+    """`take` gets a message's fields, and its last one's bytes. Raises InvalidRequest for what is no such message."""
+    values, length, offset = cdr.decode_head(kind, message)
+    data = memoryview(message)[offset : offset + length]
+    if len(data) != length:
+        raise InvalidRequest(f"{length} bytes are said to follow, {len(data)} do")
+    take(values, Copied(data))

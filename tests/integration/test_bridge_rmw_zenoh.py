@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A board as a ROS 2 node over zenoh: what zenoh_ros2_sdk, which others wrote after rmw_zenoh, sees and asks of it."""
+
+from __future__ import annotations
+
+import queue
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from manager_process import REPOSITORY, Manager, until
+
+import cm
+from cm.sim import Board as SimBoard
+
+pytest.importorskip("zenoh")
+pytest.importorskip("xxhash")
+
+from zenoh_support import DOMAIN, PATIENCE, Bridge, Peer, Router
+
+from cm.ros.standard import STANDARD
+from cm.ros.transport import EVENTS, Qos
+from cm.ros.typehash import type_hash
+
+IMAGE = "sensor_msgs/msg/Image"
+
+
+@pytest.fixture(scope="module")
+def router() -> Iterator[Router]:
+    made = Router()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def peer(router: Router) -> Iterator[Peer]:
+    made = Peer(router.where)
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope="module")
+def bridge(shared: tuple[Manager, SimBoard], router: Router) -> Iterator[Bridge]:
+    """The shared manager as the node /lab/cm."""
+    made = Bridge(shared[0].runtime, router.where, "--namespace", "/lab", direct=True)
+    yield made
+    status, said = made.stop()
+    assert status == 0, said
+    assert "Traceback" not in said
+
+
+class Sdk:
+    """zenoh_ros2_sdk, told all interfaces, so that it fetches none."""
+
+    def __init__(self, router: Router) -> None:
+        import zenoh_ros2_sdk
+        from zenoh_ros2_sdk import ZenohSession
+
+        self.sdk = zenoh_ros2_sdk
+        self.place: dict[str, Any] = {"domain_id": DOMAIN, "router_ip": "127.0.0.1", "router_port": router.port}
+        session = ZenohSession.get_instance("127.0.0.1", router.port)
+        for name in ("builtin_interfaces/msg/Time", "std_msgs/msg/Header"):
+            session.register_message_type(STANDARD[name], name)
+        folder = REPOSITORY / "ros2" / "cm_interfaces" / "msg"
+        for name in ("Region", "Status", "RegisterField", "Register", "RegisterBank", "PlanStep"):
+            session.register_message_type((folder / f"{name}.msg").read_text(), f"cm_interfaces/msg/{name}")
+
+    def told(self, look: str, name: str) -> Any:
+        """What it finds of a name. It asks once, and zenoh's answer may lack what another link would have told."""
+        return until(lambda: dict(getattr(self.sdk, look)(**self.place)).get(name), PATIENCE)
+
+    def publisher_of(self, topic: str) -> Any:
+        """Its end, as `ros2 topic info --verbose` has it."""
+        return until(lambda: getattr(self._info(topic), "publishers", None), PATIENCE)[0]
+
+    def _info(self, topic: str) -> Any:
+        return self.sdk.get_topic_info(topic, verbose=True, **self.place)
+
+    def listening(self, topic: str, kind: str, definition: str, qos: str) -> tuple[Any, queue.Queue[Any]]:
+        """Of what was published before, its own search for publishers finds no topic with a / within: it is helped."""
+        place = self.place
+
+        class Subscriber(self.sdk.ROS2Subscriber):  # type: ignore[misc, name-defined]
+            def _discover_publishers(self) -> list[str]:
+                tokens = self.session_mgr.liveliness.get(f"@ros2_lv/{place['domain_id']}/*/*/*/MP/**")
+                parts = [str(reply.ok.key_expr).split("/") for reply in tokens]
+                return list({part[2] for part in parts if part[9] == topic.replace("/", "%")})
+
+        found: queue.Queue[Any] = queue.Queue()
+        made = Subscriber(
+            topic, kind, found.put, msg_definition=definition, type_hash=type_hash(kind), qos=qos, **self.place
+        )
+        return made, found
+
+    def client(self, name: str, kind: str) -> Any:
+        path: Path = REPOSITORY / "ros2" / "cm_interfaces" / "srv" / f"{kind.rpartition('/')[2]}.srv"
+        asked, replied = re.sub(r"^(?=[A-Z]\w+\[\] )", "cm_interfaces/", path.read_text(), flags=re.MULTILINE).split(
+            "---\n"
+        )
+        return self.sdk.ROS2ServiceClient(
+            name, kind, asked, replied, type_hash=type_hash(kind), timeout=PATIENCE, **self.place
+        )
+
+
+@pytest.fixture(scope="module")
+def sdk(router: Router, bridge: Bridge) -> Iterator[Sdk]:
+    pytest.importorskip("zenoh_ros2_sdk")
+    made = Sdk(router)
+    yield made
+    made.sdk.ZenohSession.get_instance().close()
+
+
+def test_the_graph_of_others_has_topics_services_hashes_and_quality(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
+    topics, services = "get_topic_names_and_types", "get_service_names_and_types"
+    assert sdk.told(topics, "/lab/cm/camera/image_raw") == [IMAGE]
+    assert sdk.told(topics, "/lab/cm/status") == ["cm_interfaces/msg/Status"]
+    assert sdk.told(services, "/lab/cm/set_mode") == ["cm_interfaces/srv/SetMode"]
+    assert sdk.told(services, "/lab/cm/get_parameters") == ["rcl_interfaces/srv/GetParameters"]
+    status = sdk.publisher_of("/lab/cm/status")
+    assert (status.node_name.strip("/"), status.node_namespace) == ("cm", "/lab")
+    assert status.type_hash == type_hash("cm_interfaces/msg/Status")
+    quality = sdk.sdk.qos.QosProfile.decode(status.qos)
+    assert (quality.durability.name, quality.history_depth) == ("TRANSIENT_LOCAL", 1)
+
+
+def test_others_get_the_latched_status_late(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
+    definition = (REPOSITORY / "ros2" / "cm_interfaces" / "msg" / "Status.msg").read_text()
+    came: list[Any] = []
+
+    def late() -> bool:  # it asks for what was published before when it is made, and once
+        made, found = sdk.listening("/lab/cm/status", "cm_interfaces/msg/Status", definition, ":1:,1:,:,:,,")
+        made.close()
+        while not found.empty():
+            came.append(found.get())
+        return bool(came) and came[-1].mode == "default"
+
+    until(late, PATIENCE)
+    assert (came[-1].config_name, came[-1].pr_mode, came[-1].regions[0].name) == ("camera", "idle", "prr0")
+
+
+def test_others_get_pictures_while_they_listen(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
+    def is_open() -> bool:
+        return next(stream for stream in board.status.streams if stream.name == "camera").open
+
+    until(lambda: not is_open(), PATIENCE)
+    made, found = sdk.listening("/lab/cm/camera/image_raw", IMAGE, STANDARD[IMAGE], "2::,5:,:,:,,")
+    image = found.get(timeout=PATIENCE)
+    assert is_open()
+    assert (image.encoding, image.height, image.width, image.step) == ("mono8", 480, 640, 640)
+    assert len(set(image.data.tolist())) > 10
+    made.close()
+    until(lambda: not is_open(), PATIENCE)
+
+
+def test_others_send_pictures_through_the_accelerator(bridge: Bridge, sdk: Sdk, peer: Peer, board: cm.Board) -> None:
+    board.mode = "loopback"
+    picture = np.random.default_rng(5).integers(0, 255, 480 * 640, np.uint8)
+    publisher = sdk.sdk.ROS2Publisher(
+        "/lab/cm/to_pl/write", IMAGE, msg_definition=STANDARD[IMAGE], type_hash=type_hash(IMAGE), **sdk.place
+    )
+    header = peer_header(sdk)
+    fields = {"header": header, "height": 480, "width": 640, "is_bigendian": 0, "step": 640, "data": picture}
+    with peer.listening("/lab/cm/from_pl/image_raw", IMAGE, Qos(5)) as back:
+
+        def came() -> bool:  # met on one side is not yet met on the other
+            publisher.publish(encoding="mono8", **fields)
+            return not back.empty()
+
+        until(came, PATIENCE)
+        assert bytes(back.get()["data"]) == picture.tobytes()
+        publisher.publish(encoding="rgb8", **fields)  # refused, logged
+    publisher.close()
+
+
+def peer_header(sdk: Sdk) -> Any:
+    types = sdk.sdk.ZenohSession.get_instance().store.types
+    return types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "eye")
+
+
+def test_others_call_services_and_hear_why_not(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
+    set_mode = sdk.client("/lab/cm/set_mode", "cm_interfaces/srv/SetMode")
+    assert set_mode.call(mode="edge_detection", lease="").success
+    assert board.mode == "edge_detection"
+    assert set_mode.call(mode="nowhere", lease="").code == "unknown_mode"
+    set_mode.close()
+    plan = sdk.client("/lab/cm/plan", "cm_interfaces/srv/Plan").call(config_name="", mode="default")
+    assert plan.success
+    assert {step.kind for step in plan.steps} >= {"load"}
+
+
+def test_registers_are_parameters_and_who_writes_them_is_told(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
+    def call(name: str, kind: str, **request: Any) -> dict[str, Any]:
+        return peer.call(f"/lab/cm/{name}", f"rcl_interfaces/srv/{kind}", **request)
+
+    with peer.listening("/parameter_events", "rcl_interfaces/msg/ParameterEvent", EVENTS) as events:
+        value = iter(range(1000))
+
+        def heard() -> bool:
+            good = {"name": "registers.focus", "value": {"type": 2, "integer_value": next(value) % 8 + 4}}
+            assert call("set_parameters", "SetParameters", parameters=[good])["results"][0]["successful"]
+            return not events.empty()
+
+        until(heard, PATIENCE)
+        assert events.get()["changed_parameters"][0]["name"] == "registers.focus"
+    (held,) = call("get_parameters", "GetParameters", names=["registers.focus"])["values"]
+    assert held["integer_value"] == board.registers["focus"]
+    bad = {"name": "registers.focus", "value": {"type": 2, "integer_value": 16}}
+    assert "15" in call("set_parameters", "SetParameters", parameters=[bad])["results"][0]["reason"]
+
+
+def test_the_action_tells_its_progress_and_is_cancelled(
+    own: tuple[Manager, SimBoard], peer: Peer, router: Router
+) -> None:
+    manager, sim = own
+    with manager.connected() as board:
+        board.load("camera")
+        bridge = Bridge(manager.runtime, router.where, "--name", "second")
+        action, own_type = "/second/change_mode/_action", "cm_interfaces/action/ChangeMode"
+
+        def call(name: str, kind: str, **request: Any) -> dict[str, Any]:
+            return peer.call(f"{action}/{name}", kind, **request)
+
+        first, second = {"uuid": bytes(range(16))}, {"uuid": bytes(range(1, 17))}
+        with peer.listening(f"{action}/feedback", f"{own_type}_FeedbackMessage", EVENTS) as feedback:
+            assert call("send_goal", f"{own_type}_SendGoal", goal_id=first, goal={"mode": "colorise"})["accepted"]
+            done = call("get_result", f"{own_type}_GetResult", goal_id=first)
+            assert (done["status"], done["result"]["success"]) == (4, True)
+            assert feedback.get(timeout=PATIENCE)["goal_id"]["uuid"] == first["uuid"]
+        sim.control.inject("icap_hang", count=1)
+        assert call("send_goal", f"{own_type}_SendGoal", goal_id=second, goal={"mode": "edge_detection"})["accepted"]
+        until(lambda: board.status.fpga_busy, PATIENCE)
+        cancelled = call("cancel_goal", "action_msgs/srv/CancelGoal", goal_info={"goal_id": second})
+        assert cancelled["return_code"] == 0
+        assert call("get_result", f"{own_type}_GetResult", goal_id=second)["status"] == 5
+        assert bridge.stop()[0] == 0
+
+
+def test_a_request_that_is_none_is_refused_and_the_service_goes_on(bridge: Bridge, peer: Peer) -> None:
+    name, kind = "/lab/cm/plan", "cm_interfaces/srv/Plan"
+    assert "attachment" in peer.ask(name, kind, b"\0\1\0\0", None).err.payload.to_string()
+    whole = bytes(8) + bytes(8) + b"\x10" + bytes(16)
+    assert "CDR" in peer.ask(name, kind, b"nonsense", whole).err.payload.to_string()
+    assert peer.call(name, kind, mode="edge_detection")["success"]
+
+
+def test_a_node_that_is_gone_is_gone_from_the_graph(own: tuple[Manager, SimBoard], peer: Peer, router: Router) -> None:
+    bridge = Bridge(own[0].runtime, router.where, "--name", "third", "--best-effort")
+
+    def tokens() -> list[str]:
+        found = (str(reply.ok.key_expr) for reply in peer.session.liveliness().get(f"@ros2_lv/{DOMAIN}/**"))
+        return [token for token in found if "/%/third" in token]
+
+    until(lambda: len(tokens()) > 20, PATIENCE)
+    bridge.process.kill()
+    bridge.process.wait()
+    until(lambda: not tokens(), PATIENCE)
+    bridge.process.stderr.close()  # type: ignore[union-attr]
+
+
+def test_the_command_says_what_is_wrong(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from cm.cli.main import main
+
+    assert main(["bridge", "rmw-zenoh", "--router", "kria:"]) == 1
+    assert "HOST" in capfd.readouterr().err
+    assert main(["bridge", "rmw-zenoh", "--domain", "999"]) == 1
+    assert "232" in capfd.readouterr().err
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", "mode")
+    assert main(["bridge", "rmw-zenoh"]) == 1
+    assert "KEY=VALUE" in capfd.readouterr().err
+    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", 'no/such="thing"')
+    assert main(["bridge", "rmw-zenoh"]) == 1
+    assert "no/such" in capfd.readouterr().err
