@@ -23,7 +23,10 @@ def add_rmw_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentPa
     )
     add_node_options(parser)
     parser.add_argument(
-        "--router", default="", metavar="HOST[:PORT]", help="send everything through this router instead, such as one on another machine"
+        "--router",
+        default="",
+        metavar="HOST[:PORT]",
+        help="send everything through this router instead, such as one on another machine",
     )
     parser.set_defaults(run=run)
 

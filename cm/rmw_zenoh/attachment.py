@@ -28,6 +28,8 @@ class Attachment:
     def from_bytes(cls, data: bytes) -> Attachment:
         """Raises InvalidRequest for what is none."""
         if len(data) != _LAYOUT.size or data[16] != _GID:
-            raise InvalidRequest(f"this is not an attachment of rmw_zenoh (since Jazzy): {data[:40].hex(' ') or 'nothing'}")
+            raise InvalidRequest(
+                f"this is not an attachment of rmw_zenoh since Jazzy: {data[:40].hex(' ') or 'nothing'}"
+            )
         number, stamp_ns, _, gid = _LAYOUT.unpack(data)
         return cls(number, stamp_ns, gid)
