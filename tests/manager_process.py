@@ -27,7 +27,7 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(REPOSITORY)}
 
 
-def until(condition: Callable[[], _T], timeout: float = 20.0) -> _T:
+def until(condition: Callable[[], _T], timeout: float = 60.0) -> _T:
     """Poll for what nothing announces; returns the first true value."""
     end = time.monotonic() + timeout
     while time.monotonic() < end:
@@ -91,7 +91,7 @@ class Manager:
 
     @contextlib.contextmanager
     def connected(self) -> Iterator[cm.Board]:
-        with cm.connect(runtime_dir=self.runtime, timeout=20) as board:
+        with cm.connect(runtime_dir=self.runtime, timeout=60) as board:
             yield board
 
 

@@ -76,11 +76,11 @@ def _all_is_given_back(board: cm.Board) -> None:
 
     stream = until(alone)
     assert stream.slots <= 2 * READERS * DEPTH, f"{stream.slots} slots for {READERS} readers"
-    with board.stream("from_pl", depth=1) as reader, board.writer("to_pl", timeout=10) as writer:
+    with board.stream("from_pl", depth=1) as reader, board.writer("to_pl", timeout=60) as writer:
         places = set()
         for number in range(2 * stream.slots):
             writer.write(np.full(WORDS, number, np.uint64))
-            frame = reader.read(timeout=10)
+            frame = reader.read(timeout=60)
             assert (frame == number).all()
             places.add(frame.__array_interface__["data"][0])
             del frame
@@ -123,7 +123,7 @@ def _produce(board: cm.Board, manager: Manager, seconds: float, seed: int) -> Ou
     command = [sys.executable, str(script), str(manager.runtime), "from_pl", str(READERS), str(seconds), str(seed)]
     readers = subprocess.Popen(command, stdout=subprocess.PIPE, env=environment())
     produced, longest = 0, 0.0
-    with readers, board.writer("to_pl", timeout=10) as writer:
+    with readers, board.writer("to_pl", timeout=60) as writer:
         last = time.monotonic()
         while readers.poll() is None:
             writer.write(np.full(WORDS, produced, np.uint64))

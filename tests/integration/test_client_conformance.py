@@ -75,7 +75,7 @@ def reach(request: pytest.FixtureRequest, both: tuple[Manager, SimBoard]) -> tup
 @pytest.fixture
 def board(reach: tuple[str, dict[str, Any]]) -> Iterator[Any]:
     kind, how = reach
-    with connected(kind, timeout=20, **how) as connected_:
+    with connected(kind, timeout=60, **how) as connected_:
         connected_.load("camera", "default", force=True)
         yield connected_
 
@@ -83,7 +83,7 @@ def board(reach: tuple[str, dict[str, Any]]) -> Iterator[Any]:
 @pytest.fixture
 def other(reach: tuple[str, dict[str, Any]]) -> Iterator[Any]:
     """Another client of the same board."""
-    with cm.connect(timeout=20, **reach[1]) as connected_:
+    with cm.connect(timeout=60, **reach[1]) as connected_:
         yield connected_
 
 
@@ -175,7 +175,7 @@ def test_a_plan_says_what_would_be_done(board: Any) -> None:
 
 
 def test_watching_begins_with_what_is(board: Any) -> None:
-    with board.watch(timeout=20) as watch:
+    with board.watch(timeout=60) as watch:
         assert watch.next().config_name == "camera"
         board.set_mode("edge_detection")
         assert any(next(watch).mode == "edge_detection" for _ in range(40))
@@ -320,7 +320,7 @@ def test_every_write_and_every_change_is_a_generation_of_its_own(board: Any, oth
 
 
 def test_writes_are_told_to_who_listens(board: Any, other: Any) -> None:
-    with board.registers.events("focus", timeout=20) as listening:
+    with board.registers.events("focus", timeout=60) as listening:
         other.registers.write({"zoom": 1})
         other.registers.write({"focus": 6})
         heard = [listening.next()]
@@ -334,7 +334,7 @@ def test_writes_are_told_to_who_listens(board: Any, other: Any) -> None:
 
 def test_no_interrupt_is_lost_between_asking_and_waiting(board: Any, sim: SimBoard) -> None:
     for _ in range(10):
-        with board.interrupts["frame_done"].events(timeout=20) as listening:
+        with board.interrupts["frame_done"].events(timeout=60) as listening:
             before = board.interrupts["frame_done"].count
             sim.control.interrupt("frame_done")
             assert listening.next().count == before + 1
@@ -373,7 +373,7 @@ def test_interrupts_have_names(board: Any) -> None:
 
 @pytest.mark.parametrize("newest", [False, True])
 def test_frames_come_in_their_shape(board: Any, newest: bool) -> None:
-    with board.stream("camera", timeout=20, newest=newest) as frames:
+    with board.stream("camera", timeout=60, newest=newest) as frames:
         assert frames.name == "camera"
         sequences = [frames.read().sequence for _ in range(3)]
         assert sequences == sorted(set(sequences))
@@ -385,14 +385,14 @@ def test_frames_come_in_their_shape(board: Any, newest: bool) -> None:
 @pytest.mark.parametrize("newest", [False, True])
 def test_the_first_frame_after_a_write_shows_what_was_written(board: Any, sim: SimBoard, newest: bool) -> None:
     sharp, blurred = (set(_pictures(focus)) for focus in (1, 4))
-    with board.stream("camera", timeout=20, newest=newest) as frames:
+    with board.stream("camera", timeout=60, newest=newest) as frames:
         for _ in range(5):
             for focus, right in ((4, blurred), (1, sharp)):
                 written = board.registers.write({"focus": focus})
                 frame = frames.after(written)
                 assert frame.generation == frame.info.generation == written.generation
                 assert frame.tobytes() in right
-        kept = frames.after(board.registers.generation, timeout=20)
+        kept = frames.after(board.registers.generation, timeout=60)
         assert pickle.loads(pickle.dumps(kept)).generation == written.generation
 
 
@@ -403,7 +403,7 @@ def _pictures(focus: int) -> Iterator[bytes]:
 
 
 def test_a_write_that_is_still_to_come_is_waited_for_as_long_as_was_said(board: Any) -> None:
-    with board.stream("camera", timeout=20) as frames:
+    with board.stream("camera", timeout=60) as frames:
         with pytest.raises(Timeout, match=r"generation \d+ within 0\.3 s"):
             frames.after(board.registers.generation + 1, timeout=0.3)
         with pytest.raises(InvalidRequest, match=r"registers\.write"):
@@ -426,13 +426,13 @@ def test_an_unknown_stream_is_an_error_when_it_is_opened(board: Any) -> None:
 
 def test_frames_are_read_and_written_with_a_copy(board: Any) -> None:
     board.set_mode("loopback")
-    with board.stream("from_pl", timeout=20) as frames:
+    with board.stream("from_pl", timeout=60) as frames:
         frames.open()
         until(lambda: next(s for s in board.status.streams if s.name == "from_pl").open)
         assert board.write("to_pl", PICTURE).length == PICTURE.nbytes
         assert (frames.read() == PICTURE).all()
     board.set_mode("default")
-    assert board.read("camera", timeout=20.0).shape == (480, 640)
+    assert board.read("camera", timeout=60).shape == (480, 640)
 
 
 def test_a_stream_can_be_set(board: Any) -> None:
@@ -450,7 +450,7 @@ def test_slots_are_borrowed_filled_and_sent(board: Any, reach: tuple[str, dict[s
         with pytest.raises(InvalidRequest, match="only its own machine has"):
             board.echo(100).close()
         return
-    with board.stream("from_pl", timeout=20) as frames, board.writer("to_pl", timeout=20) as sender:
+    with board.stream("from_pl", timeout=60) as frames, board.writer("to_pl", timeout=60) as sender:
         with sender.slot() as slot:
             slot[...] = PICTURE
         assert (frames.read() == PICTURE).all()
@@ -458,7 +458,7 @@ def test_slots_are_borrowed_filled_and_sent(board: Any, reach: tuple[str, dict[s
         sender.flush()
         assert sender.under_way == 0
         assert (frames.read() == PICTURE).all()
-    with board.echo(4096, timeout=20) as echo:
+    with board.echo(4096, timeout=60) as echo:
         assert echo.round_trip() is not None
 
 
@@ -467,7 +467,7 @@ def test_memory_for_the_pl_is_an_array_with_an_address(board: Any, reach: tuple[
         with pytest.raises(InvalidRequest, match="only its own machine has"):
             board.allocate(16)
         return
-    array, other = board.allocate((4, 1024), "uint32", timeout=20), board.allocate(16)
+    array, other = board.allocate((4, 1024), "uint32", timeout=60), board.allocate(16)
     assert (array.shape, array.dtype, int(array.sum())) == ((4, 1024), np.uint32, 0)
     assert array[1:].device_address == array.device_address + 4096
     assert abs(other.device_address - array.device_address) >= 4096
@@ -502,9 +502,9 @@ def test_memories_are_arrays_by_name(board: Any) -> None:
 
 def test_after_its_end_a_board_says_so_whatever_is_asked(reach: tuple[str, dict[str, Any]]) -> None:
     kind, how = reach
-    with connected(kind, timeout=20, **how) as board:
+    with connected(kind, timeout=60, **how) as board:
         board.load("camera", "default")
-        stream_, watch = board.stream("camera", timeout=20), board.watch()
+        stream_, watch = board.stream("camera", timeout=60), board.watch()
         stream_.open()
         handle = board.load_async("camera", "default")
         assert "closed" not in repr(board)
@@ -532,7 +532,7 @@ def test_after_its_end_a_board_says_so_whatever_is_asked(reach: tuple[str, dict[
 @pytest.mark.parametrize("way", ["ipc", "tcp"])
 def test_who_waits_hears_at_once_of_a_manager_that_dies(kind: str, way: str) -> None:
     with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _), ExitStack() as clients:
-        board = clients.enter_context(connected(kind, timeout=20, **reached(manager, way)))
+        board = clients.enter_context(connected(kind, timeout=60, **reached(manager, way)))
         board.load("camera", "default")
         asked: list[BaseException] = []
 
@@ -620,7 +620,7 @@ def test_every_public_method_of_a_board_is_tried_here() -> None:
 
 @pytest.fixture
 def plain(both: tuple[Manager, SimBoard]) -> Iterator[cm.Board]:
-    with cm.connect(runtime_dir=both[0].runtime, timeout=20) as board:
+    with cm.connect(runtime_dir=both[0].runtime, timeout=60) as board:
         board.load("camera", "default", force=True)
         yield board
 
@@ -647,7 +647,7 @@ def test_a_misspelt_name_never_changes_hardware_silently(plain: cm.Board) -> Non
 
 
 def test_asyncio_says_what_to_write_instead_of_an_assignment(both: tuple[Manager, SimBoard]) -> None:
-    with connected("asyncio", runtime_dir=both[0].runtime, timeout=20) as board:
+    with connected("asyncio", runtime_dir=both[0].runtime, timeout=60) as board:
         with pytest.raises(AttributeError, match=r"await board\.set_mode"):
             board.mode = "edge_detection"
         with pytest.raises(TypeError, match=r"await board\.registers\.write"):
@@ -659,7 +659,7 @@ def test_asyncio_says_what_to_write_instead_of_an_assignment(both: tuple[Manager
 
 
 def test_a_frame_keeps_what_is_known_of_it_when_it_is_pickled(plain: cm.Board) -> None:
-    with plain.stream("camera", timeout=20) as frames:
+    with plain.stream("camera", timeout=60) as frames:
         frame = frames.read()
         again = pickle.loads(pickle.dumps(frame))
         assert (again == frame).all()
@@ -670,10 +670,10 @@ def test_a_frame_keeps_what_is_known_of_it_when_it_is_pickled(plain: cm.Board) -
 
 
 CHAINS = {
-    "stream": "cm.connect(runtime_dir=D).stream('camera', timeout=20)",
-    "newest": "cm.connect(runtime_dir=D).stream('camera', timeout=20, newest=True)",
-    "far": "cm.connect(E).stream('camera', timeout=20)",
-    "far newest": "cm.connect(E).stream('camera', timeout=20, newest=True)",
+    "stream": "cm.connect(runtime_dir=D).stream('camera', timeout=60)",
+    "newest": "cm.connect(runtime_dir=D).stream('camera', timeout=60, newest=True)",
+    "far": "cm.connect(E).stream('camera', timeout=60)",
+    "far newest": "cm.connect(E).stream('camera', timeout=60, newest=True)",
 }
 
 
@@ -700,10 +700,10 @@ gc.collect()
 board = cm.connect(runtime_dir=where)
 kept = [board.load_async(mode="default"), board.watch(), board.interrupts["frame_done"].events()]
 kept += [board.stream("camera"), kept]
-kept[3].read(timeout=20)
+kept[3].read(timeout=60)
 del board, kept
 gc.collect()
-left = cm.connect(runtime_dir=where).stream("camera", timeout=20)
+left = cm.connect(runtime_dir=where).stream("camera", timeout=60)
 left.read()
 print("done")
 """

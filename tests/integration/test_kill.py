@@ -84,7 +84,7 @@ def test_a_killed_board_is_reported_and_served_again_when_it_is_back(own: Own) -
         sim.restart()
         until(lambda: board.status.config_name == "")
         board.load("camera", "edge_detection")
-        assert board.read("camera", timeout=5).shape == (480, 640)
+        assert board.read("camera", timeout=60).shape == (480, 640)
 
 
 def test_going_to_the_mode_that_is_loaded_asks_the_board_whether_it_is_there(own: Own) -> None:
@@ -104,7 +104,7 @@ def test_going_to_the_mode_that_is_loaded_asks_the_board_whether_it_is_there(own
         sim.restart()
         until(lambda: board.status.config_name == "")
         board.load("camera", "default")
-        assert board.read("camera", timeout=20).shape == (480, 640)
+        assert board.read("camera", timeout=60).shape == (480, 640)
 
 
 @pytest.mark.parametrize("port", [True, False])
@@ -175,7 +175,7 @@ def test_serve_sim_starts_a_board_again_that_was_killed(runtime) -> None:  # typ
 def _works(board: cm.Board) -> bool:
     try:
         board.load("camera", "edge_detection")
-        return board.read("camera", timeout=5).shape == (480, 640)
+        return board.read("camera", timeout=60).shape == (480, 640)
     except CmError:
         return False
 

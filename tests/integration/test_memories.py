@@ -146,7 +146,7 @@ def test_a_memory_longer_than_one_message_is_moved_in_several(board: cm.Board) -
 
 def test_registers_are_read_while_a_long_transfer_goes_on(manager: Manager, board: cm.Board) -> None:
     async def run() -> int:
-        async with aio.connect(runtime_dir=manager.runtime, timeout=20) as peer:
+        async with aio.connect(runtime_dir=manager.runtime, timeout=60) as peer:
             reading = asyncio.ensure_future(peer.memories["big"].read(0, 4 * MIB))
             reads = 0
             while not reading.done():
@@ -256,7 +256,7 @@ def test_the_asyncio_client_does_the_same(manager: Manager, board: cm.Board) -> 
     values = noise(0x1000, "int16").reshape(32, 64)
 
     async def run() -> None:
-        async with aio.connect(runtime_dir=manager.runtime, timeout=20) as peer:
+        async with aio.connect(runtime_dir=manager.runtime, timeout=60) as peer:
             taps = peer.memories["taps"]
             assert await taps.write(values) == 0x1000
             assert np.array_equal(await taps.read(), values)
@@ -275,7 +275,7 @@ def test_the_asyncio_client_does_the_same(manager: Manager, board: cm.Board) -> 
 
 def test_too_many_transfers_at_once_are_told_to_come_back(manager: Manager, board: cm.Board) -> None:
     async def run() -> list[Any]:
-        async with aio.connect(runtime_dir=manager.runtime, timeout=20) as peer:
+        async with aio.connect(runtime_dir=manager.runtime, timeout=60) as peer:
             reads = [peer.memories["big"].read(0, 4 * MIB) for _ in range(24)]
             return await asyncio.gather(*reads, return_exceptions=True)
 

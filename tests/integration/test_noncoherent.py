@@ -30,7 +30,7 @@ import json, sys
 import numpy as np
 import cm
 from itertools import islice
-board = cm.connect(runtime_dir=sys.argv[1], timeout=20)
+board = cm.connect(runtime_dir=sys.argv[1], timeout=60)
 PICTURE = np.arange(480 * 640, dtype=np.uint32).astype(np.uint8).reshape(480, 640)
 def tell(**what): print(json.dumps(what))
 """
@@ -200,7 +200,7 @@ def test_zeromq_reads_and_writes_are_synchronised_by_the_manager(apart: Setup) -
         """
         from dataclasses import replace
         board._place = replace(board._place, data=None)
-        with board.stream("from_pl", timeout=20) as reader:
+        with board.stream("from_pl", timeout=60) as reader:
             while not next(s for s in board.status.streams if s.name == "from_pl").open:
                 pass
             same = []
@@ -221,13 +221,13 @@ def test_one_tap_serves_all_subscribers_and_each_reader_its_own(apart: Setup) ->
         """
         from contextlib import ExitStack
         from dataclasses import replace
-        far = cm.connect(runtime_dir=sys.argv[1], timeout=20)
+        far = cm.connect(runtime_dir=sys.argv[1], timeout=60)
         far._place = replace(far._place, data=None)
         with ExitStack() as stack:
-            remote = [stack.enter_context(far.stream("from_pl", timeout=20)) for _ in range(3)]
+            remote = [stack.enter_context(far.stream("from_pl", timeout=60)) for _ in range(3)]
             while not next(s for s in board.status.streams if s.name == "from_pl").clients:
                 pass
-            local = [stack.enter_context(board.stream("from_pl", timeout=20)) for _ in range(2)]
+            local = [stack.enter_context(board.stream("from_pl", timeout=60)) for _ in range(2)]
             for number in range(4):
                 board.write("to_pl", PICTURE)
                 assert all((reader.read() == PICTURE).all() for reader in remote + local)
@@ -240,7 +240,7 @@ def test_what_is_held_when_its_stream_stops_is_synchronised_when_it_is_given_bac
     before = apart.counts("camera")
     told = apart.run(
         """
-        with board.stream("camera", timeout=20) as stream:
+        with board.stream("camera", timeout=60) as stream:
             held = [stream.read() for _ in range(3)]
             contents = [frame.copy() for frame in held]
             board.mode = "edge_detection"
@@ -322,7 +322,7 @@ def test_the_c_librarys_writer_synchronises_what_it_fills(apart: Setup, tmp_path
         apart,
         f"""
         import subprocess
-        with board.stream("from_pl", depth=8, timeout=20) as reader:
+        with board.stream("from_pl", depth=8, timeout=60) as reader:
             subprocess.run([{str(program)!r}, sys.argv[1], "to_pl", "6"], check=True, stdout=subprocess.DEVNULL)
             tell(same=[bool((reader.read() == number).all()) for number in range(6)])
         """,
@@ -344,7 +344,7 @@ def test_coherent_memory_is_never_synchronised(library: Path, tmp_path: Path) ->
                 assert (reader.read() == PICTURE).all()
                 board.write("to_pl", PICTURE)
                 assert (reader.read() == PICTURE).all()
-            board.read("camera", timeout=5)
+            board.read("camera", timeout=60)
             """
         )
         assert sim.control.state()["syncs"] == {}

@@ -109,7 +109,7 @@ def loop(board: cm.Board) -> Iterator[cm.Board]:
 def test_the_documented_writer_writes(loop: cm.Board, manager: Manager, writer: Path, settings: dict[str, Any]) -> None:
     for name in ("to_pl", "from_pl"):
         loop.configure_stream(name, **settings)
-    with loop.stream("from_pl", depth=8, timeout=20) as stream:
+    with loop.stream("from_pl", depth=8, timeout=60) as stream:
         done = run(writer, manager, "to_pl")
         assert done.returncode == 0, done.stderr
         assert done.stdout == "5 frames taken\n"

@@ -100,7 +100,7 @@ def test_what_waits_for_a_stopped_subscriber_is_bounded_in_bytes(context: zmq.Co
         stuck.setsockopt(zmq.RCVHWM, 1)
         data = np.zeros(LARGE, np.uint8)
         lively_got: list[int] = []
-        with board.writer("to_pl", timeout=20) as writer:
+        with board.writer("to_pl", timeout=60) as writer:
 
             def subscribe(socket: zmq.Socket[bytes]) -> None:
                 """And wait for a frame, as the subscription is on its way for a while."""
@@ -152,7 +152,7 @@ def test_how_much_may_wait_is_a_setting(context: zmq.Context, mebibytes: str, fe
         stuck.connect(address)
         stuck.subscribe(b"cm_stream/from_pl")
         until(lambda: next(s for s in board.status.streams if s.name == "from_pl").open)
-        with board.writer("to_pl", timeout=20) as writer:
+        with board.writer("to_pl", timeout=60) as writer:
             for _ in range(1000):
                 writer.write(np.zeros(LARGE, np.uint8))
                 writer.flush()
@@ -194,7 +194,7 @@ def test_who_is_behind_with_frames_costs_nobody_an_interrupt_or_status(context: 
         board.registers["focus"] = 0
         assert listener.poll(20_000)
         listener.recv_multipart()
-        with board.writer("to_pl", timeout=20) as writer:
+        with board.writer("to_pl", timeout=60) as writer:
             for _ in range(30):
                 writer.write(np.zeros(LARGE, np.uint8))
             writer.flush()
@@ -233,7 +233,7 @@ def test_the_newest_is_asked_for_when_it_is_read(far: cm.Board) -> None:
 
 
 def test_the_newest_goes_on_after_a_change_of_mode(far: cm.Board) -> None:
-    with far.stream("camera", newest=True, timeout=20) as stream:
+    with far.stream("camera", newest=True, timeout=60) as stream:
         stream.read()
         far.mode = "colorise"
         assert stream.read().shape == (480, 640, 3)
@@ -273,7 +273,7 @@ def test_lz4_frames_are_the_same_and_smaller(far: cm.Board, manager: Manager, co
     raw = context.socket(zmq.SUB)
     raw.connect(f"ipc://{manager.runtime}/pub")
     raw.subscribe(b"cm_lz4/from_pl")
-    with far.stream("from_pl", compression="lz4", timeout=20) as packed, far.stream("from_pl", timeout=20) as plain:
+    with far.stream("from_pl", compression="lz4", timeout=60) as packed, far.stream("from_pl", timeout=60) as plain:
         until(lambda: next(s for s in far.status.streams if s.name == "from_pl").open)
         until(lambda: far.write("to_pl", picture) and raw.poll(100))
         [frame] = until(lambda: _echoed(far, packed, picture))

@@ -43,7 +43,7 @@ def write(name, value):
     board.registers[name] = value
 
 try:
-    with cm.connect(runtime_dir=runtime, timeout=10) as board:
+    with cm.connect(runtime_dir=runtime, timeout=60) as board:
         result = {act: tried(eval("lambda: " + act)) for act in acts}
 except (CmError, OSError) as error:
     result = {"connect": f"{type(error).__name__}: {getattr(error, 'code', '')}: {error}"}
@@ -129,9 +129,9 @@ from cm.errors import CmError
 
 uid, gid, runtime = json.loads(sys.argv[1])
 os.setgroups([gid]); os.setgid(uid); os.setuid(uid)
-board = cm.connect(runtime_dir=runtime, timeout=20)
-frames = iter(board.stream("camera", timeout=20))
-events = board.watch(timeout=20)
+board = cm.connect(runtime_dir=runtime, timeout=60)
+frames = iter(board.stream("camera", timeout=60))
+events = board.watch(timeout=60)
 next(frames)
 print("ready", flush=True)
 try:
@@ -158,7 +158,7 @@ def test_a_user_whose_role_is_taken_away_loses_streams_subscriptions_and_request
     command = [sys.executable, "-c", HOLD, json.dumps([ERIN, GROUP, str(manager.runtime)])]
     settings = manager.runtime.parent / "cm.yaml"
     held = subprocess.Popen(command, env=environment(), stdout=subprocess.PIPE, text=True, cwd=REPOSITORY)
-    with held, manager.connected() as board, board.stream("camera", timeout=20) as stream:
+    with held, manager.connected() as board, board.stream("camera", timeout=60) as stream:
         assert held.stdout is not None
         assert held.stdout.readline() == "ready\n"
         next(iter(stream))
@@ -194,7 +194,7 @@ def test_a_manager_whose_log_goes_to_a_full_disk_serves_on() -> None:
         process = subprocess.Popen(command, stderr=full, env=environment(), cwd=REPOSITORY)
         try:
             until((folder / "run/endpoints.json").exists, timeout=60)
-            with cm.connect(runtime_dir=folder / "run", timeout=20) as board:
+            with cm.connect(runtime_dir=folder / "run", timeout=60) as board:
                 board.load("camera", "edge_detection")
                 with pytest.raises(CmError):
                     board.load("nothing")

@@ -83,7 +83,7 @@ def test_nobody_can_seal_the_memory_that_writers_share(manager: Manager) -> None
 
 
 def test_who_wants_frames_of_its_own_asks_for_copies(manager: Manager) -> None:
-    with manager.connected() as board, board.stream("camera", timeout=20, copy=True) as stream:
+    with manager.connected() as board, board.stream("camera", timeout=60, copy=True) as stream:
         frame = next(iter(stream))
         assert frame.size > 1000
         assert all(client.pid != os.getpid() for s in board.status.streams for client in s.clients)

@@ -66,7 +66,7 @@ def test_a_stream_without_a_shape_is_refused_and_told_why(root: Path) -> None:
 def test_frames_of_a_known_shape_come_one_after_the_other(board: cm.Board) -> None:
     for name in ("to_pl", "from_pl"):
         board.configure_stream(name, shape=(100, 100))
-    with board.stream("from_pl", timeout=20) as stream, board.writer("to_pl", timeout=20) as writer:
+    with board.stream("from_pl", timeout=60) as stream, board.writer("to_pl", timeout=60) as writer:
         for value in range(10):
             writer.write(np.full((100, 100), value, dtype=np.uint8))
             frame = stream.read()
