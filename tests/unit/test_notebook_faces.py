@@ -81,7 +81,7 @@ def test_what_is_no_plain_number_has_a_shade_too(array: np.ndarray, expected: li
 
 @pytest.mark.parametrize("shape", [(5,), (0, 4), (2, 3, 5), (2, 2, 2, 2), ()])
 def test_what_has_no_rows_is_no_picture(shape: tuple[int, ...]) -> None:
-    with pytest.raises(InvalidRequest, match="not a picture"):
+    with pytest.raises(InvalidRequest, match="no picture"):
         cm.Picture(np.zeros(shape))
 
 
