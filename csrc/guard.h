@@ -34,6 +34,7 @@ enum cm_guard_cause {
 	CM_GUARD_RATE,	      /* subscribes too often */
 	CM_GUARD_CUT,	      /* by cm_guard_cut() */
 	CM_GUARD_SLOW,	      /* kept others waiting who had long messages to send, too */
+	CM_GUARD_UNREAD,      /* by cm_guard_cut_slowest() */
 	CM_GUARD_CAUSES,
 };
 
@@ -99,6 +100,9 @@ void cm_guard_taken(int fd, uint64_t bytes);
 
 /* Read nothing more of a connection, or again. ENOENT. */
 int cm_guard_hold(int fd, int hold);
+
+/* End the connection of this kind that has been unable to write for longest. -1: none is. */
+int cm_guard_cut_slowest(uint32_t kind);
 
 /*
  * Once a second: end connections that keep others from sending long messages by sending theirs for longer than ten

@@ -7,6 +7,8 @@
 
 #include "guard_private.h"
 
+static uint64_t turn;
+
 /* Have libzmq wait for it, or not. */
 static void await(struct cm_guard_place *place)
 {
@@ -55,6 +57,28 @@ int cm_guard_hold(int fd, int held)
 	return result;
 }
 
+int cm_guard_cut_slowest(uint32_t kind)
+{
+	struct cm_guard_place *slowest = NULL, *place;
+	int result = -1;
+
+	pthread_mutex_lock(&cm_guard_lock);
+	for (int fd = cm_guard_first(); fd >= 0; fd = place->next) {
+		place = cm_guard_place(fd);
+		if (atomic_load(&place->kind) == kind && place->stuck && !place->ended &&
+		    (!slowest || place->stuck < slowest->stuck))
+			slowest = place;
+	}
+	if (slowest) {
+		result = slowest->peer.fd;
+		slowest->ended = true;
+		cm_guard_refuse(&slowest->peer, CM_GUARD_UNREAD);
+		shutdown(result, SHUT_RDWR);
+	}
+	pthread_mutex_unlock(&cm_guard_lock);
+	return result;
+}
+
 /* libzmq waits for a connection, or no longer: within the lock, so that it is held or not, whoever comes first. */
 int cm_guard_epoll_ctl(int epoll, int op, int fd, struct epoll_event *event)
 {
@@ -67,6 +91,10 @@ int cm_guard_epoll_ctl(int epoll, int op, int fd, struct epoll_event *event)
 	pthread_mutex_lock(&cm_guard_lock);
 	place->epoll = op == EPOLL_CTL_DEL ? -1 : epoll;
 	if (op != EPOLL_CTL_DEL) {
+		if (!(event->events & EPOLLOUT))
+			place->stuck = 0;
+		else if (!place->stuck)
+			place->stuck = ++turn;
 		now = place->event = *event;
 		if (atomic_load(&place->held))
 			now.events &= ~(uint32_t)EPOLLIN;

@@ -54,7 +54,9 @@ bool cm_guard_owe(struct cm_guard_place *place)
 	}
 	place->user->connections++;
 	place->came = place->small = place->taken = place->owes = 0;
-	place->looks = 0;
+	place->looks = place->stalls = 0;
+	place->stuck = 0;
+	place->ended = false;
 	place->has_place = place->wants_place = place->curve = false;
 	place->epoll = -1;
 	atomic_store(&place->held, 0);

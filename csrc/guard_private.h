@@ -78,7 +78,10 @@ struct cm_guard_place {
 	_Atomic uint64_t read;	       /* bytes since the last of these */
 	bool has_place;		       /* for a long message, which is under way */
 	bool wants_place;
-	int epoll; /* where libzmq waits for it; -1: nowhere that we know of */
+	uint64_t
+		stuck; /* since when it has more to write than its peer takes; a number that rises, 0: it has not */
+	bool ended; /* by cm_guard_cut_slowest() */
+	int epoll;  /* where libzmq waits for it; -1: nowhere that we know of */
 	struct epoll_event event;
 	int32_t next; /* of those in use; -1: none */
 	int32_t before;

@@ -41,6 +41,7 @@ _CAUSES = {
     "bytes": "it sent a message that is too long, or has no end (limits.message_mib)",
     "rate": f"it subscribed to more than {_TOPICS} topics at once",
     "cut": "it has lost its right to be connected, or does not read its answers and goes on asking",
+    "unread": "it has read nothing for longest of those that leave frames unread, which are too many (--stream-queue)",
     "slow": "others had long messages to send while it did not end one (64 KiB in a second, 10 s in all)",
 }
 

@@ -151,9 +151,9 @@ class Sockets:
         self.pub.setsockopt(zmq.SNDHWM, waiting)  # before it is bound, and never after: see queue_limit.py
         self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells of a full queue; see publisher.py
         self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_")
-        # A client that has a routing id of its own and connects again gets its replies, also while the old connection
-        # is not known to be dead. Whoever sets no id, as our clients, has one from ROUTER that no other can take.
-        self.req.setsockopt(zmq.ROUTER_HANDOVER, 1)
+        # Nobody takes another's replies by its routing id: while the connection that came first with it lasts, a second
+        # one gets none. Whoever sets no id, as our clients, has one from ROUTER.
+        self.req.setsockopt(zmq.ROUTER_HANDOVER, 0)
         self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes, and none is dropped: see budget.py
         for socket in self.all:
             socket.setsockopt(zmq.LINGER, 0)  # who does not read must not keep the manager from ending

@@ -10,6 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import Any, Protocol
 
 import zmq
@@ -17,6 +18,7 @@ from zmq import zmq_poll
 
 from cm._version import __version__
 from cm.daemon.loop import Loop, XpubSender
+from cm.daemon.queue_limit import BYTES, Kept
 from cm.daemon.streams.compression import Compressor, compressions
 from cm.daemon.streams.stream import Frame
 from cm.messages.status import ErrorInfo, FrameInfo, Irq, RegValues, SensorStatus, Status
@@ -92,7 +94,10 @@ class Subscriptions:
 class Publisher:
     """Keeps track of who subscribes to what; numbers statuses. The loop's thread."""
 
-    def __init__(self, loop: Loop, socket: zmq.Socket[bytes], board: str = "", wires: Wires = guard) -> None:
+    def __init__(
+        self, loop: Loop, socket: zmq.Socket[bytes], board: str = "", wires: Wires = guard, limit: int = BYTES
+    ) -> None:
+        """`limit`: bytes of frames that may wait for one subscriber."""
         self._socket = socket
         self._coming: list[tuple[Any, int]] = [(socket, int(zmq.POLLIN))]  # subscriptions that were not taken yet
         self._board = board or os.uname().nodename
@@ -100,6 +105,7 @@ class Publisher:
         self._compressor = Compressor(loop, self._compressed)
         self._subscriptions = Subscriptions(wires)
         self._overruns: Counter[str] = Counter()
+        self._kept = Kept(limit, socket.sndhwm, partial(guard.cut_slowest, guard.TOPICS))
         self._started_ns = time.time_ns()
         self._counting = threading.Lock()
         self._last_logged = ""
@@ -194,23 +200,25 @@ class Publisher:
         self._sender.send(encode.encode_irq(irq))
 
     def frame(self, frame: Frame) -> None:
-        """Publish a frame on every topic that has a subscriber; ZeroMQ copies it once for each."""
-        name, message = frame.info.stream, None
-        for topic in _topics(name):
-            if self.has_subscriber(topic):
-                message = message or encode.encode_frame_info(frame.info)
-                self._send_frame(name, [topic, message, frame.data])
+        """Publish a frame on every topic that has a subscriber; it is copied once."""
+        name = frame.info.stream
+        wanted = [topic for topic in _topics(name) if self.has_subscriber(topic)]
+        if wanted:
+            self._send_frame(name, wanted, frame.info, bytes(frame.data))
         if self._wants_compressed(name) and compressions() and not self._compressor.offer(frame):
             self._overruns[name] += 1
 
     def _compressed(self, info: FrameInfo, data: bytes) -> None:
         if self._wants_compressed(info.stream):
             topic = topics.LZ4_PREFIX + info.stream.encode()
-            self._send_frame(info.stream, [topic, encode.encode_frame_info(info), data])
+            self._send_frame(info.stream, [topic], info, data)
 
-    def _send_frame(self, stream: str, message: Sequence[Any]) -> None:
-        if not self._sender.send_frame(message):
-            self._overruns[stream] += 1
+    def _send_frame(self, stream: str, wanted: Sequence[bytes], info: FrameInfo, data: bytes) -> None:
+        message, body = encode.encode_frame_info(info), zmq.Frame(data, track=True, copy=False)
+        for topic in wanted:
+            if not self._sender.send_frame([topic, message, body]):
+                self._overruns[stream] += 1
+        self._kept.add(body.tracker, len(data))
 
     def close(self) -> None:
         """End the thread that compresses."""

@@ -10,12 +10,15 @@ pipe that it has freed (mended by its pull request 4647, which is in no release 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Callable, Iterable
 
+from cm.budgets.budget import Tracker
 from cm.schema.model import ITEM_BYTES, Config, Stream
 
 BYTES = 32 << 20  # of frames that wait for one subscriber, unless set otherwise
 _FEWEST, _MOST = 2, 1000  # messages
+_ON_THEIR_WAY = 4  # messages that libzmq has in hand beside those that it counts
 _FLAT = 1 << 20  # bytes of a frame that no schema describes, or that may grow
 
 
@@ -33,3 +36,31 @@ def _streams(config: Config) -> Iterable[Stream]:
 
 def _frame_bytes(stream: Stream) -> int:
     return math.prod(stream.shape) * ITEM_BYTES.get(stream.dtype, 16) if stream.shape else 0
+
+
+class Kept:
+    """Frames that some subscriber has not taken yet: each may leave others unread, so all together are bounded.
+
+    Where they are half as much again as one may leave unread (`limit` bytes, `mark` messages), whoever has not read for
+    longest is hung up on.
+    """
+
+    def __init__(self, limit: int, mark: int, end_slowest: Callable[[], object]) -> None:
+        self._limit, self._mark = limit * 3 // 2, mark * 3 // 2 + _ON_THEIR_WAY
+        self._end_slowest = end_slowest
+        self._frames: deque[tuple[Tracker, int]] = deque()
+        self.bytes = 0  # when it was last looked
+
+    def add(self, tracker: Tracker, size: int) -> None:
+        """A frame was sent to whoever subscribes to it."""
+        self._frames.append((tracker, size))
+        self.bytes += size
+        most = max(self._limit, self._mark * size)
+        if self._frames[0][0].done or self.bytes > most:
+            self._look()
+        if self.bytes > most:
+            self._end_slowest()
+
+    def _look(self) -> None:
+        self._frames = deque([(tracker, size) for tracker, size in self._frames if not tracker.done])
+        self.bytes = sum([size for _, size in self._frames])

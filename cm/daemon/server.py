@@ -72,7 +72,7 @@ class Server:
         waiting = mark((configs := self._configs()).values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
-        self._publisher = Publisher(self._loop, self._sockets.pub, options.name)
+        self._publisher = Publisher(self._loop, self._sockets.pub, options.name, limit=options.queue_bytes)
         leases = Leases(time, options.limits.leases, options.limits.leases_each)
         told = self._publisher, leases, self._note_error, options.limits
         self._streams = Streams(self._loop, self._devices, *told)

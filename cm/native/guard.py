@@ -11,7 +11,7 @@ from cm.native.call import check
 NONE: int = lib.CM_GUARD_NONE
 REQUESTS: int = lib.CM_GUARD_REQUESTS
 TOPICS: int = lib.CM_GUARD_TOPICS
-CAUSES = ("full", "each", "descriptors", "protocol", "parts", "bytes", "rate", "cut", "slow")
+CAUSES = ("full", "each", "descriptors", "protocol", "parts", "bytes", "rate", "cut", "slow", "unread")
 
 
 class Limits(NamedTuple):
@@ -93,6 +93,11 @@ def taken(fd: int, size: int) -> None:
 def hold(fd: int, held: bool) -> None:
     """Read nothing more of a connection, or again; OSError (ENOENT) where it is none."""
     check(lib.cm_guard_hold(fd, held))
+
+
+def cut_slowest(kind: int) -> bool:
+    """End the connection of a kind that has been unable to write for longest; False where none is."""
+    return int(lib.cm_guard_cut_slowest(kind)) >= 0
 
 
 def look_on() -> None:

@@ -40,4 +40,5 @@ int cm_guard_cut(int fd);
 void cm_guard_taken(int fd, uint64_t bytes);
 void cm_guard_count(struct cm_guard_counts *counts);
 int cm_guard_hold(int fd, int hold);
+int cm_guard_cut_slowest(uint32_t kind);
 void cm_guard_look_on(void);

@@ -295,6 +295,37 @@ static void nothing_waits_for_a_connection_that_is_held(void)
 	part(&pair);
 }
 
+static void want_to_write(int epoll, struct pair *pair, bool much)
+{
+	struct epoll_event event = { .events = EPOLLIN | (much ? EPOLLOUT : 0) };
+
+	CHECK(!cm_guard_epoll_ctl(epoll, EPOLL_CTL_MOD, pair->server, &event));
+}
+
+static void of_those_who_do_not_read_who_began_first_is_ended(void)
+{
+	struct pair pairs[3] = { paired("NULL"), paired("NULL"), paired("NULL") };
+	int epoll = epoll_create1(EPOLL_CLOEXEC);
+	struct epoll_event event = { .events = 0 };
+
+	for (int i = 0; i < 3; i++)
+		CHECK(!cm_guard_epoll_ctl(epoll, EPOLL_CTL_ADD, pairs[i].server, &event));
+	CHECK(cm_guard_cut_slowest(CM_GUARD_REQUESTS) == -1); /* all read */
+	for (int i = 0; i < 3; i++)
+		want_to_write(epoll, &pairs[i], true);
+	want_to_write(epoll, &pairs[0], false); /* which has read, */
+	want_to_write(epoll, &pairs[0], true);	/* and is behind again */
+	want_to_write(epoll, &pairs[1], true);
+	CHECK(cm_guard_cut_slowest(CM_GUARD_TOPICS) == -1);
+	CHECK(cm_guard_cut_slowest(CM_GUARD_REQUESTS) == pairs[1].server);
+	CHECK(cm_guard_cut_slowest(CM_GUARD_REQUESTS) == pairs[2].server);
+	CHECK(cm_guard_cut_slowest(CM_GUARD_REQUESTS) == pairs[0].server);
+	CHECK(cm_guard_cut_slowest(CM_GUARD_REQUESTS) == -1); /* they are ended, and close soon */
+	CHECK(!close(epoll));
+	for (int i = 0; i < 3; i++)
+		part(&pairs[i]);
+}
+
 static void encrypted_frames_that_nobody_takes_are_parts_of_one_message(void)
 {
 	static const struct cm_guard_limits longer = { .connections = 64, .bytes = 8 << 20 };
@@ -473,6 +504,7 @@ int main(void)
 	RUN(who_is_slow_has_longer_than_who_stands_still);
 	RUN(who_is_held_is_not_read_until_it_is_let_go_or_has_gone);
 	RUN(nothing_waits_for_a_connection_that_is_held);
+	RUN(of_those_who_do_not_read_who_began_first_is_ended);
 	RUN(encrypted_frames_that_nobody_takes_are_parts_of_one_message);
 	RUN(pings_are_forgotten_with_time);
 	RUN(without_keys_parts_are_counted_as_they_are);

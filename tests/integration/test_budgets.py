@@ -187,3 +187,58 @@ def test_what_clients_take_is_told_to_who_asks(manager: Manager, context: zmq.Co
         assert found.requests >= 2
         assert found.loop_seconds > 0
         assert board.status.clients == ()
+
+
+def test_subscribers_that_do_not_read_leave_a_bounded_number_of_frames_waiting(context: zmq.Context[Any]) -> None:
+    """Each that comes later keeps other frames waiting: 80 had 670 MiB, before. Who reads is not hung up on."""
+    with served(arguments=("--stream-queue", "2")) as (manager, _), manager.connected() as board:
+        board.load("camera", "default")
+
+        def subscriber(waiting: int) -> Any:
+            made = context.socket(zmq.SUB)
+            made.linger, made.rcvhwm, made.rcvbuf = 0, waiting, 4096
+            made.subscribe(b"cm_stream/camera")
+            made.connect(f"ipc://{manager.runtime}/pub")
+            return made
+
+        def connections() -> int:
+            return sum(client.connections for client in board.clients())
+
+        reader = subscriber(0)
+        monitor = reader.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        most = ended = 0
+        hostile = []
+        while not ended:  # they keep two frames each, and nine may wait in all
+            if len(hostile) < 20:
+                hostile.append(subscriber(1))
+            for _ in range(5):
+                assert reader.poll(60_000)
+                reader.recv_multipart()
+            there = connections()
+            most, ended = max(most, there), most - there if there < most else 0
+        assert not monitor.poll(0)
+        reader.disable_monitor()
+        for made in (monitor, reader, *hostile):
+            made.close(0)
+
+
+def test_nobody_gets_anothers_answers_by_its_routing_id(manager: Manager, context: zmq.Context[Any]) -> None:
+    """Nor keeps them from it: whoever had the id first has it."""
+    ask = [b"", *encode_request(rq.ReadReg(("led",)))]
+    victim, thief = (context.socket(zmq.DEALER) for _ in range(2))
+    for one in (victim, thief):
+        one.linger, one.routing_id = 0, b"arm"
+    victim.connect(f"ipc://{manager.runtime}/req")
+    victim.send_multipart(ask)
+    assert victim.poll(60_000)
+    victim.recv_multipart()
+    monitor = thief.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED)
+    thief.connect(f"ipc://{manager.runtime}/req")
+    assert monitor.poll(60_000)
+    for _ in range(50):
+        victim.send_multipart(ask)
+        assert victim.poll(60_000)
+        assert decode_reply(victim.recv_multipart()[1:]).error is None
+    assert not thief.poll(0)
+    thief.disable_monitor()
+    monitor.close(0)
