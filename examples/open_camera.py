@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `make demo-open` ends with: modules that open tools built, loaded and run from their bits.
+"""What `make demo-open` ends with: a photograph through modules that open tools built, each run by its bits.
 
-    python examples/open_camera.py BUILD.YAML    # after cm build run --flow open, cm build collect
+    python examples/open_camera.py BUILD.YAML [SHEET.PNG]    # after cm build run --flow open, cm build collect
 
 The simulated board's region runs what the loaded frames configure (it needs Verilator). Each module says its
-name in a register, and keeps what is written to another.
+name in a register; the picture goes from memory to it and back by the streams of the ordinary client, as on a board.
 """
 
 from __future__ import annotations
@@ -14,22 +14,40 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
+
 import cm
+from cm.demo.sheet import contact_sheet
+from cm.sim.hardware.camera import shipped_photos
 
 MODES = ("default", "edge_detection", "colorise")
 
 
-def show(board: cm.Board) -> None:
-    """Load each module, and print what its registers say."""
+def through(board: cm.Board, photo: np.ndarray) -> np.ndarray:
+    """What comes back of a picture."""
+    with board.stream("camera") as results, board.writer("pictures") as writer:
+        writer.write(photo)
+        return np.array(results.read())
+
+
+def show(board: cm.Board, photo: np.ndarray) -> dict[str, list[np.ndarray]]:
+    """Load each module; print what its registers say; a picture through it."""
+    rows = {"from memory": [photo]}
     for mode in MODES:
         board.load("open_camera", mode)
         name = int(board.registers["ident"]).to_bytes(4, "big").decode()
-        board.registers["zoom"] = 4
-        print(f"{mode}: its bits say {name!r}, zoom is {board.registers['zoom']} after 4 was written", flush=True)
+        picture = through(board, photo)
+        rows[f"{mode}, by its bits"] = [picture]
+        count = int(board.registers["frame_count"])
+        size = "×".join(map(str, picture.shape))
+        print(f"{mode}: its bits say {name!r}, a picture of {size} came back, {count} counted", flush=True)
+    return rows
 
 
-def main(build: str) -> None:
+def main(build: str, sheet: str = "") -> None:
     """Serve a board that runs its bits, and look at it."""
+    photo = next(iter(shipped_photos().values()))
+    out = Path(sheet) if sheet else Path(build).parent / "open_camera.png"
     with tempfile.TemporaryDirectory(prefix="cm-open-") as folder:
         command = [sys.executable, "-m", "cm", "serve", "--sim=bits", "--build", build, "--runtime-dir", folder]
         command += ["--state-dir", str(Path(folder) / "state")]
@@ -40,11 +58,12 @@ def main(build: str) -> None:
                 if served.poll() is not None:
                     sys.exit("cm serve --sim=bits ended: start it by hand to see why")
             with cm.connect(runtime_dir=folder, timeout=60) as board:
-                show(board)
+                contact_sheet(show(board, photo), out)
         finally:
             served.terminate()
             served.wait()
+    print(f"the pictures are in {out}")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

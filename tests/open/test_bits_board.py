@@ -42,6 +42,23 @@ def test_registers_and_changes_of_mode_are_those_of_the_loaded_bits(board: Board
     assert board.registers.ident == DEFAULT
 
 
+def test_pictures_stream_from_memory_through_the_bits_and_back_as_any_client_does_it(board: Board) -> None:
+    """Also after others: a module that was just loaded gets its first byte, and keeps none of the one before it."""
+    photos = list(shipped_photos().values())
+    models = {
+        "default": lambda photo: photo,
+        "edge_detection": lambda photo: edge(photo, {"threshold": 0}),
+        "colorise": lambda photo: Colorise()(photo, {"palette": 0}),
+    }
+    for mode in (*models, "default"):
+        board.load("open_camera", mode, progress=False)
+        with board.stream("camera", timeout=60) as results, board.writer("pictures", timeout=60) as writer:
+            for photo in photos[:2]:
+                writer.write(photo)
+                assert np.array_equal(np.asarray(results.read()), models[mode](photo)), mode
+        assert board.registers.frame_count == 2
+
+
 def test_a_picture_through_the_bits_is_byte_for_byte_that_of_the_software_models(open_project: Path) -> None:
     photo = next(iter(shipped_photos().values()))
     shown = through_modules(open_project / "build.yaml", photo, lambda _: None)

@@ -178,10 +178,13 @@ def test_the_same_seed_gives_the_same_bits_and_another_module_is_not_built_again
 
 
 @pytest.mark.skipif(shutil.which("verilator") is None, reason="needs verilator, which is not installed")
-def test_the_demonstration_ends_with_modules_that_run_from_their_bits(open_project: Path) -> None:
+def test_the_demonstration_ends_with_pictures_through_modules_that_run_from_their_bits(
+    open_project: Path, tmp_path: Path
+) -> None:
     example = Path(__file__).resolve().parents[2] / "examples" / "open_camera.py"
-    command = [sys.executable, str(example), str(open_project / "build.yaml")]
+    command = [sys.executable, str(example), str(open_project / "build.yaml"), str(tmp_path / "sheet.png")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    for name in ("DEFA", "EDGE", "COLO"):
-        assert f"its bits say {name!r}, zoom is 4 after 4 was written" in done.stdout
+    for name, size in (("DEFA", "480×640"), ("EDGE", "480×640"), ("COLO", "480×640×3")):
+        assert f"its bits say {name!r}, a picture of {size} came back, 1 counted" in done.stdout
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from cm.build.check.finding import Finding
 from cm.build.errors import BuildError, MissingTool
 from cm.build.generate.tree import load_design
 from cm.build.openflow.images import outside, user_id
-from cm.build.openflow.netlists import bits_of_region, module_side, open_top, static_side
+from cm.build.openflow.netlists import bits_of_region, module_side, open_system, open_top, static_side
 from cm.build.openflow.routed import read_routed
 from cm.build.openflow.rules import check_cells, check_open
 from cm.build.openflow.separate import separate
@@ -22,6 +23,7 @@ from cm.build.openflow.steps import OpenStepFailed, Steps, key_of, run_tool
 from cm.build.openflow.synth import Sources, script
 from cm.build.openflow.timing import Timing, read_timing, slacks
 from cm.build.openflow.tools import Tool, find_tools
+from cm.build.plan.engines import EngineKind
 from cm.build.plan.system import System
 from cm.cli.main import main
 
@@ -55,7 +57,7 @@ def test_the_example_is_one_that_the_open_tools_can_build(project: Path) -> None
 @pytest.mark.parametrize(
     ("old", "new", "told"),
     [
-        ("loader: fpga_manager", "loader: icap", "the ICAP is fed by a DMA engine"),
+        ("loader: fpga_manager", "loader: icap", "ICAPE2 has not been tried"),
         ("board: zybo-z7-10", "part: xck26-sfvc784-2LV-c", "nextpnr has no data of it"),
         ("doc: Edges", "tcl: [x.tcl]\n    doc: Edges", "vendor IP"),
         ("RAMB36_X1Y10:RAMB36_X1Y19]", "RAMB36_X1Y10:RAMB36_X1Y19, DSP48_X1Y20:DSP48_X1Y39]", "DSP48"),
@@ -67,13 +69,63 @@ def test_what_the_open_tools_cannot_do_is_told_before_they_run(project: Path, ol
     assert told in messages(check_open(changed(project, (old, new))))
 
 
-def test_a_stream_to_memory_is_told_with_the_key_of_its_interface(project: Path) -> None:
-    text = project.read_text().splitlines()
-    lines = [line for line in text if not line.startswith("      m_axis:")]
-    lines.insert(next(i for i, line in enumerate(lines) if "lens_focus:" in line), "      m_axis: {stream: camera}")
-    project.write_text("\n".join(lines) + "\n")
-    found = messages(check_open(load_design(project).system))
-    assert "regions.prr0.interfaces.m_axis: a stream to memory needs a DMA engine" in found
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [
+        ({"kind": EngineKind.VDMA}, "engine camera is one of PG020, which is the vendor's IP"),
+        ({"kind": EngineKind.MCDMA}, "engine camera is one of PG288, which is the vendor's IP"),
+        ({"width": 128}, "a stream of 128 bits: ports to memory have 64"),
+    ],
+)
+def test_a_stream_that_the_engine_cannot_serve_is_told_with_the_key_of_its_interface(
+    project: Path, other: dict[str, Any], told: str
+) -> None:
+    system = load_design(project).system
+    (region,) = system.regions
+    streams = tuple(replace(bus, dma=replace(bus.dma, **other)) for bus in region.streams if bus.dma)
+    found = messages(check_open(replace(system, regions=(replace(region, streams=streams),))))
+    for interface in ("s_axis", "m_axis"):
+        assert f"regions.prr0.interfaces.{interface}: {told}" in found
+
+
+def test_more_streams_than_ports_to_memory_are_told(project: Path) -> None:
+    system = load_design(project).system
+    (region,) = system.regions
+    many = tuple(replace(region, streams=region.streams, index=number) for number in range(5))
+    found = messages(check_open(replace(system, regions=many)))
+    assert "5 streams from memory: the processing system has 4 ports for them" in found
+    assert "5 streams to memory: the processing system has 4 ports for them" in found
+
+
+def test_each_stream_has_half_a_port_to_memory_and_its_interrupt_line(project: Path) -> None:
+    system = load_design(project).system
+    top = open_top(system)
+    assert [i.module for i in top.instances] == ["cm_axil_interconnect", "cm_axi_dma", "cm_open_system", "cm_static"]
+    engine, processor = top.instances[1:3]
+    assert engine.parameters["MM2S_BYTES"] == engine.parameters["S2MM_BYTES"] == 1
+    assert engine.connections["m_axi_araddr"] == processor.connections["s_axi_hp0_araddr"] == "s_axi_hp0_araddr"
+    assert engine.connections["m_axi_wdata"] == processor.connections["s_axi_hp0_wdata"]
+    lines = dict(top.assigns)["irq_lines"].strip("{}").split(", ")[::-1]
+    assert lines[:4] == ["irq", "irq_pictures", "irq_camera", "1'b0"]
+    assert {dma.name: dma.line for dma in system.dmas} == {"pictures": 1, "camera": 2}
+    (ps7,) = (i for i in open_system(system).instances if i.module == "PS7")
+    assert ps7.connections["SAXIHP0ACLK"] == ps7.connections["MAXIGP0ACLK"] == "clk"
+    assert not [pin for pin in ps7.connections if pin.startswith("SAXIHP1")]
+
+
+def test_streams_at_pins_need_neither_engine_nor_port_to_memory(project: Path) -> None:
+    pins = [
+        ("s_axis: {stream: pictures, shape: [480, 640], slots: 4, engine: camera}",
+         's_axis: {connect: external, pins: {tdata: "jc[0:7]", tvalid: "je[0]", tready: "je[1]", tlast: "je[2]"}}'),
+        ("m_axis: {stream: camera, shape: [480, 640], slots: 8, engine: camera}",
+         'm_axis: {connect: external, pins: {tdata: "jd[0:7]", tvalid: "je[3]", tready: "je[4]", tlast: "je[5]"}}'),
+        (", streams: {camera: {shape: [480, 640, 3]}}", ""),
+    ]  # fmt: skip
+    system = changed(project, *pins)
+    assert check_open(system) == []
+    assert [i.module for i in open_top(system).instances] == ["cm_open_system", "cm_static"]
+    (ps7,) = (i for i in open_system(system).instances if i.module == "PS7")
+    assert not [pin for pin in ps7.connections if pin.startswith("SAXI")]
 
 
 def test_check_says_which_tools_refuse(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -104,7 +156,6 @@ def test_every_wire_of_a_boundary_but_its_clock_has_one_anchor_on_both_sides(pro
     into = {bit.port for bit in bits if bit.into}
     assert {"s_axis_tdata", "aresetn"} <= into
     assert "m_axis_tdata" not in into
-    assert [i.module for i in open_top(system).instances] == ["cm_open_system", "cm_static"]
 
 
 def test_a_flip_flop_behind_an_anchor_gets_a_look_up_table_of_its_own() -> None:

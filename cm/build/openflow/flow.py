@@ -16,11 +16,11 @@ from cm.build.openflow import images
 from cm.build.openflow.job import labels, module_job, pins_xdc, static_job
 from cm.build.openflow.layout import layouts
 from cm.build.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays, two_drivers
-from cm.build.openflow.netlists import MODULE_TOP, TOP, module_side, open_top, static_side
+from cm.build.openflow.netlists import MODULE_TOP, TOP, module_side, open_system, open_top, static_side
 from cm.build.openflow.place import SCRIPTS, Files, place_and_route, read_side, timing
 from cm.build.openflow.rules import refuse_open
 from cm.build.openflow.steps import OpenStepFailed, Steps, Tell, key_of, write_whole
-from cm.build.openflow.synth import Sources, resolved, script, synthesise
+from cm.build.openflow.synth import ROUTER, Sources, resolved, script, synthesise
 from cm.build.openflow.timing import slacks
 from cm.build.openflow.tools import Tools
 from cm.build.plan.pins import placements
@@ -82,6 +82,7 @@ class OpenFlow:
         made = [self._kept(path.name, path.read_bytes()) for path in OWN_RTL]
         made += [self._written(renderer, f"static_{r.name}", static_side(r)) for r in self.system.regions]
         made.append(self._written(renderer, TOP, open_top(self.system)))
+        made.append(self._written(renderer, "cm_open_system", open_system(self.system)))
         spec = self.system.project.static
         plain = [path for path in spec.sources if path.suffix == ".v"]
         verilog = resolved([*made, self.out / "hdl/cm_static.v", *library, *plain])
@@ -112,7 +113,7 @@ class OpenFlow:
     def _synthesise(self, name: str, sources: Sources) -> None:
         out = self.folder / f"{name}.json"
         place = self.system.project.folder.absolute()
-        key = key_of(script(sources, out, place), self.tools.versions, *sources.files)
+        key = key_of(script(sources, out, place), ROUTER, self.tools.versions, *sources.files)
         work = partial(synthesise, self.tools.yosys, sources, out, place, name)
         self.steps.step(f"synth_{name}", f"synthesis of {name} by yosys", key, [out], work)
 

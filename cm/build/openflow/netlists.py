@@ -7,16 +7,18 @@ there; it is left out of the bitstreams.
 
 from __future__ import annotations
 
-from cm.build.generate.netlist import Netlist
+from cm.build.generate.lite import LITE
+from cm.build.generate.netlist import Netlist, zeros
 from cm.build.generate.static_part.module import static_part
 from cm.build.generate.wrapper import black_box
+from cm.build.openflow.engines import STREAM, add_engines, halves
 from cm.build.openflow.layout import BoundaryBit, boundary_bits
+from cm.build.openflow.processor import INTERRUPTS, READ, WRITE, memory_pin, processing_system
 from cm.build.plan.system import RegionPlan, System
+from cm.schema.model import Direction
 
 TOP, MODULE_TOP = "cm_open_top", "cm_open_module"
 ANCHOR, HARNESS = "cm_anchor_", "cm_harness_"
-_SYSTEM = ("awaddr", "awprot", "awvalid", "awready", "wdata", "wstrb", "wvalid", "wready", "bresp", "bvalid", "bready")
-_SYSTEM_READ = ("araddr", "arprot", "arvalid", "arready", "rdata", "rresp", "rvalid", "rready")
 
 
 def bits_of_region(region: RegionPlan) -> tuple[BoundaryBit, ...]:
@@ -25,26 +27,41 @@ def bits_of_region(region: RegionPlan) -> tuple[BoundaryBit, ...]:
 
 
 def open_top(system: System) -> Netlist:
-    """``cm_open_top``: the generated static part on a processing system without a block design."""
+    """``cm_open_top``: the generated static part and its DMA engines on a processing system without a block design."""
     static = static_part(system)
     net = Netlist(TOP, f"Top of {system.project.name} for the open flow: processing system and static part.")
     (domain,) = system.domains
-    own = {f"clk_{domain.clock}", f"resetn_{domain.clock}", "irq"}
     inner: dict[str, str | None] = {}
     outer: dict[str, str | None] = {"clk": f"clk_{domain.clock}", "resetn": f"resetn_{domain.clock}"}
     prefix = f"s_axi_{domain.clock}_"
+    within = {f"clk_{domain.clock}", f"resetn_{domain.clock}", "irq"}
+    within |= {f"axis_{dma.name}_{signal}" for dma in system.dmas for signal in STREAM}
     for port in static.ports:
         inner[port.name] = port.name
-        if port.name in own or port.name.startswith(prefix):
+        if port.name in within or port.name.startswith(prefix):
             net.wire(port.name, port.width)
         else:
             assert port.direction is not None
             net.port(port.name, port.direction, port.width)
-    outer |= {f"m_axi_{name}": f"{prefix}{name}" for name in (*_SYSTEM, *_SYSTEM_READ)}
-    outer["irq"] = "irq" if "irq" in inner else "1'b0"
+    channels = halves(system)
+    if system.engines:
+        add_engines(net, system, {port.name: port.width for port in static.ports})
+        outer |= {f"m_axi_{name}": f"ps_{name}" for name, _, _ in LITE} | {"irq": "irq_lines"}
+    else:
+        outer |= {f"m_axi_{name}": f"{prefix}{name}" for name, _, _ in LITE}
+        outer["irq"] = f"{{{zeros(INTERRUPTS - 1)}, irq}}"
+    for way, half in ((Direction.MM2S, READ), (Direction.S2MM, WRITE)):
+        for number in range(len(channels[way])):
+            outer |= {memory_pin(number, name): memory_pin(number, name) for name, _ in (*half.asks, *half.answers)}
     net.instance("cm_open_system", "system", outer)
     net.instance("cm_static", "static_part", inner)
     return net
+
+
+def open_system(system: System) -> Netlist:
+    """``cm_open_system``: the processing system with the ports to memory that the design's streams need."""
+    channels = halves(system)
+    return processing_system(len(channels[Direction.MM2S]), len(channels[Direction.S2MM]))
 
 
 def static_side(region: RegionPlan) -> Netlist:

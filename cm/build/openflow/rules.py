@@ -10,9 +10,13 @@ from typing import Any
 from cm.bitstream.geometry import geometry_of
 from cm.build.check.finding import Finding
 from cm.build.errors import BuildError
+from cm.build.openflow.engines import WIDEST, halves
+from cm.build.openflow.processor import MEMORY_PORTS
+from cm.build.plan.engines import Dma, EngineKind
 from cm.build.plan.floorplan import rectangle
 from cm.build.plan.system import Implementation, RegionPlan, System
 from cm.build.project.model import in_libraries
+from cm.schema.model import Direction
 
 RULE = "open flow"
 DEVICES = ("xc7z010", "xc7z020")
@@ -21,6 +25,8 @@ CELLS = re.compile(
     r"LUT[1-6]|FD[RSCP]E(_1)?|CARRY4|MUXF[78]|INV|SRL16E|SRLC16E|SRLC32E|RAM(32|64|128|256)\w*|RAMB(18|36)E1|BUFG|PS7|"
     r"[IO]BUF|GND|VCC|\$scopeinfo"
 )
+
+_WAYS = {Direction.MM2S: "from memory", Direction.S2MM: "to memory"}
 
 
 def check_open(system: System) -> list[Finding]:
@@ -64,7 +70,11 @@ def _system(system: System) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
         yield ("clocks",), f"{len(system.domains)} clocks with registers: there is a bridge for one", hint
     if system.icap is not None:
         hint = "loader: fpga_manager"
-        yield ("regions",), "the ICAP is fed by a DMA engine, which is the vendor's IP", hint
+        yield ("regions",), "ICAPE2 has not been tried with nextpnr", hint
+    for way, channels in halves(system).items():
+        if len(channels) > MEMORY_PORTS:
+            message = f"{len(channels)} streams {_WAYS[way]}: the processing system has {MEMORY_PORTS} ports for them"
+            yield ("regions",), message, "connect: external, or none"
     spec = project.static
     if in_libraries(spec.libraries) or any(path.suffix in (".vhd", ".vhdl") for path in spec.sources):
         yield ("static",), "VHDL: yosys reads Verilog", "give Verilog"
@@ -85,7 +95,7 @@ def _region(region: RegionPlan) -> Iterator[tuple[tuple[str | int, ...], str, st
     for bus in region.streams:
         if bus.dma is not None:
             key = ("interfaces", bus.interface.name)
-            yield key, "a stream to memory needs a DMA engine, which is the vendor's IP", "connect: external, or none"
+            yield from ((key, message, hint) for message, hint in _stream(bus.dma))
     for memory in region.memory:
         yield (
             ("interfaces", memory.interface.name),
@@ -96,6 +106,14 @@ def _region(region: RegionPlan) -> Iterator[tuple[tuple[str | int, ...], str, st
         yield ("clocks",), f"{len(region.clocks)} clocks at the boundary", "one clock a region"
     if any(bus.full for bus in region.registers):
         yield ("interfaces",), "an AXI4 slave of bursts: the bridge gives AXI4-Lite", "AXI4-Lite"
+
+
+def _stream(dma: Dma) -> Iterator[tuple[str, str]]:
+    if dma.kind is not EngineKind.DMA:
+        message = f"engine {dma.engine} is one of {dma.kind.guide}, which is the vendor's IP"
+        yield message, "connect: dma, each stream with an engine of its own, or one of either direction"
+    elif dma.width > WIDEST:
+        yield f"a stream of {dma.width} bits: ports to memory have {WIDEST}", f"at most {WIDEST} bits"
 
 
 def _module(one: Implementation) -> Iterator[tuple[str, str]]:

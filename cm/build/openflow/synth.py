@@ -17,6 +17,9 @@ from cm.build.openflow.separate import separate
 from cm.build.openflow.steps import run_tool, write_whole
 from cm.build.openflow.tools import Tool
 
+# Read by nextpnr. The processing system has pins up to 50 tiles from where nextpnr thinks it is: a way to one is at
+# first looked for in vain, everywhere in a box that it leaves: with a wider box routing takes a sixth of the time.
+ROUTER = {"router2/bbMargin/x": "25", "router2/bbMargin/y": "60"}
 _PLAIN = re.compile(r"[^\s;\"']+")
 
 
@@ -52,7 +55,7 @@ def script(sources: Sources, out: Path, folder: Path) -> str:
     lines += [
         "read_verilog -lib +/xilinx/cells_sim.v +/xilinx/cells_xtra.v",
         f"hierarchy -check -top {sources.top}",
-        f"setattr -set keep 1 c:*{ANCHOR}* c:*{HARNESS}*",
+        f"setattr -set keep 1 c:*{ANCHOR}* c:*{HARNESS}* t:PS7",
         f"synth_xilinx -flatten -abc9 -nodsp -noclkbuf -arch xc7 -top {sources.top}"
         + ("" if sources.pads else " -noiopad"),
         f"write_json {here(out)}",
@@ -68,6 +71,8 @@ def synthesise(yosys: Tool, sources: Sources, out: Path, folder: Path, what: str
     netlist = json.loads(raw.read_text("utf-8"))
     check_cells(netlist, sources.top, what)
     separate(netlist, sources.top)
+    if sources.pads:
+        netlist["modules"][sources.top]["settings"] = ROUTER
     write_whole(out, json.dumps(netlist).encode())
     raw.unlink()
 

@@ -15,7 +15,8 @@ module cm_region_reset #(
 );
     reg [7:0] count;
 
-    assign busy = hold || count != 8'd0;
+    // until the module is out of its reset, too: one in reset may take a beat that waits, and loses it
+    assign busy = hold || count != 8'd0 || !region_resetn;
 
     always @(posedge clk) begin
         if (!resetn) begin
