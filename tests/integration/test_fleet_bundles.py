@@ -71,7 +71,7 @@ def test_a_part_that_is_not_what_its_hash_says_is_not_taken(router: Router, pack
     changed = tmp_path / "changed"
     changed.write_bytes(packed.read_bytes()[:30_000] + b"x" + packed.read_bytes()[30_001:])
     parts = Parts(tmp_path / "parts")
-    refused = pytest.raises(PartMissing, match=r"nobody hands out part .* \(20000 bytes are here\)")
+    refused = pytest.raises(PartMissing, match=r"nobody offers part .* \(20000 bytes are here\)")
     with joined(router) as ours, joined(router) as theirs, offered(ours, changed, bundle), refused:
         fetched(theirs, "", bundle, parts, patience=0.3)
 

@@ -23,7 +23,7 @@ GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY = range(47110, 47117)
 
 
 PLAY = """
-import json, os, sys
+import hashlib, json, os, sys
 import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream
 import encodings.idna, numpy.linalg
 from cm.errors import CmError
