@@ -12,7 +12,7 @@ from typing import Protocol
 
 from cm.budgets.budget import Bounds, Budget
 from cm.budgets.names import Peer, Who, name_of, place_of
-from cm.budgets.turns import Account, Clock
+from cm.budgets.turns import Account, VirtualTime
 from cm.messages.status import ClientStatus, LeaseStatus, StreamStatus
 
 _LOOK = 1_000_000  # nanoseconds between two looks at what all clients have read
@@ -56,7 +56,7 @@ class Budgets:
         self._named: dict[str, Budget] = {}
         self._known: dict[str, Budget] = {}  # by connection
         self._accounts: dict[str, Account] = {}
-        self._clock = Clock()
+        self._clock = VirtualTime()
         self._shares = shares
         self._looked = 0  # when, in nanoseconds
         self.queued_bytes = 0  # of messages that wait for their turn

@@ -17,8 +17,8 @@ _T = TypeVar("_T")
 _S = TypeVar("_S", bound="Spender")
 
 
-class Clock:
-    """What those who are served now have spent."""
+class VirtualTime:
+    """Of fair queueing: what those who are served now have spent."""
 
     __slots__ = ("now",)
 
@@ -31,7 +31,7 @@ class Spender:
 
     __slots__ = ("clock", "spent")
 
-    def __init__(self, clock: Clock) -> None:
+    def __init__(self, clock: VirtualTime) -> None:
         self.clock = clock
         self.spent = clock.now
 
@@ -49,11 +49,11 @@ class Account(Spender):
 
     __slots__ = ("clients", "leaving_bytes", "name", "queued_bytes", "share")
 
-    def __init__(self, name: str, clock: Clock, share: float = 1.0) -> None:
+    def __init__(self, name: str, clock: VirtualTime, share: float = 1.0) -> None:
         super().__init__(clock)
         self.name = name
         self.share = share
-        self.clients = Clock()
+        self.clients = VirtualTime()
         self.queued_bytes = 0  # of messages that wait for their turn
         self.leaving_bytes = 0  # of replies that are being made, or were not read
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cm.budgets.budget import Bounds, TooMuchWaiting
 from cm.budgets.registry import Budgets
-from cm.budgets.turns import Account, Client, Clock, Turns, least
+from cm.budgets.turns import Account, Client, Turns, VirtualTime, least
 
 COST = 1000  # of a request, in ns
 
@@ -25,8 +25,8 @@ class Named(Client):
 
 
 @pytest.fixture
-def clock() -> Clock:
-    return Clock()
+def clock() -> VirtualTime:
+    return VirtualTime()
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def served(turns: Turns[Named, int], cost: dict[str, int] | None = None, count: 
     return order
 
 
-def test_256_connections_are_one_client(clock: Clock, turns: Turns[Named, int]) -> None:
+def test_256_connections_are_one_client(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     hostile, other = Named("hostile", Account("a", clock)), Named("other", Account("b", clock))
     for connection in range(256):
         for number in range(4):
@@ -57,7 +57,7 @@ def test_256_connections_are_one_client(clock: Clock, turns: Turns[Named, int]) 
     assert Counter(served(turns, count=16)) == {"other": 8, "hostile": 8}
 
 
-def test_many_processes_of_one_account_are_one_account(clock: Clock, turns: Turns[Named, int]) -> None:
+def test_many_processes_of_one_account_are_one_account(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     account = Account("uid:1000", clock)
     for process in range(100):
         turns.add(Named(f"hostile {process}", account), 0, 0)
@@ -68,7 +68,7 @@ def test_many_processes_of_one_account_are_one_account(clock: Clock, turns: Turn
     assert served(turns, count=100).count("other") == 50
 
 
-def test_processes_of_one_account_take_turns_too(clock: Clock, turns: Turns[Named, int]) -> None:
+def test_processes_of_one_account_take_turns_too(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     account = Account("uid:1000", clock)
     hostile, other = Named("hostile", account), Named("other", account)
     for number in range(100):
@@ -78,7 +78,7 @@ def test_processes_of_one_account_take_turns_too(clock: Clock, turns: Turns[Name
     assert Counter(served(turns, count=40)) == {"hostile": 20, "other": 20}
 
 
-def test_it_is_time_that_counts_and_not_how_often_somebody_asks(clock: Clock, turns: Turns[Named, int]) -> None:
+def test_it_is_time_that_counts_and_not_how_often_somebody_asks(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     slow, quick = Named("slow", Account("a", clock)), Named("quick", Account("b", clock))
     for number in range(200):
         turns.add(slow, 0, number)
@@ -86,7 +86,7 @@ def test_it_is_time_that_counts_and_not_how_often_somebody_asks(clock: Clock, tu
     assert Counter(served(turns, {"slow": 9 * COST}, 100)) == {"slow": 10, "quick": 90}
 
 
-def test_an_account_may_have_a_larger_share(clock: Clock, turns: Turns[Named, int]) -> None:
+def test_an_account_may_have_a_larger_share(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     favoured, other = Named("favoured", Account("a", clock, share=4)), Named("other", Account("b", clock))
     for number in range(200):
         turns.add(favoured, 0, number)
@@ -95,7 +95,7 @@ def test_an_account_may_have_a_larger_share(clock: Clock, turns: Turns[Named, in
 
 
 def test_who_was_away_has_saved_nothing_up_and_who_was_alone_owes_nothing(
-    clock: Clock, turns: Turns[Named, int]
+    clock: VirtualTime, turns: Turns[Named, int]
 ) -> None:
     busy, back = Named("busy", Account("a", clock)), Named("back", Account("b", clock))
     for number in range(1000):
@@ -106,7 +106,7 @@ def test_who_was_away_has_saved_nothing_up_and_who_was_alone_owes_nothing(
     assert Counter(served(turns, count=100)) == {"busy": 50, "back": 50}
 
 
-def test_time_that_is_spent_elsewhere_counts(clock: Clock, turns: Turns[Named, int]) -> None:
+def test_time_that_is_spent_elsewhere_counts(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     """On pieces of long work, while messages wait."""
     worker, other = Named("worker", Account("a", clock)), Named("other", Account("b", clock))
     for number in range(20):
@@ -118,7 +118,7 @@ def test_time_that_is_spent_elsewhere_counts(clock: Clock, turns: Turns[Named, i
     assert least([]) is None
 
 
-def test_of_those_who_work_the_one_who_has_spent_least_by_account_first(clock: Clock) -> None:
+def test_of_those_who_work_the_one_who_has_spent_least_by_account_first(clock: VirtualTime) -> None:
     rich, poor = Account("rich", clock), Account("poor", clock)
     a, b, c = Named("a", rich), Named("b", rich), Named("c", poor)
     a.charge(5)
@@ -128,7 +128,7 @@ def test_of_those_who_work_the_one_who_has_spent_least_by_account_first(clock: C
     assert least([a, b]) is b
 
 
-def test_who_is_alone_is_served_as_if_it_had_waited(clock: Clock, turns: Turns[Named, int]) -> None:
+def test_who_is_alone_is_served_as_if_it_had_waited(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     first, second = Named("first", Account("a", clock)), Named("second", Account("a", clock))
     for client, cost in ((first, 5), (second, 7), (first, 1), (second, 2)):
         client.is_alone()
@@ -142,7 +142,9 @@ def test_who_is_alone_is_served_as_if_it_had_waited(clock: Clock, turns: Turns[N
         assert (clock.now, client.clock.now, client.spent, client.account.spent) == alone
 
 
-def test_connections_of_a_client_take_turns_and_each_keeps_its_order(clock: Clock, turns: Turns[Named, int]) -> None:
+def test_connections_of_a_client_take_turns_and_each_keeps_its_order(
+    clock: VirtualTime, turns: Turns[Named, int]
+) -> None:
     client = Named("one", Account("a", clock))
     for connection, number in ((0, 1), (0, 2), (0, 3), (1, 10), (2, 20), (1, 11)):
         turns.add(client, connection, number)
@@ -159,7 +161,7 @@ def test_connections_of_a_client_take_turns_and_each_keeps_its_order(clock: Cloc
 def test_everything_is_served_once_and_in_order_of_its_connection(
     asked: list[tuple[int, int, int]], costs: list[int]
 ) -> None:
-    clock, turns = Clock(), Turns[Named, tuple[str, int, int]]()
+    clock, turns = VirtualTime(), Turns[Named, tuple[str, int, int]]()
     accounts = [Account(str(n), clock) for n in range(3)]
     clients = {(a, c): Named(f"{a}/{c}", accounts[a]) for a in range(3) for c in range(3)}
     added, out = [], []

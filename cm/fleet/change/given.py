@@ -36,7 +36,7 @@ class Store(Protocol):
     def write(self, record: FleetRecord) -> None: ...
 
 
-class Board(Protocol):
+class OwnBoard(Protocol):
     """The manager, asked in somebody's name. All raise CmError; `load` and `where` raise Unsettled."""
 
     async def where(self) -> tuple[str, str]: ...
@@ -52,7 +52,7 @@ class Others(Protocol):
     async def ask(self, asks: Sequence[Ask]) -> dict[str, FleetRecord]: ...
 
 
-class Clock(Protocol):
+class WallClock(Protocol):
     """CLOCK_REALTIME, seconds."""
 
     def __call__(self) -> float: ...

@@ -14,7 +14,7 @@ from dataclasses import replace
 from cm.errors import Busy, CmError, InvalidRequest
 from cm.fleet.change import member, seats
 from cm.fleet.change.asks import Ask, Verb
-from cm.fleet.change.given import Board, Clock, Others, Store, Unsettled
+from cm.fleet.change.given import Others, OwnBoard, Store, Unsettled, WallClock
 from cm.fleet.change.member import Event, NotNow, Todo
 from cm.messages.fleet import Decision, FleetRecord, FleetStep, Policy
 from cm.messages.status import ErrorInfo
@@ -23,7 +23,7 @@ from cm.messages.status import ErrorInfo
 class Participant:
     """One board's. The caller sees to it that no two of prepare, apply, decide and go_on run at a time."""
 
-    def __init__(self, name: str, store: Store, board: Board, others: Others, now: Clock) -> None:
+    def __init__(self, name: str, store: Store, board: OwnBoard, others: Others, now: WallClock) -> None:
         self._name = name
         self._store = store
         self._board = board

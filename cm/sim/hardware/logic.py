@@ -46,7 +46,7 @@ class Accesses(Protocol):
         """Accesses of 32 bits, one after the other."""
 
 
-class Interrupts(Protocol):
+class InterruptLines(Protocol):
     """The lines of the UIO devices, in the order of the windows."""
 
     @property
@@ -65,7 +65,7 @@ class Logic(Protocol):
         """The way to the registers."""
 
     @property
-    def interrupts(self) -> Interrupts:
+    def interrupts(self) -> InterruptLines:
         """The lines to the processor."""
 
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:

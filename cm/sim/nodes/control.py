@@ -12,7 +12,7 @@ from cm.sim.errors import NodeError
 from cm.sim.faults import KINDS, Faults
 from cm.sim.hardware.fabric import Fabric
 from cm.sim.hardware.links import Link
-from cm.sim.hardware.logic import Interrupts, Logic
+from cm.sim.hardware.logic import InterruptLines, Logic
 from cm.sim.hardware.sensor import CameraLink
 from cm.sim.nodes.attributes import AttributeNode
 from cm.sim.transport.protocol import CONTROL_PATH
@@ -38,7 +38,7 @@ class Controlled(Protocol):
     links: dict[str, Link]
 
     @property
-    def interrupts(self) -> Interrupts:
+    def interrupts(self) -> InterruptLines:
         """The lines to the processor."""
 
     @property

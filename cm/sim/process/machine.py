@@ -20,7 +20,7 @@ from cm.sim.hardware.configuration_memory import ConfigMemory
 from cm.sim.hardware.configuration_port import Engine
 from cm.sim.hardware.dma import Channel
 from cm.sim.hardware.fabric import Fabric
-from cm.sim.hardware.logic import Interrupts, LogicParts, MakeLogic, SoftwareLogic
+from cm.sim.hardware.logic import InterruptLines, LogicParts, MakeLogic, SoftwareLogic
 from cm.sim.hardware.models import Models
 from cm.sim.hardware.sensor import CameraLink
 from cm.sim.nodes import uio
@@ -84,7 +84,7 @@ class Machine:
         self.fabric.changed = self.faults.ordered = self.kick
 
     @property
-    def interrupts(self) -> Interrupts:
+    def interrupts(self) -> InterruptLines:
         """The lines to the processor."""
         return self.logic.interrupts
 
