@@ -37,7 +37,7 @@ def test_memory_that_is_not_coherent_is_measured(tmp_path: Path) -> None:
     assert found["baseline"] > 0
 
 
-def test_coherent_memory_needs_nothing_and_is_told(tmp_path: Path) -> None:
+def test_coherent_memory_needs_nothing_and_is_reported(tmp_path: Path) -> None:
     with Board() as board:
         found = measured(board, tmp_path / "bench.json")
     assert found["value"] is None

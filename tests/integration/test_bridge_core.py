@@ -93,7 +93,7 @@ def test_a_follower_tells_what_is_there_and_then_what_changes(manager: Manager, 
         assert [(value.name, value.value) for value in written.registers.values] == [("focus", 3)]
 
 
-def test_an_interrupt_is_told_with_wall_time(manager: Manager, board: cm.Board) -> None:
+def test_an_interrupt_is_reported_with_wall_time(manager: Manager, board: cm.Board) -> None:
     before = time.time_ns()
     with following(manager) as told, board.stream("camera", timeout=30) as frames:
         told.until("config")
@@ -103,7 +103,7 @@ def test_an_interrupt_is_told_with_wall_time(manager: Manager, board: cm.Board) 
     assert before - 10**9 < interrupt.stamp_ns < time.time_ns() + 10**9
 
 
-def test_a_manager_that_is_killed_is_told_and_so_is_its_return(own: tuple[Manager, SimBoard]) -> None:
+def test_a_manager_that_is_killed_is_reported_and_so_is_its_return(own: tuple[Manager, SimBoard]) -> None:
     manager, _ = own
     with following(manager, patience=2.0) as told:
         before = told.until("status").board

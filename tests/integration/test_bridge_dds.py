@@ -60,7 +60,7 @@ def test_a_status_is_there_for_who_comes_late_and_then_when_it_changes(
     assert last["pr_mode"] == "idle"
 
 
-def test_what_runs_is_told_with_its_modes_and_streams(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
+def test_what_runs_is_reported_with_its_modes_and_streams(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
     told = peer.next("/lab/cm/configuration", "cm_interfaces/msg/Configuration", LATCHED, lambda c: c["mode"])
     assert "colorise" in [mode["name"] for mode in told["modes"]]
     assert (told["readable_streams"], told["writable_streams"]) == (["camera", "from_pl"], ["to_pl"])
@@ -87,7 +87,7 @@ def test_pictures_run_while_somebody_listens_and_are_those_of_the_board(
     until(lambda: not camera().open, PATIENCE)
 
 
-def test_a_mode_with_another_encoding_is_told_in_the_picture(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
+def test_a_mode_with_another_encoding_is_reported_in_the_picture(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
     board.mode = "colorise"
     image = peer.next("/lab/cm/camera/image_raw", IMAGE, SENSOR_DATA, lambda i: i["encoding"] == "rgb8")
     assert (image["step"], len(image["data"])) == (1920, 480 * 640 * 3)
@@ -117,7 +117,7 @@ def _open(board: cm.Board, name: str) -> bool:
     return next(stream for stream in board.status.streams if stream.name == name).open
 
 
-def test_registers_that_anybody_writes_are_told_and_so_are_interrupts(
+def test_registers_that_anybody_writes_are_reported_and_so_are_interrupts(
     bridge: Bridge, peer: Peer, board: cm.Board
 ) -> None:
     with (
@@ -340,7 +340,7 @@ def test_a_sample_that_is_no_message_is_refused_and_the_node_goes_on(
     assert client.call({"mode": "edge_detection"})["success"]
 
 
-def test_a_manager_that_is_killed_is_told_and_the_node_goes_on_with_its_return(
+def test_a_manager_that_is_killed_is_reported_and_the_node_goes_on_with_its_return(
     own: tuple[Manager, SimBoard], peer: Peer
 ) -> None:
     manager, _ = own

@@ -178,7 +178,7 @@ def test_the_command_line_shows_who_takes_what(manager: Manager, capsys: pytest.
         assert (told["account"], told["leases"]) == (f"uid:{os.getuid()}", 1)
 
 
-def test_what_clients_take_is_told_to_who_asks(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_what_clients_take_is_reported_on_request(manager: Manager, context: zmq.Context[Any]) -> None:
     with manager.connected() as board:
         assert works(board)
         (found,) = [client for client in board.clients() if client.requests]

@@ -52,7 +52,7 @@ def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
 
 
 @pytest.mark.parametrize("words", [("watch",), ("reg", "watch", "focus")], ids=lambda words: words[0])
-def test_a_manager_that_goes_away_is_told_once_and_waited_for(
+def test_a_manager_that_goes_away_is_reported_once_and_waited_for(
     own: tuple[Manager, SimBoard], words: tuple[str, ...]
 ) -> None:
     manager, _ = own

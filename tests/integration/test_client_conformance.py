@@ -121,7 +121,7 @@ def test_a_mode_is_gone_to(board: Any) -> None:
     assert board.mode == "edge_detection"
 
 
-def test_progress_is_told_while_a_change_runs(board: Any) -> None:
+def test_progress_is_reported_while_a_change_runs(board: Any) -> None:
     told: list[Progress] = []
     assert board.load("camera", "edge_detection", progress=told.append, timeout=60) > 0
     assert {p.target_mode for p in told} <= {"edge_detection"}
@@ -319,7 +319,7 @@ def test_every_write_and_every_change_is_a_generation_of_its_own(board: Any, oth
     assert board.registers.generation > third > second
 
 
-def test_writes_are_told_to_who_listens(board: Any, other: Any) -> None:
+def test_writes_are_published_to_subscribers(board: Any, other: Any) -> None:
     with board.registers.events("focus", timeout=60) as listening:
         other.registers.write({"zoom": 1})
         other.registers.write({"focus": 6})

@@ -79,7 +79,7 @@ def test_the_status_has_what_the_manager_says_and_what_the_bridge_knows(boards: 
     assert status.clock.now_ns > 10**18
 
 
-def test_a_bridge_that_hangs_is_told_apart_from_a_board_that_is_not_there(boards: Boards, fleet: Fleet) -> None:
+def test_a_bridge_that_hangs_is_distinguished_from_a_board_that_is_gone(boards: Boards, fleet: Fleet) -> None:
     boards["b2"].bridge.send(signal.SIGSTOP)
     try:
         with cm.fleet.connect(_endpoint(fleet), caller="anna", timeout=0.5) as hasty:
@@ -108,7 +108,7 @@ def test_registers_of_all_boards_are_written_and_read_and_errors_have_their_boar
     )
 
 
-def test_who_asks_stands_in_the_managers_log_and_holds_its_leases(boards: Boards, fleet: Fleet) -> None:
+def test_who_asks_is_in_the_managers_log_and_holds_its_leases(boards: Boards, fleet: Fleet) -> None:
     manager, holders = boards["b1"].manager, []
 
     def tell(phase: str, board: str, answer: object) -> None:
@@ -181,7 +181,7 @@ def _json(plain: zenoh.Session, selector: str, payload: str = "") -> dict[str, d
 # ---- changing -----------------------------------------------------------------------------
 
 
-def test_all_boards_change_together_and_the_critical_path_is_told(boards: Boards, fleet: Fleet) -> None:
+def test_all_boards_change_together_and_the_critical_path_is_reported(boards: Boards, fleet: Fleet) -> None:
     course = fleet.mode("edge_detection")
     assert course.outcome.decision is Decision.KEEP
     assert [leg.phase for leg in course.legs] == ["prepare", "apply", "seat", "tell"]
@@ -258,7 +258,7 @@ def test_the_examples_of_the_reference_run(
 # ---- ends ---------------------------------------------------------------------------------
 
 
-def test_a_bridge_killed_in_the_midst_of_it_comes_back_to_the_fleets_mode(boards: Boards, fleet: Fleet) -> None:
+def test_a_bridge_killed_in_the_middle_of_it_comes_back_to_the_fleets_mode(boards: Boards, fleet: Fleet) -> None:
     """It had prepared, and heard nothing of the rest; the others are enough."""
     killed = threading.Event()
 
@@ -327,7 +327,7 @@ def _is_free(status: BoardStatus | ErrorInfo) -> bool:
     return isinstance(status, BoardStatus) and status.fleet is not None and status.fleet.state in ("old", "new")
 
 
-def test_a_router_that_is_killed_in_the_midst_of_it_ends_in_one_mode(
+def test_a_router_that_is_killed_in_the_middle_of_it_ends_in_one_mode(
     boards: Boards, three: tuple[Router, Boards, Fleet], fleet: Fleet
 ) -> None:
     router, asked = three[0], []

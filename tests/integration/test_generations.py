@@ -74,7 +74,7 @@ def test_a_reader_that_joins_is_told_the_generation_that_others_know(board: cm.B
             assert stream.read().generation == written.generation
 
 
-def test_writes_by_others_are_told_with_their_generation(board: cm.Board) -> None:
+def test_writes_by_others_are_reported_with_their_generation(board: cm.Board) -> None:
     with board.registers.events("focus", timeout=30) as events:
         written = board.registers.write({"focus": 4})
         heard: RegValues = events.next()

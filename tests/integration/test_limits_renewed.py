@@ -114,7 +114,7 @@ def test_slots_of_a_stream_that_runs_are_those_of_the_file(limited: Limited, boa
             assert first.read().sequence >= 0
 
 
-def test_memory_for_masters_is_for_each_process_and_told(limited: Limited, board: cm.Board) -> None:
+def test_memory_for_masters_is_for_each_process_and_reported(limited: Limited, board: cm.Board) -> None:
     limited.reload(memory_each_mib=2, memory_mib=3)
     kept = board.allocate(2 * MIB)
     with pytest.raises(RequestBusy, match=r"2 MiB for one process \(limits.memory_each_mib\); pid \d+"):

@@ -164,7 +164,7 @@ def test_going_where_the_board_is_does_nothing(board: cm.Board) -> None:
     assert board.plan("default").steps == ()
 
 
-def test_progress_is_told_while_loading(board: cm.Board) -> None:
+def test_progress_is_reported_while_loading(board: cm.Board) -> None:
     steps: list[str] = []
     board.load(mode="edge_detection", progress=lambda p: steps.append(p.step))
     assert {"validate", "load", "publish"} <= set(steps)

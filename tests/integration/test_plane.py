@@ -457,7 +457,7 @@ def test_a_writer_waits_for_a_slot_and_says_what_is_wrong(loop: cm.Board) -> Non
             writer.flush(timeout=60)
 
 
-def test_a_failed_transfer_is_told(loop: cm.Board, shared: tuple[Manager, SimBoard]) -> None:
+def test_a_failed_transfer_is_reported(loop: cm.Board, shared: tuple[Manager, SimBoard]) -> None:
     shared[1].control.inject("dma_error", "to_pl")
     with loop.stream("from_pl"), loop.writer("to_pl") as writer:
         writer.write(np.zeros((480, 640), np.uint8))
@@ -567,7 +567,7 @@ def test_a_killed_reader_gives_everything_back(board: cm.Board, shared: tuple[Ma
     assert sim.control.state()["channels"]["camera"]["open"] is False
 
 
-def test_the_manager_going_away_is_told(own: tuple[Manager, SimBoard]) -> None:
+def test_the_manager_going_away_is_reported(own: tuple[Manager, SimBoard]) -> None:
     manager, _ = own
     with manager.connected() as board:
         board.load("camera", "default")

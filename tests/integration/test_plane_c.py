@@ -117,7 +117,7 @@ def test_the_documented_writer_writes(loop: cm.Board, manager: Manager, writer: 
             assert (np.ascontiguousarray(frame).view(np.uint8) == number).all()
 
 
-def test_a_frame_that_failed_is_told_to_a_writer(
+def test_a_frame_that_failed_is_reported_to_its_writer(
     loop: cm.Board, shared: tuple[Manager, SimBoard], writer: Path
 ) -> None:
     shared[1].control.inject("dma_error", "to_pl")

@@ -98,7 +98,9 @@ def test_no_answer_comes_from_a_region_that_is_being_loaded(ask: Ask, board: cm.
     assert ask("focus").registers.mode == "default"
 
 
-def test_a_board_that_is_gone_is_told_and_the_next_one_is_read(own: tuple[Manager, SimBoard], stack: ExitStack) -> None:
+def test_a_board_that_is_gone_is_reported_and_the_next_one_is_read(
+    own: tuple[Manager, SimBoard], stack: ExitStack
+) -> None:
     manager, sim = own
     ask = asking(stack, manager)
     with manager.connected() as board:

@@ -347,7 +347,7 @@ def test_settings_go_without_an_answer_too(loop: cm.Board, manager: Manager) -> 
         until(told)
 
 
-def test_the_command_sets_what_it_is_told_and_nothing_else(
+def test_the_command_sets_what_its_options_say_and_nothing_else(
     loop: cm.Board, manager: Manager, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place = ["--runtime-dir", str(manager.runtime)]

@@ -223,7 +223,9 @@ def test_without_a_display_it_says_what_else_there_is(
 # ---- files ------------------------------------------------------------------------------------
 
 
-def test_what_is_no_terminal_has_to_be_told_what_to_get(manager: Manager, capfd: pytest.CaptureFixture[str]) -> None:
+def test_output_other_than_a_terminal_needs_a_stated_format(
+    manager: Manager, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert main(["view", "camera", "--runtime-dir", str(manager.runtime)]) == 1
     assert "--as kitty, sixel or blocks" in capfd.readouterr().err
 

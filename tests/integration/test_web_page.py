@@ -182,7 +182,7 @@ def test_what_others_hold_is_shown_and_keeps_the_page_off(page: Any, camera: tup
     seen(page, "!document.querySelector('#leases code')")
 
 
-def test_a_manager_that_goes_is_told_and_found_again(browser: Any) -> None:
+def test_a_manager_that_goes_is_reported_and_found_again(browser: Any) -> None:
     with served() as (manager, _), web_server(manager.runtime, "--control") as server, page_of(browser, server) as page:
         page.wait_for_selector(".go:not(:disabled)")
         manager.kill()

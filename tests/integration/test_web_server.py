@@ -128,7 +128,7 @@ def test_a_page_of_others_cannot_open_the_socket(looking: WebServer, origin: str
 
 
 @pytest.mark.parametrize("first", ['{"token": "wrong"}', "{}", "[]", "no json", '{"do": "mode"}', '{"token": null}'])
-def test_without_the_token_nothing_is_told(looking: WebServer, first: str) -> None:
+def test_without_the_token_nothing_is_reported(looking: WebServer, first: str) -> None:
     async def attempt() -> tuple[Any, int | None]:
         async with aiohttp.ClientSession() as client, client.ws_connect(f"{looking.origin}/ws") as socket:
             await socket.send_str(first)

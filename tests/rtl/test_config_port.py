@@ -143,7 +143,7 @@ def test_a_good_load_after_a_failed_one_shows_no_error(tmp_path: Path, device: s
     assert said.startswith("status 01")
 
 
-def test_words_that_were_not_word_swapped_never_synchronise_and_the_end_is_told(tmp_path: Path) -> None:
+def test_words_that_were_not_word_swapped_never_synchronise_and_the_end_is_reported(tmp_path: Path) -> None:
     words = [int.from_bytes(word.to_bytes(4, "big"), "little") for word in bitstream("xc7z020")]
     _, said = fed(tmp_path, "xc7z020", words)
     assert said.startswith("status 01")  # nothing tells: the port ignores all of it

@@ -28,7 +28,7 @@ def test_the_control_registers_are_clean_for_any_number_of_lines(lines: int) -> 
 @needs("iverilog")
 @needs("verilator")
 @pytest.mark.timeout(300)
-def test_seventy_lines_are_told_apart_in_three_registers(tmp_path: Path) -> None:
+def test_seventy_lines_are_distinguished_in_three_registers(tmp_path: Path) -> None:
     design = load_design(project(tmp_path, MINIMAL, one=MANY))
     out = output_folder(design.project, None)
     generate(design, out)

@@ -210,7 +210,7 @@ def test_an_access_that_nothing_answers_is_an_error_until_the_region_is_cut_off(
     assert rig.left.read(SCRATCH) == 0
 
 
-def test_an_error_in_the_hdl_is_told_with_its_line(tmp_path: Path) -> None:
+def test_an_error_in_the_hdl_is_reported_with_its_line(tmp_path: Path) -> None:
     import shutil
 
     from cm.rtl.compile import compile_units

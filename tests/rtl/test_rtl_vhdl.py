@@ -37,7 +37,7 @@ def copied(folder: Path, old: str, new: str) -> Path:
     return folder / "dim/build.yaml"
 
 
-def test_an_error_in_vhdl_is_told_with_its_line(tmp_path: Path) -> None:
+def test_an_error_in_vhdl_is_reported_with_its_line(tmp_path: Path) -> None:
     schema = copied(tmp_path, "weaken(S_AXIS_TDATA, SHIFT);", "weaken(S_AXIS_TDATA, no_such_thing);")
     with pytest.raises(RtlError, match=r"module dim: ghdl.*\n.*dim.vhd:\d+:\d+.*no_such_thing"):
         load_rtl_design(schema, tmp_path / "tree")

@@ -166,7 +166,7 @@ def test_any_bytes_are_opened_or_refused(data: bytes, prefix: bytes) -> None:
         inspect(prefix + data)
 
 
-def test_words_that_a_bin_could_not_be_told_by_are_refused() -> None:
+def test_words_by_which_a_bin_could_not_be_recognised_are_refused() -> None:
     inner = next(data for data in (small(design="d" * n) for n in range(1, 5)) if open_image(data).offset % 4 == 0)
     nested = pack_bit(HEADER, inner)  # a header written twice: without the first one it would be another .bit
     assert open_image(nested).container is Container.BIT

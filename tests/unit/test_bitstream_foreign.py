@@ -89,7 +89,7 @@ def test_devices_are_known_by_part_and_idcode(part: str, idcode: int) -> None:
     assert device_by_idcode(idcode | 0x20000000) == device
 
 
-def test_idcode_stands_in_for_a_device_that_is_not_known() -> None:
+def test_an_idcode_identifies_a_device_that_is_not_known() -> None:
     data = convert(bit(0x30018001, 0x04A11093, 0x30004000 | 93, *[0] * 93, *DESYNC), Container.BIN_SWAPPED)
     assert codes(data, Expectation("xczu28dr")) == ["unknown_device"]
     assert codes(data, Expectation("xczu28dr", idcode=0x14A11093)) == []

@@ -80,7 +80,7 @@ def test_frames_written_twice_count_once_in_the_footprint() -> None:
     assert report.footprint == (Footprint(0, 0, 26, 3, 26),)
 
 
-def test_full_bitstream_is_told_from_partial_without_a_header() -> None:
+def test_a_full_bitstream_is_distinguished_from_a_partial_one_without_a_header() -> None:
     assert not inspect(convert(small(partial=False), Container.BIN_SWAPPED)).partial
     assert inspect(convert(small(), Container.BIN_SWAPPED)).partial
 

@@ -106,7 +106,7 @@ def test_encrypted_bitstream_needs_permission() -> None:
     assert codes(data, Expectation(partial=True, allow_encrypted=True)) == []
 
 
-def test_all_reasons_are_told_and_the_first_names_the_error() -> None:
+def test_all_reasons_are_reported_and_the_first_names_the_error() -> None:
     with pytest.raises(WrongDevice) as caught:
         verify(inspect(small()), Expectation("xc7z010", partial=False))
     assert "meant for xc7z010" in str(caught.value)

@@ -51,7 +51,7 @@ config:
 """
 
 
-def test_a_file_of_camera_calibration_stands_in_a_schema_as_it_is() -> None:
+def test_a_file_of_camera_calibration_fits_a_schema_as_it_is() -> None:
     inner = "\n".join(f"        {line}" for line in CALIBRATION.splitlines())
     stream = "    eye:\n      direction: s2mm\n      shape: [480, 640]\n      camera_info:\n"
     config = cm.schema.loads(f"config:\n  name: c\n  modes: {{default: {{}}}}\n  streams:\n{stream}{inner}\n")

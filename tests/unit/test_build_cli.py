@@ -70,7 +70,7 @@ def test_generate_says_what_it_did_and_fails_on_a_conflict(tmp_path: Path, capsy
     assert changed.read_text().endswith("# mine\n")
 
 
-def test_answers_that_no_longer_fit_are_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_answers_that_no_longer_fit_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     path = project(tmp_path)
     (tmp_path / "build").mkdir()
     (tmp_path / "build/answers.yaml").write_text("default_mode: gone\n")
@@ -84,7 +84,7 @@ LINES = (EXAMPLES / "camera/build.yaml").read_text().splitlines()
 
 @given(data=st.data())
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_any_damage_to_a_schema_is_told_or_harmless(data: st.DataObject, tmp_path: Path) -> None:
+def test_any_damage_to_a_schema_is_reported_or_harmless(data: st.DataObject, tmp_path: Path) -> None:
     lines = list(LINES)
     for _ in range(data.draw(st.integers(1, 3))):
         index = data.draw(st.integers(0, len(lines) - 1))

@@ -84,7 +84,7 @@ def test_the_images_are_as_the_configuration_port_reads_them(theirs: Path) -> No
     assert inspect(data).problems == ()
 
 
-def test_bitstreams_of_two_regions_are_told_apart(theirs: Path) -> None:
+def test_bitstreams_of_two_regions_are_distinguished(theirs: Path) -> None:
     (theirs / "pr_1_add.bit").write_bytes(partial("pr_1_add", index=1))
     found = collect([theirs])
     assert found.config.modules["pr_1_add"].region != found.config.modules["pr_0_add"].region
@@ -124,7 +124,7 @@ def test_an_xsa_gives_description_and_bitstream(tmp_path: Path) -> None:
     assert not (tmp_path.parent / "top.bit").exists()
 
 
-def test_what_is_no_archive_is_told(tmp_path: Path) -> None:
+def test_what_is_not_an_archive_is_reported(tmp_path: Path) -> None:
     (tmp_path / "a.xsa").write_bytes(b"PK nonsense")
     with pytest.raises(BuildError, match="no XSA or HDF"):
         collect([tmp_path / "a.xsa"])
@@ -186,7 +186,7 @@ def test_a_signed_configuration_is_taken_by_who_trusts_the_key(theirs: Path, tmp
     assert main(["import", "archive", archive, "--out", out, "--settings", str(tmp_path / "cm.yaml")]) == 0
 
 
-def test_nothing_to_collect_is_told(tmp_path: Path) -> None:
+def test_nothing_to_collect_is_reported(tmp_path: Path) -> None:
     with pytest.raises(BuildError, match="neither"):
         collect([tmp_path])
 

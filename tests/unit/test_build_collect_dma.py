@@ -78,7 +78,7 @@ def test_engines_have_addresses_interrupts_widths_and_clocks() -> None:
 
 
 @pytest.mark.parametrize(("built", "flushes"), [("1", True), ("0", False)])
-def test_a_vdma_that_flushes_at_frames_of_another_size_is_told_to_the_driver(built: str, *, flushes: bool) -> None:
+def test_a_vdma_that_flushes_at_frames_of_another_size_is_stated_in_the_overlay(built: str, *, flushes: bool) -> None:
     text = design(*BOTH).decode("utf-8-sig")
     stores = '<PARAMETER NAME="C_NUM_FSTORES" VALUE="5"/>'
     assert stores in text
@@ -94,14 +94,14 @@ def test_the_second_interrupt_pin_of_zynqmp_counts_from_its_own_number() -> None
     assert "axi_vdma_0 goes nowhere" in note
 
 
-def test_a_private_interrupt_is_none_that_the_kernel_can_be_told() -> None:
+def test_a_private_interrupt_is_not_one_that_a_device_tree_can_state() -> None:
     pins = port("Core0_nFIQ", "I", BOTH[0], kind="INTERRUPT")
     found = engines(handoff.parse(design(*BOTH, pins=pins)), ZYNQ7000)
     assert found.found == []
     assert "goes to Core0_nFIQ" in found.notes[0]
 
 
-def test_interrupts_behind_a_controller_are_told_and_left_out() -> None:
+def test_interrupts_behind_a_controller_are_reported_and_left_out() -> None:
     text = design(("intc", "irq")).decode("utf-8-sig")
     intc = module("intc", "axi_intc", ports(port("intr", "I", BOTH[0]), port("irq", "O")))
     found = engines(handoff.parse(text.replace("</MODULES>", f"{intc}</MODULES>").encode()), ZYNQ7000)
@@ -291,13 +291,13 @@ def test_a_member_without_a_name_is_refused(tmp_path: Path) -> None:
         collect([path])
 
 
-def test_two_members_of_one_name_are_told(tmp_path: Path) -> None:
+def test_two_members_of_one_name_are_reported(tmp_path: Path) -> None:
     path = packed(tmp_path / "two.xsa", ("a/top.bit", b"1"), ("b/top.bit", b"2"))
     with pytest.raises(BuildError, match=re.escape("a/top.bit and b/top.bit have one name")):
         collect([path])
 
 
-def test_an_archive_with_a_password_or_an_unknown_method_is_told(tmp_path: Path) -> None:
+def test_an_archive_with_a_password_or_an_unknown_method_is_reported(tmp_path: Path) -> None:
     path = packed(tmp_path / "a.xsa", ("top.bit", b"data"), method=zipfile.ZIP_STORED)
     plain = path.read_bytes()
     central = plain.index(b"PK\x01\x02")

@@ -33,7 +33,7 @@ def design(*lines: tuple[str, str], pins: str = IRQ, more: tuple[str, ...] = ())
     )
 
 
-def test_of_several_lines_of_an_instance_the_first_is_told_and_the_others_are_noted() -> None:
+def test_of_several_lines_of_an_instance_the_first_is_reported_and_the_others_are_noted() -> None:
     lines = (("tx", "irq0"), ("tx", "irq1"), ("cam", "done"), ("dma", "mm2s_introut"))
     found = interrupts(handoff.parse(design(*lines)), ZYNQ7000)
     assert {name: line.base_address for name, line in found.lines.items()} == {

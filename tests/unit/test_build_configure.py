@@ -75,7 +75,7 @@ def test_the_static_overlay_can_be_left_to_the_boards_tree(camera: tuple[Design,
         ("- a\n", "expected a map"),
     ],
 )
-def test_a_wrong_answer_is_told(
+def test_a_wrong_answer_is_reported(
     text: str, words: str, camera: tuple[Design, Path], tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     given = tmp_path / "answers.yaml"
@@ -84,6 +84,6 @@ def test_a_wrong_answer_is_told(
     assert words in capsys.readouterr().err
 
 
-def test_a_value_given_for_nothing_is_told() -> None:
+def test_a_value_given_for_nothing_is_reported() -> None:
     with pytest.raises(BuildError, match="nothing of that name"):
         answer_all([Question("a", "a", 1)], {"b": 2}, None, Path("file"))

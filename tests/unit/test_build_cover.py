@@ -34,7 +34,7 @@ def test_modes_of_different_regions_share_a_run() -> None:
     assert len(cover(REGIONS, modes, False, modes[0]).runs) == 3
 
 
-def test_a_module_in_no_mode_is_left_out_and_told() -> None:
+def test_a_module_in_no_mode_is_left_out_and_reported() -> None:
     found = cover(REGIONS, [{"a": "a1", "b": "b1"}], False, {"a": "a1"})
     assert len(found.runs) == 1
     assert found.left_out == (("a", "a2"), ("a", "a3"), ("b", "b2"))

@@ -126,7 +126,7 @@ def test_where_there_can_be_no_wrapper_check_says_why(
     assert said in caught.out + caught.err
 
 
-def test_a_parameter_of_an_interface_that_is_no_port_is_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_parameter_of_an_interface_that_is_no_port_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     path = of_interfaces(tmp_path)
     path.write_text(path.read_text().replace("{s_axis:", "{s_axix:"))
     assert main(["build", "check", str(path)]) == 1

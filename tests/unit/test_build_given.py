@@ -118,7 +118,7 @@ def test_a_core_that_is_not_there_or_too_old_is_named(tmp_path: Path) -> None:
     assert said.endswith("there is version 0.9")
 
 
-def test_what_is_no_core_is_refused(tmp_path: Path) -> None:
+def test_what_is_not_a_core_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.core").write_text("[main]\nname = a\n")
     with pytest.raises(BuildError, match="no FuseSoC core file"):
         core_files(tmp_path / "a.core")

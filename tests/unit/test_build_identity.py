@@ -137,7 +137,7 @@ def test_bitstreams_of_another_run_than_the_one_that_is_here_are_refused(ours: t
         gather(*ours)
 
 
-def test_files_without_a_header_are_told(ours: tuple[Design, Path]) -> None:
+def test_files_without_a_header_are_reported(ours: tuple[Design, Path]) -> None:
     for path in (ours[1] / "bitstreams").glob("*.bit"):
         path.with_suffix(".bin").write_bytes(path.read_bytes()[path.read_bytes().index(b"\xff" * 32) :])
         path.unlink()

@@ -40,7 +40,7 @@ def test_a_schema_that_is_there_is_not_overwritten(tmp_path: Path, capsys: pytes
     assert "exists already" in capsys.readouterr().err
 
 
-def test_a_module_without_a_bus_is_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_module_without_a_bus_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     source = tmp_path / "plain.v"
     source.write_text("module plain (input wire a, output wire b); assign b = a; endmodule\n")
     assert main(["build", "init", str(source), "-o", str(tmp_path / "build.yaml")]) == 1

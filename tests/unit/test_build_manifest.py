@@ -49,7 +49,7 @@ def test_a_conflict_leaves_the_users_file_and_puts_the_new_one_beside_it(tmp_pat
     assert (tmp_path / ".cm-orig/a").read_text() == "one\n"
 
 
-def test_a_conflict_is_told_until_it_is_resolved(tmp_path: Path) -> None:
+def test_a_conflict_is_reported_until_it_is_resolved(tmp_path: Path) -> None:
     Tree(tmp_path).write({"a": "one\n"})
     (tmp_path / "a").write_text("mine\n")
     Tree(tmp_path).write({"a": "two\n"})

@@ -149,7 +149,7 @@ def changed(*pairs: tuple[str, str]) -> str:
         ),
     ],
 )
-def test_a_mistake_in_the_schema_is_told_with_its_place(
+def test_a_mistake_in_the_schema_is_reported_with_its_place(
     old: str, new: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     said = told(tmp_path, changed((old, new)), capsys)
@@ -189,13 +189,13 @@ def test_an_empty_schema_is_told_how_to_begin(tmp_path: Path, capsys: pytest.Cap
         (ONE.replace("endmodule", "fifo_v2 u (clk);\nendmodule"), "one.v:1: no file has fifo_v2, which one needs"),
     ],
 )
-def test_a_mistake_in_hdl_is_told_with_its_place(
+def test_a_mistake_in_hdl_is_reported_with_its_place(
     one: str, sentence: str, tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     assert sentence in told(tmp_path, SCHEMA, capsys, **{"one.v": one})
 
 
-def test_a_syntax_error_in_a_file_below_the_top_is_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_syntax_error_in_a_file_below_the_top_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     top = ONE.replace("endmodule", "below b (.clk(clk));\nendmodule")
     schema = changed((ONE_LINE, "one: {sources: [one.v, below.v]}"))
     said = told(tmp_path, schema, capsys, **{"one.v": top, "below.v": "module below (input clk);\nwire x\nendmodule\n"})
@@ -203,7 +203,7 @@ def test_a_syntax_error_in_a_file_below_the_top_is_told(tmp_path: Path, capsys: 
     assert "1 problem that synthesis will stop at" in said
 
 
-def test_two_modules_of_one_name_are_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_two_modules_of_one_name_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     (tmp_path / "again.v").write_text(ONE)
     for name, text in (("one.v", ONE), ("two.v", TWO)):
         (tmp_path / name).write_text(text)
@@ -212,7 +212,7 @@ def test_two_modules_of_one_name_are_told(tmp_path: Path, capsys: pytest.Capture
     assert "again.v: module one is declared in" in capsys.readouterr().out
 
 
-def test_a_broken_register_description_is_told_with_its_line(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
+def test_a_broken_register_description_is_reported_with_its_line(tmp_path: Path, capfd: pytest.CaptureFixture) -> None:
     pytest.importorskip("systemrdl", reason="needs systemrdl-compiler: the extra [build] is not installed")
     (tmp_path / "map.rdl").write_text("addrmap a {\n  reg { nonsense\n")
     schema = changed((ONE_LINE, "one: {sources: [one.v], register_map: map.rdl}"))

@@ -64,7 +64,9 @@ def test_the_example_is_one_that_the_open_tools_can_build(project: Path) -> None
         ("[SLICE_X22Y50:SLICE_X31Y99, RAMB18_X1Y20:RAMB18_X1Y39, RAMB36_X1Y10:RAMB36_X1Y19]", "auto", "wants ranges"),
     ],
 )
-def test_what_the_open_tools_cannot_do_is_told_before_they_run(project: Path, old: str, new: str, told: str) -> None:
+def test_what_the_open_tools_cannot_do_is_reported_before_they_run(
+    project: Path, old: str, new: str, told: str
+) -> None:
     (project.parent / "x.tcl").write_text("")
     assert told in messages(check_open(changed(project, (old, new))))
 
@@ -77,7 +79,7 @@ def test_what_the_open_tools_cannot_do_is_told_before_they_run(project: Path, ol
         ({"width": 128}, "a stream of 128 bits: ports to memory have 64"),
     ],
 )
-def test_a_stream_that_the_engine_cannot_serve_is_told_with_the_key_of_its_interface(
+def test_a_stream_that_the_engine_cannot_serve_is_reported_with_the_key_of_its_interface(
     project: Path, other: dict[str, Any], told: str
 ) -> None:
     system = load_design(project).system
@@ -88,7 +90,7 @@ def test_a_stream_that_the_engine_cannot_serve_is_told_with_the_key_of_its_inter
         assert f"regions.prr0.interfaces.{interface}: {told}" in found
 
 
-def test_more_streams_than_ports_to_memory_are_told(project: Path) -> None:
+def test_more_streams_than_ports_to_memory_are_reported(project: Path) -> None:
     system = load_design(project).system
     (region,) = system.regions
     many = tuple(replace(region, streams=region.streams, index=number) for number in range(5))
@@ -242,7 +244,7 @@ def test_paths_over_anchors_have_the_sum_of_both_sides(tmp_path: Path) -> None:
     assert "static part through module" not in left
 
 
-def test_frames_outside_the_columns_that_differ_are_told() -> None:
+def test_frames_outside_the_columns_that_differ_are_reported() -> None:
     one, other = {0x1400: 1, 0x1380: 5}, {0x1400: 2, 0x1380: 5, 0x1A00: 4}
     assert outside([0x1400 >> 7], one, other) == [0x1A00]
     assert user_id(one) == user_id(dict(reversed(one.items()))) != user_id(other)
@@ -278,19 +280,19 @@ def test_a_step_that_fails_is_begun_anew(tmp_path: Path) -> None:
     assert not steps.fresh("one", "key", [])
 
 
-def test_a_program_that_fails_is_told_with_its_errors_and_its_log(tmp_path: Path) -> None:
+def test_a_program_that_fails_is_reported_with_its_errors_and_its_log(tmp_path: Path) -> None:
     shell = Tool("nextpnr", ("/bin/sh", "-c"))
     words = ["echo fine; echo 'ERROR: no place for cell x'; exit 3"]
     with pytest.raises(OpenStepFailed, match=r"module m: nextpnr failed; .*log says:\n    ERROR: no place for cell x"):
         run_tool(shell, words, tmp_path / "log", {}, "module m")
 
 
-def test_a_path_that_yosys_cannot_take_is_told() -> None:
+def test_a_path_that_yosys_cannot_take_is_reported() -> None:
     with pytest.raises(BuildError, match="yosys takes no path with spaces"):
         script(Sources("top", (Path("/a folder/x.v"),)), Path("/out.json"), Path("/"))
 
 
-def test_missing_tools_are_told_with_how_to_get_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_tools_are_reported_with_how_to_get_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.setenv("CM_XRAY_DATABASE", str(tmp_path / "none"))
     with pytest.raises(MissingTool) as told:

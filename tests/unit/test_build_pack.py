@@ -131,7 +131,9 @@ def test_nothing_is_taken_back_when_a_file_was_changed_there(tmp_path: Path) -> 
     assert not (schema.parent / "build/bitstreams").exists()
 
 
-def test_steps_that_did_not_run_are_told_and_the_others_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_steps_that_did_not_run_are_reported_and_the_others_are_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     schema = two_regions(tmp_path)
     elsewhere = there(packed(schema, tmp_path / "flow.tar.gz"), tmp_path / "there")
     make(elsewhere, "stamps/static.done")

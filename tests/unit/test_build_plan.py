@@ -173,7 +173,7 @@ def test_without_an_icap_loader_there_is_no_icap(tmp_path: Path) -> None:
     assert "fpga-mgr = <&devcfg>;" in written["dts/small_static.dtso"]
 
 
-def test_a_region_without_decoupling_is_told_in_the_schema(tmp_path: Path) -> None:
+def test_a_region_without_decoupling_is_reported_in_the_schema(tmp_path: Path) -> None:
     written = files(design(tmp_path, MINIMAL.replace("{pblock: auto}", "{decoupling: false}")))
     assert "# not decoupled: a load may disturb what is connected to it" in written["config/small.yaml"]
     assert "assign prr0_cut = 1'b0;" in written["hdl/cm_static.v"]
@@ -212,7 +212,7 @@ def test_modules_that_do_not_fit_are_refused_by_name(tmp_path: Path) -> None:
     assert analyse(found).refused
 
 
-def test_registers_without_a_register_interface_are_told(tmp_path: Path) -> None:
+def test_registers_without_a_register_interface_are_reported(tmp_path: Path) -> None:
     found = design(tmp_path, MINIMAL + "    registers: {gain: {offset: 0}}\n")
     with pytest.raises(BuildError, match=r"build\.yaml:7:5: modules\.one\.registers: .* has no register interface"):
         files(found)
@@ -302,7 +302,7 @@ def test_two_modules_may_have_one_top_with_other_parameters_or_other_sources(tmp
     assert {name: ".irq(" in body for name, body in texts.items()} == {"one": False, "deep": False, "loud": True}
 
 
-def test_a_submodule_that_no_file_has_is_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_submodule_that_no_file_has_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     below = STREAM_MODULE.format(name="one", high=31).replace(
         "endmodule",
         "    helper h ();\n    BUFG b ();\n    xpm_cdc_single x ();\nendmodule\n"

@@ -93,7 +93,7 @@ def test_systemrdl(tmp_path: Path) -> None:
         ("a.rdl", "addrmap {", "a.rdl"),
     ],
 )
-def test_what_cannot_be_read_is_told(name: str, text: str, words: str, tmp_path: Path) -> None:
+def test_what_cannot_be_read_is_reported(name: str, text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(BuildError, match=words):
         read_register_map(tmp_path / name, "any")

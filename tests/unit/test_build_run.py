@@ -89,7 +89,7 @@ def test_generating_again_without_a_change_runs_nothing(out: Path) -> None:
     assert set(states(out).values()) == {State.DONE}
 
 
-def test_a_failed_step_is_told_with_its_log_and_the_next_run_goes_on(
+def test_a_failed_step_is_reported_with_its_log_and_the_next_run_goes_on(
     out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CM_FAIL", "run_2")
@@ -157,7 +157,7 @@ def test_vivado_is_found_by_path_by_variable_and_by_setting(tmp_path: Path) -> N
         assert find_vivado(setting, environment).version == (2023, 2)
 
 
-def test_no_vivado_is_told_with_what_to_do() -> None:
+def test_no_vivado_is_reported_with_what_to_do() -> None:
     with pytest.raises(MissingTool, match="settings64"):
         find_vivado(None, {"PATH": "/nowhere"})
 

@@ -62,7 +62,7 @@ def test_these_are_the_steps(out: Path) -> None:
 
 
 @pytest.mark.parametrize("failed", STEPS)
-def test_a_failure_at_any_step_is_told_and_the_flow_goes_on_there(
+def test_a_failure_at_any_step_is_reported_and_the_flow_goes_on_there(
     out: Path, failed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CM_FAIL", failed)
@@ -135,7 +135,7 @@ def _alive(pid: int) -> bool:
         return False
 
 
-def test_several_failures_at_once_are_all_told(out: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_several_failures_at_once_are_all_reported(out: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Vivado without a licence fails in every step that make has begun."""
     program = tmp_path / "broken.sh"
     program.write_text(

@@ -99,7 +99,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_is_told_at_its_line(name: str, tmp_path: Path) -> None:
+def test_a_mistake_is_reported_at_its_line(name: str, tmp_path: Path) -> None:
     text, line, code, words = MISTAKES[name]
     problems = check_project(project(tmp_path, text))
     assert [(p.line, p.code) for p in problems] == [(line, code)], [str(p) for p in problems]
@@ -107,7 +107,7 @@ def test_a_mistake_is_told_at_its_line(name: str, tmp_path: Path) -> None:
     assert problems[0].path == tmp_path / "build.yaml"
 
 
-def test_all_mistakes_are_told_in_the_order_of_the_file(tmp_path: Path) -> None:
+def test_all_mistakes_are_reported_in_the_order_of_the_file(tmp_path: Path) -> None:
     text = MINIMAL.replace("pblock: auto", "clock: fclk9, window: 5000") + "default_mode: zero\n"
     with pytest.raises(SchemaError) as caught:
         load_project(project(tmp_path, text))

@@ -159,9 +159,7 @@ def test_one_module_is_run_by_name_with_what_it_needs(tmp_path: Path, monkeypatc
     assert {p.step.name for p in Flow(out).plan() if p.state is State.DONE} == ran
 
 
-def test_a_module_that_there_is_not_is_told_with_those_that_there_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_missing_module_is_reported_with_those_that_exist(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     made(tmp_path)
     assert main(["build", "run", "--dry-run", "--module", "tow", str(tmp_path / "build.yaml")]) == 1
     assert "no step gives a bitstream of 'tow'; there are four, one, three, two" in capsys.readouterr().err

@@ -102,7 +102,7 @@ def test_the_switch_is_a_device_of_the_static_overlay(tmp_path: Path) -> None:
         ("inputs: {into: {shape: [48]}}", "inputs: {into: {shape: [50]}}", "into at left_s_axis: a frame of 50 uint8"),
     ],
 )
-def test_a_mistake_at_the_switch_is_told_with_its_place(old: str, new: str, said: str, tmp_path: Path) -> None:
+def test_a_mistake_at_the_switch_is_reported_with_its_place(old: str, new: str, said: str, tmp_path: Path) -> None:
     assert old in CHAIN
     with pytest.raises((BuildError, SchemaError)) as caught:
         built(tmp_path, CHAIN.replace(old, new, 1))

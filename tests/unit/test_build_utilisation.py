@@ -63,7 +63,7 @@ def test_both_families_are_read() -> None:
         (ULTRASCALE.replace("5365", "many"), "CLB LUTs: 'many' is not a number"),
     ],
 )
-def test_what_is_no_report_is_told(text: str, reason: str) -> None:
+def test_what_is_not_a_report_is_refused(text: str, reason: str) -> None:
     with pytest.raises(BuildError, match=reason):
         parse_utilisation(text, "a.rpt")
 

@@ -187,7 +187,7 @@ def test_registers_are_written_read_and_published(camera: Daemon) -> None:
     seen.close()
 
 
-def test_fields_are_told_beside_the_value(camera: Daemon) -> None:
+def test_fields_are_reported_beside_the_value(camera: Daemon) -> None:
     camera.done(written("led", 0x2A))
     (led,) = camera.done(ReadReg(("led",))).values
     assert dict(led.fields) == {"pattern": 0xA, "blink": 2}
@@ -282,7 +282,7 @@ def test_a_block_is_defined_and_used(camera: Daemon) -> None:
 # ---- the sockets ---------------------------------------------------------------------------------------
 
 
-def test_a_message_without_a_reply_takes_effect_and_its_error_is_told(camera: Daemon) -> None:
+def test_a_message_without_a_reply_takes_effect_and_its_error_is_reported(camera: Daemon) -> None:
     seen = Subscriber(camera, b"cm_read_reg")
     sender = camera.connect(zmq.XPUB, "sub")
     assert sender.recv() == b"\1cm_"

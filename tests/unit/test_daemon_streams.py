@@ -159,7 +159,7 @@ def test_what_cannot_be_is_refused(loop: Daemon, request_: rq.Request, code: str
     assert (found, words in message) == (code, True), message
 
 
-def test_a_transfer_that_fails_is_told_to_who_wrote_and_in_the_status(flowing: Daemon) -> None:
+def test_a_transfer_that_fails_is_reported_to_its_writer_and_in_the_status(flowing: Daemon) -> None:
     write(flowing, PICTURE)
     flowing.board.control.inject("dma_error", "to_pl")
     reply = write(flowing, PICTURE)
@@ -350,7 +350,7 @@ def settings(state: object) -> tuple[object, ...]:
     return tuple(getattr(state, name) for name in ("shape", "dtype", "cyclic", "backpressure", "stride", "limit"))
 
 
-def test_settings_are_told_and_last_until_the_mode_changes(loop: Daemon) -> None:
+def test_settings_are_reported_and_last_until_the_mode_changes(loop: Daemon) -> None:
     told = loop.done(ConfigureStream("from_pl", shape=(8, 16), dtype="uint16", slots=6, rate=12.5, backpressure=True))
     assert settings(told) == ((8, 16), "uint16", False, True, 0, 12.5)
     assert told.slots == 6
@@ -409,7 +409,7 @@ def failure(status: Status) -> ErrorInfo | None:
     return next((stream.last_error for stream in status.streams if stream.name == "camera"), None)
 
 
-def test_a_board_that_stops_answering_is_told_and_taken_up_again(
+def test_a_board_that_stops_answering_is_reported_and_taken_up_again(
     client: Callable[..., Client], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CM_SIM_TIMEOUT", "6")  # for every node: an interrupt's register is waited for as well

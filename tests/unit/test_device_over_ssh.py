@@ -63,7 +63,7 @@ def test_the_board_of_a_labgrid_environment_is_asked(run: Run, tmp_path: Path) -
     assert (tmp_path / "asked").read_text().strip() == "-o BatchMode=yes -p 22 ubuntu@kria.local"
 
 
-def test_an_environment_without_an_address_is_told(run: Run, tmp_path: Path) -> None:
+def test_an_environment_without_an_address_is_reported(run: Run, tmp_path: Path) -> None:
     (tmp_path / "lab.yaml").write_text("targets: {main: {resources: {}}}\n")
     done = run("--lab", str(tmp_path / "lab.yaml"))
     assert done.returncode == 1

@@ -110,7 +110,7 @@ def test_the_board_and_its_kernel_are_named(pynq: Tree) -> None:
 # ---- the kernel ---------------------------------------------------------------------
 
 
-def test_a_tree_without_symbols_is_told_with_what_builds_them(petalinux: Tree) -> None:
+def test_a_tree_without_symbols_is_reported_with_what_builds_them(petalinux: Tree) -> None:
     found = petalinux.one("symbols")
     assert found.state is State.MISSING
     assert "dtc -@" in found.advice
@@ -149,7 +149,7 @@ def test_uio_as_a_module_has_its_of_id_from_modprobe_d(kria: Tree) -> None:
     assert kria.one("of_id").detail == "module, of_id=fpga-cm,uio"
 
 
-def test_an_of_id_of_somebody_elses_is_told(kria: Tree) -> None:
+def test_an_of_id_of_somebody_elses_is_reported(kria: Tree) -> None:
     kria.put("etc/modprobe.d/other.conf", "options uio_pdrv_genirq of_id=acme,uio\n")
     found = kria.one("of_id")
     assert (found.state, found.detail) == (State.WRONG, "module, of_id=acme,uio")
@@ -167,7 +167,7 @@ def test_contiguous_memory_below_64_mib_is_little(pynq: Tree, kib: int, state: S
     assert pynq.one("cma").state is state
 
 
-def test_a_kernel_without_contiguous_memory_is_told(pynq: Tree) -> None:
+def test_a_kernel_without_contiguous_memory_is_reported(pynq: Tree) -> None:
     pynq.put("proc/meminfo", "MemTotal: 500000 kB\n")
     found = pynq.one("cma")
     assert found.state is State.MISSING
@@ -215,7 +215,7 @@ def test_a_bound_node_is_no_finding(pynq: Tree) -> None:
     assert pynq.device("40000000.control", "fpga-cm,uio", driver="uio_pdrv_genirq").found("unbound") == ()
 
 
-def test_an_engine_that_stands_in_the_tree_twice_is_told(petalinux: Tree) -> None:
+def test_an_engine_that_is_in_the_tree_twice_is_reported(petalinux: Tree) -> None:
     found = petalinux.one("twice")
     assert found.detail == "a0000000.dma and a0000000.dma-controller"
     assert "Remove PL from device tree" in found.advice
@@ -234,7 +234,7 @@ def test_an_engine_whose_length_register_the_tree_does_not_say_is_wrong(pynq: Tr
     assert "14 bits" in found.advice
 
 
-def test_a_channel_without_scatter_gather_is_told(pynq: Tree) -> None:
+def test_a_channel_without_scatter_gather_is_reported(pynq: Tree) -> None:
     folder = "sys/class/cm_dma/cm_dma!camera"
     pynq.put(f"{folder}/caps", "residue simple\n").put(f"{folder}/max_length", "16383\n")
     found = pynq.one("channel")
@@ -245,7 +245,7 @@ def test_a_channel_without_scatter_gather_is_told(pynq: Tree) -> None:
 # ---- ports, clocks, others ----------------------------------------------------------
 
 
-def test_port_widths_that_nobody_sets_are_told(kria: Tree) -> None:
+def test_port_widths_that_nobody_sets_are_reported(kria: Tree) -> None:
     found = kria.device("cm-afi", "xlnx,afi-fpga").one("afi")
     assert found.state is State.WRONG
     assert "boot loader" in found.advice
@@ -260,7 +260,7 @@ def test_clocks_are_named_with_their_rates(kria: Tree) -> None:
     assert kria.one("clock").detail == "99.999001 MHz"
 
 
-def test_clocks_that_nobody_can_set_are_told(kria: Tree) -> None:
+def test_clocks_that_nobody_can_set_are_reported(kria: Tree) -> None:
     found = kria.one("clock")
     assert found.state is State.MISSING
     assert "modprobe cm_clock" in found.advice
@@ -274,7 +274,7 @@ def test_clocks_that_nobody_can_set_are_told(kria: Tree) -> None:
         ("start_pl_server", "disable --now pl_server"),
     ],
 )
-def test_another_manager_of_the_same_pl_is_told_with_how_to_end_it(tmp_path: Path, comm: str, advice: str) -> None:
+def test_another_manager_of_the_same_pl_is_reported_with_how_to_end_it(tmp_path: Path, comm: str, advice: str) -> None:
     tree = board(tmp_path, "x", "xlnx,zynqmp", release="6.6", cma=1, command_line="").process(77, comm)
     found = tree.one("other")
     assert (found.state, found.path) == (State.WRONG, "/proc/77")

@@ -142,7 +142,7 @@ def test_bindings_are_good_schemas() -> None:
     assert run(sys.executable, tool, "-u", DTS / "bindings", *BINDINGS) == ""
 
 
-def test_wrong_properties_are_told(built: Path, tmp_path: Path) -> None:
+def test_wrong_properties_are_reported(built: Path, tmp_path: Path) -> None:
     tool = schema_tool("dt-validate")
     text = run("dtc", "-q", "-I", "dtb", "-O", "dts", merged(built, "qemu-virt/static"))
     changes = {

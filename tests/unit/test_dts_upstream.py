@@ -108,7 +108,7 @@ def test_generated_overlays_are_what_the_kernels_bindings_allow(
         check(schemas, trees[GENERATED[example]], tmp_path / "merged.dtb", static, overlay)
 
 
-def test_a_name_that_the_kernels_bindings_do_not_allow_is_told(
+def test_a_name_that_the_kernels_bindings_do_not_allow_is_reported(
     schemas: Path, trees: dict[str, Path], tmp_path: Path
 ) -> None:
     bad = tmp_path / "bad.dtso"

@@ -101,7 +101,7 @@ def test_publishing_keeps_so_many_messages_and_tells_of_a_full_queue(sockets: So
 
 
 @pytest.mark.usefixtures("everybody")
-def test_a_subscriber_that_comes_again_is_told_of_again(sockets: Sockets, context) -> None:
+def test_a_subscriber_that_comes_again_is_noticed_again(sockets: Sockets, context) -> None:
     sockets.bind_ipc()
     with context.socket(zmq.SUB) as one, context.socket(zmq.SUB) as two:
         for each in (one, two):

@@ -145,7 +145,7 @@ def test_an_answer_without_a_line_is_refused(tmp_path: Path) -> None:
     assert caught.value.errno == errno.EPROTO
 
 
-def test_two_chips_of_one_label_have_to_be_told_apart_by_name(tmp_path: Path) -> None:
+def test_two_chips_of_one_label_have_to_be_distinguished_by_name(tmp_path: Path) -> None:
     def describe(op: int, payload: bytes, fds: list[int], events: object) -> Reply:
         return 0, struct.pack("<32s32sI", b"gpiochipN", b"gpio-expander", 8), []
 

@@ -120,7 +120,7 @@ def test_file_that_is_no_component_is_refused(tmp_path: Path, text: str, message
         load_component_xml(tmp_path / "c.xml")
 
 
-def test_differences_between_hdl_and_ipxact_are_told() -> None:
+def test_differences_between_hdl_and_ipxact_are_reported() -> None:
     (tagged,) = extract([DATA / "tagged.v"])
     found = [(d.kind, d.name) for d in compare(tagged, load_component_xml(DATA / "tagged.xml"))]
     assert found[:4] == [("ports", "pixels_in"), ("extra", "pixels_out"), ("extra", "probe"), ("port", "gone")]

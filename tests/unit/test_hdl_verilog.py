@@ -125,7 +125,7 @@ def test_attribute_on_some_ports_is_completed_by_the_names_of_the_others(tmp_pat
     assert (video.name, set(video.ports)) == ("video", {"TDATA", "TVALID", "TREADY", "TLAST"})
 
 
-def test_malformed_attribute_is_told_and_names_still_count(tmp_path: Path) -> None:
+def test_malformed_attribute_is_reported_and_names_still_count(tmp_path: Path) -> None:
     text = '(* X_INTERFACE_INFO = "axis s TDATA" *) input [7:0] s_tdata; input s_tvalid; output s_tready; input clk'
     found = ports(tmp_path, text)
     assert [i.name for i in found.interfaces] == ["s"]
@@ -197,7 +197,7 @@ def test_port_that_is_named_like_a_signal_by_chance_is_just_left_over(tmp_path: 
         ("input [7:0] videoTDATA; input videoTVALID; output videoTREADY", "video"),
     ],
 )
-def test_stream_is_told_by_many_habits_of_naming(tmp_path: Path, declarations: str, name: str) -> None:
+def test_a_stream_is_recognised_by_many_habits_of_naming(tmp_path: Path, declarations: str, name: str) -> None:
     (found,) = ports(tmp_path, declarations + "; input clk").interfaces
     assert (found.name, found.protocol, found.mode, len(found.ports)) == (name, "axis", Mode.SLAVE, 3)
 
@@ -231,7 +231,7 @@ def test_read_only_master_is_a_bus(tmp_path: Path) -> None:
         ("input one_clk; input two_clk", (None, None)),
     ],
 )
-def test_clock_is_told_by_name_or_not_at_all(
+def test_a_clock_is_recognised_by_name_or_not_at_all(
     tmp_path: Path, clocks: str, expected: tuple[str | None, str | None]
 ) -> None:
     found = ports(tmp_path, stream("s_axis_", "slave") + stream("m_axis_", "master") + clocks)
@@ -266,12 +266,12 @@ _NEITHER = (
 @pytest.mark.parametrize(
     "name", ["clk", "aclk", "clk_i", "clk100m", "clk_50mhz", "pixelClk", "DMA_REQ_ACLK", "clkin1", "CLOCK"]
 )
-def test_clock_is_told_by_many_names(tmp_path: Path, name: str) -> None:
+def test_a_clock_is_recognised_by_many_names(tmp_path: Path, name: str) -> None:
     assert [clock.port for clock in ports(tmp_path, f"input {name}").clocks] == [name]
 
 
 @pytest.mark.parametrize("name", ["irq", "o_int", "interrupt", "rx_intr", "ip2intc_irpt", "irq_0", "int_o"])
-def test_interrupt_is_told_by_many_names(tmp_path: Path, name: str) -> None:
+def test_an_interrupt_is_recognised_by_many_names(tmp_path: Path, name: str) -> None:
     assert [interrupt.port for interrupt in ports(tmp_path, f"output {name}").interrupts] == [name]
 
 
@@ -298,12 +298,12 @@ def test_unknown_parameter_lists_what_there_is() -> None:
         extract([DATA / "tagged.v"], parameters={"DEPTH": "1"})
 
 
-def test_file_that_is_not_there_is_told() -> None:
+def test_file_that_is_not_there_is_reported() -> None:
     with pytest.raises(HdlError, match=r"nowhere\.v: cannot be read: No such file"):
         extract(["nowhere.v"])
 
 
-def test_file_without_a_module_is_told_with_the_first_error(tmp_path: Path) -> None:
+def test_file_without_a_module_is_reported_with_the_first_error(tmp_path: Path) -> None:
     (tmp_path / "a.v").write_text("this is not a Verilog")
     with pytest.raises(HdlError, match=r"no module and no entity.*a\.v:1"):
         extract([tmp_path / "a.v"])
@@ -315,7 +315,7 @@ def test_syntax_error_is_a_problem_of_the_module_with_its_line(tmp_path: Path) -
     assert [c.port for c in found.clocks] == ["clk"]
 
 
-def test_missing_include_is_told_and_its_ranges_cannot_be_evaluated(tmp_path: Path) -> None:
+def test_missing_include_is_reported_and_its_ranges_cannot_be_evaluated(tmp_path: Path) -> None:
     found = module(tmp_path, '`include "no.vh"\nmodule m (input [`W-1:0] a);\nendmodule\n')
     assert found.problems[0].message == "'no.vh': No such file or directory: name its folder (include_dirs:, or -I)"
     assert found.port("a").width != 0
@@ -327,7 +327,7 @@ def test_parameter_without_a_default_is_asked_for(tmp_path: Path) -> None:
     assert any("-P W=" in str(problem) for problem in found.problems)
 
 
-def test_module_declared_twice_is_told(tmp_path: Path) -> None:
+def test_module_declared_twice_is_reported(tmp_path: Path) -> None:
     for name in ("a.v", "b.v"):
         (tmp_path / name).write_text("module m (input clk); endmodule")
     reading = read([tmp_path / "a.v", tmp_path / "b.v"])
@@ -363,7 +363,7 @@ def test_included_file_in_another_encoding_is_read(tmp_path: Path) -> None:
     assert (found.port("a").width, found.parameters[0].value) == (4, 4)
 
 
-def test_missing_parser_is_told_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_parser_is_reported_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyslang", None)
     with pytest.raises(ParserMissing, match=r"needs the Python package pyslang.*fpga-cm\[build\]"):
         extract([DATA / "tagged.v"])
@@ -376,7 +376,7 @@ def test_file_of_macros_counts_for_the_files_after_it(tmp_path: Path) -> None:
     assert (found.port("a").width, found.port("a").line, found.problems) == (16, 1, ())
 
 
-def test_encrypted_file_is_told(tmp_path: Path) -> None:
+def test_encrypted_file_is_reported(tmp_path: Path) -> None:
     (tmp_path / "e.v").write_text("`pragma protect begin_protected\n`pragma protect end_protected\n")
     with pytest.raises(HdlError, match=r"encrypted.*component\.xml"):
         extract([tmp_path / "e.v"])

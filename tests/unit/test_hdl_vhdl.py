@@ -84,7 +84,7 @@ def test_range_without_a_value_is_a_problem_that_names_the_generic(tmp_path: Pat
     assert any("-P N=" in str(problem) for problem in found.problems)
 
 
-def test_file_without_an_entity_is_told(tmp_path: Path) -> None:
+def test_file_without_an_entity_is_reported(tmp_path: Path) -> None:
     (tmp_path / "a.vhd").write_text("architecture a of b is begin end;")
     with pytest.raises(HdlError, match="no entity in this file"):
         extract([tmp_path / "a.vhd"])

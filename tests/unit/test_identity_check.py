@@ -36,7 +36,7 @@ def test_a_region_that_leaves_its_reset_late_is_waited_for(resets: int) -> None:
     assert told == []
 
 
-def test_another_module_is_told_at_once() -> None:
+def test_another_module_is_reported_at_once() -> None:
     run, step, told = asked(0, 0x77, EXPECTED)
     with pytest.raises(IdentityMismatch, match="0x77"):
         check_identity(run, step)

@@ -169,7 +169,7 @@ def test_isolation_of_several_writes_is_a_sequence(base: Path) -> None:
     assert loads(dump(imported.configs[1])).regions["slot0"].decoupler == found
 
 
-def test_isolation_with_more_offsets_than_values_is_told(base: Path) -> None:
+def test_isolation_with_more_offsets_than_values_is_reported(base: Path) -> None:
     put_json(base / "shell.json", SHELL | {"isolation_slots": [{"offset": ["0x4000", "0x4004"], "values": ["1"]}]})
     imported = import_dfx_mgr(base)
     assert imported.configs[1].regions["slot0"].decoupler is None
@@ -193,7 +193,7 @@ def test_accelerator_for_other_frames_is_left_out(base: Path) -> None:
         ({"sharedMemoryConfig": {"size": 1}}, "not carried over: sharedMemoryConfig"),
     ],
 )
-def test_what_cannot_be_carried_over_is_told(base: Path, fields: dict[str, Any], note: str) -> None:
+def test_what_cannot_be_carried_over_is_reported(base: Path, fields: dict[str, Any], note: str) -> None:
     put_accel(base, "odd", 0, 3, **fields)
     assert any(note in text for text in import_dfx_mgr(base).notes)
 
@@ -205,7 +205,7 @@ def test_slot_beyond_those_of_the_shell_is_left_out(base: Path) -> None:
     assert any("slot 2, but shell.json says 2 slots" in note for note in imported.notes)
 
 
-def test_folders_without_an_image_and_damaged_images_are_told(base: Path) -> None:
+def test_folders_without_an_image_and_damaged_images_are_reported(base: Path) -> None:
     folder = put_accel(base, "bad", 0, 3)
     (folder / "bad.bin").write_bytes(b"nothing")
     assert any("bad_slot0: left out" in note and "no sync word" in note for note in import_dfx_mgr(base).notes)

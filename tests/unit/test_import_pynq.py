@@ -114,13 +114,13 @@ def test_registers_have_name_place_access_and_fields(overlay: Path) -> None:
     assert found["filter_narrow"].width == 32  # two bits, but a whole word on the bus
 
 
-def test_what_is_no_register_is_left_out_and_told(overlay: Path) -> None:
+def test_what_is_not_a_register_is_left_out_and_reported(overlay: Path) -> None:
     imported = import_pynq(overlay)
     assert "filter_memory_kernel" not in static(imported).registers
     assert "filter: no plain registers, left out: Memory_kernel, odd, again" in imported.notes
 
 
-def test_registers_of_drivers_are_left_out_and_told(overlay: Path) -> None:
+def test_registers_of_drivers_are_left_out_and_reported(overlay: Path) -> None:
     imported = import_pynq(overlay)
     assert not any(name.startswith("dma") for name in static(imported).registers)
     assert any("dma (axi_dma) at 0x40400000" in note for note in imported.notes)
@@ -159,7 +159,7 @@ def test_the_registers_of_a_bram_controller_are_no_memory(overlay: Path) -> None
     assert any("bram" in note and "describes no registers" in note for note in imported.notes)
 
 
-def test_block_ram_that_no_schema_can_have_is_left_out_and_told(overlay: Path) -> None:
+def test_block_ram_that_no_schema_can_have_is_left_out_and_reported(overlay: Path) -> None:
     overlay.with_suffix(".hwh").write_bytes(bram_design(memory_range("bram", 0x40000000, 0x8000_0000, "MEMORY")))
     imported = import_pynq(overlay)
     assert not static(imported).memories

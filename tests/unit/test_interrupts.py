@@ -158,7 +158,7 @@ def test_during_a_change_the_line_stays_masked_and_the_interrupt_comes_after_it(
     assert status_of(bench) == 0
 
 
-def test_a_line_that_cannot_be_acknowledged_is_told_once_and_tried_again(bench: Bench, sim: SimBoard) -> None:
+def test_a_line_that_cannot_be_acknowledged_is_reported_once_and_tried_again(bench: Bench, sim: SimBoard) -> None:
     bench.made.arm(0, times=3)  # each attempt reads the register, and fails
     sim.control.interrupt(NAME)
     assert bench.loop.serve()
@@ -198,7 +198,7 @@ def test_a_line_whose_device_went_is_looked_for_again(
     assert [irq.name for irq in bench.told][-1:] == [NAME]
 
 
-def test_the_next_trouble_of_a_line_is_told_again(bench: Bench, sim: SimBoard) -> None:
+def test_the_next_trouble_of_a_line_is_reported_again(bench: Bench, sim: SimBoard) -> None:
     for times in (1, 2):
         bench.made.arm(0)
         sim.control.interrupt(NAME)

@@ -220,7 +220,7 @@ def test_a_region_that_the_mode_before_leaves_alone_is_whole_after_a_kill(
 # ---- what was found out -------------------------------------------------------------------
 
 
-def test_what_was_found_at_start_is_told_until_a_client_has_read_it(
+def test_what_was_found_at_start_is_reported_until_a_client_has_read_it(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
     with rig(sim.root, tmp_path, *configs.values()) as first:

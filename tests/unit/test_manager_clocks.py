@@ -82,7 +82,7 @@ def rates(sim: SimBoard) -> tuple[int, int]:
     return clocks["fclk0"], clocks["fclk1"]
 
 
-def test_the_rates_are_set_and_what_was_read_back_is_told(made: Rig, sim: SimBoard) -> None:
+def test_the_rates_are_set_and_what_was_read_back_is_reported(made: Rig, sim: SimBoard) -> None:
     assert made.go("default", config="fast") is None
     assert rates(sim) == (FAST, 99_999_999)
     expected = (ClockStatus("fclk0", 142_860_000, FAST), ClockStatus("fclk1", 100_000_000, 99_999_999))
@@ -150,7 +150,7 @@ def test_where_no_driver_sets_clocks_they_stay_as_they_are_and_that_is_said_once
     assert made.manager.plan(ChangeMode(config_name="odd", mode="default")).steps == ()
 
 
-def test_a_clock_that_does_not_do_as_it_is_told_is_noticed_and_undone(made: Rig, sim: SimBoard) -> None:
+def test_a_clock_that_ignores_its_rate_is_noticed_and_rolled_back(made: Rig, sim: SimBoard) -> None:
     assert made.go("default", config="slow") is None
     sim.control.inject("clock_stuck", "fclk0")
     error = made.go("default", config="fast")

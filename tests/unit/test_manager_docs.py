@@ -58,7 +58,7 @@ def test_the_diagram_is_that_of_the_state_table() -> None:
     assert "stateDiagram-v2" in text
 
 
-def test_every_code_stands_in_the_table_once_and_in_order() -> None:
+def test_every_code_is_in_the_table_once_and_in_order() -> None:
     codes = documented()
     assert sorted(raised() - set(codes)) == []
     assert sorted(set(codes) - raised()) == []

@@ -42,7 +42,7 @@ def test_a_copy_names_another_file_or_none_and_is_the_same_otherwise() -> None:
         ({"fpga-config-from-dmabuf": b""}, "looked at beforehand"),
     ],
 )
-def test_what_cannot_be_told_beforehand_is_refused(properties: dict[str, bytes], reason: str) -> None:
+def test_what_cannot_be_known_beforehand_is_refused(properties: dict[str, bytes], reason: str) -> None:
     with pytest.raises(BadOverlay, match=reason):
         firmware_loads("a.dtbo", fdt.pack(fdt.overlay("/fpga-region", fdt.FdtNode("", properties))))
 

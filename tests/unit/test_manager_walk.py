@@ -178,7 +178,7 @@ def test_a_first_change_that_fails_leaves_what_it_touched_cut_off(
     ],
     ids=str,
 )
-def test_what_the_system_does_not_permit_is_undone_and_told_as_such(
+def test_what_the_system_does_not_permit_is_undone_and_reported_as_such(
     made: Rig, sim: SimBoard, configs: dict[str, Config], way: Way, operation: str
 ) -> None:
     begin(made, way)

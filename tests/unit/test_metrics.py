@@ -45,7 +45,7 @@ def test_any_label_and_number_comes_back_from_an_independent_parser(label: str, 
     assert read == value or (read != read and value != value)
 
 
-def test_a_family_without_samples_is_not_told() -> None:
+def test_a_family_without_samples_is_not_reported() -> None:
     assert render([by_label("x", "gauge", "help", "a", {})]) == b""
 
 
@@ -207,12 +207,12 @@ def test_a_port_alone_is_of_this_machine(text: str, where: tuple[str, int]) -> N
 
 
 @pytest.mark.parametrize("text", ["", "here", ":80", "localhost:", "1.2.3.4:65536", "x:-1", "x:٣"])
-def test_what_is_no_address_is_told(text: str) -> None:
+def test_what_is_not_an_address_is_reported(text: str) -> None:
     with pytest.raises(InvalidRequest, match="PORT on this machine"):
         split_address(text)
 
 
-def test_a_port_that_is_taken_is_told() -> None:
+def test_a_port_that_is_taken_is_reported() -> None:
     with serving() as served, pytest.raises(InvalidRequest, match="cannot listen on"):
         MetricsServer(served.loop, bytes).open(str(served.port))
 

@@ -26,7 +26,7 @@ def messages(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage() for record in caplog.records]
 
 
-def test_the_first_of_a_burst_is_told_at_once_and_the_others_as_one(caplog: pytest.LogCaptureFixture) -> None:
+def test_the_first_of_a_burst_is_reported_at_once_and_the_others_as_one(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "cm.audit")
     clock = Clock()
     audit = Audit(clock)

@@ -44,7 +44,7 @@ def test_it_refuses_values_with_an_exception_of_its_own(generated: ModuleType) -
         generated.validate({"config": {"name": 3}})
 
 
-def test_what_is_wrong_is_told_in_full_either_way() -> None:
+def test_what_is_wrong_is_reported_in_full_either_way() -> None:
     with pytest.raises(SchemaError) as refused:
         loads(CAMERA.replace("rate: 30", "rate: fast").replace("slots: 8", "slots: 0"))
     assert {problem.key.rpartition(".")[2] for problem in refused.value.problems} == {"rate", "slots"}

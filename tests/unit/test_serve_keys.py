@@ -39,7 +39,7 @@ def test_tcp_takes_a_key_or_to_be_told_that_it_needs_none(address: str, who: str
     assert security_of([address], keys / "server.key", insecure=False) is not None
 
 
-def test_a_wrong_address_is_told_as_that(keys: Path) -> None:
+def test_a_wrong_address_is_reported_as_that(keys: Path) -> None:
     with pytest.raises(InvalidRequest, match="is not tcp://"):
         security_of(["udp://127.0.0.1"], None, insecure=False)
 
@@ -76,7 +76,7 @@ def test_a_wrong_file_among_the_keys_is_left_out_and_named(keys: Path) -> None:
     assert sorted(Path(note.split(":")[0]).name for note in notes) == ["binary.pub", "broken.pub", "laptop.pub"]
 
 
-def test_that_nobody_can_connect_is_told_but_keeps_nothing_from_running(keys: Path) -> None:
+def test_that_nobody_can_connect_is_reported_but_keeps_nothing_from_running(keys: Path) -> None:
     (keys / "authorized_keys.d/laptop.pub").unlink()
     found, notes = authorized_keys(keys / "server.key", None)
     assert found == ()

@@ -70,11 +70,11 @@ def test_one_address_may_stand_without_a_list() -> None:
         ("log: [\n", (2, 1, "", "yaml_syntax")),
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(text: str, found: tuple[int, int, str, str]) -> None:
+def test_what_is_wrong_is_reported_with_its_place(text: str, found: tuple[int, int, str, str]) -> None:
     assert found in problems(text)
 
 
-def test_everything_that_is_wrong_is_told_at_once() -> None:
+def test_everything_that_is_wrong_is_reported_at_once() -> None:
     assert len(problems("log: loud\nlisten: [x]\nkeys: y\n")) == 3
 
 

@@ -80,7 +80,7 @@ def place(tmp_path: Path) -> Place:
     return Place(tmp_path)
 
 
-def test_what_a_trusted_key_has_signed_is_taken_and_its_name_told(place: Place) -> None:
+def test_what_a_trusted_key_has_signed_is_taken_and_its_name_reported(place: Place) -> None:
     found = judge(place.put(place.signed()), "vision", place.policy())
     assert (found.signer, found.version, found.warning) == ("release", 7, None)
 
@@ -111,7 +111,7 @@ WRONG = ("file", "schema", "extra", "a.bit", "manifest.json", "manifest.sig", "v
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_what_is_not_as_it_was_signed_is_refused_or_told(place: Place, what: str) -> None:
+def test_what_is_not_as_it_was_signed_is_refused_or_reported(place: Place, what: str) -> None:
     folder = place.put(changed(place.signed(), what))
     with pytest.raises(SignatureRefused, match="vision"):
         judge(folder, "vision", place.policy())

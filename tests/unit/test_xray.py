@@ -106,7 +106,7 @@ def test_checksums_are_those_of_xc7frames2bit(tree: PackageTree, tmp_path: Path)
     assert {far: from_bytes(written[far]) for far in given} == {far: with_ecc(frame) for far, frame in given.items()}
 
 
-def test_bits_with_two_values_and_features_that_are_unknown_are_told(tree: PackageTree) -> None:
+def test_bits_with_two_values_and_features_that_are_unknown_are_reported(tree: PackageTree) -> None:
     database = Database.open("xc7z010", tree.path(DATABASE))
     one, other = (Feature("INT_L_X16Y87", f"BYP_ALT0.{source}") for source in ("FAN_BOUNCE2", "FAN_BOUNCE7"))
     unknown = {Feature("INT_L_X16Y87", "BYP_ALT0.NOWHERE"), Feature("INT_L_X999Y87", "BYP_ALT0.FAN_BOUNCE2")}
@@ -171,12 +171,12 @@ def test_lines_of_fasm_are_read_with_values_and_comments() -> None:
         ("T.A[0:3] = 4'b0", "does not fit"),
     ],
 )
-def test_a_line_that_is_no_fasm_is_told_with_its_number(line: str, told: str) -> None:
+def test_a_line_that_is_not_fasm_is_reported_with_its_number(line: str, told: str) -> None:
     with pytest.raises(XrayError, match=r"x\.fasm, line 2: .*" + told):
         read_features(["T.A", line], "x.fasm")
 
 
-def test_a_database_or_a_part_that_is_not_there_is_told(
+def test_a_database_or_a_part_that_is_not_there_is_reported(
     tree: PackageTree, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CM_XRAY_DATABASE", str(tmp_path / "none"))

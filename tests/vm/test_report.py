@@ -78,7 +78,7 @@ def test_a_board_that_passed_is_good(tmp_path: Path) -> None:
     assert (result.good, result.passed, result.facts["kernel"]) == (True, 1, "6.1.0 aarch64")
 
 
-def test_a_failed_case_is_told_with_its_text(tmp_path: Path) -> None:
+def test_a_failed_case_is_reported_with_its_text(tmp_path: Path) -> None:
     xml = '<testsuite><testcase classname="a" name="b"><failure>why</failure></testcase></testsuite>'
     result = sent(tmp_path, xml, status=1)
     assert (result.good, result.failures) == (False, ("a::b\nwhy",))

@@ -107,7 +107,7 @@ def test_frames_go_through_the_loop_unchanged(board: cm.Board) -> None:
         assert np.array_equal(stream.read(), sent)
 
 
-def test_an_interrupt_is_told(board: cm.Board) -> None:
+def test_an_interrupt_is_reported(board: cm.Board) -> None:
     before = board.interrupts["frame_done"].count
     board.registers["doorbell"] = 1
     assert until(lambda: board.interrupts["frame_done"].count) > before
@@ -121,7 +121,7 @@ def test_a_failed_load_goes_back_to_the_mode_before(board: cm.Board) -> None:
     board.mode = "edge_detection"
 
 
-def test_a_dma_error_is_told_and_the_stream_goes_on(board: cm.Board) -> None:
+def test_a_dma_error_is_reported_and_the_stream_goes_on(board: cm.Board) -> None:
     with board.stream("camera", timeout=PATIENCE) as stream:
         board.configure_stream("camera", enable=True)
         stream.read()

@@ -100,7 +100,7 @@ def test_a_packet_is_sent_whole_and_with_its_end(sg_out: device.AxiDma) -> None:
 # T1: PG021 table 2-6, IRQThreshold
 
 
-def test_each_of_eight_queued_frames_is_told_before_the_next_begins(sg_in: device.AxiDma) -> None:
+def test_each_of_eight_queued_frames_is_reported_before_the_next_begins(sg_in: device.AxiDma) -> None:
     before = SG.state("s2mm_interrupts")
     with sg_in.allocate(8 * FRAME) as buffer:
         for index in range(8):
@@ -113,7 +113,7 @@ def test_each_of_eight_queued_frames_is_told_before_the_next_begins(sg_in: devic
     assert SG.state("s2mm_interrupts") == before + 8
 
 
-def test_frames_that_come_at_once_are_all_told_in_order_with_an_interrupt_each(sg_in: device.AxiDma) -> None:
+def test_frames_that_come_at_once_are_all_reported_in_order_with_an_interrupt_each(sg_in: device.AxiDma) -> None:
     before = SG.state("s2mm_interrupts")
     with sg_in.allocate(8 * FRAME) as buffer:
         with SG.held("s2mm"):
@@ -230,7 +230,7 @@ def test_a_video_frame_is_received_and_nothing_is_written_after_its_end() -> Non
 
 
 @pytest.mark.parametrize("size", [FRAME - 4, FRAME + 4])
-def test_a_frame_of_another_size_is_dropped_and_the_next_one_is_told(size: int) -> None:
+def test_a_frame_of_another_size_is_dropped_and_the_next_one_is_reported(size: int) -> None:
     lines, line = 32, FRAME // 32
     with device.AxiDma.open("vdma_in") as channel, channel.allocate(FRAME) as buffer:
         channel.submit_video(buffer, lines, line, line, cookie=1)
@@ -302,7 +302,7 @@ def test_closing_a_channel_of_a_multichannel_engine_leaves_the_others_what_they_
 
 
 @pytest.mark.parametrize(("name", "engine"), [("sg_in", SG), ("mc_in0", MC)])
-def test_each_period_of_a_cyclic_transfer_is_told(name: str, engine: Engine) -> None:
+def test_each_period_of_a_cyclic_transfer_is_reported(name: str, engine: Engine) -> None:
     engine.set("tdest", 0)
     with device.AxiDma.open(name) as channel, channel.allocate(4 * FRAME) as buffer:
         assert device.DmaCaps.CYCLIC in channel.info.caps
