@@ -116,7 +116,7 @@ def clocks_line(found: Mapping[str, Any]) -> str:
     apart = said_apart(clocks) if clocks else None
     if apart is None:
         loose = [name for name, clock in clocks.items() if not (clock.synchronised and clock.error_ns)]
-        which = f": {', '.join(loose)} cannot say how well it is set" if loose else ""
+        which = f": how well the clock is set is not known of {', '.join(loose)}" if loose else ""
         return f"stamps: nothing is promised between boards{which}"
     return f"stamps: those of one instant differ by {apart / 1e6:.3g} ms at most, by what the boards say"
 

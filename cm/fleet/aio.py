@@ -24,7 +24,7 @@ from cm.fleet.change.coordinator import Outcome, first_step
 from cm.fleet.changing import Course, Progress, carried_out, nothing
 from cm.fleet.errors import ChangeFailed, FleetRefused
 from cm.fleet.looking import ALL, Looker
-from cm.fleet.network import Network, from_environment, session, zenoh_module
+from cm.fleet.network import Network, from_environment, session, settings_of
 from cm.fleet.presence import Presence
 from cm.fleet.recovering import open_changes, recovered, refuse_other, useful_seats
 from cm.messages.fleet import BundleState, FleetRecord, FleetStep, Policy
@@ -58,7 +58,7 @@ def connect(
 def _caller(config: Path | None) -> str:
     """The name in the settings that ``cm fleet keys`` wrote, else that of this user."""
     if config is not None:
-        said = zenoh_module().Config.from_file(str(config)).get_json("metadata")
+        said = settings_of(config).get_json("metadata")
         name = (json.loads(said) or {}).get("name")
         if isinstance(name, str):
             return name

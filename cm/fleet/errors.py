@@ -37,13 +37,20 @@ class ChangeFailed(CmError):
 
 
 def told(problems: Mapping[str, ErrorInfo]) -> str:
-    """Each board with what is wrong there."""
-    return "; ".join(f"{name}: {error.message}" for name, error in sorted(problems.items()))
+    """Each board with what is wrong there; boards of which the same is said, together."""
+    return _together({name: error.message for name, error in problems.items()})
+
+
+def _together(said: Mapping[str, str]) -> str:
+    boards: dict[str, list[str]] = {}
+    for name, why in sorted(said.items()):
+        boards.setdefault(why, []).append(name)
+    return "; ".join(f"{', '.join(names)}: {why}" for why, names in boards.items())
 
 
 def sentence(outcome: Outcome) -> str:
     """How a change ended, with each board that differs."""
-    differing = "; ".join(f"{name}: {why}" for name, why in sorted(outcome.differing.items()))
+    differing = _together(outcome.differing)
     if outcome.decision is None:
         return (
             f"what was decided is not known, for too few of its seats ({', '.join(outcome.seats)}) answered. Boards "

@@ -20,7 +20,8 @@ def check(name: str, what: str) -> str:
         raise InvalidRequest(f"{what} {name!r}: 1 to 64 printable characters are wanted, the first of them no @")
     bad = sorted((WILD | {"/", " "}) & set(name))
     if bad:
-        raise InvalidRequest(f"{what} {name!r} must not have {' '.join(bad)} in it: it is a part of a key")
+        shown = " ".join("a space" if character == " " else character for character in bad)
+        raise InvalidRequest(f"{what} {name!r} must not have {shown} in it: it is a part of a key")
     return name
 
 

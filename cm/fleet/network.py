@@ -15,6 +15,7 @@ from cm.errors import CmError, InvalidRequest
 
 PORT = 7447
 LEASE = 10.0  # seconds, zenoh's own
+_PROTOCOLS = ("tcp", "tls", "quic", "udp", "ws", "unixsock-stream", "unixpipe", "serial", "vsock")
 _TRY = 3000  # milliseconds of one try to reach a router
 _AGAIN = 1.0  # seconds between two
 
@@ -39,6 +40,8 @@ class Network:
 def endpoint(text: str) -> str:
     """``host``, ``host:port`` or zenoh's own ``tcp/host:port`` → zenoh's."""
     if "/" in text:
+        if text.partition("/")[0] not in _PROTOCOLS:
+            raise InvalidRequest(f"router {text!r}: zenoh has {', '.join(_PROTOCOLS)}, as in tls/HOST:PORT")
         return text
     host, colon, port = text.rpartition(":")
     if not colon or text.endswith("]"):
@@ -65,13 +68,39 @@ def zenoh_module() -> Any:
 def session(network: Network) -> Any:
     """An open session. Raises NoNetwork."""
     zenoh = zenoh_module()
+    config = settings_of(network.config) if network.config else zenoh.Config()
     try:
-        config = zenoh.Config.from_file(str(network.config)) if network.config else zenoh.Config()
         for name, value in _settings(network):
             config.insert_json5(name, json.dumps(value))
         return zenoh.open(config)
     except (zenoh.ZError, OSError) as error:
-        raise NoNetwork(f"{_where(network)}: {_said(error)}") from None
+        said = _said(error)
+        asked = tuple(json.loads(config.get_json("connect/endpoints")) or ()) if not network.listen else ()
+        raise NoNetwork(_unreachable(asked) if "timeout" in said.lower() else f"{_where(network)}: {said}") from None
+
+
+def settings_of(path: Path) -> Any:
+    """zenoh's settings in a file. Raises NoNetwork."""
+    zenoh = zenoh_module()
+    try:
+        path.open("rb").close()
+        return zenoh.Config.from_file(str(path))
+    except OSError as error:
+        raise NoNetwork(f"{path}: {error.strerror}: `cm fleet keys` writes such files") from None
+    except zenoh.ZError as error:
+        raise NoNetwork(f"{path} is no file of zenoh's settings (JSON5): {_said(error)}") from None
+
+
+def _unreachable(routers: tuple[str, ...]) -> str:
+    """zenoh says of each of these no more than that time is over."""
+    if not routers:
+        return "nobody answers on this network: name the fleet's router (--router HOST, or $CM_FLEET)"
+    what = "there is none, or one of us does not take the other's certificate" if _with_tls(routers) else "is it there?"
+    return f"no router answers at {', '.join(routers)}: {what}"
+
+
+def _with_tls(routers: tuple[str, ...]) -> bool:
+    return any(router.startswith(("tls/", "quic/")) for router in routers)
 
 
 def awaited(network: Network, over: threading.Event, say: Callable[[str], None]) -> Any:
@@ -94,7 +123,7 @@ def _where(network: Network) -> str:
 
 def _said(error: Exception) -> str:
     """What zenoh says, without where in its sources."""
-    return str(error).split(" at ", maxsplit=1)[0].strip() or type(error).__name__
+    return " ".join(str(error).split(" at ", maxsplit=1)[0].split()) or type(error).__name__
 
 
 def _settings(network: Network) -> list[tuple[str, Any]]:

@@ -83,11 +83,12 @@ class Bridge:
             await relay.close()
 
     async def _reach(self) -> Relay:
+        said = ""
         while True:
             try:
                 relay = Relay(self.options.endpoint, self.options.runtime_dir, self.options.keys, self._manager_changed)
             except NotFound as error:
-                _LOG.warning("%s", error)
+                said = _once(said, error)
             else:
                 try:
                     await relay.ask(calls.status())
@@ -96,7 +97,7 @@ class Bridge:
                     await relay.close()
                     raise
                 except CmError as error:
-                    _LOG.warning("%s", error)
+                    said = _once(said, error)
                     await relay.close()
             await asyncio.sleep(_AGAIN)
 
@@ -184,6 +185,13 @@ class Bridge:
         while True:
             await asyncio.sleep(_CLOCK)
             self._clock = await asyncio.to_thread(clock.read)
+
+
+def _once(before: str, error: CmError) -> str:
+    """Say what hinders, but each second only when it changes."""
+    if str(error) != before:
+        _LOG.warning("%s; it is tried again", error)
+    return str(error)
 
 
 def _now() -> float:

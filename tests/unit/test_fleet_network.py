@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a fleet is reached, and what is said where it is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import cm.fleet
+from cm.errors import InvalidRequest
+from cm.fleet.names import check
+from cm.fleet.network import Network, NoNetwork, endpoint, session
+
+CLOSED = "127.0.0.1:9"
+
+
+@pytest.mark.parametrize(
+    ("text", "router"),
+    [("lan", "tcp/lan:7447"), ("lan:1", "tcp/lan:1"), ("[::1]", "tcp/[::1]:7447"), ("tls/lan:1", "tls/lan:1")],
+)
+def test_a_router_is_a_host_or_zenohs_own_spelling(text: str, router: str) -> None:
+    assert endpoint(text) == router
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [("http/lan:1", "zenoh has tcp, tls"), ("lan:x", "HOST:PORT"), (":1", "HOST:PORT")]
+)
+def test_what_is_no_router_is_refused_before_anything_is_tried(text: str, said: str) -> None:
+    with pytest.raises(InvalidRequest, match=said):
+        endpoint(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [(None, "No such file or directory"), ("{bad", r"is no file of zenoh's settings \(JSON5\): --> 1:1 .* expected")],
+)
+def test_a_file_of_settings_that_is_none_is_named_with_its_mistake(tmp_path: Path, text: str | None, said: str) -> None:
+    path = tmp_path / "anna.json5"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(NoNetwork, match=said) as caught:
+        cm.fleet.connect(config=path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("router", "said"),
+    [(f"tcp/{CLOSED}", "is it there"), (f"tls/{CLOSED}", "does not take the other's certificate")],
+)
+def test_a_router_that_does_not_answer_is_named(tmp_path: Path, router: str, said: str) -> None:
+    path = tmp_path / "fleet.json5"  # zenoh's own three seconds are for networks
+    path.write_text(f'{{mode: "client", connect: {{endpoints: ["{router}"], timeout_ms: 50}}}}')
+    with pytest.raises(NoNetwork, match=f"no router answers at {router}: .*{said}"):
+        session(Network(config=path))
+
+
+def test_without_a_router_nobody_on_this_network_is_heard(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.json5"
+    path.write_text('{mode: "client", scouting: {timeout: 50, multicast: {enabled: true, address: "224.0.0.225:1"}}}')
+    with pytest.raises(NoNetwork, match="nobody answers on this network: name the fleet's router"):
+        session(Network(config=path))
+
+
+def test_a_name_that_cannot_be_part_of_a_key_is_refused_in_words() -> None:
+    with pytest.raises(InvalidRequest, match="caller 'a b' must not have a space in it"):
+        check("a b", "caller")
