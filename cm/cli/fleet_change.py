@@ -11,8 +11,12 @@ from cm.cli.common import add_json_option, print_json, print_table
 from cm.cli.fleet_options import add_fleet_options, connected_fleet
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from cm.fleet.change.coordinator import Outcome
     from cm.fleet.changing import Course, Leg
+    from cm.messages.fleet import BoardStatus
+    from cm.messages.status import ErrorInfo
 
 _PHASES = {"prepare": "prepared", "apply": "changed", "seat": "decided", "tell": "told"}
 
@@ -100,6 +104,7 @@ def run_recover(args: argparse.Namespace) -> int:
 
     with connected_fleet(args) as fleet:
         found = fleet.recover(args.change, args.boards)
+        early = {} if found or args.json else fleet.status(args.boards)
     failed = any(outcome.decision is None or outcome.differing for outcome in found.values())
     if args.json:
         print_json({change: as_json(outcome, None) for change, outcome in found.items()})
@@ -107,8 +112,18 @@ def run_recover(args: argparse.Namespace) -> int:
     for change, outcome in found.items():
         print(f"{change}: {sentence(outcome)}")
     if not found:
-        print("no change of the fleet is open whose time is over")
+        print("no change of the fleet is open whose time is over" + _still_open(early))
     return int(failed)
+
+
+def _still_open(statuses: Mapping[str, BoardStatus | ErrorInfo]) -> str:
+    """Changes that somebody may be at."""
+    from cm.fleet.change import member
+    from cm.messages.status import ErrorInfo
+
+    records = [status.fleet for status in statuses.values() if not isinstance(status, ErrorInfo)]
+    named = sorted({record.id for record in records if record is not None and not member.ended(record)})
+    return f"; {', '.join(named)} may still be at work: `--change {named[0]}` ends it now" if named else ""
 
 
 def run_settle(args: argparse.Namespace) -> int:
@@ -144,7 +159,8 @@ def _show(args: argparse.Namespace, outcome: Outcome, course: Course | None = No
         for name, record in sorted(outcome.records.items())
     ]
     rows += [(name, "?", "", "", error.message) for name, error in sorted(outcome.silent.items())]
-    print_table(rows, ("BOARD", "STATE", "TO", "PLANNED MS", "TOOK MS"))
+    if rows:
+        print_table(rows, ("BOARD", "STATE", "TO", "PLANNED MS", "TOOK MS"))
     if course is not None:
         print(critical_path(course))
 

@@ -109,7 +109,7 @@ class Fleet(Looker):
         key = names.command_key(names.check(board, "board"), verb, self.caller)
         payload, attachment = (message, None) if data is None else (data, message)
         found = await asking.get(self.session, key, payload, attachment, timeout or self.timeout)
-        return found[0] if found else Answer(board, key, b"", error=absent(board, board in await self.boards()))
+        return found[0] if found else Answer(board, key, b"", error=absent(board in await self.boards()))
 
     async def write(
         self, values: Mapping[str, int | str], boards: Iterable[str] = ALL
@@ -126,9 +126,9 @@ class Fleet(Looker):
     async def frame(self, board: str, stream: str) -> Frame:
         """The next frame of a stream of one board, as an array of the stream's shape. Raises RequestFailed."""
         found = await asking.get(self.session, names.key(board, "frames", stream), timeout=self.timeout)
-        answer = found[0] if found else Answer(board, "", b"", error=absent(board, board in await self.boards()))
+        answer = found[0] if found else Answer(board, "", b"", error=absent(board in await self.boards()))
         if answer.error is not None:
-            raise request_error(answer.error)
+            raise request_error(answers.named(board, answer.error))
         info = decode_event([topics.READ_DATA, answer.attachment])
         if not isinstance(info, FrameInfo):
             raise InvalidRequest(f"{board}: no frame came back")
@@ -140,7 +140,7 @@ class Fleet(Looker):
         answer = await self.do("data", board, bytes(frames[1]), bytes(frames[2]))
         error = answer.error or decode_reply([b"", answer.payload]).error
         if error is not None:
-            raise request_error(error)
+            raise request_error(answers.named(board, error))
 
     async def load(
         self,

@@ -49,3 +49,8 @@ def bundle(answer: Answer) -> BundleState | ErrorInfo:
     except CmError as error:
         return ErrorInfo(error.code, str(error))
     return found if isinstance(found, (BundleState, ErrorInfo)) else ErrorInfo("network", "no bundle came back")
+
+
+def named(board: str, error: ErrorInfo) -> ErrorInfo:
+    """The error with its board in its sentence, for where nothing else says which it was."""
+    return ErrorInfo(error.code, f"{board}: {error.message}")

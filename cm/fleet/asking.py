@@ -30,14 +30,14 @@ class Answer:
     error: ErrorInfo | None = None
 
 
-def absent(board: str, there: bool) -> ErrorInfo:
+def absent(there: bool) -> ErrorInfo:
     """Why a board that was asked said nothing: denied looks like absent, so what can be told apart is told."""
     if there:
         return ErrorInfo(
             ABSENT,
-            f"{board} is in the fleet but did not answer: it hangs, is too slow, or the router's rules keep us off",
+            "it is in the fleet but did not answer: it hangs, is too slow, or the router's rules keep us off",
         )
-    return ErrorInfo(ABSENT, f"{board} is not in the fleet now")
+    return ErrorInfo(ABSENT, "it is not in the fleet now")
 
 
 async def get(

@@ -58,5 +58,8 @@ def sentence(outcome: Outcome) -> str:
             + differing
         )
     where = "in the new mode" if outcome.decision.value == "keep" else "back in the mode before"
-    cause = f" ({told(outcome.causes)})" if outcome.causes else ""
+    if not outcome.records and not outcome.silent:
+        return f"nothing was changed: {told(outcome.causes)}"
+    others = {n: e for n, e in outcome.causes.items() if outcome.differing.get(n) != e.message}
+    cause = f" ({told(others)})" if others else ""
     return f"the fleet is {where}{cause}" + (f", but for {differing}" if differing else "")

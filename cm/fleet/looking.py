@@ -91,7 +91,7 @@ class Looker:
 
     async def _clock(self, board: str) -> Reading | ErrorInfo:
         """The least delayed of a few readings: it bounds the offset best."""
-        best: Reading | ErrorInfo = absent(board, True)
+        best: Reading | ErrorInfo = absent(True)
         for _ in range(4):
             answer, asked, came = await self._timed(board)
             if answer.error is None:
@@ -143,7 +143,7 @@ class Looker:
         found = await asyncio.gather(*(asking.get(self.session, names.key(n, rest), timeout=limit) for n in boards))
         there = await self.boards() if not all(found) else boards
         return {
-            name: answers[0] if answers else Answer(name, "", b"", error=absent(name, name in there))
+            name: answers[0] if answers else Answer(name, "", b"", error=absent(name in there))
             for name, answers in zip(boards, found, strict=True)
         }
 

@@ -52,21 +52,40 @@ def _goal(record: FleetRecord) -> tuple[str, str]:
 
 
 def disagreeing(statuses: Statuses) -> dict[str, str]:
-    """Boards whose records of one change have different decisions, each with what the others have.
+    """Boards that stand apart by what others say, each with the reason.
 
-    It takes a decision by hand (`cm fleet settle`), or seats that lost their records.
+    Those whose records of one change have different decisions: it takes a decision by hand (`cm fleet settle`), or
+    seats that lost their records. And those that were asked to take part in a change which the others kept, and did
+    not: their own record says nothing of it.
     """
+    records = _records(statuses)
     told: dict[str, dict[str, Decision]] = {}
-    for name, status in statuses.items():
-        record = status.fleet if isinstance(status, BoardStatus) else None
-        if record is not None and record.decision is not None:
+    for name, record in records.items():
+        if record.decision is not None:
             told.setdefault(record.id, {})[name] = record.decision
-    return {
+    return _left_out(statuses, records) | {
         name: f"change {change} was decided differently: {_spelt(decisions)}"
         for change, decisions in told.items()
         if len(set(decisions.values())) > 1
         for name in decisions
     }
+
+
+def _records(statuses: Statuses) -> dict[str, FleetRecord]:
+    there = {name: status.fleet for name, status in statuses.items() if isinstance(status, BoardStatus)}
+    return {name: record for name, record in there.items() if record is not None}
+
+
+def _left_out(statuses: Statuses, records: Mapping[str, FleetRecord]) -> dict[str, str]:
+    kept = {record.id: record for record in records.values() if record.decision is Decision.KEEP and record.members}
+    found = {}
+    for record in sorted(kept.values(), key=lambda each: each.deadline):
+        for name in record.members:
+            status, own = statuses.get(name), records.get(name)
+            later = own is None or (own.id != record.id and own.deadline < record.deadline)
+            if isinstance(status, BoardStatus) and later and _place(status) != _goal(record):
+                found[name] = f"it took no part in change {record.id} of {record.caller}, which the others kept"
+    return found
 
 
 def _spelt(decisions: Mapping[str, Decision]) -> str:

@@ -8,7 +8,7 @@ import asyncio
 import cm.fleet.aio
 
 
-async def main(statuses: int = 10) -> None:
+async def main(statuses: int = 3) -> None:
     """Follow all boards, and write a register of each."""
     async with cm.fleet.aio.connect() as fleet:
         first, *_ = await fleet.boards()

@@ -400,8 +400,8 @@ def test_client_and_seat_gone_for_good_leave_the_rest_to_another_client(
     assert main(["fleet", "recover", *where]) == 0  # nothing whose time is over
     assert main(["fleet", "recover", "--change", change, *where]) == 1
     said = capsys.readouterr().out
-    assert f"{change}: the fleet is {place}" in said
-    assert "b1 is not in the fleet now" in said
+    assert f"{change} may still be at work: `--change {change}` ends it now" in said
+    assert f"{change}: the fleet is {place}, but for b1: it is not in the fleet now" in said
     assert {replaced[name].place[1] for name in ("b2", "c3")} == {mode}
     assert all(_is_free(status) for status in fleet.status().values())
 

@@ -8,6 +8,8 @@ from dataclasses import replace
 import pytest
 
 from cm.fleet.change import member
+from cm.fleet.change.coordinator import Outcome
+from cm.fleet.errors import sentence
 from cm.fleet.standing import difference, disagreeing, stands_apart
 from cm.messages.fleet import BoardStatus, ClockSync, Decision, FleetRecord
 from cm.messages.status import ErrorInfo, Status
@@ -49,3 +51,38 @@ def test_boards_that_hold_different_decisions_about_one_change_are_all_named() -
     found = disagreeing({"b1": kept, "b2": back, "b3": kept, "b4": ErrorInfo("no_answer", "it is gone")})
     assert found == dict.fromkeys(("b1", "b2", "b3"), "change c1 was decided differently: b1, b3: keep; b2: revert")
     assert disagreeing({"b1": kept, "b3": kept}) == {}
+
+
+def test_a_board_that_took_no_part_in_what_the_others_kept_is_named_until_it_is_there() -> None:
+    kept = replace(RECORD, state=member.NEW, decision=Decision.KEEP, members=("b1", "b2"))
+    there = status(kept, mode="edge")
+    why = "it took no part in change c1 of anna, which the others kept"
+    assert disagreeing({"b1": there, "b2": status(None)}) == {"b2": why}
+    earlier = replace(RECORD, id="c0", state=member.OLD, decision=Decision.REVERT, deadline=50.0)
+    assert disagreeing({"b1": there, "b2": status(earlier)}) == {"b2": why}
+    assert disagreeing({"b1": there, "b2": status(replace(earlier, deadline=200.0))}) == {}  # of a later change
+    assert disagreeing({"b1": there, "b2": status(None, mode="edge")}) == {}
+    assert disagreeing({"b1": there, "b2": ErrorInfo("no_answer", "it is gone")}) == {}
+
+
+GONE = ErrorInfo("no_answer", "it is not in the fleet now")
+BUSY = ErrorInfo("busy", "change c0 of carl is applied here")
+NEW = replace(RECORD, state=member.NEW, decision=Decision.KEEP)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "said"),
+    [
+        (
+            Outcome("c1", Decision.REVERT, {}, {}, ("b1",), {"b1": BUSY, "b2": BUSY}),
+            f"nothing was changed: b1, b2: {BUSY.message}",
+        ),
+        (
+            Outcome("c1", Decision.KEEP, {"b1": NEW}, {"b2": GONE, "b3": GONE}, ("b1",), {"b2": GONE, "b3": GONE}),
+            f"the fleet is in the new mode, but for b2, b3: {GONE.message}",
+        ),
+        (Outcome("c1", Decision.KEEP, {"b1": NEW}, {}, ("b1",), {}), "the fleet is in the new mode"),
+    ],
+)
+def test_how_a_change_ended_is_one_sentence_that_says_nothing_twice(outcome: Outcome, said: str) -> None:
+    assert sentence(outcome) == said

@@ -49,8 +49,7 @@ class Participant:
         old_config, old_mode = await self._board.where()
         if not old_mode and step.policy is not Policy.BEST_EFFORT:
             raise InvalidRequest(
-                f"{self._name}: nothing is loaded, so there is no way back: load a configuration first, "
-                "or take the policy best_effort"
+                "nothing is loaded, so there is no way back: load a configuration first, or take the policy best_effort"
             )
         planned = await self._board.plan(step.config_name, step.mode, caller)
         record = FleetRecord(
@@ -94,7 +93,7 @@ class Participant:
         last = self._store.last()
         if last is not None and not member.ended(last):
             raise Busy(
-                f"{self._name}: change {last.id} of {last.caller or 'somebody'} is {last.state} here; "
+                f"change {last.id} of {last.caller or 'somebody'} is {last.state} here; "
                 f"it ends by itself, or asks {', '.join(last.seats)} what was decided"
             )
 
