@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 
 from cm.cli import fleet_change, fleet_keys, fleet_look, fleet_send
+from cm.cli.fleet_options import Intermixed
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -17,7 +18,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         "Select boards by name, glob ('line1-*') or label (@camera); the default is all "
         "of them.",
     )
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    kind: type[argparse.ArgumentParser] = Intermixed
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True, parser_class=kind)
     fleet_look.add(actions)
     fleet_change.add(actions)
     fleet_send.add(actions)

@@ -5,11 +5,28 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from cm.fleet.blocking import Fleet
     from cm.fleet.network import Network
+
+
+class Intermixed(argparse.ArgumentParser):
+    """Options may stand between arguments: ``mode edge --policy quorum b1 b2``, where boards would be unknown else."""
+
+    _inside = False
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As the parser of the commands above calls it."""
+        nested = any(action.nargs == argparse.PARSER for action in self._actions)
+        if self._inside or nested:
+            return super().parse_known_args(args, namespace)
+        self._inside = True
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._inside = False
 
 
 def add_network_options(parser: argparse.ArgumentParser) -> None:

@@ -58,8 +58,9 @@ def sentence(outcome: Outcome) -> str:
             + differing
         )
     where = "in the new mode" if outcome.decision.value == "keep" else "back in the mode before"
-    if not outcome.records and not outcome.silent:
-        return f"nothing was changed: {told(outcome.causes)}"
+    if not outcome.records and outcome.decision.value == "revert":
+        known = " as far as is known" if outcome.silent else ""
+        return f"nothing was changed{known}: {told(outcome.causes)}"
     others = {n: e for n, e in outcome.causes.items() if outcome.differing.get(n) != e.message}
     cause = f" ({told(others)})" if others else ""
     return f"the fleet is {where}{cause}" + (f", but for {differing}" if differing else "")

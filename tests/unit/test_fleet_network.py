@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import cm.fleet
+from cm.cli.parser import build_parser
 from cm.errors import InvalidRequest
 from cm.fleet.names import check
 from cm.fleet.network import Network, NoNetwork, endpoint, session
@@ -66,3 +67,31 @@ def test_without_a_router_nobody_on_this_network_is_heard(tmp_path: Path) -> Non
 def test_a_name_that_cannot_be_part_of_a_key_is_refused_in_words() -> None:
     with pytest.raises(InvalidRequest, match="caller 'a b' must not have a space in it"):
         check("a b", "caller")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "fleet mode edge --policy quorum b1 b2",
+        "fleet mode --policy quorum edge b1 b2",
+        "fleet mode edge b1 b2 --policy quorum",
+    ],
+)
+def test_options_stand_anywhere_between_the_mode_and_the_boards(words: str) -> None:
+    args = build_parser("fleet").parse_args(words.split())
+    assert (args.mode, args.boards, args.policy) == ("edge", ["b1", "b2"], "quorum")
+
+
+@pytest.mark.parametrize("words", ["fleet mode --policy quorum", "fleet reg read", "fleet mode edge --nix", "fleet"])
+def test_what_is_missing_or_unknown_is_still_wrong_usage(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        build_parser("fleet").parse_args(words.split())
+    assert caught.value.code == 2
+    assert "error:" in capsys.readouterr().err
+
+
+def test_registers_and_keys_have_actions_of_their_own_below() -> None:
+    args = build_parser("fleet").parse_args(["fleet", "reg", "write", "led", "3", "--timeout", "2", "b1"])
+    assert (args.name, args.value, args.boards, args.timeout) == ("led", "3", ["b1"], 2.0)
+    args = build_parser("fleet").parse_args(["fleet", "keys", "DIR", "client", "anna", "--role", "operate"])
+    assert (args.name, args.role) == ("anna", "operate")

@@ -78,6 +78,10 @@ NEW = replace(RECORD, state=member.NEW, decision=Decision.KEEP)
             f"nothing was changed: b1, b2: {BUSY.message}",
         ),
         (
+            Outcome("c1", Decision.REVERT, {}, {"b1": GONE}, ("b1",), {"b1": GONE}),
+            f"nothing was changed as far as is known: b1: {GONE.message}",
+        ),
+        (
             Outcome("c1", Decision.KEEP, {"b1": NEW}, {"b2": GONE, "b3": GONE}, ("b1",), {"b2": GONE, "b3": GONE}),
             f"the fleet is in the new mode, but for b2, b3: {GONE.message}",
         ),
