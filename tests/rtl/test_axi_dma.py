@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from pathlib import Path
 
@@ -42,3 +43,36 @@ def test_it_is_clean_under_lint(parameters: dict[str, int]) -> None:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_packets_pass_between_memory_and_streams_whatever_waits(shape: str, tmp_path: Path) -> None:
     assert len(simulate("tb_axi_dma", SOURCES, "cocotb_axi_dma", tmp_path, parameters=SHAPES[shape])) == 9
+
+
+@needs("iverilog")
+@pytest.mark.parametrize("shape", SHAPES)
+def test_pynqs_own_driver_runs_it(shape: str, tmp_path: Path) -> None:
+    if not os.environ.get("CM_PYNQ"):
+        pytest.skip("needs CM_PYNQ: a copy of Xilinx/PYNQ")
+    assert len(simulate("tb_axi_dma", SOURCES, "cocotb_pynq_dma", tmp_path, parameters=SHAPES[shape])) == 1
+
+
+PROOF = """
+read_verilog -formal -sv {switches} {files}
+prep -top formal_axi_dma -flatten
+async2sync; memory_map; opt -full; dffunmap; opt_clean; delete t:$cover
+sat -tempinduct -prove-asserts -set-assumes -set-at 1 resetn 0 -maxsteps 5 -verify
+"""
+
+
+@needs("yosys")
+@pytest.mark.parametrize("registers", ["", "FAXIL"])
+def test_what_memory_was_offered_stays_and_registers_answer_each_access_once(registers: str, tmp_path: Path) -> None:
+    """Proved for all time, not only for what a simulation does; `-verify` makes a failure an error."""
+    files = [*SOURCES[1:], HERE / "tb" / "formal_axi_dma.sv"]
+    if registers:
+        if not os.environ.get("CM_WB2AXIP"):
+            pytest.skip("needs CM_WB2AXIP: a copy of ZipCPU/wb2axip")
+        files.insert(0, Path(os.environ["CM_WB2AXIP"]) / "bench" / "formal" / "faxil_slave.v")
+    switches = f"-D{registers}" if registers else ""
+    script = tmp_path / "proof.ys"
+    script.write_text(PROOF.format(switches=switches, files=" ".join(map(str, files))))
+    done = subprocess.run(["yosys", str(script)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr
+    assert "Induction step proven: SUCCESS!" in done.stdout

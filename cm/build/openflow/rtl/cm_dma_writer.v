@@ -89,7 +89,8 @@ module cm_dma_writer #(
             localparam [LANE_BITS-1:0] NUMBER = at;
             wire mine = BEATS == 1 || lane == NUMBER;
             always @(posedge clk)
-                if (take) begin
+                if (!resetn) data[8*STREAM_BYTES*at+:8*STREAM_BYTES] <= {8 * STREAM_BYTES{1'b0}};
+                else if (take) begin
                     if (mine) begin
                         data[8*STREAM_BYTES*at+:8*STREAM_BYTES] <= s_axis_tdata;
                         strobes[STREAM_BYTES*at+:STREAM_BYTES]  <= keep & fits;
