@@ -13,7 +13,7 @@ import zenoh
 from cm.rmw_zenoh.inbox import Inbox
 from cm.rmw_zenoh.keys import End, EndKey, NodeKey
 from cm.rmw_zenoh.publisher import ZenohPublisher
-from cm.rmw_zenoh.service import Service
+from cm.rmw_zenoh.service import Door, Service
 from cm.rmw_zenoh.session import opened
 from cm.rmw_zenoh.subscription import ZenohSubscription
 from cm.ros import cdr
@@ -34,6 +34,7 @@ class ZenohTransport:
         self._node = NodeKey(domain, str(self._session.info.zid()), name.name, name.namespace)
         self._numbers = itertools.count(self._node.number + 1)
         self._busy = threading.BoundedSemaphore(_REQUESTS)
+        self._door = Door()
         self._requests = Inbox("services", _WAITING, lambda asked: asked[0].take(asked[1]))
         self._open: set[ZenohPublisher | ZenohSubscription] = set()
         self._tokens = [self._session.liveliness().declare_token(self._node.token)]
@@ -70,7 +71,7 @@ class ZenohTransport:
     def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> None:
         """Serve."""
         end = self._end(End.SERVICE, name, kind, SERVICES)
-        service = Service(end, answer, self._busy)
+        service = Service(end, answer, self._busy, self._door)
         handler: Any = zenoh.handlers.Callback(lambda query: self._requests.put((service, query)), indirect=False)
         self._queryables.append(self._session.declare_queryable(end.key, handler, complete=True))
         self._tokens.append(self._session.liveliness().declare_token(end.token))
@@ -86,6 +87,7 @@ class ZenohTransport:
             self._tokens.pop().undeclare()
         while self._queryables:
             self._queryables.pop().undeclare()
+        self._door.close()
         self._requests.close()
         for end in tuple(self._open):
             end.close()
