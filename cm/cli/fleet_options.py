@@ -57,7 +57,9 @@ def network_of(args: argparse.Namespace, **more: object) -> Network:
 def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> None:
     """Add which boards, and what `add_network_options` adds, with who asks and for how long it waits."""
     if boards:
-        parser.add_argument("boards", nargs="*", metavar="BOARD", help="a name, a glob or @LABEL (default: all)")
+        parser.add_argument(
+            "boards", nargs="*", default=[], metavar="BOARD", help="a name, a glob or @LABEL (default: all)"
+        )
     add_network_options(parser)
     group = parser.add_argument_group("asking")
     group.add_argument(

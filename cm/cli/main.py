@@ -27,6 +27,7 @@ _PACKAGES = {
     "bits": "sim",
     "dds": "bridge",
     "fleet": "bridge",
+    "rmw_zenoh": "bridge",
     "ros": "bridge",
 }
 

@@ -37,7 +37,7 @@ OTHERS = {
 OPTIONAL = {
     "pytest", "tkinter",  # of whoever runs tests, or has a screen
     "cocotb", "cyclonedds", "grpc_tools", "iceoryx2", "lz4", "matplotlib", "PIL", "cryptography", "pyslang", "scipy",
-    "systemrdl", "tree_sitter", "tree_sitter_vhdl", "zenoh", "setuptools",
+    "systemrdl", "tree_sitter", "tree_sitter_vhdl", "xxhash", "zenoh", "setuptools",
 }  # fmt: skip
 
 

@@ -136,11 +136,11 @@ def test_the_service_is_in_the_package_with_its_files() -> None:
         "lib/systemd/system/cm.service", "lib/udev/rules.d/60-cm.rules", "usr/lib/tmpfiles.d/fpga-cm.conf",
         "etc/cm/cm.yaml", "usr/lib/modprobe.d/cm.conf", "usr/bin/cm",
         "lib/systemd/system/cm-bridge@.service", "lib/systemd/system/cm-bridge-reload.path",
-        "lib/systemd/system/cm-bridge-reload.service", "etc/cm/bridge-zenoh.conf", "etc/cm/bridge-dds.conf",
+        "lib/systemd/system/cm-bridge-reload.service", "etc/cm/bridge-zenoh.conf", "etc/cm/bridge-dds.conf", "etc/cm/bridge-rmw-zenoh.conf",
     ):  # fmt: skip
         assert f"./{name}\n" in listing, name
     conffiles = run(["dpkg-deb", "--info", deb, "conffiles"]).split()
-    assert {"/etc/cm/cm.yaml", "/etc/cm/bridge-zenoh.conf", "/etc/cm/bridge-dds.conf"} <= set(conffiles)
+    assert {"/etc/cm/cm.yaml", *(f"/etc/cm/bridge-{name}.conf" for name in ("zenoh", "dds", "rmw-zenoh"))} <= set(conffiles)
 
 
 @debs
