@@ -127,6 +127,9 @@ def test_every_module_of_the_wheel_is_in_one_debian_package() -> None:
     assert set(files) == wanted
 
 
+SETTINGS = tuple(f"etc/cm/bridge-{name}.conf" for name in ("dds", "rmw-zenoh", "zenoh"))
+
+
 @debs
 @needs("dpkg-deb")
 def test_the_service_is_in_the_package_with_its_files() -> None:
@@ -136,11 +139,11 @@ def test_the_service_is_in_the_package_with_its_files() -> None:
         "lib/systemd/system/cm.service", "lib/udev/rules.d/60-cm.rules", "usr/lib/tmpfiles.d/fpga-cm.conf",
         "etc/cm/cm.yaml", "usr/lib/modprobe.d/cm.conf", "usr/bin/cm",
         "lib/systemd/system/cm-bridge@.service", "lib/systemd/system/cm-bridge-reload.path",
-        "lib/systemd/system/cm-bridge-reload.service", "etc/cm/bridge-zenoh.conf", "etc/cm/bridge-dds.conf", "etc/cm/bridge-rmw-zenoh.conf",
+        "lib/systemd/system/cm-bridge-reload.service", *SETTINGS,
     ):  # fmt: skip
         assert f"./{name}\n" in listing, name
     conffiles = run(["dpkg-deb", "--info", deb, "conffiles"]).split()
-    assert {"/etc/cm/cm.yaml", *(f"/etc/cm/bridge-{name}.conf" for name in ("zenoh", "dds", "rmw-zenoh"))} <= set(conffiles)
+    assert {f"/{name}" for name in ("etc/cm/cm.yaml", *SETTINGS)} <= set(conffiles)
 
 
 @debs
