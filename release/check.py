@@ -82,6 +82,21 @@ def broken_links(paths: list[Path]) -> Iterator[str]:
                 yield f"{where}: no such heading"
 
 
+def unreachable(paths: list[Path]) -> Iterator[str]:
+    """Pages of docs/ to which no link leads from the README, over any number of pages."""
+    seen: set[Path] = set()
+    to_read = [ROOT / "README.md"]
+    while to_read:
+        path = to_read.pop()
+        if path in seen or path.suffix != ".md" or not path.is_file():
+            continue
+        seen.add(path)
+        to_read += [(path.parent / target).resolve() for target, _ in _LINK.findall(_without_code(path.read_text()))]
+    for path in sorted(set(paths) - seen):
+        if (ROOT / "docs") in path.parents:
+            yield f"{path.relative_to(ROOT)}: no link leads here from README.md"
+
+
 def _without_code(text: str) -> str:
     return re.sub(r"```.*?```|`[^`\n]*`", "", text, flags=re.DOTALL)
 
@@ -109,6 +124,7 @@ def findings(tag: str) -> Iterator[str]:
     yield from wrong_versions(wanted)
     yield from changelog(wanted, bool(tag))
     yield from broken_links(documents())
+    yield from unreachable(documents())
     yield from licences()
 
 

@@ -71,6 +71,20 @@ def test_the_documentation_of_this_tree_has_no_broken_link() -> None:
     assert list(module.broken_links(module.documents())) == []
 
 
+def test_pages_that_no_link_leads_to_are_found(check: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "docs").mkdir()
+    texts = {"README.md": "[a](docs/a.md)", "docs/a.md": "[b](b.md#x) [a](a.md)", "docs/b.md": "", "docs/lost.md": ""}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+    found = list(check.unreachable([tmp_path / name for name in texts]))
+    assert found == ["docs/lost.md: no link leads here from README.md"]
+
+
+def test_every_page_of_this_tree_is_linked_from_the_readme() -> None:
+    module = load("check")
+    assert list(module.unreachable(module.documents())) == []
+
+
 def test_versions_in_this_tree_are_one() -> None:
     module = load("check")
     assert list(module.wrong_versions(module.version())) == []
