@@ -20,7 +20,7 @@ from cm.wire.plane_packets import Open
 class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
     """An array, and slices of it, that a master in the PL has at `device_address`.
 
-    The memory is given back when the last array in it has gone, by `free`, or with this process.
+    The memory is freed with the last array in it, by `free`, or with this process.
     """
 
     _memory: _Memory | None = None
@@ -30,24 +30,24 @@ class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
 
     @property
     def device_address(self) -> int:
-        """Where its first byte lies for the device. Raises InvalidRequest for an array in ordinary memory."""
+        """The address of its first byte for the device. Raises InvalidRequest for an array in ordinary memory."""
         memory, place = self._memory, self.__array_interface__["data"][0]
         if memory is None or not memory.begin <= place < memory.begin + memory.length:
             raise InvalidRequest("this array lies in ordinary memory: a result of arithmetic, or a copy, is not part")
         return memory.address + int(place - memory.begin)
 
     def sync_to_device(self) -> None:
-        """What was written is there for the device; nothing to do where the memory is coherent."""
+        """Make what was written visible to the device; does nothing if the memory is coherent."""
         if self._memory is not None:
             self._memory.to_device()
 
     def sync_from_device(self) -> None:
-        """What the device has written is there for us; nothing to do where the memory is coherent."""
+        """Make what the device has written visible here; does nothing if the memory is coherent."""
         if self._memory is not None:
             self._memory.from_device()
 
     def free(self) -> None:
-        """Give the memory back now: it is the device's no more, even if there are still arrays in it. Twice is fine."""
+        """Free the memory now, even if arrays in it are left: the device must not use it any more. Twice is fine."""
         if self._memory is not None:
             self._memory.free()
 
@@ -76,7 +76,7 @@ class _Memory:
 
 
 def nbytes(shape: int | Sequence[int], dtype: Any) -> int:
-    """Bytes of an array. Raises InvalidRequest for what is none."""
+    """Bytes of an array. Raises InvalidRequest for an impossible shape or dtype."""
     try:
         extents = (shape,) if isinstance(shape, int) else tuple(shape)
         length: int = math.prod(int(extent) for extent in extents) * int(np.dtype(dtype).itemsize)

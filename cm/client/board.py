@@ -118,7 +118,7 @@ class Board(Guarded):
 
     @property
     def timeout(self) -> float:
-        """Seconds to wait for answers to all but `load`."""
+        """Seconds to wait for the answer to any request but `load`."""
         return self._link.timeout
 
     @timeout.setter
@@ -157,11 +157,11 @@ class Board(Guarded):
         return self.ask(calls.status())
 
     def break_lease(self, number: int) -> LeaseInfo:
-        """End another's lease, by its number in `status.leases`; it takes the rights of an administrator."""
+        """End somebody else's lease, by its number in `status.leases`; needs the role admin."""
         return self.ask(calls.lease(rq.BreakLease(number)))
 
     def clients(self) -> tuple[ClientStatus, ...]:
-        """What each client takes of the manager: connections, leases, slots, bytes, the loop's time."""
+        """What each client uses of the manager: connections, leases, slots, bytes, the loop's time."""
         return self.ask(calls.clients())
 
     def watch(self, timeout: float | None = None) -> EventStream[Status]:
@@ -177,11 +177,11 @@ class Board(Guarded):
         return self.ask(calls.config_names())
 
     def config_entries(self) -> tuple[ConfigEntry, ...]:
-        """All configurations, with their modes, and who sent those that the administrator did not bring."""
+        """All configurations with their modes, and the sender of those that did not come from the administrator."""
         return self.ask(calls.config_entries())
 
     def remove_config(self, name: str, lease: str = "") -> None:
-        """Remove a configuration that a client sent, and its files; one's own, or with the role admin anybody's."""
+        """Remove a configuration that a client sent, with its files: your own, or with the role admin anyone's."""
         self.ask(calls.remove_config(name, lease), timeout=max(self.timeout, 60.0))
 
     def config(self, name: str = "") -> ConfigInfo:
@@ -216,7 +216,7 @@ class Board(Guarded):
     def load_async(
         self, config: str = "", mode: str = "", *, queue: bool = True, force: bool = False, lease: str = ""
     ) -> ChangeHandle:
-        """Ask for a mode and return at once; the handle says when the board is there."""
+        """Ask for a mode and return at once; the handle tells when the board has reached it."""
         subscription = self._changes()
         try:
             info = self.ask(calls.load(config, mode, wait=False, queue=queue, force=force, lease=lease))
@@ -227,7 +227,7 @@ class Board(Guarded):
 
     @property
     def mode(self) -> str:
-        """The mode the board is in; setting it goes there and waits."""
+        """The mode that the board is in; setting it changes the mode and waits."""
         return self.status.mode
 
     @mode.setter
@@ -243,7 +243,7 @@ class Board(Guarded):
         self.ask(calls.cancel())
 
     def plan(self, mode: str = "", config: str = "") -> PlanInfo:
-        """What going to a mode would do, and what it would cost; touches nothing."""
+        """What a change to a mode would do, and how long it would take; changes nothing."""
         return self.ask(calls.plan(mode, config), timeout=max(self.timeout, 30.0))
 
     def provision(self, schema: str | os.PathLike[str], *files: str | os.PathLike[str], lease: str = "") -> ConfigInfo:
@@ -256,7 +256,7 @@ class Board(Guarded):
     ) -> BoardLease:
         """Hold ``board``, ``config``, ``region:NAME``, ``registers:NAME`` or ``memories:NAME`` as a context manager.
 
-        Within it this board's own calls pass. `holder` is what others are told (default: this process, or the guest).
+        Within it this board's own calls pass. `holder` is the name that others see (default: this process or guest).
         """
         return BoardLease(self, self._leases, leases.wanted(scope, exclusive, seconds, holder, self._place))
 
@@ -273,7 +273,7 @@ class Board(Guarded):
         lease: str = "",
         copy: bool = False,
     ) -> Stream:
-        """The frames of a stream, as a context manager and iterator; frames lost to slowness show in `sequence`.
+        """The frames of a stream, as a context manager and iterator; lost frames show as gaps in `sequence`.
 
         On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
         held at a time, and go back when the last reference to them goes. `newest` skips those that wait behind
@@ -331,14 +331,14 @@ class Board(Guarded):
         return self.ask(calls.read_data(stream, timeout), timeout=timeout + self.timeout)
 
     def write(self, stream: str, data: Any, lease: str = "") -> FrameInfo:
-        """Send an array or bytes to the hardware; returns when it has taken them."""
+        """Send an array or bytes to the hardware; returns when the hardware has taken them."""
         call = self.run(uploads.write_data(stream, data, lease))
         return self.ask(call, timeout=self.timeout + 5.0)
 
     def allocate(
         self, shape: int | Sequence[int], dtype: npt.DTypeLike = "uint8", timeout: Limit = DEFAULT
     ) -> DeviceArray:
-        """An array in memory in one piece, for masters in the PL: ``registers["source"] = array.device_address``.
+        """An array in contiguous memory, for masters in the PL: ``registers["source"] = array.device_address``.
 
         It is zero at first, and is given back with the last array in it, or with this process. On the manager's
         machine only. Raises InvalidRequest, RequestBusy where the manager gives no more, Timeout.
@@ -350,7 +350,7 @@ class Board(Guarded):
         return allocated(folder, shape, dtype, seconds(timeout, self.timeout))
 
     def configure_stream(self, stream: str, **settings: Any) -> StreamStatus:
-        """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; what is left out stays.
+        """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; others stay as they are.
 
         `cm.messages.requests.ConfigureStream` has them all. Raises RequestBusy while it is in use, without `force`,
         and InvalidRequest for what cannot be: then nothing has changed.
@@ -382,7 +382,7 @@ class Board(Guarded):
     # ---- life -----------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Disconnect, with all streams, writers and events; whatever is asked afterwards raises BoardClosed.
+        """Disconnect, with all streams, writers and events; any later use raises BoardClosed.
 
         Twice is fine.
         """

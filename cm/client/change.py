@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class ChangeHandle:
-    """A change under way. The change goes on where the handle is dropped."""
+    """A change under way. Dropping the handle does not stop the change."""
 
     def __init__(self, board: Board, number: int, subscription: Subscription) -> None:
         self._board = board
@@ -24,12 +24,12 @@ class ChangeHandle:
 
     @property
     def number(self) -> int:
-        """Of the change, as `status.last_change` tells it."""
+        """The change's number, as in `status.last_change`."""
         return self._watch.number
 
     @property
     def progress(self) -> Progress | None:
-        """Of the newest status that was taken; None before the first."""
+        """Progress in the newest status that was read; None before the first."""
         return self._watch.progress
 
     @property
@@ -38,7 +38,7 @@ class ChangeHandle:
         return self._board.run(self._watch.arrived())
 
     def wait(self, timeout: float | None = None) -> float:
-        """Wait for its end; returns its seconds. Raises RequestFailed, Timeout after `timeout` seconds."""
+        """Wait for its end; returns the seconds that it took. Raises RequestFailed, Timeout after `timeout` seconds."""
         return self._board.run(self._watch.waiting(timeout))
 
     def cancel(self) -> None:

@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class EventStream(Generic[T]):
-    """Every event from its making on, as an iterator and a context manager. Iterating ends only by an exception."""
+    """All events since it was made, as an iterator and a context manager. Iterating ends only by an exception."""
 
     def __init__(self, board: Board, subscription: Subscription, events: Events[T]) -> None:
         self._board = board  # what hangs on a board holds it
@@ -35,14 +35,14 @@ class EventStream(Generic[T]):
         return self._board.run(self._events.next(timeout))
 
     def poll(self) -> T | None:
-        """The next one if it is there already; never waits."""
+        """The next one if there is one already; never waits."""
         try:
             return self.next(0.0)
         except Timeout:
             return None
 
     def fileno(self) -> int:
-        """A descriptor that gets readable when something may have come: then `poll` until it gives None."""
+        """A descriptor that becomes readable when something may have come: then call `poll` until it returns None."""
         return self._subscription.fileno()
 
     def close(self) -> None:

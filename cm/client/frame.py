@@ -16,14 +16,14 @@ from cm.messages.status import FrameInfo
 class Frame(np.ndarray[Any, np.dtype[Any]]):
     """A read-only array over the frame's memory, with `info`: sequence, time, mode.
 
-    Slices and results of arithmetic are plain arrays without `info`; `copy()` gives one to keep.
+    Slices and results of arithmetic are plain arrays without `info`; `copy()` makes one to keep.
     """
 
     _info: FrameInfo
 
     @property
     def info(self) -> FrameInfo:
-        """What is known of the frame beside its bytes."""
+        """What is known about the frame besides its bytes."""
         return self._info
 
     @property
@@ -33,12 +33,12 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
 
     @property
     def timestamp_ns(self) -> int:
-        """CLOCK_MONOTONIC of the manager's machine when the transfer had ended."""
+        """CLOCK_MONOTONIC of the manager's machine at the end of the transfer."""
         return self.info.timestamp_ns
 
     @property
     def generation(self) -> int:
-        """Of the registers, when this frame began (`registers.write(…).generation`); 0: not known."""
+        """Generation of the registers when this frame began (`registers.write(…).generation`); 0: unknown."""
         return self.info.generation
 
     def copy(self, order: Any = "C") -> npt.NDArray[Any]:
@@ -50,7 +50,7 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
         return png(self.copy()) if has_rows(np.asarray(self)) else None
 
     def release(self) -> None:
-        """Give the memory back before the last reference to the frame has gone; nothing where it is our own."""
+        """Give the memory back before the last reference to the frame is gone; does nothing if the frame is a copy."""
 
     def __array_wrap__(self, array: Any, context: Any = None, return_scalar: bool = False) -> Any:
         return array[()] if return_scalar else np.asarray(array)

@@ -22,7 +22,7 @@ class Interrupts:
         self._board = board
 
     def __getitem__(self, name: str) -> Interrupt:
-        """The interrupt of that name; whether there is one shows when it is used."""
+        """The interrupt of that name; whether it exists is checked when it is used."""
         return Interrupt(self._board, name)
 
     def __iter__(self) -> Iterator[str]:
@@ -55,7 +55,7 @@ class Interrupt:
 
     @property
     def count(self) -> int:
-        """How often it came since the configuration was loaded."""
+        """How many times it has occurred since the configuration was loaded."""
         return self._board.ask(calls.interrupt(self.name)).count
 
     def wait(self, timeout: float | None = None) -> Irq:
@@ -64,7 +64,7 @@ class Interrupt:
             return events.next()
 
     def events(self, timeout: float | None = None) -> EventStream[Irq]:
-        """Each one from now on. Raises Timeout if none comes for `timeout` seconds."""
+        """All interrupts of this name from now on. Raises Timeout if none comes for `timeout` seconds."""
         subscription = self._board.subscribe(*InterruptEvents.topics)
         return EventStream(self._board, subscription, InterruptEvents(subscription, timeout, self.name))
 

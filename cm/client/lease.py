@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class BoardLease:
-    """Held from entering to leaving, or until its time is over; `renew()` begins its time anew.
+    """Held from entering to leaving, or until its time is over; `renew()` restarts its time.
 
     Meanwhile this board's own calls pass; `id` goes into the ``lease=`` of others. It also ends when this
     process dies (on the manager's machine).
@@ -39,7 +39,7 @@ class BoardLease:
         return self.id
 
     def renew(self) -> None:
-        """Begin its time anew. Raises RequestNotFound if it has ended."""
+        """Restart its time. Raises RequestNotFound if it has ended."""
         self._board.ask(calls.lease(leases.renewal(self._wanted, self.id)))
 
     def release(self) -> None:

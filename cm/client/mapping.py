@@ -140,7 +140,7 @@ def _packed(shape: tuple[int, ...], size: int) -> tuple[int, ...]:
 
 
 class LocalFrame(Frame):
-    """A frame in DMA memory, leased until it, and every array made from it, has gone, or `release` is called."""
+    """A frame in DMA memory, leased until it and every array made from it are gone, or `release` is called."""
 
     _lease: Lease | None = None
 
@@ -167,12 +167,12 @@ class LocalFrame(Frame):
 
     @property
     def timestamp_ns(self) -> int:
-        """CLOCK_MONOTONIC of this machine when the transfer had ended."""
+        """CLOCK_MONOTONIC of this machine at the end of the transfer."""
         return self._held().frame.timestamp_ns
 
     @property
     def generation(self) -> int:
-        """Of the registers, when this frame began; 0: not known."""
+        """Generation of the registers when this frame began; 0: unknown."""
         return self._held().generation
 
     def release(self) -> None:

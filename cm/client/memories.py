@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Memory:
-    """A memory; nothing of it is kept here. Offsets and lengths are bytes, multiples of 4."""
+    """A memory; its content is not cached. Offsets and lengths are in bytes, multiples of 4."""
 
     def __init__(self, board: Board, name: str) -> None:
         self._board = board
@@ -29,13 +29,13 @@ class Memory:
     def read(self, offset: int = 0, length: int | None = None) -> Array:
         """A copy of `length` bytes (None: the rest), as an array of the memory's dtype.
 
-        The whole comes in the memory's shape. Parts are arrays of one axis; those that are not whole elements
+        The whole memory has the memory's shape. Parts are arrays of one axis; parts that are not whole elements
         are uint8. Raises RequestFailed.
         """
         return self._board.run(memory.read(self.name, offset, length))
 
     def write(self, data: Any, offset: int = 0, lease: str = "") -> int:
-        """Write values as the memory's elements, or bytes as they are; returns how many bytes they were.
+        """Write values as elements of the memory, or plain bytes; returns how many bytes were written.
 
         `lease`: the id of one's own, where the memory or its region is held. Raises InvalidRequest for values that
         its dtype cannot hold, RequestFailed.
@@ -43,7 +43,7 @@ class Memory:
         return self._board.run(memory.write(self.name, data, offset, lease))
 
     def get(self, key: Key) -> Any:
-        """A row, or rows, of the first axis; no more is read than it needs."""
+        """A row, or rows, of the first axis; reads no more than it needs."""
         return self._board.run(memory.get(self.name, key))
 
     def put(self, key: Key, value: Any, lease: str = "") -> None:
@@ -55,7 +55,7 @@ class Memory:
         return memory.shape_of(self.info)[0]
 
     def __getitem__(self, key: Key) -> Any:
-        """A row, or rows, of the first axis: what `read()[key]` has, but no more is read than it needs."""
+        """A row, or rows, of the first axis, like `read()[key]`, but reads no more than it needs."""
         return self.get(key)
 
     def __setitem__(self, key: Key, value: Any) -> None:
@@ -63,7 +63,7 @@ class Memory:
         self.put(key, value)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> Array:
-        """The whole, for ``numpy.asarray(memory)``."""
+        """The whole memory, for ``numpy.asarray(memory)``."""
         if copy is False:
             raise ValueError(f"memory {self.name!r} cannot be had without a copy")
         array = self.read()
@@ -83,7 +83,7 @@ class Memories(Mapping[str, Memory]):
         self._board = board
 
     def __getitem__(self, name: str) -> Memory:
-        """The memory of that name; whether there is one shows when it is used."""
+        """The memory of that name; whether it exists is checked when it is used."""
         return Memory(self._board, name)
 
     def __iter__(self) -> Iterator[str]:
@@ -97,7 +97,7 @@ class Memories(Mapping[str, Memory]):
 
     @property
     def info(self) -> dict[str, MemoryInfo]:
-        """What the manager knows of each that can be named now."""
+        """What the manager knows about each memory of the current mode."""
         config = self._board.config()
         return memory.visible(config)
 

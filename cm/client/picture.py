@@ -18,10 +18,10 @@ _COLOUR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}  # channels → PNG's: grey, grey + alp
 
 
 class Picture:
-    """An array that a notebook shows: (rows, columns), or with 1 to 4 channels behind.
+    """An array that a notebook shows as a picture: (rows, columns), or (rows, columns, 1 to 4 channels).
 
     uint8 is shown as it is, bool as black and white, complex numbers by their magnitude; all others from their
-    least value (black) to their greatest (white).
+    smallest value (black) to their largest (white).
     """
 
     def __init__(self, array: npt.ArrayLike) -> None:

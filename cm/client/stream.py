@@ -34,11 +34,11 @@ class Stream:
     _timeout: float | None
 
     def read(self, timeout: Limit = DEFAULT) -> Frame:
-        """The next frame. `timeout` in seconds (None waits for ever), else that of the stream. Raises Timeout."""
+        """The next frame. `timeout` in seconds (None waits for ever; default: the stream's). Raises Timeout."""
         raise NotImplementedError
 
     def after(self, write: Written | int, timeout: Limit = DEFAULT) -> Frame:
-        """The first frame that began after a write was done; those before it are passed over.
+        """The first frame that began after a write was complete; earlier ones are skipped.
 
         `write` is what `registers.write` returned, or a generation of the registers. Raises Timeout.
         """
@@ -78,9 +78,9 @@ class Stream:
 
 
 class LocalStream(Stream):
-    """Frames where the hardware put them: read-only arrays, leased until they have gone.
+    """Frames where the hardware put them: read-only arrays, leased until the last reference is gone.
 
-    `depth` frames at most are with us at a time (held, or waiting to be read); what comes while there
+    At most `depth` frames are with us at a time (held, or waiting to be read); what comes while there
     are as many is lost to us. `newest`: what waits behind a newer frame is skipped. After a change of
     mode the frames go on, in the new shape.
     """
@@ -136,7 +136,7 @@ class LocalStream(Stream):
 
     @property
     def geometry(self) -> Geometry | None:
-        """Shape, dtype, slots as they are now; None while the stream is stopped."""
+        """The current shape, dtype and slots; None while the stream is stopped."""
         return self._connection.geometry if self._connection else None
 
     @property
@@ -165,7 +165,7 @@ class LocalStream(Stream):
         return self._latest(connection, frame) if self._newest else frame
 
     def poll(self) -> Frame | None:
-        """The next frame if it is there already; never waits."""
+        """The next frame if there is one already; never waits."""
         connection = self._connected()
         try:
             while (frame := connection.take()) is None:

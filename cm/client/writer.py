@@ -24,7 +24,7 @@ from cm.wire.plane_packets import Descriptor, Geometry, Open
 class Writer:
     """A stream towards the hardware. One thread at a time.
 
-    A frame that failed is told by the next call: TransferFailed.
+    A failed frame raises TransferFailed at the next call.
     """
 
     def __init__(self, folder: Path, wanted: Open, timeout: float | None, owner: Any = None) -> None:
@@ -58,7 +58,7 @@ class Writer:
         return len(self._connection.granted)
 
     def poll(self) -> bool:
-        """Take note of what has happened, if anything; never waits."""
+        """Process what has happened, if anything; never waits."""
         self._check()
         try:
             self._connection.take()
@@ -69,7 +69,7 @@ class Writer:
 
     @contextmanager
     def slot(self, length: int = 0, timeout: Limit = DEFAULT) -> Iterator[npt.NDArray[Any]]:
-        """A free slot as an array to fill; it is sent when the block ends, and not if that raises.
+        """A free slot as an array to fill; it is sent when the block ends, unless the block raises.
 
         `length` bytes of it, as flat uint8; a whole frame in the stream's shape if 0. Waits for a slot.
         Raises Timeout, TransferFailed of an earlier frame.
@@ -104,7 +104,7 @@ class Writer:
         self._raise_failures()
 
     def round_trip(self, length: int = 0) -> Descriptor:
-        """Send a slot as it is and wait until it is done: what a frame costs beside its bytes."""
+        """Send a slot as it is and wait until it is done: the cost of a frame without its bytes."""
         grant, memory = self._borrow(DEFAULT)
         self._submit(grant, length or memory.geometry.frame_length or memory.geometry.slot_length)
         connection, number = self._connection, self._next - 1
@@ -175,7 +175,7 @@ class Writer:
         return self._connection.socket.fileno()
 
     def close(self) -> None:
-        """Disconnect; frames under way still go. Twice is fine."""
+        """Disconnect; frames under way are still sent. Twice is fine."""
         self._closed = self._closed or InvalidRequest(f"the writer of {self.name!r} was closed: ask for another")
         self._connection.close()
 

@@ -50,7 +50,7 @@ class EventStream(Generic[T]):
             return None
 
     def fileno(self) -> int:
-        """A descriptor that gets readable when something may have come: then `poll` until it gives None."""
+        """A descriptor that becomes readable when something may have come: then call `poll` until it returns None."""
         return self._subscription.fileno()
 
     async def close(self) -> None:

@@ -21,7 +21,7 @@ class Interrupts:
         self._board = board
 
     def __getitem__(self, name: str) -> Interrupt:
-        """The interrupt of that name; whether there is one shows when it is used."""
+        """The interrupt of that name; whether it exists is checked when it is used."""
         return Interrupt(self._board, name)
 
     async def names(self) -> tuple[str, ...]:
@@ -40,7 +40,7 @@ class Interrupt:
         self.name = name
 
     async def count(self) -> int:
-        """How often it came since the configuration was loaded."""
+        """How many times it has occurred since the configuration was loaded."""
         return (await self._board.ask(calls.interrupt(self.name))).count
 
     async def wait(self, timeout: float | None = None) -> Irq:

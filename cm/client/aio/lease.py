@@ -35,7 +35,7 @@ class BoardLease:
         return self.id
 
     async def renew(self) -> None:
-        """Begin its time anew. Raises RequestNotFound if it has ended."""
+        """Restart its time. Raises RequestNotFound if it has ended."""
         await self._board.ask(calls.lease(leases.renewal(self._wanted, self.id)))
 
     async def release(self) -> None:

@@ -29,11 +29,11 @@ class Memory:
         return await self._board.run(memory.read(self.name, offset, length))
 
     async def write(self, data: Any, offset: int = 0, lease: str = "") -> int:
-        """Write values as the memory's elements, or bytes as they are; returns how many bytes they were."""
+        """Write values as elements of the memory, or plain bytes; returns how many bytes were written."""
         return await self._board.run(memory.write(self.name, data, offset, lease))
 
     async def get(self, key: Key) -> Any:
-        """A row, or rows, of the first axis; no more is read than it needs."""
+        """A row, or rows, of the first axis; reads no more than it needs."""
         return await self._board.run(memory.get(self.name, key))
 
     async def put(self, key: Key, value: Any, lease: str = "") -> None:
@@ -59,11 +59,11 @@ class Memories:
         self._board = board
 
     def __getitem__(self, name: str) -> Memory:
-        """The memory of that name; whether there is one shows when it is used."""
+        """The memory of that name; whether it exists is checked when it is used."""
         return Memory(self._board, name)
 
     async def info(self) -> dict[str, MemoryInfo]:
-        """What the manager knows of each that can be named now."""
+        """What the manager knows about each memory of the current mode."""
         return memory.visible(await self._board.config())
 
     def __repr__(self) -> str:

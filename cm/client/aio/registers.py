@@ -24,26 +24,26 @@ class Registers:
         self._board = board
 
     async def get(self, name: str, default: Any = None) -> Any:
-        """A register's or field's value; `default` where the current mode has none of that name."""
+        """The value of a register or field; `default` if the current mode has none of that name."""
         try:
             return (await self.read(name)).popitem()[1]
         except RequestNotFound:
             return default
 
     async def info(self) -> dict[str, RegisterInfo]:
-        """What the schema says of each register that the current mode has."""
+        """What the schema says about each register of the current mode."""
         return registers.visible(await self._board.config())
 
     async def generation(self) -> int:
-        """Of the registers now: grows with every write, by whomever, and with every change of mode."""
+        """The registers' current generation: grows with every write by any client, and with every change of mode."""
         return (await self._board.ask(calls.status())).generation
 
     async def read(self, *names: str) -> dict[str, int]:
-        """Several at once; all that can be read if none is named."""
+        """Values of several registers at once; by default of all that can be read."""
         return registers.values(await self._board.ask(calls.read_registers(names)))
 
     async def write(self, values: Mapping[str, int | str], lease: str = "") -> Written:
-        """Several in order, all checked before the first is written; returns what they hold then.
+        """Write several registers in order; all are checked before the first is written. Returns the new values.
 
         Values are integers, or names that the schema gives to a field's values: ``{"led.colour": "red"}``. The result's
         `generation` is what frames after the write have at least (`stream.after`).
@@ -51,11 +51,11 @@ class Registers:
         return Written(await self._board.ask(calls.write_registers(values, lease)))
 
     async def write_masked(self, name: str, value: int, mask: int, lease: str = "") -> int:
-        """Only the bits in `mask`; returns the register's value."""
+        """Write only the bits in `mask`; returns the register's value."""
         return (await self._board.ask(calls.write_masked(name, value, mask, lease))).values[0].value
 
     def events(self, *names: str, timeout: float | None = None) -> EventStream[RegValues]:
-        """Every write from its opening on, by whomever, and what the registers hold after it; `names`: only of these.
+        """All writes after it is opened, by any client, with the values afterwards; `names`: only of these registers.
 
         Raises Timeout if none comes for `timeout` seconds (None: waits for ever).
         """

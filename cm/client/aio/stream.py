@@ -34,11 +34,11 @@ class Stream:
     _timeout: float | None
 
     async def read(self, timeout: Limit = DEFAULT) -> Frame:
-        """The next frame. `timeout` in seconds (None waits for ever), else that of the stream. Raises Timeout."""
+        """The next frame. `timeout` in seconds (None waits for ever; default: the stream's). Raises Timeout."""
         raise NotImplementedError
 
     async def after(self, write: Written | int, timeout: Limit = DEFAULT) -> Frame:
-        """The first frame that began after a write was done; those before it are passed over.
+        """The first frame that began after a write was complete; earlier ones are skipped.
 
         `write` is what `registers.write` returned, or a generation of the registers. Raises Timeout.
         """
@@ -96,7 +96,7 @@ class AsyncLocalStream(Stream):
 
     @property
     def geometry(self) -> Geometry | None:
-        """Shape, dtype, slots as they are now; None while the stream is stopped."""
+        """The current shape, dtype and slots; None while the stream is stopped."""
         return self._stream.geometry
 
     @property

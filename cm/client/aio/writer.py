@@ -46,7 +46,7 @@ class AsyncWriter:
         await self.close()
 
     async def close(self) -> None:
-        """Disconnect; frames under way still go. Twice is fine."""
+        """Disconnect; frames under way are still sent. Twice is fine."""
         if self._writer is not None:
             self._writer.close()
 
@@ -93,7 +93,7 @@ class AsyncWriter:
         return self._entered().geometry
 
     async def round_trip(self, length: int = 0) -> Descriptor:
-        """Send a slot as it is and wait until it is done: what a frame costs beside its bytes."""
+        """Send a slot as it is and wait until it is done: the cost of a frame without its bytes."""
         writer = self._entered()
         await self._until(lambda: writer.free > 0, DEFAULT)
         return await asyncio.get_running_loop().run_in_executor(None, writer.round_trip, length)

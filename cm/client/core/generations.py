@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Written(dict[str, int]):
-    """What registers hold after a write, by name; `generation` is what frames after it have at least."""
+    """Values of registers after a write, by name; frames after the write have at least this `generation`."""
 
     generation: int
 
