@@ -110,7 +110,11 @@ class Intake:
             return
         began, stopped = monotonic_ns(), self._turns.stopped
         message = multipart.receive_from(source.socket, source.routed, bool(stopped))
-        budget = self._budgets.came(message)
+        budget = self._budgets.known.get(message.connection)
+        if budget is None or message.source >= 0:
+            budget = self._budgets.came(message)
+        else:  # as most often
+            budget.requests += 1
         if (
             (self._blind >= _BLIND and self._others_wait(source))
             or (budget.leaving_bytes > LITTLE and not budget.reads(source.sender(message)))

@@ -46,9 +46,10 @@ class Message(NamedTuple):
 def send(socket: zmq.Socket[bytes], frames: Sequence[bytes | memoryview], flags: int = 0) -> None:
     """As `send_multipart`; at least one frame."""
     more = flags | _MORE
-    for frame in frames[:-1]:
+    *before, last = frames
+    for frame in before:
         _push(socket, frame, more)
-    _push(socket, frames[-1], flags)
+    _push(socket, last, flags)
 
 
 def receive(socket: zmq.Socket[bytes], flags: int = 0) -> list[bytes | memoryview]:
@@ -79,8 +80,8 @@ def receive_from(socket: zmq.Socket[bytes], routed: bool, known: bool = False) -
         else:
             frames.append(frame.bytes if size <= _SMALL else frame.buffer)
             large += size
-        if len(frames) > _PARTS:
-            del frames[-2]
+        if more and len(frames) >= _PARTS:
+            frames.pop()
     if len(frames) > _MANY + routed:
         large += _TINY * (len(frames) - routed)
     try:  # of the last frame: libzmq 4.3.4 knows none of a routing id that it read ahead, as after a poll

@@ -54,7 +54,7 @@ class Budgets:
         self._taken = taken
         self._peers = peers
         self._named: dict[str, Budget] = {}
-        self._known: dict[str, Budget] = {}  # by connection
+        self.known: dict[str, Budget] = {}  # by connection
         self._accounts: dict[str, Account] = {}
         self._clock = VirtualTime()
         self._shares = shares
@@ -67,7 +67,7 @@ class Budgets:
         self._bounds, self._shares = bounds, shares
         for budget in self:
             budget.bounds = bounds
-        self._known.clear()  # so that accounts have their new shares
+        self.known.clear()  # so that accounts have their new shares
         for account in self._accounts.values():
             account.share = 1.0
 
@@ -78,17 +78,17 @@ class Budgets:
         """The budget of a message's sender; the message counts as taken off its connection."""
         if message.source >= 0:
             self._taken(message.source, message.large)
-        found = self._known.get(message.connection) or self._admit(message.connection)
+        found = self.known.get(message.connection) or self._admit(message.connection)
         found.requests += 1
         return found
 
     def of(self, connection: str) -> Budget:
         """The budget of whose connection that is."""
-        return self._known.get(connection) or self._admit(connection)
+        return self.known.get(connection) or self._admit(connection)
 
     def _admit(self, connection: str) -> Budget:
         who = self._who(connection)
-        found = self._known[connection] = self._named_of(name_of(who), who)
+        found = self.known[connection] = self._named_of(name_of(who), who)
         found.place = f"pid {who.pid}" if who.pid is not None else who.address.removeprefix("::ffff:")
         return found
 
@@ -127,7 +127,7 @@ class Budgets:
             budget.look_at_replies()
             budget.forget_connections()
         self._named = {name: budget for name, budget in self._named.items() if not budget.idle}
-        self._known = {key: budget for key, budget in self._known.items() if budget.name in self._named}
+        self.known = {key: budget for key, budget in self.known.items() if budget.name in self._named}
         used = {budget.account.name for budget in self}
         self._accounts = {name: account for name, account in self._accounts.items() if name in used}
 

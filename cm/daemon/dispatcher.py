@@ -36,7 +36,6 @@ _MOST = 256  # requests of one sender that wait
 _LOOKS = (rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.CancelChange)  # never wait
 _STORES = (rq.Provision, rq.RemoveConfig)
 _LASTING = frozenset({rq.ChangeMode, rq.PlanChange, *_STORES, rq.ReadData, rq.WriteData})  # not done at once
-_OBSERVE = Role.OBSERVE  # a look into an enum's class is not free
 _WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
 _Waiting = tuple[rq.Request, Respond, str]  # and who asked, as `cm.rights` knows it
 
@@ -202,9 +201,10 @@ class Dispatcher:
 
     def _read_again(self, came: Message, budget: Budget) -> bool:
         """Answer a read of registers that was answered before; False where it was not."""
-        frames, order = came.frames, self._order
-        if self._gate.everywhere(came.connection) < _OBSERVE or (order.senders and order.waits(bytes(frames[0]))):
-            return False  # it may not read what others read, or waits for its turn
+        frames, order, gate, who = came.frames, self._order, self._gate, came.connection
+        allowed = who in gate.observers or gate.everywhere(who) >= Role.OBSERVE  # to read what others read
+        if not allowed or (order.senders and order.waits(bytes(frames[0]))):
+            return False
         try:
             reply = self._read_cache.answer(bytes(frames[-1]), self._publisher.sequence)
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
@@ -212,7 +212,8 @@ class Dispatcher:
             self._reply(frames[:-2], READ_REG, budget, refusal(error))
             return True
         if reply is not None:
-            self._send([*frames[:-1], reply], budget)
+            frames[-1] = reply
+            self._send(frames, budget)
         return reply is not None
 
     def _reply(self, envelope: list[Frame], topic: bytes, budget: Budget, reply: Reply) -> None:

@@ -13,7 +13,7 @@ from cm.device.base import AnyRoot, Device, Shim
 from cm.device.errors import DeviceError, DeviceInvalid, DeviceNotFound, device_error
 from cm.device.paths import Root
 from cm.native import uio as native
-from cm.native.call import Handle
+from cm.native.call import Handle, last_error
 
 WIDTHS = (8, 16, 32, 64)
 
@@ -142,7 +142,12 @@ class Uio(Device):
         Raises DeviceInvalid for an offset, width or map that is not there; the bus is not touched.
         """
         try:
-            return native.read(self._handle, map, offset, width)
+            if width > 32:
+                return native.read(self._handle, map, offset, width)
+            found: int = native.read32(self._handle, map, offset, width)
+            if found < 0:
+                raise last_error()
+            return found
         except (OSError, OverflowError) as error:
             raise self._access_error(error, "read", offset, width, map) from error
 

@@ -10,7 +10,7 @@ from cm.native.call import Handle, check, encode, last_error, owned, wait
 
 Buffer = bytes | bytearray | memoryview
 LIST_ROOM = 64
-_read32 = lib.cm_uio_read32
+read32 = lib.cm_uio_read32
 _VALUE = ffi.typeof("uint64_t *")
 
 
@@ -90,7 +90,7 @@ def event_fd(handle: Handle) -> int:
 def read(handle: Handle, index: int, offset: int, width: int) -> int:
     """Read one register of ``width`` bits."""
     if width <= 32:
-        found = _read32(handle, index, offset, width)
+        found = read32(handle, index, offset, width)
         if found < 0:
             raise last_error()
         return found  # type: ignore[no-any-return]

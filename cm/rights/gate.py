@@ -45,6 +45,7 @@ class Gate:
         self._users = users
         self._now = now
         self._known: dict[str, _Known] = {}
+        self.observers: set[str] = set()  # connections that may look at everything, for as long as the policy stays
         self._origins: dict[str, set[Principal]] | None = {}  # who came over TCP, by address
         self._looked = now()
         self.audit = Audit()
@@ -53,6 +54,7 @@ class Gate:
         """Another policy from now on; tells of any client whether its rights differ from those before."""
         before, self._access = self._access, access
         self._known.clear()
+        self.observers.clear()
 
         def changed(who: Principal) -> bool:
             old, new = (policy.rights_of(who, said, self._users) for said in (before, access))
@@ -129,7 +131,10 @@ class Gate:
         if found is None:
             if len(self._known) >= _KEPT:
                 self._known.clear()
+                self.observers.clear()
             found = self._known[connection] = self._find_out(connection)
+            if found.everywhere >= Role.OBSERVE and found.rights.until is None:
+                self.observers.add(connection)
         return found
 
     def _find_out(self, connection: str) -> _Known:

@@ -25,7 +25,7 @@ GROUP, ALICE, BOB, CARL, DORA, ERIN, MALLORY = range(47110, 47117)
 PLAY = """
 import hashlib, json, os, sys
 import cm, cm.aio, cm.client.board, cm.client.data_connection, cm.client.stream, cm.client.aio.stream
-import encodings.idna, numpy.linalg
+import encodings.idna, hashlib, numpy.linalg
 from cm.errors import CmError
 
 uid, groups, runtime, *acts = json.loads(sys.argv[1])
@@ -124,7 +124,7 @@ def test_one_user_needs_no_setting_at_all(tmp_path: Path) -> None:
 
 HOLD = """
 import json, os, sys, time
-import cm, cm.client.board, cm.client.data_connection, cm.client.stream, numpy.linalg, encodings.idna
+import cm, cm.client.board, cm.client.data_connection, cm.client.stream, numpy.linalg, encodings.idna, hashlib
 from cm.errors import CmError
 
 uid, gid, runtime = json.loads(sys.argv[1])

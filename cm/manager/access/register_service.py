@@ -62,7 +62,7 @@ class RegisterService:
             except CmError:
                 return None
         readable = all(p.register.access is not _WO and p.region in view.free for p in places)
-        return Prepared(self._lock, self._look, self._bus.read_address, view, places) if places and readable else None
+        return Prepared(self._state, self._look, self._bus.read_address, view, places) if places and readable else None
 
     def visible_names(self) -> Collection[str]:
         """Those of all registers of this mode; none where nothing is loaded."""

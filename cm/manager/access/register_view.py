@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
 from typing import NamedTuple
 
 from cm.manager.state.board_state import LockedRegions, ManagerState
@@ -98,18 +97,18 @@ class Prepared:
     `names` and `fields` say what belongs to the values: fields (name, lowest bit, mask) are to be taken out of them.
     """
 
-    __slots__ = ("_lock", "_look", "_places", "_read", "_view", "config_name", "fields", "mode", "names")
+    __slots__ = ("_lock", "_look", "_places", "_read", "_state", "_view", "config_name", "fields", "mode", "names")
 
     def __init__(
         self,
-        lock: AbstractContextManager[object],
+        state: ManagerState,
         look: Callable[[], View],
         read: Callable[[int, int], int],
         view: View,
         places: Sequence[Place],
     ) -> None:
-        """`look` has the view that is true now, under `lock`; `read` the value at an address, of a width."""
-        self._lock, self._look, self._read, self._view = lock, look, read, view
+        """`look` has the view that is true now; `read` the value at an address, of a width."""
+        self._state, self._lock, self._look, self._read, self._view = state, state.lock, look, read, view
         self._places = [(p.address, p.width, *((p.lsb, p.mask) if p.field else (0, -1))) for p in places]
         self.config_name, self.mode = view.config.name, view.mode or ""
         self.names = tuple([p.register.name + (f".{p.field.name}" if p.field else "") for p in places])
@@ -117,8 +116,10 @@ class Prepared:
 
     def values(self) -> list[int] | None:
         """The values in the order of the names; None where they are no longer what they were, or cannot be read now."""
+        view, state = self._view, self._state
         with self._lock:
-            if self._look() is not self._view:
+            same = view.board is state.latest and view.locked is state.locked and view.configs is state.configs
+            if not same and self._look() is not view:  # it does not hold any more; else only values differ
                 return None
             read, values = self._read, []
             for address, width, lsb, mask in self._places:  # a comprehension is a call, and mostly there is one place
