@@ -65,7 +65,7 @@ def headers(target: Target) -> Path:
     try:
         return rootfs.headers(cache, arch)
     except VmError:
-        # One index of a mirror in the midst of its sync fails the whole update; the others have been fetched.
+        # One index of a mirror that is just being synced fails the whole update; the others have been fetched.
         (cache.root / f"apt-{target.debian}/fetched").touch()
         return rootfs.headers(cache, arch)
 

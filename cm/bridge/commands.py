@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the other side of a bridge asks for, done in the name of who asks."""
+"""Requests from the other side of a bridge, made in the caller's name."""
 
 from __future__ import annotations
 

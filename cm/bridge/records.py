@@ -86,7 +86,7 @@ class ConfigRecord:
 
 @dataclass(frozen=True, slots=True)
 class RegistersRecord:
-    """Registers that were written, by whomever, and what they hold since; the stamp is when the bridge heard of it."""
+    """Registers that any client wrote, with their new values; the stamp is when the bridge learned of it."""
 
     board: Identity
     stamp_ns: int

@@ -143,7 +143,7 @@ def _cases() -> Iterator[Case]:
         plays.stream_asked, plays.frames(("camera", 4, 0), ("camera", 5, 0), ("camera", 8, 0)),
     )  # fmt: skip
     yield Case(
-        "prefix", "frames of camera2 come to who subscribed to camera, and are not camera's",
+        "prefix", "frames of camera2 reach subscribers of camera, and are not camera's",
         ({"do": "frames", "stream": "camera", "count": 2},), ({"sequences": [4, 5], "lost": 0},),
         plays.stream_asked, plays.frames(("camera2", 70, 0), ("camera", 4, 0), ("camera2", 71, 0), ("camera", 5, 0)),
     )  # fmt: skip
@@ -168,7 +168,7 @@ def _cases() -> Iterator[Case]:
         plays.leases, check=plays.writes(rq.RegWrite("focus", 3), lease="0123abcd"),
     )  # fmt: skip
     yield Case(
-        "guest", "a bridge asks in the name of who stands behind it, and gets the reply",
+        "guest", "a bridge asks in the name of its guest, and gets the reply",
         ({"do": "as_guest", "guest": "web:anna", "action": _read("focus")}, _read("zoom")),
         (_value(focus=4), _value(zoom=2)), plays.each(focus=4, zoom=2),
         check=plays.asked_for(focus="web:anna", zoom=""),

@@ -120,7 +120,7 @@ def frame(stream: str, sequence: int, generation: int = 0, **more: Any) -> pb.Fr
 
 
 def frames(*numbers: tuple[str, int, int]) -> Callable[[Stage, str], None]:
-    """Published to who subscribes: stream, sequence, generation."""
+    """Published to subscribers: stream, sequence, generation."""
 
     def listens(stage: Stage, topic: str) -> None:
         for stream, sequence, generation in numbers if topic.startswith("cm_stream/cam") else ():

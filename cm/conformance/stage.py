@@ -36,7 +36,7 @@ class Taken:
 
 @dataclass(frozen=True, slots=True)
 class ServerKeys:
-    """CURVE: the manager's key pair, and the public keys of who may connect."""
+    """CURVE: the manager's key pair, and the public keys of those who may connect."""
 
     public: bytes
     secret: bytes

@@ -159,7 +159,7 @@ class Sockets:
             socket.setsockopt(zmq.LINGER, 0)  # who does not read must not keep the manager from ending
             socket.setsockopt(zmq.IPV6, 1)
             socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
-            socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without an answer to who may enter, no one may
+            socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without an answer from our authenticator, nobody may enter
             socket.setsockopt(zmq.MAXMSGSIZE, limits.message_bytes)
             socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE)
         for socket in (self.sub, self.req):

@@ -92,7 +92,7 @@ class Subscriptions:
 
 
 class Publisher:
-    """Keeps track of who subscribes to what; numbers statuses. The loop's thread."""
+    """Keeps track of subscriptions; numbers statuses. The loop's thread."""
 
     def __init__(
         self, loop: Loop, socket: zmq.Socket[bytes], board: str = "", wires: Wires = guard, limit: int = BYTES

@@ -22,7 +22,7 @@ from cm.ros.transport import Values
 
 _LOG = logging.getLogger("cm.dds")
 _HEADER = struct.Struct("<Qq")
-_MET = 10.0  # seconds that a reply waits until DDS has found the reader of who asked; it would be lost
+_MET = 10.0  # seconds that a reply waits until DDS has found the reader of the client that asked; it would be lost
 _LOOK = 0.005
 _CLIENT = b"clientid="
 

@@ -86,7 +86,7 @@ class DdsTransport:
     # ---- services -------------------------------------------------------------------------
 
     def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> None:
-        """Serve, to who uses rmw_cyclonedds."""
+        """Serve, for clients with rmw_cyclonedds."""
         asked, replied, mark = f"{kind}_Request", f"{kind}_Response", service.mark()
         writer = self._writer(f"rr{name}Reply", replied, qos(SERVICES, type_hash(replied), mark), service=True)
         reader = self._reader(f"rq{name}Request", asked, qos(SERVICES, type_hash(asked), mark), service=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Three boards: one observes, another decides, the third acts; one is killed amid a change of all, and comes back."""
+"""Three boards: one observes, another decides, the third acts; one is killed during a change of all, and comes back."""
 
 from __future__ import annotations
 

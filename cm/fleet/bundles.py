@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Archives in parts, each under its hash: offered by who sends them, kept by a site's cache, fetched by boards."""
+"""Archives in parts, each under its hash: offered by their sender, kept by a site's cache, fetched by boards."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def part_key(place: str, sha256: str, part: str) -> str:
 
 @contextmanager
 def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callable[[], int]]:
-    """Hand out the parts of an archive to who asks; gives a function that says how many bytes went out so far."""
+    """Hand out the parts of an archive on request; gives a function that says how many bytes went out so far."""
     places = {part: number * bundle.part_length for number, part in enumerate(bundle.parts)}
     sent = [0]
 
@@ -193,7 +193,7 @@ class Parts:
 
 
 def fetched(session: Any, site: str, bundle: FetchBundle, parts: Parts, patience: float = PATIENCE) -> None:
-    """Get what is not there yet: from the site's cache, where there is one, else from who sends it.
+    """Get what is not there yet: from the site's cache if there is one, else from the sender.
 
     Who hands out has just begun to, and routers hear of it one after the other: nobody there is asked again for
     `patience` seconds. Raises PartMissing; what has come stays, and is not fetched again.

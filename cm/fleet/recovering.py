@@ -77,7 +77,7 @@ async def refuse_other(record: FleetRecord, keep: bool, ask: Asking) -> None:
     if decision is not None and decision is not wanted:
         raise InvalidRequest(
             f"change {record.id} is decided: {decision.value}, by its seats ({', '.join(record.seats)}); "
-            f"`cm fleet recover {record.id}` tells it to who waits"
+            f"`cm fleet recover {record.id}` tells it to the boards that wait"
         )
 
 

@@ -173,7 +173,7 @@ class Status:
     generation: int = 0  # of the registers: grows with every write by a request, and with every change
     sensors: tuple[SensorStatus, ...] = ()  # of the board; within the last seconds
     leases: tuple[LeaseStatus, ...] = ()
-    clients: tuple[ClientStatus, ...] = ()  # in the reply to who asks for them only
+    clients: tuple[ClientStatus, ...] = ()  # only in the reply to a request for them
 
     def _repr_html_(self) -> str:
         from cm.messages import html  # only notebooks need it

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log of who did what: the first of a burst at once, and how many followed once it is over."""
+"""The log of who did what: the first record of a burst at once, and how many followed when it is over."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ class Parameters:
         return {"result": self._set(request["parameters"])}
 
     def event(self, values: RegValues, publisher: Publisher) -> None:
-        """Tell ``/parameter_events`` of registers that were written, by whomever."""
+        """Tell ``/parameter_events`` of registers that any client wrote."""
         changed = [{"name": _REGISTERS + v.name, "value": _value(v.value)} for v in values.values]
         changed += [
             {"name": f"{_FIELDS}{v.name}.{name}", "value": _value(x)} for v in values.values for name, x in v.fields

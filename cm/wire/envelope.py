@@ -9,7 +9,7 @@ GUEST = b"for="  # begins the frame before the empty one, of a bridge that speak
 
 
 def guest_named(envelope: list[Frame]) -> str:
-    """Whom a bridge speaks for; empty for who speaks for itself."""
+    """The guest in whose name a bridge asks; empty for a client that asks in its own."""
     said = bytes(envelope[-2]) if len(envelope) > 2 else b""
     return said[len(GUEST) :].decode("utf-8", "replace") or "\0" if said.startswith(GUEST) else ""
 

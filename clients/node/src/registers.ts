@@ -36,7 +36,7 @@ export class Registers {
     return this.#send([{ name, value: unsigned(value, name), mask: unsigned(mask, `${name} (mask)`) }]);
   }
 
-  /** Every write from now on, by whomever. */
+  /** All writes from now on, by any client. */
   events(): Events<Values> {
     return this.board.events(["cm_read_reg"], ([topic, message]) =>
       String(topic) === "cm_read_reg" && message ? valuesOf(cm.RegValues.decode(message)) : undefined);

@@ -35,7 +35,7 @@ export class FrameStream implements AsyncIterable<Frame> {
     if (this.#events) return;
     await this.board.configureStream(this.name);
     const topic = `cm_stream/${this.name}`;
-    // subscriptions match by prefix: frames of "camera2" come to who asked for "camera"
+    // subscriptions match by prefix: frames of "camera2" also reach subscribers of "camera"
     const take = ([at, message, payload]: Buffer[]) =>
       String(at) === topic && message && payload ? frameOf(cm.Frame.decode(message), payload) : undefined;
     this.#events = new Events(this.link.subscribe([topic], this.options.depth ?? 4), take, this.options.newest ?? false);

@@ -98,7 +98,7 @@ def _bus(group: list[Tag], protocols: Mapping[str, Protocol], result: Tagged) ->
 
 
 def _guess(bus: str, ports: Mapping[str, Port]) -> Mode:
-    """For protocols whose directions are not known here: by the name, else by who drives more."""
+    """For protocols whose directions are not known here: by the name, else by which side drives more."""
     words = bus.lower().split("_")
     if words[0] in ("m", "master", "source", "initiator"):
         return Mode.MASTER

@@ -77,7 +77,7 @@ class StatusEvents(Events[Status]):
 
 
 class RegisterEvents(Events[RegValues]):
-    """Every write of registers from now on, by whomever: what they hold after it. `names`: only these."""
+    """All writes of registers from now on, by any client, with the values afterwards. `names`: only these."""
 
     topics = (topics.READ_REG, topics.STATUS)
 

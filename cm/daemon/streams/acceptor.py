@@ -29,7 +29,7 @@ class ConnectionRights(Protocol):
     """Who is who, and may do what (`cm.daemon.sessions.Sessions`)."""
 
     def whose(self, connection: socket.socket) -> str:
-        """The id of who is at the other end."""
+        """The id of the peer."""
 
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
         """Raise Forbidden for what that has no right to."""

@@ -54,7 +54,7 @@ class Records:
             return ""
 
     def keep_lease(self, change: str, lease: str) -> None:
-        """So that it is given back, or used again, by who comes after an end of this process."""
+        """So that the next process can give it back, or use it again."""
         if lease:
             self._put(f"{change}.lease", lease.encode())
         else:

@@ -24,7 +24,7 @@ else:
 
 PAGE = mmap.PAGESIZE
 BASE = 0x1000_0000  # of the memory that is allocated, for masters in the PL
-_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW  # further ones are for who shares it: a manager, against its clients
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW  # further ones are up to those that share it: the manager, for clients
 _F_SEAL_FUTURE_WRITE = 0x0010  # linux/fcntl.h; the module has it from Python 3.13 on
 
 
