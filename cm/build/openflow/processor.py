@@ -68,6 +68,7 @@ def processing_system(reads: int, writes: int) -> Netlist:
         net.port(f"m_axi_{name}", OUT if direction is IN else IN, width)
     net.wire("fclk", 4)
     net.wire("fresetn", 4)
+    net.unused += ["fclk[3:1]", "fresetn[3:1]"]
     pins: dict[str, str | None] = {"FCLKCLK": "fclk", "FCLKRESETN": "fresetn", "IRQF2P": f"{{{zeros(4)}, irq}}"}
     pins["MAXIGP0ACLK"] = "clk"
     bridge: dict[str, str | None] = {"clk": "clk", "resetn": "resetn"}

@@ -71,6 +71,9 @@ def _system(system: System) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
     if system.icap is not None:
         hint = "loader: fpga_manager"
         yield ("regions",), "ICAPE2 has not been tried with nextpnr", hint
+    for bus in system.switch.streams if system.switch else ():
+        if bus.dma is not None:
+            yield from ((("switch",), f"{bus.name}: {message}", hint) for message, hint in _stream(bus.dma))
     for way, channels in halves(system).items():
         if len(channels) > MEMORY_PORTS:
             message = f"{len(channels)} streams {_WAYS[way]}: the processing system has {MEMORY_PORTS} ports for them"
