@@ -33,6 +33,13 @@ def add_node_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="receive from best-effort publishers too, whose lost frames are not repeated",
     )
+    parser.add_argument(
+        "--patience",
+        type=float,
+        default=5.0,
+        metavar="SECONDS",
+        help="time after which a manager that does not answer counts as gone (5)",
+    )
 
 
 def name_of(args: argparse.Namespace) -> NodeName:
@@ -66,7 +73,7 @@ def serve(args: argparse.Namespace, transport: Transport, name: NodeName) -> Non
 
     commands = Commands(connected)
     node = BoardNode(transport, name, commands, args.guest, SENSOR_DATA if args.best_effort else EVENTS)
-    follower = Follower(connected, node)
+    follower = Follower(connected, node, args.patience)
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())

@@ -22,8 +22,8 @@ OPTIONAL = {
     "tree-sitter-vhdl": "fpga-cm[build]: interfaces of VHDL sources",
     "matplotlib": "fpga-cm[bench]: plots",
     "iceoryx2": "fpga-cm[bench]: a baseline",
-    "eclipse-zenoh": "fpga-cm[bench]: a baseline",
-    "cyclonedds": "fpga-cm[bench]: a baseline",
+    "eclipse-zenoh": "fpga-cm[zenoh]: fleets, cm bridge rmw-zenoh",
+    "cyclonedds": "fpga-cm[dds]: cm bridge dds",
 }
 _TIMEOUT = 2.0  # seconds for a manager's answer
 

@@ -346,7 +346,7 @@ def test_a_manager_that_is_killed_is_reported_and_the_node_goes_on_with_its_retu
     manager, _ = own
     with manager.connected() as connected:
         connected.load("camera")
-    bridge = Bridge(manager.runtime, "--name", "second")
+    bridge = Bridge(manager.runtime, "--name", "second", "--patience", "0.5")
     try:
         kind = "diagnostic_msgs/msg/DiagnosticArray"
 
