@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
+import random
 import select
 import signal
 import socket
@@ -17,8 +19,20 @@ from manager_process import CAMERA, Manager, environment, short_folder, until
 
 import cm.fleet
 from cm import child
+from cm.build.collect.layout import archive
 from cm.fleet.blocking import Fleet
 from cm.sim import Board as SimBoard
+
+EDGE = random.Random(1).randbytes(150_000)
+_SCHEMA = f"""
+config:
+  name: vision
+  modules:
+    edge: {{bitstream: edge.bin, sha256: {hashlib.sha256(EDGE).hexdigest()}}}
+  modes:
+    contours: {{modules: [edge]}}
+"""
+VISION = archive("vision", {"vision.yaml": _SCHEMA.encode(), "edge.bin": EDGE})  # an archive, not signed
 
 
 def free_port() -> int:
@@ -149,14 +163,13 @@ def fleet_boards(
 
 @contextlib.contextmanager
 def fleet_of(
-    *names: str, labels: dict[str, str] | None = None
+    arguments: dict[str, Sequence[str]], guests: str = '{"*": operate}'
 ) -> Iterator[tuple[Router, dict[str, FleetBoard], Fleet]]:
-    """A router, boards of these names, and a client who is called anna."""
+    """A router, boards by name with further arguments of their bridges, and a client who is called anna."""
     with contextlib.ExitStack() as stack:
         router = Router()
         stack.callback(router.kill)
-        arguments = {name: ("--label", labels[name]) if labels and name in labels else () for name in names}
-        found = stack.enter_context(fleet_boards(("--router", router.endpoint), arguments))
+        found = stack.enter_context(fleet_boards(("--router", router.endpoint), arguments, guests))
         fleet = stack.enter_context(cm.fleet.connect(router.endpoint, caller="anna", timeout=30.0))
-        until(lambda: set(fleet.boards()) == set(names), 60.0)
+        until(lambda: set(fleet.boards()) == set(arguments), 60.0)
         yield router, found, fleet

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import runpy
@@ -15,10 +16,11 @@ import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zenoh
-from fleet_support import FleetBoard, Router, fleet_of, free_port
+from fleet_support import EDGE, VISION, FleetBoard, Router, fleet_of, free_port
 from manager_process import REPOSITORY, Manager, environment, until
 from web_support import chromium, page_of, web_server
 
@@ -28,15 +30,32 @@ from cm.cli.main import main
 from cm.fleet.blocking import Fleet
 from cm.fleet.errors import ChangeFailed, FleetRefused, NoSuchBoard
 from cm.fleet.network import Network, session
-from cm.messages.fleet import BoardStatus, Decision, FleetRecord
+from cm.messages.fleet import BoardStatus, BundleState, Decision, FleetRecord
 from cm.messages.status import ErrorInfo, RegValues
+from cm.wire import cm_pb2 as pb
 
 Boards = dict[str, FleetBoard]
 
 
 @pytest.fixture(scope="module")
-def three() -> Iterator[tuple[Router, Boards, Fleet]]:
-    with fleet_of("b1", "b2", "c3", labels={"b1": "north", "c3": "north"}) as found:
+def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where boards put archives that they import, a folder for each."""
+    return tmp_path_factory.mktemp("imported")
+
+
+@pytest.fixture(scope="module")
+def three(places: Path) -> Iterator[tuple[Router, Boards, Fleet]]:
+    """b1 takes archives, b2 signed ones, c3 none; anna may provision."""
+    (places / "signers").mkdir()
+    strict = places / "strict.yaml"
+    strict.write_text(json.dumps({"policy": {"signatures": "require", "signers": str(places / "signers")}}))
+    after = ("--after-import", f"touch {places / 'reloaded'}")
+    options = {
+        "b1": ("--label", "north", "--import-to", str(places / "b1"), *after),
+        "b2": ("--import-to", str(places / "b2"), "--settings", str(strict)),
+        "c3": ("--label", "north"),
+    }
+    with fleet_of(options, '{"zenoh:anna": provision, "*": operate}') as found:
         yield found
 
 
@@ -382,8 +401,9 @@ def replaced(boards: Boards) -> Iterator[Boards]:
     yield boards
     for board in boards.values():
         if board.bridge.process is None:
-            board.manager.kill()
-            board.manager.start()
+            with board.manager.connected() as client:
+                for lease in client.status.leases:  # whose name went with the folder
+                    client.break_lease(lease.number)
             board.bridge.start()
 
 
@@ -439,6 +459,72 @@ def test_a_second_bridge_of_one_name_is_refused(boards: Boards, three: tuple[Rou
     done = subprocess.run(command, capture_output=True, text=True, env=environment(), cwd="/", check=False, timeout=90)
     assert done.returncode == 1
     assert "a board called 'b1' is in this fleet already: give this one another --name" in done.stderr
+
+
+# ---- archives ---------------------------------------------------------------------------
+
+
+def test_boards_put_an_archive_in_force_as_their_policy_lets_them(
+    boards: Boards, fleet: Fleet, places: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    packed = tmp_path / "vision.tar.gz"
+    packed.write_bytes(VISION)
+    found = fleet.push(packed)
+    first, second, third = found["b1"], found["b2"], found["c3"]
+    assert isinstance(first, BundleState)
+    assert (first.config_name, first.error) == ("vision", None)
+    assert (places / "b1" / "vision" / "edge.bin").read_bytes() == EDGE
+    assert (places / "reloaded").exists()
+    assert isinstance(second, BundleState)
+    assert second.error is not None
+    assert "not signed" in second.error.message
+    assert not (places / "b2" / "vision").exists()
+    assert isinstance(third, ErrorInfo)
+    assert "start it with --import-to DIR" in third.message
+    with cm.fleet.connect(_endpoint(fleet), caller="bob", timeout=30.0) as other:
+        refused = other.push(packed, ["b1"])["b1"]
+    assert isinstance(refused, ErrorInfo)
+    assert refused.code == "forbidden"
+    assert main(["fleet", "push", str(packed), "b1", "--as", "anna", "--router", *_endpoint(fleet)]) == 0
+    assert "vision" in capsys.readouterr().out
+
+
+MINI = """
+config:
+  name: mini
+  modules:
+    edge: {bitstream: edge.bit, region: prr0}
+  regions: {prr0: {decoupler: {base_address: 0x1000, offset: 0x0, bit: 0}}}
+  modes:
+    contours: {modules: [edge]}
+"""
+
+
+def test_a_configuration_is_sent_in_parts_by_any_client_and_loaded(
+    boards: Boards, three: tuple[Router, Boards, Fleet]
+) -> None:
+    """With zenoh and the messages of cm.proto alone."""
+    board = boards["c3"]
+    with session(Network(connect=(three[0].endpoint,))) as plain:
+
+        def done(verb: str, message: Any, data: bytes | None = None) -> Any:
+            sent = message.SerializeToString()
+            beside = {} if data is None else {"attachment": sent}
+            (reply,) = plain.get(f"cm/c3/do/{verb}/anna", payload=sent if data is None else data, timeout=60, **beside)
+            found = pb.Reply.FromString(bytes(reply.ok.payload))
+            assert found.ok, found.error
+            return found
+
+        bitstream = next(board.sim.root.rglob("edge.bit")).read_bytes()
+        for offset in range(0, len(bitstream), 100_000):
+            part = bitstream[offset : offset + 100_000]
+            upload = pb.Upload(id="edge", length=len(bitstream), offset=offset)
+            assert done("upload", upload, part).upload.offset == offset + len(part)
+        sha256 = hashlib.sha256(bitstream).hexdigest()
+        file = pb.File(name="edge.bit", length=len(bitstream), sha256=sha256, upload="edge")
+        done("provision", pb.WriteConfig(schema=MINI, files=[file], provision_only=True))
+        done("mode", pb.WriteConfig(config_name="mini", mode="contours"))
+        assert board.place == ("mini", "contours")
 
 
 # ---- the page -----------------------------------------------------------------------------
