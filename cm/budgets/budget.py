@@ -8,6 +8,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
+from cm.budgets.names import Tracker
 from cm.budgets.turns import Account, Client
 from cm.errors import Busy
 from cm.messages.status import Reply
@@ -29,14 +30,6 @@ class RepliesUnread(Busy):
     """A client asks for more while it leaves the answers that it got unread."""
 
     code: ClassVar[str] = "replies_unread"
-
-
-class Tracker(Protocol):
-    """Of a message that was given to ZeroMQ (`zmq.MessageTracker`)."""
-
-    @property
-    def done(self) -> bool:
-        """Whether it has left."""
 
 
 _Sent = tuple[Tracker, int, Hashable]  # one reply of some, bytes of all of those, and their connection
@@ -109,15 +102,20 @@ class Budget(Client):
 
     def queue(self, size: int) -> None:
         """A message of `size` bytes waits for its turn. Raises TooMuchWaiting; else `unqueue` follows."""
-        most, account, queued = self.bounds.waiting_bytes, self.account, self._all.queued_bytes
-        if (self.queued_bytes and self.queued_bytes + size > most) or (
-            account.queued_bytes and (account.queued_bytes + size > most * 9 // 8 or queued + size > most * 3 // 2)
-        ):
+        if self._has_too_much_queued(size):
+            queued = self._all.queued_bytes
             raise TooMuchWaiting(
                 f"{self.waiting} requests of {self.name} wait, {self.queued_bytes} bytes with what it takes to keep "
                 f"them, {queued} of all (limits.waiting_mib): wait for an answer"
             )
         self._queued(1, size)
+
+    def _has_too_much_queued(self, more: int) -> bool:
+        """Who has nothing waiting sends a short one, whatever others do; and a long one, where its account has none."""
+        own, account, most = self.queued_bytes, self.account.queued_bytes, self.bounds.waiting_bytes
+        if not own and (more <= LITTLE or not account):
+            return False
+        return own + more > most or account + more > most * 9 // 8 or self._all.queued_bytes + more > most * 3 // 2
 
     def unqueue(self, size: int) -> None:
         """It is its turn."""

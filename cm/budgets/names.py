@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How clients are called, and where their connections come from."""
+"""How clients are called, where their connections come from, and what is known of what they are sent."""
 
 from __future__ import annotations
 
@@ -42,6 +42,14 @@ class Who(Protocol):
     @property
     def account(self) -> str:
         """All connections of a user, of a key, or of an address together."""
+
+
+class Tracker(Protocol):
+    """Of a message that was given to ZeroMQ (`zmq.MessageTracker`)."""
+
+    @property
+    def done(self) -> bool:
+        """Whether it has left."""
 
 
 def place_of(peer: Peer) -> str:

@@ -13,7 +13,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable
 
-from cm.budgets.budget import Tracker
+from cm.budgets.names import Tracker
 from cm.schema.model import ITEM_BYTES, Config, Stream
 
 BYTES = 32 << 20  # of frames that wait for one subscriber, unless set otherwise

@@ -190,6 +190,13 @@ class Somebody:
         self.name, self.key, self.account = name, name, f"key:{name}"
 
 
+class Process(Somebody):
+    """One of a user's."""
+
+    def __init__(self, name: str) -> None:
+        self.name, self.key, self.pid, self.account = "anna", "", int(name) + 2**22, "uid:1000"
+
+
 def test_shares_are_those_of_the_settings_by_name_and_renewed() -> None:
     budgets = Budgets(Bounds(1, 1), Somebody, lambda *_: None, tuple, {"anna": 4.0})
     anna, other = budgets.of("anna"), budgets.of("other")
@@ -215,3 +222,66 @@ def test_bytes_that_wait_are_bounded_by_client_account_and_all() -> None:
     for size in (1, 700):
         other.unqueue(size)
     assert (other.waiting, other.queued_bytes, budgets.queued_bytes, other.account.queued_bytes) == (0, 0, 0, 0)
+
+
+def test_a_short_request_gets_through_whatever_others_of_its_account_have_waiting() -> None:
+    """Two processes of a user fill what there is for that user; a third one is served."""
+    budgets = Budgets(Bounds(32 << 20, 1), Process, lambda *_: None, tuple)
+    for name in ("1", "2"):
+        budgets.of(name).queue(18 << 20)
+    budgets.of("3").queue(1024)
+    with pytest.raises(TooMuchWaiting, match="0 requests of pid 4"):
+        budgets.of("4").queue(1 << 20)
+
+
+class Read:
+    """A tracker of what was read, or was not yet."""
+
+    done = False
+
+
+def test_replies_count_until_a_later_one_of_their_connection_was_read() -> None:
+    budgets = Budgets(Bounds(1, 100_000), Process, lambda *_: None, tuple)
+    budget, read = budgets.of("1"), Read()
+    told = [budget.replied(b"a", 1000) for _ in range(13)]
+    assert told[:12] == [0] * 12
+    assert told[12] > 13_000  # and what ZeroMQ takes for them
+    budget.sent(read, told[12], b"a")
+    assert (budget.unread_bytes, budget.account.leaving_bytes, budgets.leaving_bytes) == (told[12],) * 3
+    assert budget.replied(b"b", 1000) == 0  # another connection
+    read.done = True
+    assert (budget.unread_bytes, budget.account.leaving_bytes, budgets.leaving_bytes) == (0, 0, 0)
+
+
+def test_who_does_not_read_over_one_connection_is_answered_over_another() -> None:
+    budgets = Budgets(Bounds(1, 100_000), Process, lambda *_: None, tuple)
+    budget, unread = budgets.of("1"), Read()
+    budget.sent(unread, 101_000, b"a")
+    assert (budget.reads(b"a"), budget.reads(b"b")) == (False, True)
+    budget.sent(Read(), 33_000, b"b")
+    assert not budget.reads(b"b")  # that has more than a little unread, too
+    assert budgets.of("2").has_room()  # and another process
+    assert not budgets.of("2").has_room(20_000)  # but no long reply: its account has enough
+    unread.done = True
+    assert budget.reads(b"a")
+    assert budget.reads(b"b")
+
+
+def test_connections_that_may_have_no_turn_are_stopped_and_go_on_in_order(turns: Turns[Client, str]) -> None:
+    client = Client(Account("anna", Clock()))
+    for connection, item in (("a", "a1"), ("b", "b1"), ("a", "a2")):
+        turns.add(client, connection, item)
+    allowed = {"b"}
+
+    def may(_: Client, connection: object) -> bool:
+        return connection in allowed
+
+    assert turns.take(may) == (client, "b1")
+    assert turns.add(client, "a", "a3") is False  # behind what is stopped
+    with pytest.raises(IndexError):
+        turns.take(may)
+    assert (len(turns), turns.anyone, turns.go_on(may)) == (3, False, False)
+    allowed.add("a")
+    assert turns.go_on(may)
+    assert [turns.take(may)[1] for _ in range(3)] == ["a1", "a2", "a3"]
+    assert not turns.stopped
