@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from time import monotonic_ns
 
 from cm.errors import CmError
 from cm.manager.access.register_service import RegisterService
@@ -11,7 +12,26 @@ from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue, RegValues
 
 AT_ONCE = 32  # registers of a request that is done in one go
-_SOME = 16  # in a piece of a longer one
+_SOME = 16  # in a piece of a longer one, at most
+_LONG = 200_000  # nanoseconds of a piece, beyond which the next one has fewer
+
+
+class _Some:
+    """How many registers a piece has: fewer where an access takes long, as on a slow bus or a simulated board."""
+
+    def __init__(self) -> None:
+        self.count = _SOME
+        self._began = 0
+
+    def __enter__(self) -> None:
+        self._began = monotonic_ns()
+
+    def __exit__(self, *_: object) -> None:
+        took = monotonic_ns() - self._began
+        if took > _LONG:
+            self.count = max(1, self.count // 2)
+        elif took < _LONG // 4:
+            self.count = min(_SOME, self.count * 2)
 
 
 class ReadPieces:
@@ -23,6 +43,7 @@ class ReadPieces:
         self._names = names or service.readable_names()
         self._values: list[RegValue] = []
         self._at = 0
+        self._some = _Some()
         self._last = RegValues(())
 
     @property
@@ -32,12 +53,13 @@ class ReadPieces:
 
     def step(self) -> bool:
         """The next registers; whether they were the last. Raises as `RegisterService.read`."""
-        some = self._names[self._at : self._at + _SOME]
+        some = self._names[self._at : self._at + self._some.count]
         self._at += len(some)
-        for names in (some,) if self._strict else ((name,) for name in some):
-            with suppress(*(() if self._strict else (CmError,))):
-                self._last = self._service.read(names)
-                self._values += self._last.values
+        with self._some:
+            for names in (some,) if self._strict else ((name,) for name in some):
+                with suppress(*(() if self._strict else (CmError,))):
+                    self._last = self._service.read(names)
+                    self._values += self._last.values
         return self._at >= len(self._names)
 
 
@@ -50,13 +72,15 @@ class WritePieces:
         self._checked = service.checked(writes, lease)
         self._values: list[RegValue] = []
         self._at = 0
+        self._some = _Some()
         self.result = RegValues(())
 
     def step(self) -> bool:
         """The next registers; whether they were the last. Raises as `RegisterService.write`."""
-        some = self._checked[self._at : self._at + _SOME]
-        self._service.check_again(some, self._lease)
-        done = self._service.write_checked(some)
+        some = self._checked[self._at : self._at + self._some.count]
+        with self._some:
+            self._service.check_again(some, self._lease)
+            done = self._service.write_checked(some)
         self._at += len(some)
         self._values += done.values
         self.result = done._replace(values=tuple(self._values))
