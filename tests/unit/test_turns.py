@@ -268,7 +268,7 @@ def test_who_does_not_read_over_one_connection_is_answered_over_another() -> Non
 
 
 def test_connections_that_may_have_no_turn_are_stopped_and_go_on_in_order(turns: Turns[Client, str]) -> None:
-    client = Client(Account("anna", Clock()))
+    client = Client(Account("anna", VirtualTime()))
     for connection, item in (("a", "a1"), ("b", "b1"), ("a", "a2")):
         turns.add(client, connection, item)
     allowed = {"b"}
