@@ -77,7 +77,7 @@ test-c: | check-system
 OTHER_NODE := $(if $(NODE),PATH="$(abspath build/node$(NODE)/node_modules/node/bin):$$PATH";)
 test-node: $(STAMP) ## the client for Node.js: built, and its tour over ipc and CURVE (npm fetches its packages)
 	$(if $(NODE),npm install --prefix build/node$(NODE) --no-save --silent node@$(NODE))
-	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM="$(abspath $(BIN))/cm" npm test --silent
+	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=cm PATH="$(abspath $(BIN)):$$PATH" npm test --silent
 	$(OTHER_NODE) $(BIN)/cm conformance -- node clients/node/dist/test/driver.js
 
 test-open: $(STAMP) ## modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
