@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import re
 from collections.abc import Iterator
@@ -229,16 +230,15 @@ def test_the_action_tells_its_progress_and_is_cancelled(
             done = call("get_result", f"{own_type}_GetResult", goal_id=first)
             assert (done["status"], done["result"]["success"]) == (4, True)
             assert feedback.get(timeout=PATIENCE)["goal_id"]["uuid"] == first["uuid"]
-        code, number = 3, 0
-        while code == 3:  # a goal that had ended before it could be cancelled
-            number += 1
-            goal = {"uuid": bytes([number] * 16)}
+        code = 3
+        while code == 3:  # the goal had ended before it could be cancelled
+            goal, before = {"uuid": os.urandom(16)}, board.status.last_change
             sim.control.inject("icap_hang", count=1)
             assert call("send_goal", f"{own_type}_SendGoal", goal_id=goal, goal={"mode": "edge_detection"})["accepted"]
-            until(lambda: board.status.fpga_busy or board.mode == "edge_detection", PATIENCE)
+            until(lambda last=before: board.status.fpga_busy or board.status.last_change != last, PATIENCE)
             code = call("cancel_goal", "action_msgs/srv/CancelGoal", goal_info={"goal_id": goal})["return_code"]
             ended = call("get_result", f"{own_type}_GetResult", goal_id=goal)["status"]
-        assert (code, ended) == (0, 5)
+        assert (code, ended, board.mode) == (0, 5, "colorise")
         status, said = bridge.stop()
         assert status == 0, said
 
