@@ -189,8 +189,8 @@ class Dispatcher:
         self.taken += 1
         frames = came.frames
         cut = 2 if len(frames) == 4 and not frames[1] else envelope_length(frames)
-        if cut > 2:  # a bridge may name there the guest that it asks for
-            came = came._replace(connection=self._gate.guest(came.connection, guest_named(frames[:cut])))
+        if cut > 2 and (guest := guest_named(frames[:cut])):  # a bridge may ask for one
+            came = came._replace(connection=self._gate.guest(came.connection, guest))
         if len(frames) == cut + 2 and frames[cut] == READ_REG and self._read_again(came, budget):
             return
         envelope, message = frames[:cut], split_text(frames[cut:])
