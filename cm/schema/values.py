@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ _KINDS = {
     "number": "a number",
     "boolean": "true or false",
 }
+_NAME = re.compile(r"\^\[A-Za-z_\]\[A-Za-z0-9(?P<signs>[_/-]+)\]\{0,(?P<more>\d+)\}\$")  # as our schemas write it
 _RANGES = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
 
 
@@ -88,7 +90,18 @@ def _finding(path: KeyPath, error: Any) -> Finding:
         return Finding(path, "bad_value", f"{len(value)} items", _joined(limit, about))
     if rule == "maxProperties":
         return Finding(path, "too_large", f"{len(value)} entries", _joined(f"at most {wanted}", about))
-    return Finding(path, "bad_value", f"{_found(value)} does not fit", about)
+    hint = _joined(about, _form(wanted)) if rule == "pattern" else about
+    return Finding(path, "bad_value", f"{_found(value)} does not fit", hint)
+
+
+def _form(pattern: str) -> str:
+    """A name's pattern in words; empty for others, whose description says what they look like."""
+    name = _NAME.fullmatch(pattern)
+    if name is None:
+        return ""
+    signs = [*name["signs"]]
+    listed = f"{', '.join(['letters, digits', *signs[:-1]])} and {signs[-1]}"
+    return f"{listed}, beginning with a letter or _, at most {int(name['more']) + 1} characters"
 
 
 def _is_quoted_number(value: object, wanted: str | list[str]) -> bool:

@@ -53,6 +53,7 @@ CASES = [
     ("leading zero", "bad_value", "", "0o", "clocks: {fclk: §0100}"),
     ("leading zero and nothing else", "bad_value", "", "0o", "clocks: {fclk: §0_}"),
     ("more zeros than Python reads", "bad_value", "", "0o", f"clocks: {{fclk: §{'0' * 5000}}}"),
+    ("name as a value", "bad_value", "default_mode", "beginning with a letter or _, at most 64", "§default_mode: a b"),
     ("sha256 too short", "bad_value", "modules.a.sha256", "64 hexadecimal digits", "modules: {a: {§sha256: abc}}"),
     ("negative address", "value_range", "mmio[0].base_address", "at least 0",
      "mmio: [{§base_address: -4, registers: {}}]"),
