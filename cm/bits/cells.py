@@ -111,6 +111,16 @@ class BlockMemory:
     ports: tuple[BlockPort, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class Dsp:
+    """A DSP48E1: parameters and ports of ``dsp48.v``, the lowest bit of a port first, each with whether it counts
+    inverted; `outputs` are P."""
+
+    parameters: tuple[tuple[str, int], ...]
+    pins: tuple[tuple[str, tuple[tuple[Net, bool], ...]], ...]
+    outputs: tuple[Net, ...]
+
+
 def reduced(init: int, inputs: Sequence[Net], output: Net) -> Lut:
     """A table of as many inputs as it looks at: no constants, and none whose value changes nothing.
 
@@ -140,7 +150,7 @@ def _halves(init: int, bit: int, count: int) -> tuple[int, int]:
     return found[0], found[1]
 
 
-Cell: TypeAlias = Lut | Mux | Carry | FlipFlop | LutMemory | BlockMemory
+Cell: TypeAlias = Lut | Mux | Carry | FlipFlop | LutMemory | BlockMemory | Dsp
 
 
 @dataclass(frozen=True, slots=True)

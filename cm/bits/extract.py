@@ -7,8 +7,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from cm.bits.blocks import HALVES, Half
-from cm.bits.cells import ONE, ZERO, BlockMemory, Carry, Cell, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
-from cm.bits.routing import BlockPin, ClockLine, Constant, Routing, SitePin, Source
+from cm.bits.cells import ONE, ZERO, BlockMemory, Carry, Cell, Dsp, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
+from cm.bits.dsp import Slice48
+from cm.bits.routing import BlockPin, ClockLine, Constant, DspPin, Routing, SitePin, Source
 from cm.bits.slices import Slice
 from cm.xray import Database, Feature, Wires
 
@@ -56,7 +57,18 @@ class _Extraction:
 
     def _making(self, net: Net) -> Cell:
         name, _, inner = net.rpartition(".")
-        return self._slice(name).making(inner)
+        tile, _, site = name.partition(".")
+        if site.startswith("RAMB18_"):
+            return self._half(tile, int(site[-1])).memory()
+        return self._dsp(tile, site, net) if site.startswith("DSP_") else self._slice(name).making(inner)
+
+    def _dsp(self, tile: str, name: str, net: Net) -> Cell:
+        own = Slice48(f"{tile}.{name}", self._own(tile, f"DSP48.{name}"), lambda pin: self._wire(tile, f"{name}_{pin}"))
+        why = own.why_not(net.rpartition(".")[2])
+        if why:
+            self._note(f"{own.name} {why}, and is not simulated: it reads as 0")
+            return Lut(0, (), net)
+        return own.cell()
 
     def _slice(self, name: str) -> Slice:
         if name not in self._slices:
@@ -104,6 +116,8 @@ class _Extraction:
             return f"clock:{source.number}"
         if isinstance(source, BlockPin):
             return self._block_output(source)
+        if isinstance(source, DspPin):
+            return f"{source.tile}.DSP_{source.half}.{source.pin}"
         return self._output(source)
 
     def _block_output(self, source: BlockPin) -> Net:
@@ -112,11 +126,7 @@ class _Extraction:
         if why:
             self._note(f"{half.name} {why}, and is not simulated: it reads as 0")
             return ZERO
-        net = half.output(source.pin)
-        if net not in self._cells:
-            memory = half.memory()
-            self._cells.update({out: memory for port in memory.ports for out in port.outputs})
-        return net if net in self._cells else ZERO
+        return half.output(source.pin)
 
     def _half(self, tile: str, number: int) -> Half:
         name = f"RAMB18_Y{number}"
@@ -153,6 +163,8 @@ def nets_of(cell: Cell) -> tuple[Net, ...]:
         return (cell.o6, cell.o5, cell.last)
     if isinstance(cell, BlockMemory):
         return tuple(net for port in cell.ports for net in port.outputs)
+    if isinstance(cell, Dsp):
+        return cell.outputs
     if isinstance(cell, Carry):
         return (*cell.sums, *cell.carries)
     return (cell.output,)
@@ -169,6 +181,8 @@ def needs(cell: Cell) -> Iterator[Net]:
     elif isinstance(cell, BlockMemory):
         for port in cell.ports:
             yield from (port.clock[0], port.enable[0], port.reset[0], *port.address, *port.data, *port.lanes)
+    elif isinstance(cell, Dsp):
+        yield from (net for _, port in cell.pins for net, _ in port)
     elif isinstance(cell, FlipFlop):
         yield from (cell.clock, cell.data, cell.enable, cell.reset)
     else:

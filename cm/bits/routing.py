@@ -30,6 +30,14 @@ class BlockPin(NamedTuple):
     pin: str
 
 
+class DspPin(NamedTuple):
+    """An output of a DSP48E1: 0 the lower one of its tile, 1 the upper."""
+
+    tile: str
+    half: int
+    pin: str
+
+
 class ClockLine(NamedTuple):
     """One of the twelve lines that bring clocks to a row of clock regions."""
 
@@ -52,7 +60,7 @@ class _Switch(NamedTuple):
     resting: bool
 
 
-Source = SitePin | BlockPin | ClockLine | Constant
+Source = SitePin | BlockPin | DspPin | ClockLine | Constant
 
 
 class Routing:
@@ -101,7 +109,12 @@ class Routing:
             if wire.startswith("BRAM_FIFO36_") and not any(one.startswith("RAMB36") for one in self.features(tile)):
                 return None  # the same outputs as of a whole block, which this is not
         made = self._outputs(self._database.tiles[tile].kind).get(wire)
-        return None if made is None else SitePin(tile, made[0].type, made[0].x, made[1])
+        if made is None:
+            return None
+        site, pin = made
+        if site.type == "TIEOFF":
+            return Constant(pin == "HARD1")
+        return DspPin(tile, site.y, pin) if site.type == "DSP48E1" else SitePin(tile, site.type, site.x, pin)
 
     def _driving(self, tile: str, wire: str) -> Iterator[Pip]:
         into = self._pips(self._database.tiles[tile].kind).get(wire, ())

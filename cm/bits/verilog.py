@@ -6,10 +6,26 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
-from cm.bits.cells import ONE, ZERO, BlockMemory, BlockPort, Carry, Cell, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
+from cm.bits.cells import (
+    ONE,
+    ZERO,
+    BlockMemory,
+    BlockPort,
+    Carry,
+    Cell,
+    Dsp,
+    FlipFlop,
+    Lut,
+    LutMemory,
+    Mux,
+    Net,
+    Netlist,
+)
 from cm.bits.extract import needs, nets_of
 
+_DSP48 = Path(__file__).with_name("dsp48.v")
 _BIT = re.compile(r"port:(\w+)(?:\[(\d+)\])?")
 
 
@@ -49,6 +65,8 @@ class _Writer:
             if not port.into:
                 yield from self._output(port)
         yield "endmodule"
+        if any(isinstance(cell, Dsp) for cell in self._netlist.cells):
+            yield _DSP48.read_text("utf-8")
 
     def _output(self, port: Port) -> Iterator[str]:
         for bit in range(port.width):
@@ -81,6 +99,8 @@ class _Writer:
             yield from self._storage(cell, name)
         elif isinstance(cell, BlockMemory):
             yield from self._block(cell, name)
+        elif isinstance(cell, Dsp):
+            yield from self._dsp(cell, name)
         else:
             yield from self._memory(cell, name)
 
@@ -164,6 +184,18 @@ class _Writer:
         read = f"{own} <= {reset} ? {cell.width}'h{port.value:x} : {seen};" if used else ""
         edge, plain = ("negedge", clock[1:]) if clock.startswith("!") else ("posedge", clock)
         yield f"    always @({edge} {plain}) if ({enable}) begin {read} {' '.join(writes)} end"
+
+    def _dsp(self, cell: Dsp, name: str) -> Iterator[str]:
+        parameters = ", ".join(f".{parameter}({value})" for parameter, value in cell.parameters)
+        ports = []
+        for port, pins in cell.pins:
+            bits = (f"{'!' if inverted else ''}{self._net(net)}" for net, inverted in reversed(pins))
+            ports.append(f".{port}({{{', '.join(bits)}}})")
+        yield f"    wire [47:0] {name};"
+        yield f"    cm_dsp48 #({parameters}) {name}_cell ({', '.join(ports)}, .P({name}));"
+        for bit, net in enumerate(cell.outputs):
+            if net in self._names:
+                yield f"    assign {self._names[net]} = {name}[{bit}];"
 
     def _memory(self, cell: LutMemory, name: str) -> Iterator[str]:
         clock = self._net(cell.clock)

@@ -12,6 +12,7 @@ from cm.xray.database import Database
 from cm.xray.tiles import Tile
 
 Wire = tuple[str, str]  # tile, name of the wire in it
+_Joints = dict[tuple[int, int], dict[str, list[str]]]  # (dx, dy) → kind of the tile there → its wires
 
 
 class Pip(NamedTuple):
@@ -101,19 +102,24 @@ class Wires:
 
     def _neighbours(self, tile: Tile, wire: str) -> list[Wire]:
         found = []
-        for dx, dy, kind, other in self._joints.get((tile.kind, wire), ()):
-            there = self._database.tile_at.get((tile.x + dx, tile.y + dy))
-            if there is not None and there.kind == kind:
-                found.append((there.name, other))
+        at = self._database.tile_at
+        for (dx, dy), others in self._joints.get((tile.kind, wire), {}).items():
+            there = at.get((tile.x + dx, tile.y + dy))
+            if there is not None:
+                found += [(there.name, other) for other in others.get(there.kind, ())]
         return found
 
     @cached_property
-    def _joints(self) -> Mapping[tuple[str, str], list[tuple[int, int, str, str]]]:
-        """For a wire of a kind of tile: (dx, dy, kind there, wire there) of each that it may be joined to."""
-        joints: dict[tuple[str, str], list[tuple[int, int, str, str]]] = {}
+    def _joints(self) -> Mapping[tuple[str, str], _Joints]:
+        """For a wire of a kind of tile: what it may be joined to."""
+        joints: dict[tuple[str, str], _Joints] = {}
         for entry in self._database.json(f"{self._database.fabric}/tileconn.json"):
             (one, two), (dx, dy) = entry["tile_types"], entry["grid_deltas"]
             for wire_one, wire_two in entry["wire_pairs"]:
-                joints.setdefault((one, wire_one), []).append((dx, dy, two, wire_two))
-                joints.setdefault((two, wire_two), []).append((-dx, -dy, one, wire_one))
+                for here, wire, delta, kind, other in (
+                    (one, wire_one, (dx, dy), two, wire_two),
+                    (two, wire_two, (-dx, -dy), one, wire_one),
+                ):
+                    beside = joints.setdefault((here, wire), {}).setdefault(delta, {})
+                    beside.setdefault(kind, []).append(other)
         return joints

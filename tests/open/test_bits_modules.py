@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from cm.bits import Port, verilog
+from cm.bits.cells import Dsp
 from cm.bits.files import collected, streams_of
 from cm.bits.regions import LoadedBits, Place
 from cm.build.openflow.layout import layouts
@@ -31,7 +32,7 @@ module both (input wire clk, output reg wrong, output wire [31:0] seen);
         wrong <= cycle > 40 && {@ONE@} != {@TWO@};
     end
 @WIRES@
-    cm_region_prr0 rtl (@RTL@);
+    @MODULE@ rtl (@RTL@);
     bits frames (@BITS@);
     assign seen = {s_axi_rdata_1[15:0], m_axis_tvalid_1, m_axis_tdata_1[7:0], s_axi_rvalid_1, 6'd0};
 endmodule
@@ -55,7 +56,7 @@ int main() {
 """
 
 
-def bench(ports: tuple[Port, ...], clock: str) -> str:
+def bench(ports: tuple[Port, ...], clock: str, module: str) -> str:
     """Both sides with the same inputs, their outputs compared."""
     wires, pins, at = [], {1: [f".{clock}(clk)"], 2: [f".{clock}(clk)"]}, 3
     inputs = [port for port in ports if port.into and port.name != clock]
@@ -78,25 +79,36 @@ def bench(ports: tuple[Port, ...], clock: str) -> str:
     text = _TOP.replace("@WIRES@", "\n".join(wires))
     for number, mark in ((1, "@ONE@"), (2, "@TWO@")):
         text = text.replace(mark, ", ".join(f"{port.name}_{number}" for port in outputs))
-    return text.replace("@RTL@", ", ".join(pins[1])).replace("@BITS@", ", ".join(pins[2]))
+    return text.replace("@MODULE@", module).replace("@RTL@", ", ".join(pins[1])).replace("@BITS@", ", ".join(pins[2]))
 
 
-@pytest.mark.parametrize("name", ["default", "edge", "colorise"])
+@pytest.mark.parametrize(
+    ("fixture", "region", "name"),
+    [
+        ("open_project", "prr0", "default"),
+        ("open_project", "prr0", "edge"),
+        ("open_project", "prr0", "colorise"),
+        ("open_pair", "right", "colour_right"),
+    ],
+)
 def test_a_million_cycles_of_a_modules_bits_equal_those_of_its_verilog(
-    open_project: Path, tmp_path: Path, name: str
+    request: pytest.FixtureRequest, tmp_path: Path, fixture: str, region: str, name: str
 ) -> None:
-    schema = open_project / "build.yaml"
+    schema = request.getfixturevalue(fixture) / "build.yaml"
     design = load_rtl_design(schema, tmp_path / "tree")
     bits = LoadedBits.of(design.system, find_tools(), NOTHING, tmp_path)
     whole, partial = streams_of(collected(schema), design.system)
     for stream in (*whole, partial[name]):
         bits.take(memoryview(stream))
-    place = Place.of(layouts(design.system, Database.open(design.system.project.part))["prr0"])
-    (tmp_path / "bits.v").write_text(verilog(bits.netlist("prr0"), "bits", place.ports, {0: place.clock}))
-    (tmp_path / "both.v").write_text(bench(place.ports, place.clock))
+    netlist = bits.netlist(region)
+    assert not netlist.notes
+    assert any(isinstance(cell, Dsp) for cell in netlist.cells) == (name == "colour_right")
+    place = Place.of(layouts(design.system, Database.open(design.system.project.part))[region])
+    (tmp_path / "bits.v").write_text(verilog(netlist, "bits", place.ports, {0: place.clock}))
+    (tmp_path / "both.v").write_text(bench(place.ports, place.clock, place.module))
     (tmp_path / "main.cpp").write_text(_MAIN.replace("@CYCLES@", str(CYCLES)))
     files = [str(tmp_path / file) for file in ("both.v", "bits.v", "main.cpp")]
-    files += map(str, design.modules["prr0", name].sources)
+    files += map(str, design.modules[region, name].sources)
     command = ["verilator", "--cc", "--exe", "--build", "-O3", "-Wno-fatal", "-Wno-lint", "--top-module", "both"]
     subprocess.run([*command, "--Mdir", str(tmp_path / "v"), *files], check=True, capture_output=True)
     said = subprocess.run([tmp_path / "v/Vboth"], check=True, capture_output=True, text=True).stdout.split()

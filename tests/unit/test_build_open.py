@@ -60,7 +60,6 @@ def test_the_example_is_one_that_the_open_tools_can_build(project: Path) -> None
         ("loader: fpga_manager", "loader: icap", "ICAPE2 has not been tried"),
         ("board: zybo-z7-10", "part: xck26-sfvc784-2LV-c", "nextpnr has no data of it"),
         ("doc: Edges", "tcl: [x.tcl]\n    doc: Edges", "vendor IP"),
-        ("RAMB36_X1Y10:RAMB36_X1Y19]", "RAMB36_X1Y10:RAMB36_X1Y19, DSP48_X1Y20:DSP48_X1Y39]", "DSP48"),
         ("[SLICE_X22Y50:SLICE_X31Y99, RAMB18_X1Y20:RAMB18_X1Y39, RAMB36_X1Y10:RAMB36_X1Y19]", "auto", "wants ranges"),
     ],
 )
@@ -141,6 +140,10 @@ def test_cells_that_were_not_tried_are_named_before_placement() -> None:
     cells = {"inner.pll": {"type": "MMCME2_ADV"}, "a": {"type": "LUT6"}, "b": {"type": "RAMB18E1"}}
     with pytest.raises(BuildError, match=r"module x: 1 cells .*inner\.pll is a MMCME2_ADV"):
         check_cells({"modules": {"top": {"cells": cells}}}, "top", "module x")
+    cells["inner.pll"] = {"type": "DSP48E1"}
+    with pytest.raises(BuildError, match=r"module x: inner\.pll is a DSP48E1, and its region has none: add"):
+        check_cells({"modules": {"top": {"cells": cells}}}, "top", "module x")
+    check_cells({"modules": {"top": {"cells": cells}}}, "top", "module x", dsp=True)
     del cells["inner.pll"]
     check_cells({"modules": {"top": {"cells": cells}}}, "top", "module x")
 

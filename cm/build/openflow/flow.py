@@ -13,7 +13,7 @@ from cm.build.errors import BuildError
 from cm.build.generate.inputs import module_files
 from cm.build.generate.netlist import Netlist
 from cm.build.openflow import images
-from cm.build.openflow.job import labels, module_job, pins_xdc, static_job
+from cm.build.openflow.job import Job, labels, module_job, pins_xdc, static_job
 from cm.build.openflow.layout import layouts
 from cm.build.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays, two_drivers
 from cm.build.openflow.netlists import MODULE_TOP, TOP, module_side, open_system, open_top, static_side
@@ -69,10 +69,15 @@ class OpenFlow:
                 task.result()
         static = self._static()
         features = static_features(self.database, self.layouts.values(), static)
+        system, buffer = self.system, static.routed.place(CLOCK)
+        jobs = {
+            name: module_job(self.database, self.wires, layout, static.routed, buffer)
+            for name, layout in self.layouts.items()
+        }
         self._complete("the static part", left_out(self.database, static, features, self.database.tiles))
         with ThreadPoolExecutor(self.settings.jobs) as pool:
-            runs = [pool.submit(self._module, one, static, features) for one in self.system.implementations]
-            modules = {one.name: run.result() for one, run in zip(self.system.implementations, runs, strict=True)}
+            runs = [pool.submit(self._module, one, jobs[one.region.name], features) for one in system.implementations]
+            modules = {one.name: run.result() for one, run in zip(system.implementations, runs, strict=True)}
         self._bitstreams(features, modules)
         return self.steps.ran
 
@@ -98,6 +103,7 @@ class OpenFlow:
                 resolved(files["header"]),
                 resolved(files["include_dirs"]),
                 tuple(files["defines"]),
+                dsp=any(text.startswith("DSP48") for text in one.region.spec.pblock),
             )
         return found
 
@@ -130,10 +136,9 @@ class OpenFlow:
         self._placed(files, job, xdc, judge, "the static part")
         return read_side(files, inputs, static=True)
 
-    def _module(self, one: Implementation, static: Side, features: frozenset[Feature]) -> frozenset[Feature]:
+    def _module(self, one: Implementation, job: Job, features: frozenset[Feature]) -> frozenset[Feature]:
         layout = self.layouts[one.region.name]
         inputs = labels([layout])[False]
-        job = module_job(self.database, self.wires, layout, static.routed, static.routed.place(CLOCK))
         files = Files(self.folder, one.name)
 
         def judge() -> list[str]:
@@ -153,7 +158,7 @@ class OpenFlow:
         if missing:
             raise BuildError(f"{what}: {missing[0]}")
 
-    def _placed(self, files: Files, job: dict[str, object], xdc: str, judge: Judge, what: str) -> None:
+    def _placed(self, files: Files, job: Job, xdc: str, judge: Judge, what: str) -> None:
         """Place and route with one seed after another, until nothing is wrong with what came out."""
         first, part = self.settings.seed, self.system.project.part
         key = key_of(job, xdc, self.rate, first, self.tools.versions, files.file("json"), *SCRIPTS)

@@ -20,7 +20,7 @@ from cm.build.plan.system import RegionPlan, System
 from cm.xray import Database, Tile
 
 LETTERS = "ABCD"
-_KINDS = ("SLICE", "RAMB18", "RAMB36")
+_KINDS = ("SLICE", "RAMB18", "RAMB36", "DSP48")
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,7 @@ def _sites(database: Database, region: RegionPlan) -> set[str]:
 
 
 def _counts(tile: Tile, site: str) -> bool:
-    return tile.kind.startswith(("CLB", "BRAM", "DSP")) and site.partition("_X")[0] in (*_KINDS, "DSP48")
+    return tile.kind.startswith(("CLB", "BRAM", "DSP")) and site.partition("_X")[0] in _KINDS
 
 
 def _site_column(name: str) -> int:

@@ -22,7 +22,7 @@ RULE = "open flow"
 DEVICES = ("xc7z010", "xc7z020")
 # What yosys gives and nextpnr places, tried in a region or in a static part
 CELLS = re.compile(
-    r"LUT[1-6]|FD[RSCP]E(_1)?|CARRY4|MUXF[78]|INV|SRL16E|SRLC16E|SRLC32E|RAM(32|64|128|256)\w*|RAMB(18|36)E1|BUFG|PS7|"
+    r"LUT[1-6]|FD[RSCP]E(_1)?|CARRY4|MUXF[78]|INV|SRL16E|SRLC16E|SRLC32E|RAM(32|64|128|256)\w*|RAMB(18|36)E1|DSP48E1|BUFG|PS7|"
     r"[IO]BUF|GND|VCC|\$scopeinfo"
 )
 
@@ -49,25 +49,35 @@ def refuse_open(system: System) -> None:
         raise BuildError("the open tools cannot build this design:\n  " + "\n  ".join(told))
 
 
-def check_cells(netlist: dict[str, Any], top: str, what: str) -> None:
-    """Raise BuildError where synthesis gave cells that are not known to be placed and routed."""
+def check_cells(netlist: dict[str, Any], top: str, what: str, dsp: bool = False) -> None:
+    """Raise BuildError where synthesis gave cells that are not known to be tried, or DSP48 without `dsp`."""
     cells = netlist["modules"][top]["cells"]
     wrong = {name: cell["type"] for name, cell in cells.items() if not CELLS.fullmatch(cell["type"])}
     if wrong:
-        few = ", ".join(f"{name} is a {kind}" for name, kind in sorted(wrong.items())[:3])
+        few = _few(wrong)
         raise BuildError(
             f"{what}: {len(wrong)} cells that the open flow has not been tried with: {few}; it takes look-up tables, "
-            "flip-flops, carry chains, wide multiplexers, shift registers, distributed and block RAM"
+            "flip-flops, carry chains, wide multiplexers, shift registers, distributed and block RAM, DSP48E1"
         )
+    multipliers = {name: cell["type"] for name, cell in cells.items() if cell["type"] == "DSP48E1"}
+    if multipliers and not dsp:
+        raise BuildError(
+            f"{what}: {_few(multipliers)}, and its region has none: add their column's DSP48 to its pblock"
+        )
+
+
+def _few(cells: dict[str, str]) -> str:
+    return ", ".join(f"{name} is a {kind}" for name, kind in sorted(cells.items())[:3])
 
 
 def _system(system: System) -> Iterator[tuple[tuple[str | int, ...], str, str]]:
     project = system.project
     if system.device not in DEVICES or geometry_of(system.device) is None:
         yield ("project",), f"{system.device}: nextpnr has no data of it", f"it works for {', '.join(DEVICES)}"
-    if len(system.domains) != 1:
-        hint = "give all regions one clock"
-        yield ("clocks",), f"{len(system.domains)} clocks with registers: there is a bridge for one", hint
+    clocks = sorted({domain.clock for domain in system.domains} | {region.spec.clock for region in system.regions})
+    if len(clocks) != 1:
+        message = f"{len(clocks)} clocks ({', '.join(clocks)}): the static part of the open flow has one"
+        yield ("clocks",), message, "give all regions the same clock"
     if system.icap is not None:
         hint = "loader: fpga_manager"
         yield ("regions",), "ICAPE2 has not been tried with nextpnr", hint
@@ -89,12 +99,6 @@ def _region(region: RegionPlan) -> Iterator[tuple[tuple[str | int, ...], str, st
     areas = [rectangle(text) for text in region.spec.pblock]
     if not areas or any(area is None for area in areas):
         yield ("pblock",), "the open flow wants ranges of sites", "such as SLICE_X22Y50:SLICE_X31Y99"
-    if any(area is not None and area.kind.startswith("DSP") for area in areas):
-        yield (
-            ("pblock",),
-            "DSP48: nextpnr's have not been tried; multipliers go to look-up tables",
-            "choose columns without",
-        )
     for bus in region.streams:
         if bus.dma is not None:
             key = ("interfaces", bus.interface.name)
@@ -106,9 +110,13 @@ def _region(region: RegionPlan) -> Iterator[tuple[tuple[str | int, ...], str, st
             "connect: none",
         )
     if len(region.clocks) != 1:
-        yield ("clocks",), f"{len(region.clocks)} clocks at the boundary", "one clock a region"
+        yield ("clocks",), f"{len(region.clocks)} clocks at the boundary", "give it the one clock of its region"
     if any(bus.full for bus in region.registers):
-        yield ("interfaces",), "an AXI4 slave of bursts: the bridge gives AXI4-Lite", "AXI4-Lite"
+        yield (
+            ("interfaces",),
+            "an AXI4 slave of bursts: the bridge gives AXI4-Lite",
+            "give the module an AXI4-Lite slave",
+        )
 
 
 def _stream(dma: Dma) -> Iterator[tuple[str, str]]:

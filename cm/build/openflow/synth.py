@@ -25,7 +25,7 @@ _PLAIN = re.compile(r"[^\s;\"']+")
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """What is read for a top: Verilog, SystemVerilog, folders of headers, macros; `pads`: with I/O buffers."""
+    """What is read for a top: Verilog, SystemVerilog, folders of headers, macros; with I/O buffers, with DSP48."""
 
     top: str
     verilog: tuple[Path, ...]
@@ -34,6 +34,7 @@ class Sources:
     include_dirs: tuple[Path, ...] = ()
     defines: tuple[str, ...] = ()
     pads: bool = False
+    dsp: bool = False
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -56,8 +57,9 @@ def script(sources: Sources, out: Path, folder: Path) -> str:
         "read_verilog -lib +/xilinx/cells_sim.v +/xilinx/cells_xtra.v",
         f"hierarchy -check -top {sources.top}",
         f"setattr -set keep 1 c:*{ANCHOR}* c:*{HARNESS}* t:PS7",
-        f"synth_xilinx -flatten -abc9 -nodsp -noclkbuf -arch xc7 -top {sources.top}"
-        + ("" if sources.pads else " -noiopad"),
+        f"synth_xilinx -flatten -abc9 -noclkbuf -arch xc7 -top {sources.top}"
+        + ("" if sources.pads else " -noiopad")
+        + ("" if sources.dsp else " -nodsp"),
         f"write_json {here(out)}",
     ]
     return "".join(f"{line}\n" for line in lines)
@@ -69,7 +71,7 @@ def synthesise(yosys: Tool, sources: Sources, out: Path, folder: Path, what: str
     commands.write_text(script(sources, raw, folder), encoding="utf-8")
     run_tool(yosys, ["-q", "-s", str(commands)], out.with_suffix(".yosys.log"), {}, what, folder)
     netlist = json.loads(raw.read_text("utf-8"))
-    check_cells(netlist, sources.top, what)
+    check_cells(netlist, sources.top, what, sources.dsp)
     separate(netlist, sources.top)
     if sources.pads:
         netlist["modules"][sources.top]["settings"] = ROUTER
