@@ -128,6 +128,9 @@ class Routing:
             for pip in self._wires.kind(kind).pips.values():
                 if not pip.pseudo:
                     found.setdefault(pip.destination, []).append(self._switch(kind, pip))
+                if pip.both_ways:  # long wires: listed once, with a feature for each direction
+                    back = pip._replace(source=pip.destination, destination=pip.source)
+                    found.setdefault(back.destination, []).append(self._switch(kind, back))
             self._into[kind] = found
         return self._into[kind]
 

@@ -14,6 +14,7 @@ from cm.build.plan.pins import Placement
 from cm.xray import Database, Tile, Wires
 
 Job = dict[str, Any]
+_INTO_SLICES = ("BYP", "FAN", "IMUX", "CTRL", "CLK", "GFAN")
 _LEAF = "HCLK_LEAF_CLK_"
 
 
@@ -28,9 +29,10 @@ def static_job(database: Database, layouts: Sequence[Layout]) -> Job:
 
 def module_job(database: Database, wires: Wires, layout: Layout, static: Routed, clock_buffer: str) -> Job:
     """A module keeps to its region, and leaves alone what the static part uses there."""
-    areas = {_harness(layout): _harness_places(layout), "module": [_at(tile) for tile in layout.logic_tiles]}
+    passed = passing(database, wires, layout, static)
+    areas = {_harness(layout): _free_places(layout, passed), "module": [_at(tile) for tile in layout.logic_tiles]}
     bels = [*_anchor_bels([layout]), ["cm_clock_buffer", clock_buffer]]
-    blocked = fence(database, wires, layout) | passing(database, wires, layout, static)
+    blocked = fence(database, wires, layout) | passed
     blocked |= other_lanes(database, wires, layout, static)
     cells = [[_harness(layout), _harness(layout)], ["", "module"]]
     return {"bels": bels, "areas": areas, "cells": cells, "blocked": sorted(blocked)}
@@ -117,6 +119,20 @@ def _harness(layout: Layout) -> str:
 
 def _harness_places(layout: Layout) -> list[str]:
     return [f"{_at(tile)}/SLICE_X1Y0" for tile in layout.anchor_tiles]
+
+
+def _free_places(layout: Layout, passed: set[str]) -> list[str]:
+    """Those beside interconnect whose ways into slices the static part leaves alone: the placer does not know of them.
+
+    All, where too few are left.
+    """
+    taken = {wire.partition("/")[0] for wire in passed if wire.partition("/")[2].startswith(_INTO_SLICES)}
+    free = [
+        f"{_at(tile)}/SLICE_X1Y0"
+        for tile in layout.anchor_tiles
+        if f"X{tile.x + (1 if tile.kind.endswith('_L') else -1)}Y{tile.y}" not in taken
+    ]
+    return free if 4 * len(free) >= len(layout.anchor_tiles) else _harness_places(layout)
 
 
 def _taps(database: Database, tile: str) -> bool:
