@@ -29,6 +29,8 @@ def envelope_length(frames: list[Frame]) -> int:
     """
     if len(frames) > 1 and not frames[1]:  # most do
         return 2
+    if len(frames) == 5 and not frames[2] and bytes(frames[1]) not in TOPICS:  # a number before it, as ours have
+        return 3
     if len(frames) < 4 or bytes(frames[1]) in TOPICS or b"" not in frames[2:-1]:
         return 1
     return frames.index(b"", 2) + 1
