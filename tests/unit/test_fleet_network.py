@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import socket
 from pathlib import Path
 
 import pytest
@@ -59,7 +60,10 @@ def test_a_router_that_does_not_answer_is_named(tmp_path: Path, router: str, sai
 
 def test_without_a_router_nobody_on_this_network_is_heard(tmp_path: Path) -> None:
     path = tmp_path / "fleet.json5"
-    path.write_text('{mode: "client", scouting: {timeout: 50, multicast: {enabled: true, address: "224.0.0.225:1"}}}')
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        where = f"224.0.0.225:{free.getsockname()[1]}"  # not 7446, where someone may answer
+    path.write_text(f'{{mode: "client", scouting: {{timeout: 50, multicast: {{enabled: true, address: "{where}"}}}}}}')
     with pytest.raises(NoNetwork, match="nobody answers on this network: name the fleet's router"):
         session(Network(config=path))
 
