@@ -111,7 +111,7 @@ def test_short_answers_that_nobody_reads_have_the_same_limit(manager: Manager) -
             until(lambda: unread() > 15 * MIB, 60)
             for _ in range(200):
                 assert works(board)
-            assert unread() <= 17 * MIB
+            assert unread() <= 16 * MIB + 250 * (48 << 10)  # each has 32 KiB in any case, and the reply beyond
             assert resident_mib(pid_of(manager)) < before + 64
             assert hostile.stdin
             assert hostile.stdout
@@ -194,31 +194,33 @@ def test_subscribers_that_do_not_read_leave_a_bounded_number_of_frames_waiting(c
     with served(arguments=("--stream-queue", "2")) as (manager, _), manager.connected() as board:
         board.load("camera", "default")
 
-        def subscriber(waiting: int) -> Any:
+        def subscriber(waiting: int) -> tuple[Any, Any]:
             made = context.socket(zmq.SUB)
             made.linger, made.rcvhwm, made.rcvbuf = 0, waiting, 4096
+            made.reconnect_ivl = -1  # whose connection was ended stays away, and can be counted
             made.subscribe(b"cm_stream/camera")
+            monitor = made.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED)
             made.connect(f"ipc://{manager.runtime}/pub")
-            return made
+            assert monitor.poll(60_000)
+            monitor.recv_multipart()  # it is in
+            return made, monitor
 
         def connections() -> int:
             return sum(client.connections for client in board.clients())
 
-        reader = subscriber(0)
-        monitor = reader.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        most = ended = 0
-        hostile = []
-        while not ended:  # they keep two frames each, and nine may wait in all
+        reader, ended = subscriber(0)
+        hostile: list[tuple[Any, Any]] = []
+        before = connections()
+        while len(hostile) < 20 or connections() > before + 10:  # each keeps two frames; nine may wait in all
             if len(hostile) < 20:
                 hostile.append(subscriber(1))
             for _ in range(5):
                 assert reader.poll(60_000)
                 reader.recv_multipart()
-            there = connections()
-            most, ended = max(most, there), most - there if there < most else 0
-        assert not monitor.poll(0)
-        reader.disable_monitor()
-        for made in (monitor, reader, *hostile):
+        assert not ended.poll(0)
+        for made, monitor in ((reader, ended), *hostile):
+            made.disable_monitor()
+            monitor.close(0)
             made.close(0)
 
 

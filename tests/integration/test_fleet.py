@@ -387,6 +387,7 @@ def gone_after(phase: str, fleet: Fleet, boards: Boards, away: tuple[str, ...]) 
                 shutil.rmtree(boards[name].bridge.folder)
             raise Gone
 
+    until(lambda: set(fleet.boards()) == set(boards), 60.0)  # those that the test before has replaced as well
     with pytest.raises(Gone):
         fleet.mode("edge_detection", settle=600.0, tell=tell)  # long: nobody ends it by itself
     return last[0].id
