@@ -45,9 +45,7 @@ def bridge(shared: tuple[Manager, SimBoard], peer: Peer) -> Iterator[Bridge]:
     assert "Traceback" not in said
 
 
-def test_a_status_is_there_for_who_comes_late_and_then_when_it_changes(
-    bridge: Bridge, peer: Peer, board: cm.Board
-) -> None:
+def test_a_late_subscriber_gets_the_status_and_then_every_change(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
     with peer.listening("/lab/cm/status", "cm_interfaces/msg/Status", LATCHED) as statuses:
         while (first := statuses.get(timeout=PATIENCE))["mode"] != "default":
             pass  # of before the board was loaded anew
@@ -66,7 +64,7 @@ def test_what_runs_is_reported_with_its_modes_and_streams(bridge: Bridge, peer: 
     assert (told["readable_streams"], told["writable_streams"]) == (["camera", "from_pl"], ["to_pl"])
 
 
-def test_pictures_run_while_somebody_listens_and_are_those_of_the_board(
+def test_pictures_run_while_there_is_a_listener_and_are_those_of_the_board(
     bridge: Bridge, peer: Peer, board: cm.Board
 ) -> None:
     def camera() -> Any:
@@ -117,7 +115,7 @@ def _open(board: cm.Board, name: str) -> bool:
     return next(stream for stream in board.status.streams if stream.name == name).open
 
 
-def test_registers_that_anybody_writes_are_reported_and_so_are_interrupts(
+def test_register_writes_by_any_client_are_reported_and_so_are_interrupts(
     bridge: Bridge, peer: Peer, board: cm.Board
 ) -> None:
     with (

@@ -192,7 +192,7 @@ def test_others_call_services_and_hear_why_not(bridge: Bridge, sdk: Sdk, board: 
     assert {step.kind for step in plan.steps} >= {"load"}
 
 
-def test_registers_are_parameters_and_who_writes_them_is_reported(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
+def test_registers_are_parameters_and_their_writers_are_reported(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
     def call(name: str, kind: str, **request: Any) -> dict[str, Any]:
         return peer.call(f"/lab/cm/{name}", f"rcl_interfaces/srv/{kind}", **request)
 

@@ -75,7 +75,7 @@ def works(board: cm.Board) -> bool:
     return board.registers["led"] == 3
 
 
-def test_answers_that_nobody_reads_have_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_unread_answers_have_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:
     """Ten clients that ask for 200 MiB each: gigabytes, before."""
     ask = encode_request(rq.ReadData("big", length=4 * MIB))
     with manager.connected() as board:
@@ -97,7 +97,7 @@ def test_answers_that_nobody_reads_have_a_limit_in_bytes(manager: Manager, conte
     until(lambda: resident_mib(pid_of(manager)) < before + 32, 60)
 
 
-def test_short_answers_that_nobody_reads_have_the_same_limit(manager: Manager) -> None:
+def test_short_unread_answers_have_the_same_limit(manager: Manager) -> None:
     """250 connections of a process ask for 375 MiB in answers of 15 KiB: 318 MiB more than idle, before."""
     with manager.connected() as board:
         assert works(board)
@@ -123,7 +123,7 @@ def test_short_answers_that_nobody_reads_have_the_same_limit(manager: Manager) -
         until(lambda: not [client for client in board.clients() if client.name.startswith(name)], 60)
 
 
-def test_who_goes_without_reading_leaves_nothing(manager: Manager) -> None:
+def test_a_client_that_leaves_without_reading_leaves_nothing_behind(manager: Manager) -> None:
     with manager.connected() as board:
         before = resident_mib(pid_of(manager))
         with unread_replies(manager.runtime, 100, 100) as hostile:
@@ -134,7 +134,9 @@ def test_who_goes_without_reading_leaves_nothing(manager: Manager) -> None:
         assert resident_mib(pid_of(manager)) < before + 64
 
 
-def test_no_answer_is_lost_to_who_asks_for_many_before_it_reads(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_a_client_that_asks_for_many_answers_before_it_reads_loses_none(
+    manager: Manager, context: zmq.Context[Any]
+) -> None:
     """ZeroMQ drops them beyond a thousand of a connection, unless it is told not to."""
     with manager.connected() as board:
         assert works(board)
@@ -164,7 +166,7 @@ def test_what_waits_of_a_client_has_a_limit_in_bytes(manager: Manager, context: 
         assert resident_mib(pid_of(manager)) < before + 64
 
 
-def test_the_command_line_shows_who_takes_what(manager: Manager, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_line_shows_what_each_client_takes(manager: Manager, capsys: pytest.CaptureFixture[str]) -> None:
     with manager.connected() as board, board.lease("registers:led", seconds=60):
         where = ["--runtime-dir", str(manager.runtime)]
         assert main(["status", "--clients", *where]) == 0
@@ -224,7 +226,7 @@ def test_subscribers_that_do_not_read_leave_a_bounded_number_of_frames_waiting(c
             made.close(0)
 
 
-def test_nobody_gets_anothers_answers_by_its_routing_id(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_no_client_gets_anothers_answers_by_its_routing_id(manager: Manager, context: zmq.Context[Any]) -> None:
     """Nor keeps them from it: whoever had the id first has it."""
     ask = [b"", *encode_request(rq.ReadReg(("led",)))]
     victim, thief = (context.socket(zmq.DEALER) for _ in range(2))

@@ -128,7 +128,7 @@ def _roots(manager: Manager) -> list[Path]:
     return [Path(arguments[arguments.index("--root") + 1])] if "--root" in arguments else []
 
 
-def test_a_second_manager_of_one_folder_is_told_which_option_helps(
+def test_a_second_manager_of_one_folder_learns_which_option_helps(
     manager: Manager, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["serve", "--sim", "--runtime-dir", str(manager.runtime)]) == 1

@@ -150,7 +150,7 @@ def test_a_change_can_be_followed(board: Any) -> None:
     assert board.mode == "edge_detection"
 
 
-def test_what_a_change_failed_with_is_raised_by_who_waits(board: Any, sim: SimBoard) -> None:
+def test_waiting_for_a_change_raises_the_error_it_failed_with(board: Any, sim: SimBoard) -> None:
     sim.control.inject("icap_crc", count=1)
     handle = board.load_async("camera", "edge_detection")
     with pytest.raises(RequestFailed, match="default"):
@@ -159,7 +159,7 @@ def test_what_a_change_failed_with_is_raised_by_who_waits(board: Any, sim: SimBo
     assert board.mode == "default"
 
 
-def test_what_nobody_runs_can_be_cancelled(board: Any) -> None:
+def test_cancelling_a_change_that_is_not_running_does_nothing(board: Any) -> None:
     handle = board.load_async("camera", "edge_detection")
     handle.wait(timeout=60)
     handle.cancel()
@@ -530,7 +530,7 @@ def test_after_its_end_a_board_says_so_whatever_is_asked(reach: tuple[str, dict[
 
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])
 @pytest.mark.parametrize("way", ["ipc", "tcp"])
-def test_who_waits_hears_at_once_of_a_manager_that_dies(kind: str, way: str) -> None:
+def test_a_waiting_client_hears_at_once_that_the_manager_died(kind: str, way: str) -> None:
     with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, _), ExitStack() as clients:
         board = clients.enter_context(connected(kind, timeout=60, **reached(manager, way)))
         board.load("camera", "default")

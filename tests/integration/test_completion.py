@@ -98,7 +98,7 @@ def test_another_manager_than_the_default_is_asked_where_the_line_names_it(board
 
 
 @pytest.mark.parametrize("line", [["mode", ""], ["reg", "read", ""], ["nothing", ""], [""], []])
-def test_where_nobody_serves_nothing_is_offered_and_nothing_said(
+def test_without_a_server_completion_offers_and_prints_nothing(
     line: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("CM_RUNTIME_DIR", str(tmp_path))

@@ -151,7 +151,7 @@ def test_a_message_of_a_gibibyte_and_a_half_is_refused_when_it_is_announced(guar
     assert resident_mib(guarded.pid) < before + 64
 
 
-def test_a_message_of_two_million_parts_ends_its_connection_before_anybody_takes_it(guarded: Guarded) -> None:
+def test_a_message_of_two_million_parts_ends_its_connection_before_it_is_received(guarded: Guarded) -> None:
     before = resident_mib(guarded.pid)
     with raw(guarded.manager.runtime / "req") as peer:
         assert send_until_hung_up(peer, b"\x01\x00" * 1000, 2000) < 2000
@@ -165,7 +165,7 @@ def test_a_message_that_is_too_long_in_all_its_parts_ends_its_connection(guarded
         assert send_until_hung_up(peer, frame(1, bytes(1 << 20)), 64) < 64
 
 
-def test_what_does_not_speak_zmtp_3_is_hung_up_on(guarded: Guarded) -> None:
+def test_a_peer_that_does_not_speak_zmtp_3_is_disconnected(guarded: Guarded) -> None:
     for greeting in (b"GET / HTTP/1.1\r\n\r\n", b"\x01\x00", b"\xff" + bytes(8) + b"\x7f\x01\x00" + bytes(52)):
         with socket.socket(socket.AF_UNIX) as peer:
             peer.settimeout(60)
@@ -196,7 +196,7 @@ def test_half_messages_of_250_connections_take_no_more_than_those_of_two(guarded
 
 
 @pytest.mark.parametrize("flags", [0, 4])
-def test_who_has_not_shaken_hands_sends_short_commands_only(guarded: Guarded, flags: int) -> None:
+def test_before_the_handshake_a_client_may_send_only_short_commands(guarded: Guarded, flags: int) -> None:
     """Without a key, before anybody knows who it is."""
     before = resident_mib(guarded.pid)
     long = bytes([flags | 2]) + (1 << 20).to_bytes(8, "big")

@@ -213,7 +213,7 @@ def test_processes_of_another_account_take_turns_with_all_of_the_first(order: Or
         assert len(accounts) == 2
 
 
-def test_who_asks_for_what_takes_long_is_served_less_often(order: Order, context: zmq.Context[Any]) -> None:
+def test_a_client_with_slow_requests_is_served_less_often(order: Order, context: zmq.Context[Any]) -> None:
     with serving() as (server, runtime), hostile(runtime, 20) as flood, context.socket(zmq.DEALER) as other:
         other.linger = 0
         other.connect(f"ipc://{runtime}/req")
@@ -233,7 +233,7 @@ def test_who_asks_for_what_takes_long_is_served_less_often(order: Order, context
         assert now.loop_seconds == pytest.approx(mine.loop_seconds + 51e-6)
 
 
-def test_who_opens_streams_again_and_again_waits_behind_others(order: Order) -> None:
+def test_a_client_that_keeps_opening_streams_waits_behind_others(order: Order) -> None:
     """It makes the slots of a stream, or memory, while the loop waits; so that is done by turns as well."""
     with (
         serving() as (server, runtime),
@@ -285,7 +285,7 @@ def told_clients(socket: zmq.Socket[bytes]) -> Any:
     return reply.body.clients  # type: ignore[union-attr]
 
 
-def test_who_lets_too_much_wait_is_told_so_and_others_are_not(order: Order, context: zmq.Context[Any]) -> None:
+def test_a_client_with_too_much_waiting_is_refused_and_others_are_not(order: Order, context: zmq.Context[Any]) -> None:
     """Each message counts with what it takes to keep it: 1 KiB."""
     limits = Limits(waiting_bytes=1 * MIB)
     with (

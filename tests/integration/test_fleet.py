@@ -127,7 +127,7 @@ def test_registers_of_all_boards_are_written_and_read_and_errors_have_their_boar
     )
 
 
-def test_who_asks_is_in_the_managers_log_and_holds_its_leases(boards: Boards, fleet: Fleet) -> None:
+def test_the_caller_is_in_the_managers_log_and_holds_its_leases(boards: Boards, fleet: Fleet) -> None:
     manager, holders = boards["b1"].manager, []
 
     def tell(phase: str, board: str, answer: object) -> None:
@@ -166,7 +166,7 @@ def _until(statuses: Iterator[tuple[str, BoardStatus | None]], board: str, wante
     return any(name == board and wanted(status) for name, status in statuses)  # type: ignore[operator]
 
 
-def test_a_stream_runs_only_while_somebody_listens(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
+def test_a_stream_runs_only_while_there_is_a_listener(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
     with session(Network(connect=(three[0].endpoint,))) as plain, boards["b1"].manager.connected() as client:
         assert not client.status.streams[0].open
         frames = plain.declare_subscriber("cm/b1/frames/camera", zenoh.handlers.FifoChannel(8))
@@ -177,7 +177,7 @@ def test_a_stream_runs_only_while_somebody_listens(boards: Boards, three: tuple[
         until(lambda: not client.status.streams[0].open)
 
 
-def test_who_has_no_protobuf_asks_in_json(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
+def test_a_client_without_protobuf_asks_in_json(boards: Boards, three: tuple[Router, Boards, Fleet]) -> None:
     with session(Network(connect=(three[0].endpoint,))) as plain:
         found = _json(plain, "cm/b1/status?format=json")
         assert found["cm/b1/status"]["config_name"] == "camera"
@@ -217,7 +217,7 @@ def test_a_mode_that_one_board_does_not_know_changes_nothing_anywhere(boards: Bo
     assert modes(boards) == {"default"}
 
 
-def test_a_lease_of_somebody_elses_on_one_board_refuses_the_change_by_name(boards: Boards, fleet: Fleet) -> None:
+def test_another_clients_lease_on_one_board_refuses_the_change_by_name(boards: Boards, fleet: Fleet) -> None:
     refused = pytest.raises(ChangeFailed, match=r"back in the mode before .c3: .*carl")
     with boards["c3"].manager.connected() as client, client.lease("board", holder="carl"), refused:
         fleet.mode("edge_detection")
@@ -231,7 +231,7 @@ def test_a_load_that_fails_on_one_board_takes_all_back(boards: Boards, fleet: Fl
     assert modes(boards) == {"default"}
 
 
-def test_with_a_quorum_the_fleet_goes_on_and_who_failed_is_named(boards: Boards, fleet: Fleet) -> None:
+def test_with_a_quorum_the_fleet_goes_on_and_names_the_board_that_failed(boards: Boards, fleet: Fleet) -> None:
     boards["b2"].sim.control.inject("icap_crc", count=1)
     with pytest.raises(ChangeFailed) as caught:
         fleet.mode("edge_detection", policy="quorum")
@@ -323,7 +323,9 @@ def test_a_client_killed_before_the_decision_leaves_the_old_mode_and_after_it_th
 
 
 @pytest.mark.parametrize(("who", "phase"), [("manager", "prepare"), ("manager", "apply"), ("bridge", "apply")])
-def test_whoever_is_killed_on_one_board_all_end_in_one_mode(boards: Boards, fleet: Fleet, who: str, phase: str) -> None:
+def test_whichever_process_is_killed_on_one_board_all_end_in_one_mode(
+    boards: Boards, fleet: Fleet, who: str, phase: str
+) -> None:
     victim = boards["b2"]
     killed: list[str] = []
 
@@ -427,7 +429,7 @@ def test_client_and_seat_gone_for_good_leave_the_rest_to_another_client(
     assert all(_is_free(status) for status in fleet.status().values())
 
 
-def test_with_most_seats_gone_for_good_who_waits_is_named_and_a_person_decides(
+def test_with_most_seats_gone_for_good_waiting_boards_are_named_and_a_person_decides(
     replaced: Boards, fleet: Fleet, capsys: pytest.CaptureFixture[str]
 ) -> None:
     change = gone_after("apply", fleet, replaced, ("b1", "b2"))

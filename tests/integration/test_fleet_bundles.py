@@ -69,7 +69,7 @@ def test_a_sites_cache_gets_one_copy_for_all_its_boards(router: Router, packed: 
         assert (sent(), cache.fetched, cache.handed) == (bundle.length, bundle.length, 3 * bundle.length)
 
 
-def test_without_a_cache_boards_of_a_site_ask_who_sends(router: Router, packed: Path, tmp_path: Path) -> None:
+def test_without_a_cache_boards_of_a_site_ask_the_sender(router: Router, packed: Path, tmp_path: Path) -> None:
     bundle = described(packed)
     with joined(router) as ours, joined(router) as board, offered(ours, packed, bundle) as sent:
         fetched(board, "lab", bundle, Parts(tmp_path / "board"))

@@ -58,7 +58,7 @@ def error_of(found: dict[str, RegValues | ErrorInfo]) -> ErrorInfo:
     return error
 
 
-def test_who_operates_changes_modes_and_registers_by_the_name_in_its_certificate(closed: Closed) -> None:
+def test_an_operator_changes_modes_and_registers_under_the_name_in_its_certificate(closed: Closed) -> None:
     with closed.connected("anna") as fleet:
         assert fleet.caller == "anna"
         fleet.mode("edge_detection")
@@ -66,7 +66,7 @@ def test_who_operates_changes_modes_and_registers_by_the_name_in_its_certificate
         fleet.mode("default")
 
 
-def test_who_observes_sees_everything_and_the_router_drops_its_commands(closed: Closed) -> None:
+def test_an_observer_sees_everything_and_the_router_drops_its_commands(closed: Closed) -> None:
     with closed.connected("olga") as fleet:
         assert isinstance(fleet.status()["b1"], BoardStatus)
         assert "rules keep us off" in error_of(fleet.write({"led": 2})).message
@@ -74,7 +74,7 @@ def test_who_observes_sees_everything_and_the_router_drops_its_commands(closed: 
             assert next(statuses)[0] == "b1"
 
 
-def test_nobody_speaks_in_the_name_of_another(closed: Closed) -> None:
+def test_no_client_speaks_in_the_name_of_another(closed: Closed) -> None:
     with closed.connected("olga", caller="anna") as fleet:
         assert error_of(fleet.write({"led": 3})).code == "no_answer"
 
@@ -85,7 +85,7 @@ def test_what_the_router_lets_through_the_managers_policy_may_still_refuse(close
         assert (error.code, "zenoh:nina" in error.message) == ("forbidden", True)
 
 
-def test_who_may_see_one_board_asks_for_all_and_sees_that_one(closed: Closed) -> None:
+def test_a_client_that_may_see_one_board_asks_for_all_and_sees_that_one(closed: Closed) -> None:
     """A query for all is dropped: rules match by inclusion. The client asks by name then."""
     with closed.connected("nina") as fleet:
         assert isinstance(fleet.status()["b1"], BoardStatus)
@@ -95,7 +95,7 @@ def test_who_may_see_one_board_asks_for_all_and_sees_that_one(closed: Closed) ->
         assert found.code == "no_answer"
 
 
-def test_without_a_certificate_of_the_fleet_nobody_connects(closed: Closed, tmp_path: Path) -> None:
+def test_no_client_connects_without_a_certificate_of_the_fleet(closed: Closed, tmp_path: Path) -> None:
     other = KeyFolder(tmp_path / "other")
     other.create(("127.0.0.1",), port_of(closed), 30)
     other.add(Member("anna", "client", "operate"), 30)

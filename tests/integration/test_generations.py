@@ -66,7 +66,7 @@ def test_what_the_first_frame_of_a_stream_began_under_is_not_known(board: cm.Boa
         assert second.generation == written.generation
 
 
-def test_a_reader_that_joins_is_told_the_generation_that_others_know(board: cm.Board) -> None:
+def test_a_reader_that_joins_learns_the_generation_that_others_know(board: cm.Board) -> None:
     with board.stream("camera", timeout=30) as before:
         written = board.registers.write({"focus": 3})
         before.after(written)

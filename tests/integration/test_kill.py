@@ -131,7 +131,7 @@ def test_a_second_manager_on_the_same_folder_is_refused(manager: Manager) -> Non
     second.stop()
 
 
-def test_a_second_manager_of_the_same_board_is_refused_and_told_who_holds_it(own: tuple[Manager, SimBoard]) -> None:
+def test_a_second_manager_of_the_same_board_is_refused_and_learns_who_holds_it(own: tuple[Manager, SimBoard]) -> None:
     first, _ = own
     assert first.process is not None
     second = Manager(first.runtime.parent / "other", *first.arguments)

@@ -69,7 +69,7 @@ def test_a_client_holds_so_many_and_their_descriptors_come_back(manager: Manager
         assert board.status.leases == ()
 
 
-def test_leases_whose_time_is_over_keep_no_descriptor(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_expired_leases_keep_no_descriptor(manager: Manager, context: zmq.Context[Any]) -> None:
     """980 short ones and a connection ended the manager."""
     assert manager.process is not None
     before = watched_processes(manager.process.pid)

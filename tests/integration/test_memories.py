@@ -273,7 +273,7 @@ def test_the_asyncio_client_does_the_same(manager: Manager, board: cm.Board) -> 
     asyncio.run(run())
 
 
-def test_too_many_transfers_at_once_are_told_to_come_back(manager: Manager, board: cm.Board) -> None:
+def test_transfers_beyond_the_limit_are_asked_to_try_again(manager: Manager, board: cm.Board) -> None:
     async def run() -> list[Any]:
         async with aio.connect(runtime_dir=manager.runtime, timeout=60) as peer:
             reads = [peer.memories["big"].read(0, 4 * MIB) for _ in range(24)]

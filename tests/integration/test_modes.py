@@ -82,7 +82,7 @@ def test_a_stream_of_another_region_runs_while_one_is_reconfigured(runtime) -> N
         slow.stop()
 
 
-def test_a_change_that_nobody_waits_for_leaves_no_socket(board: cm.Board) -> None:
+def test_a_change_that_is_not_waited_for_leaves_no_socket(board: cm.Board) -> None:
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         board.load_async(mode="edge_detection")
@@ -138,7 +138,7 @@ def test_interrupts_are_counted_and_fanned_out(board: cm.Board, manager: Manager
         assert next(second).count > 0
 
 
-def test_interrupts_come_while_somebody_holds_the_board(board: cm.Board, manager: Manager) -> None:
+def test_interrupts_arrive_while_another_client_holds_the_board(board: cm.Board, manager: Manager) -> None:
     board.configure_stream("camera", enable=True)
     with manager.connected() as other, other.lease("board"):
         events = board.interrupts["frame_done"].events(timeout=30)

@@ -92,7 +92,7 @@ def loop(setup: Setup, body: str) -> tuple[dict[str, Any], dict[str, int], dict[
     return told, *added
 
 
-def test_who_does_not_synchronise_sees_old_bytes(apart: Setup) -> None:
+def test_a_reader_that_does_not_synchronise_sees_old_bytes(apart: Setup) -> None:
     """Without this, the other tests of this file would show nothing."""
     told, _, _ = loop(
         apart,

@@ -108,7 +108,7 @@ def published(publisher: Any, board: cm.Board) -> bool:
     return board.registers["scratch"] == 77
 
 
-def test_who_asks_for_a_register_of_the_mode_that_comes_gets_it(board: cm.Board, sender: Sender) -> None:
+def test_a_write_to_a_register_of_the_coming_mode_succeeds(board: cm.Board, sender: Sender) -> None:
     sender.send(TO_EDGE, write("threshold", 9))
     assert [error(reply) for reply in sender.replies(2)] == [None, None]
     assert board.registers["threshold"] == 9
@@ -120,7 +120,7 @@ def test_a_write_waits_only_for_a_change_that_touches_its_register(board: cm.Boa
     assert sender.arrived == [1, 0]  # the write was answered before the change had ended
 
 
-def test_nobody_waits_for_another_senders_change(
+def test_no_sender_waits_for_another_senders_change(
     board: cm.Board, sender: Sender, context: zmq.Context[Any], slow: tuple[Manager, SimBoard]
 ) -> None:
     other = Sender(context, slow[0])

@@ -171,9 +171,7 @@ def test_one_stream_in_is_two_streams_out(kernel: cm.Board) -> None:
     ("schema", "says"),
     [("fir: {model: fri}", "no model is called 'fri', did you mean 'fir'?"), ("fir: {model: fir}", None)],
 )
-def test_a_model_that_nobody_has_is_an_error_that_lists_those_there_are(
-    tmp_path: Path, schema: str, says: str | None
-) -> None:
+def test_an_unknown_model_is_an_error_that_lists_the_known_ones(tmp_path: Path, schema: str, says: str | None) -> None:
     (tmp_path / "one.yaml").write_text(
         f"config: {{name: one, modules: {{{schema}}}, modes: {{a: {{modules: [fir]}}}}}}"
     )

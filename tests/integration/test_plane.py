@@ -145,7 +145,7 @@ def test_a_frame_that_is_held_does_not_change(board: cm.Board) -> None:
         assert (held == content).all()
 
 
-def test_who_holds_all_it_may_is_told_so(board: cm.Board) -> None:
+def test_a_reader_that_holds_all_its_frames_gets_a_timeout_that_says_so(board: cm.Board) -> None:
     with board.stream("camera", depth=2, timeout=0.3) as stream:
         held = [stream.read(), stream.read()]
         with pytest.raises(Timeout, match="all 2 frames"):
@@ -321,7 +321,7 @@ def test_nonsense_at_the_door_is_refused(board: cm.Board, raw: Callable[..., Raw
     assert board.status.mode == "default"
 
 
-def test_who_knocks_and_says_nothing_keeps_nobody_out(board: cm.Board, manager: Manager) -> None:
+def test_connections_that_stay_silent_do_not_keep_others_out(board: cm.Board, manager: Manager) -> None:
     before = fds(manager)
     with contextlib.ExitStack() as stack:
         for _ in range(200):
@@ -349,7 +349,9 @@ def test_no_packets_whatsoever_bring_the_plane_down(
 
 
 @pytest.mark.parametrize("packet", [b"x", b"\0" * 31, b"\0" * 33, b"\0" * 32, b"\xff" * 32])
-def test_who_breaks_the_rules_later_is_hung_up_on(board: cm.Board, raw: Callable[..., Raw], packet: bytes) -> None:
+def test_a_client_that_breaks_the_rules_later_is_disconnected(
+    board: cm.Board, raw: Callable[..., Raw], packet: bytes
+) -> None:
     with board.stream("camera") as other:
         peer = raw(Open("camera"))
         peer.next(packets.FRAME)
@@ -385,7 +387,7 @@ def test_a_writer_cannot_send_what_is_not_its_own(loop: cm.Board, raw: Callable[
 # ---- leases --------------------------------------------------------------------------------
 
 
-def test_who_writes_beside_a_lease_is_refused_and_its_holder_is_not(loop: cm.Board, manager: Manager) -> None:
+def test_a_writer_without_the_lease_is_refused_and_its_holder_is_not(loop: cm.Board, manager: Manager) -> None:
     picture = np.full((480, 640), 7, np.uint8)
     scope = "region:prr1"
     with manager.connected() as other, other.lease(scope, holder="the other") as lease:
@@ -405,7 +407,7 @@ def test_who_writes_beside_a_lease_is_refused_and_its_holder_is_not(loop: cm.Boa
         pass
 
 
-def test_who_could_hold_the_hardware_up_needs_the_lease(loop: cm.Board, manager: Manager) -> None:
+def test_a_stream_that_could_hold_the_hardware_up_needs_the_lease(loop: cm.Board, manager: Manager) -> None:
     loop.configure_stream("from_pl", backpressure=True, force=True)
     with manager.connected() as other, other.lease("region:prr1") as lease:
         with pytest.raises(Busy, match="held by"):

@@ -178,7 +178,7 @@ def test_how_much_may_wait_at_the_client_is_the_streams_depth(far: cm.Board) -> 
         far.stream("from_pl", depth=-1)
 
 
-def test_who_is_behind_with_frames_costs_nobody_an_interrupt_or_status(context: zmq.Context) -> None:
+def test_a_client_behind_with_frames_costs_others_no_interrupt_or_status(context: zmq.Context) -> None:
     with listening() as (manager, address), manager.connected() as board:
         board.load("camera", "default")
         board.load("camera", "loopback")

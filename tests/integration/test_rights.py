@@ -82,7 +82,7 @@ def manager() -> Iterator[Manager]:
 
 
 @needs_root
-def test_the_sockets_are_for_the_group_and_nobody_else(manager: Manager) -> None:
+def test_only_the_group_can_open_the_sockets(manager: Manager) -> None:
     for name in ("pub", "sub", "req", "data"):
         status = (manager.runtime / name).stat()
         assert (status.st_gid, stat.S_IMODE(status.st_mode)) == (GROUP, 0o660), name
@@ -103,7 +103,7 @@ def test_two_users_of_different_roles_and_one_without(manager: Manager) -> None:
 
 
 @needs_root
-def test_who_is_not_of_the_group_is_told_so_at_once(manager: Manager) -> None:
+def test_a_user_outside_the_group_learns_the_reason_at_once(manager: Manager) -> None:
     told = outcome(manager, ALICE, "board.status", groups=())["connect"]
     assert told.startswith("NotAdmitted: forbidden: this user may not use the sockets in ")
     assert f"members of {GROUP}" in told or "members of its group" in told

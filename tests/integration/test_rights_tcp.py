@@ -93,17 +93,17 @@ def problem(guarded: Guarded, keys: Path | None, timeout: float = 30) -> str:
     return str(caught.value)
 
 
-def test_a_key_that_is_not_known_is_told_so_and_not_left_waiting(guarded: Guarded) -> None:
+def test_a_client_with_an_unknown_key_is_refused_and_not_left_waiting(guarded: Guarded) -> None:
     stranger = guarded.key("stranger", "admin")
     (guarded.keys / "authorized_keys.d/stranger.pub").unlink()
     assert "does not know this key" in problem(guarded, stranger)
 
 
-def test_who_comes_without_a_key_is_told_that_it_takes_one(guarded: Guarded) -> None:
+def test_a_client_without_a_key_learns_that_it_needs_one(guarded: Guarded) -> None:
     assert "wants keys" in problem(guarded, None)
 
 
-def test_a_key_for_another_board_is_told_so_when_the_time_is_over(guarded: Guarded, tmp_path: Path) -> None:
+def test_a_client_with_another_boards_key_learns_so_when_its_time_runs_out(guarded: Guarded, tmp_path: Path) -> None:
     public, secret = zmq.curve_keypair()
     other = tmp_path / "other.key"
     write_key_file(other, {"server-public": zmq.curve_keypair()[0], "public": public, "secret": secret}, "client")
@@ -145,7 +145,7 @@ def test_a_narrow_role_reaches_its_registers_and_no_others(guarded: Guarded) -> 
         assert board.registers["focus"] == 3  # all or nothing
 
 
-def test_who_may_not_look_at_everything_asks_and_does_not_subscribe(guarded: Guarded) -> None:
+def test_a_client_that_may_not_see_everything_asks_and_does_not_subscribe(guarded: Guarded) -> None:
     path = guarded.key("clerk", "clerk")
     until(lambda: _knows(guarded, "clerk"))
     with guarded.connect("clerk") as board:
@@ -282,7 +282,7 @@ def test_a_key_ends_at_its_time_with_its_sessions(guarded: Guarded) -> None:
     assert not guarded.lets_in("guest")
 
 
-def test_who_did_what_and_who_was_refused_is_in_the_log_once(guarded: Guarded) -> None:
+def test_the_log_names_once_who_did_what_and_who_was_refused(guarded: Guarded) -> None:
     guarded.key("writer", "operate")
     until(lambda: guarded.lets_in("writer"))
     with guarded.connect("writer") as board:

@@ -71,7 +71,7 @@ def test_a_reader_cannot_write_to_them_by_its_descriptor_nor_by_another(reader: 
     assert fcntl.fcntl(reader[0], fcntl.F_GET_SEALS) & _F_SEAL_FUTURE_WRITE
 
 
-def test_nobody_can_seal_the_memory_that_writers_share(manager: Manager) -> None:
+def test_no_client_can_seal_the_memory_that_writers_share(manager: Manager) -> None:
     connection = Grabber(manager.runtime, Open("to_pl", write=True))
     connection.set_timeout(20)
     fds = connection.grab()
@@ -82,7 +82,7 @@ def test_nobody_can_seal_the_memory_that_writers_share(manager: Manager) -> None
     connection.close()
 
 
-def test_who_wants_frames_of_its_own_asks_for_copies(manager: Manager) -> None:
+def test_a_client_that_wants_its_own_frames_asks_for_copies(manager: Manager) -> None:
     with manager.connected() as board, board.stream("camera", timeout=60, copy=True) as stream:
         frame = next(iter(stream))
         assert frame.size > 1000

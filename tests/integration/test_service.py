@@ -108,7 +108,7 @@ def service() -> Iterator[Service]:
         service.inbox.close()
 
 
-def test_a_service_manager_is_told_of_life_and_end(service: Service) -> None:
+def test_the_service_manager_hears_keepalives_and_the_stop(service: Service) -> None:
     assert service.told(b"WATCHDOG=1")
     assert service.manager.stop() == 0
     service.told(b"STOPPING=1")

@@ -113,7 +113,7 @@ def test_registers_are_an_error_after_a_while_and_at_once_then(board: cm.Board, 
     assert board.registers["focus"] == 7
 
 
-def test_a_writer_is_told_and_writes_again(board: cm.Board, own: Own) -> None:
+def test_a_writer_gets_an_error_and_writes_again(board: cm.Board, own: Own) -> None:
     board.load("camera", "loopback")
     picture = np.full((480, 640), 9, np.uint8)
     with board.stream("from_pl", timeout=60) as reader, board.writer("to_pl", timeout=60) as writer:
@@ -130,7 +130,7 @@ def test_a_writer_is_told_and_writes_again(board: cm.Board, own: Own) -> None:
         assert (reader.read() == 9).all()
 
 
-def test_who_comes_while_it_is_stopped_is_refused_and_keeps_nobody_else_waiting(board: cm.Board, own: Own) -> None:
+def test_a_client_of_a_stopped_board_is_refused_and_keeps_no_others_waiting(board: cm.Board, own: Own) -> None:
     with stopped(own[1]):
 
         def read() -> None:

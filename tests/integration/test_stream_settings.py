@@ -133,7 +133,7 @@ def test_the_frame_stores_of_a_vdma_are_the_slots(video: cm.Board, vdma: tuple[M
         ({"shape": (2, 20000), "dtype": "float32"}, "a line has 80000 bytes"),
     ],
 )
-def test_what_a_vdma_cannot_do_is_refused_before_anybody_uses_it(
+def test_settings_beyond_a_vdma_are_refused_before_the_stream_is_used(
     video: cm.Board, wrong: dict[str, Any], why: str
 ) -> None:
     before = settings(video, "from_pl")
@@ -232,7 +232,7 @@ def test_a_reader_does_not_notice_what_was_refused(board: cm.Board) -> None:
         assert stream.read().sequence > first
 
 
-def test_what_is_in_use_is_changed_by_force_only_and_to_the_same_by_anybody(loop: cm.Board) -> None:
+def test_a_stream_in_use_is_changed_by_force_only_but_any_client_may_set_the_same(loop: cm.Board) -> None:
     with loop.writer("to_pl", timeout=60) as writer, loop.stream("from_pl", timeout=60) as reader:
         for name in ("to_pl", "from_pl"):
             before = settings(loop, name)

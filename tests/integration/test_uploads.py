@@ -83,7 +83,7 @@ def test_parts_come_in_their_order_and_are_used_once(manager: Manager, context: 
     assert code(again) == "unknown_upload"
 
 
-def test_what_is_not_whole_is_not_used(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_incomplete_uploads_are_not_used(manager: Manager, context: zmq.Context[Any]) -> None:
     replies = ask(
         context, manager, rq.Upload("b", 4096, 0, bytes(10)), rq.WriteData("to_pl", upload="b"),
         rq.Upload("c", 4096, 5, bytes(10)), rq.Upload("d", 4, 0, bytes(10)), rq.Upload("d", 4, discard=True),

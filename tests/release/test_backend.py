@@ -53,7 +53,7 @@ def test_nothing_is_asked_for_where_there_is_a_protoc(
     assert asked.get_requires_for_build_wheel() == []
 
 
-def test_repacked_archives_do_not_tell_who_packed_them(tmp_path: Path) -> None:
+def test_repacked_archives_do_not_reveal_who_packed_them(tmp_path: Path) -> None:
     backend = load_backend()
     hashes = set()
     for owner, mode, order in ((0, 0o600, "ab"), (1000, 0o664, "ba")):

@@ -109,7 +109,7 @@ def test_the_packagegroup_names_every_module_and_leaves_the_simulated_pl_apart()
     assert board == wanted - simulated
 
 
-def test_bitbake_is_told_beforehand_of_the_packages_that_modules_become() -> None:
+def test_bitbake_knows_beforehand_the_packages_that_modules_become() -> None:
     group = variables(LAYER / "recipes-cm/packagegroups/packagegroup-cm.bb")
     pattern = variables(LAYER / f"recipes-cm/fpga-cm/cm-kmod_{__version__}.bb")["PACKAGES_DYNAMIC"]
     names = [name for value in group.values() for name in value.split() if name.startswith("kernel-module-")]

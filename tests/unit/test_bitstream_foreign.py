@@ -173,7 +173,7 @@ def test_user_id_of_another_static_design_is_refused() -> None:
     assert codes(data, Expectation(user_id=0xBADCAFE)) == ["wrong_static"]
 
 
-def test_user_id_that_nobody_set_is_not_compared() -> None:
+def test_user_id_that_was_never_set_is_not_compared() -> None:
     assert inspect(small()).user_id is None
     assert codes(small(), Expectation(user_id=0xBADCAFE)) == []
     assert codes(small().replace(b"UserID=0XFFFFFFFF", b"UserID=0X00C0FFEE"), Expectation(user_id=0xFFFFFFFF)) == []
@@ -232,7 +232,7 @@ def test_block_type_2_holds_what_vivado_writes_and_no_frame_more(device: str, co
     assert codes(longer, expect) == ["footprint_outside"]
 
 
-def test_author_who_takes_every_column_for_36_frames_is_refused() -> None:
+def test_an_author_that_takes_every_column_for_36_frames_is_refused() -> None:
     """Column 34 of row 32 of an xc7z020 is 28 or 30 frames wide; 36 of them write into the next one."""
     geometry = geometry_of("xc7z020")
     assert geometry is not None

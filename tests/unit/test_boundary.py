@@ -75,7 +75,7 @@ def test_module_without_an_interface_has_its_outputs_tied_idle(make) -> None:
     assert at(adaptation, "s_axis_tdata").fit is Fit.OPEN
 
 
-def test_module_without_the_registers_is_told_that_somebody_must_answer(make) -> None:
+def test_module_without_the_registers_gets_a_note_that_accesses_need_an_answer(make) -> None:
     result = boundary([make("one", CLOCKED + lite("s_axi_")), make("two", CLOCKED + stream("s_axis_", "slave"))])
     assert any("answer accesses with an error" in note for note in result.adaptation("two").notes)
 

@@ -169,7 +169,7 @@ def test_the_command_writes_a_configuration_that_loads(
     assert main(["check", str(target / "adder/adder.yaml")]) == 0
 
 
-def test_a_signed_configuration_is_taken_by_who_trusts_the_key(theirs: Path, tmp_path: Path) -> None:
+def test_a_signed_configuration_is_taken_where_its_key_is_trusted(theirs: Path, tmp_path: Path) -> None:
     pytest.importorskip("cryptography", reason="the extra sign is not installed")
     from test_signing import key_pair
 

@@ -170,7 +170,7 @@ def test_bitstreams_of_every_run_get_the_user_id_of_the_locked_static_part(tmp_p
         assert place < min(index for index, call in enumerate(calls) if call.startswith("write_bitstream"))
 
 
-def test_a_simulated_board_answers_the_identity_of_the_schema_or_the_one_that_it_is_told(tmp_path: Path) -> None:
+def test_a_simulated_board_answers_the_identity_of_the_schema_or_the_one_it_is_given(tmp_path: Path) -> None:
     _, out = generated(copy_examples(tmp_path), "camera")
     config = schema.load(out / "config/camera.yaml")
     assert config.static is not None

@@ -157,7 +157,7 @@ def test_a_mistake_in_the_schema_is_reported_with_its_place(
     assert "build.yaml:" in said
 
 
-def test_an_empty_schema_is_told_how_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_the_error_for_an_empty_schema_says_how_to_begin(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     assert "build.yaml:1:1: the file is empty (begin with project:" in told(tmp_path, "", capsys)
 
 

@@ -88,7 +88,7 @@ CASES = {  # what is changed of PLAIN; the module; what is told
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_it_is_told_with_its_key(tmp_path: Path, case: str) -> None:
+def test_each_refusal_names_its_key_and_what_to_do(tmp_path: Path, case: str) -> None:
     (old, new), module, wanted = CASES[case]
     assert old in PLAIN
     text = told(tmp_path, PLAIN.replace(old, new, 1), module)

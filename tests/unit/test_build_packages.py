@@ -121,7 +121,7 @@ def test_a_tree_that_is_there_needs_no_repository(repository: Repository, tmp_pa
 
 
 @needs_apt
-def test_what_a_killed_fetch_left_is_not_taken_for_whole(repository: Repository, tmp_path: Path) -> None:
+def test_the_remains_of_a_killed_fetch_are_not_taken_for_complete(repository: Repository, tmp_path: Path) -> None:
     root = fetched(repository, tmp_path / "trees", "alpha").root
     (root / "packages.json").unlink()
     (root / "usr/share/alpha").write_text("half")

@@ -301,7 +301,7 @@ def test_progress_is_drawn_on_a_terminal_and_wiped() -> None:
     assert lines[-2].strip() == ""
 
 
-def test_progress_is_silent_where_nobody_watches() -> None:
+def test_progress_is_silent_without_a_terminal() -> None:
     stream = io.StringIO()
     with TextBar("loading", stream) as progress:
         progress.update(0.5)

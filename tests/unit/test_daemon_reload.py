@@ -191,7 +191,7 @@ def remote(served: Daemon) -> Iterator[Remote]:
 WRITE = WriteReg((RegWrite("focus", 3),))
 
 
-def test_whose_rights_change_is_hung_up_on_and_comes_back_with_the_new_ones(
+def test_a_client_whose_rights_change_is_disconnected_and_returns_with_the_new_ones(
     served: Daemon, source: Source, reload: Any, remote: Remote
 ) -> None:
     served.load("default")
@@ -204,7 +204,9 @@ def test_whose_rights_change_is_hung_up_on_and_comes_back_with_the_new_ones(
     served.done(WRITE)  # this machine's own are who they were
 
 
-def test_whose_rights_stay_keeps_its_connection(served: Daemon, source: Source, reload: Any, remote: Remote) -> None:
+def test_a_client_whose_rights_stay_keeps_its_connection(
+    served: Daemon, source: Source, reload: Any, remote: Remote
+) -> None:
     served.load("default")
     assert remote.ask(WRITE).error is None
     reload(Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE))

@@ -184,7 +184,7 @@ def test_writes_that_find_no_room_wait_and_too_many_are_refused(loop: Daemon) ->
     loop.done(ConfigureStream("from_pl", automatic=True))
 
 
-def test_a_read_that_waits_is_told_when_its_region_changes(loop: Daemon) -> None:
+def test_a_waiting_read_ends_when_its_region_changes(loop: Daemon) -> None:
     loop.send(rq.ReadData("from_pl", 600.0))
     loop.send(rq.ChangeMode("camera", "loopback_edge"))
     errors = [error for error in (loop.reply().error for _ in range(2)) if error]
@@ -193,7 +193,7 @@ def test_a_read_that_waits_is_told_when_its_region_changes(loop: Daemon) -> None
     ]
 
 
-def test_writes_that_wait_are_told_when_their_region_changes(loop: Daemon) -> None:
+def test_waiting_writes_end_when_their_region_changes(loop: Daemon) -> None:
     for _ in range(6):  # more than there are slots: the last wait in the daemon
         loop.send(rq.WriteData("to_pl", PICTURE))
     loop.send(rq.ChangeMode("camera", "loopback_edge"))
@@ -208,7 +208,7 @@ def test_writes_that_wait_are_told_when_their_region_changes(loop: Daemon) -> No
 
 
 @pytest.mark.parametrize("topic", [b"cm_stream/camera", b"cm_data_read", b"cm_read_data"])
-def test_frames_are_published_to_those_who_subscribe(camera: Daemon, topic: bytes) -> None:
+def test_frames_are_published_to_subscribers(camera: Daemon, topic: bytes) -> None:
     seen = Subscriber(camera, topic)
     found = [frames for event, frames in (seen.frames() for _ in range(30)) if isinstance(event, FrameInfo)]
     assert len(found) >= 2
@@ -219,7 +219,7 @@ def test_frames_are_published_to_those_who_subscribe(camera: Daemon, topic: byte
     until(lambda: not camera.stream("camera").open)
 
 
-def test_frames_come_compressed_to_those_who_ask(camera: Daemon) -> None:
+def test_frames_come_compressed_to_clients_that_ask(camera: Daemon) -> None:
     lz4 = pytest.importorskip("lz4.frame")
     assert camera.done(ConfigureStream("camera", compression="lz4")).name == "camera"
     seen = Subscriber(camera, topics.LZ4_PREFIX + b"camera")
@@ -327,7 +327,7 @@ def test_a_writer_needs_the_lease_that_another_client_holds(loop: Daemon, client
     loop.done(rq.ReleaseLease(lease.id))
 
 
-def test_those_who_say_nothing_make_room_for_others(camera: Daemon, client: Callable[..., Client]) -> None:
+def test_silent_connections_make_room_for_others(camera: Daemon, client: Callable[..., Client]) -> None:
     silent = [client(camera, b"") for _ in range(80)]
     assert client(camera, Open("camera")).geometry().stream == "camera"
     assert silent[0].socket.recv(1) == b""

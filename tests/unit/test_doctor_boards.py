@@ -149,7 +149,7 @@ def test_uio_as_a_module_has_its_of_id_from_modprobe_d(kria: Tree) -> None:
     assert kria.one("of_id").detail == "module, of_id=fpga-cm,uio"
 
 
-def test_an_of_id_of_somebody_elses_is_reported(kria: Tree) -> None:
+def test_an_of_id_for_another_device_is_reported(kria: Tree) -> None:
     kria.put("etc/modprobe.d/other.conf", "options uio_pdrv_genirq of_id=acme,uio\n")
     found = kria.one("of_id")
     assert (found.state, found.detail) == (State.WRONG, "module, of_id=acme,uio")
@@ -245,7 +245,7 @@ def test_a_channel_without_scatter_gather_is_reported(pynq: Tree) -> None:
 # ---- ports, clocks, others ----------------------------------------------------------
 
 
-def test_port_widths_that_nobody_sets_are_reported(kria: Tree) -> None:
+def test_port_widths_that_nothing_sets_are_reported(kria: Tree) -> None:
     found = kria.device("cm-afi", "xlnx,afi-fpga").one("afi")
     assert found.state is State.WRONG
     assert "boot loader" in found.advice
@@ -260,7 +260,7 @@ def test_clocks_are_named_with_their_rates(kria: Tree) -> None:
     assert kria.one("clock").detail == "99.999001 MHz"
 
 
-def test_clocks_that_nobody_can_set_are_reported(kria: Tree) -> None:
+def test_clocks_that_cannot_be_set_are_reported(kria: Tree) -> None:
     found = kria.one("clock")
     assert found.state is State.MISSING
     assert "modprobe cm_clock" in found.advice
@@ -281,7 +281,7 @@ def test_another_manager_of_the_same_pl_is_reported_with_how_to_end_it(tmp_path:
     assert advice in found.advice
 
 
-def test_nobody_else_is_said_too(tmp_path: Path) -> None:
+def test_the_absence_of_other_managers_is_reported_too(tmp_path: Path) -> None:
     tree = board(tmp_path, "x", "xlnx,zynqmp", release="6.6", cma=1, command_line="")
     assert tree.one("other").state is State.OK
 

@@ -161,7 +161,7 @@ def ask(context: zmq.Context[zmq.Socket[bytes]], guard: Authenticator, *frames: 
         return asking.recv_multipart()
 
 
-def test_zeromq_is_told_who_may_enter_and_under_which_id(context) -> None:
+def test_zeromq_learns_which_keys_may_enter_and_under_which_id(context) -> None:
     known, other = zmq.curve_keypair()[0], zmq.curve_keypair()[0]
     raw = {key: zmq.utils.z85.decode(key) for key in (known, other)}
     asked = []
@@ -184,7 +184,7 @@ def test_zeromq_is_told_who_may_enter_and_under_which_id(context) -> None:
     guard.close()
 
 
-def test_who_is_let_in_over_tcp_stands_beside_what_it_sends(sockets: Sockets, context) -> None:
+def test_messages_over_tcp_carry_the_identity_that_was_let_in(sockets: Sockets, context) -> None:
     (public, secret), (mine, my_secret) = zmq.curve_keypair(), zmq.curve_keypair()
     guard = Authenticator(context, lambda *introduction: f"somebody with {introduction[3]}")
     bound = sockets.bind_tcp("tcp://127.0.0.1:0", Security(public, secret))

@@ -261,7 +261,7 @@ ENOUGH = [("quorum", 1, True), ("quorum", 2, False), ("best_effort", 3, True), (
 
 
 @pytest.mark.parametrize(("policy", "failing", "stays"), ENOUGH)
-def test_policies_say_how_many_are_enough_and_who_failed_is_named(policy: str, failing: int, stays: bool) -> None:
+def test_policies_say_how_many_are_enough_and_failed_boards_are_named(policy: str, failing: int, stays: bool) -> None:
     world = World(4)
     names = list(world.boards)[-failing:]
     for name in names:
@@ -294,7 +294,7 @@ def test_a_board_that_was_away_comes_to_the_fleets_mode_by_its_own_record() -> N
     assert world.places == {NEW}
 
 
-def test_who_comes_late_is_refused_by_seats_that_others_have_asked() -> None:
+def test_a_late_coordinator_is_refused_by_seats_that_others_have_asked() -> None:
     world = World(2)
     assert done(agreed("c1", ("b0",), world.boards["b1"].ask)) is Decision.REVERT
     coordinator = world.coordinator()
@@ -315,7 +315,7 @@ def test_a_change_that_was_taken_back_is_not_begun_first() -> None:
     assert board.fate.loads == 1
 
 
-def test_what_is_loaded_already_when_somebody_comes_back_is_not_loaded_again() -> None:
+def test_a_board_that_comes_back_does_not_load_again_what_is_loaded_already() -> None:
     world = World(1)
     board = world.boards["b0"]
     board.fate.away = {1: True}
@@ -353,7 +353,7 @@ def test_a_step_out_of_its_order_is_an_error_and_changes_nothing() -> None:
         done(participant.decide(FleetStep("c1", seats=("b1",), keep=True)))
 
 
-def test_while_nobody_knows_the_decision_every_board_is_named() -> None:
+def test_while_the_decision_is_unknown_every_board_is_named() -> None:
     """The seats voted; nobody heard it."""
     world = World(4)
     coordinator = world.coordinator()

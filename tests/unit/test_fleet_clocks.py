@@ -33,7 +33,7 @@ def test_chrony_bounds_the_error_by_offset_dispersion_and_half_the_delay() -> No
     assert found.error_ns == 820_000  # 20 + 300 + 1000 / 2 µs
 
 
-def test_chrony_that_follows_nobody_promises_nothing() -> None:
+def test_chrony_without_a_source_promises_nothing() -> None:
     alone, lost = clock.parse_chrony(ALONE), clock.parse_chrony(LOST)
     assert alone is not None
     assert lost is not None
@@ -42,7 +42,7 @@ def test_chrony_that_follows_nobody_promises_nothing() -> None:
     assert clock.parse_chrony("506 Cannot talk to daemon\n") is None
 
 
-def test_a_ptp_master_follows_nobody_and_a_slave_tells_its_offset() -> None:
+def test_a_ptp_master_follows_no_clock_and_a_slave_tells_its_offset() -> None:
     master = clock.parse_ptp(MASTER)
     slave = clock.parse_ptp(
         MASTER.replace("false", "true").replace("master_offset              0", "master_offset -85")

@@ -30,7 +30,7 @@ def keys(tmp_path: Path) -> KeyFolder:
     return folder
 
 
-def test_a_members_file_is_all_that_it_needs_and_nobody_else_reads_it(keys: KeyFolder) -> None:
+def test_a_members_file_is_all_that_it_needs_and_no_other_user_reads_it(keys: KeyFolder) -> None:
     path = keys.add(Member("b1", "board"), 30)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert stat.S_IMODE((keys.folder / "ca.key").stat().st_mode) == 0o600
@@ -99,7 +99,7 @@ def queried(control: dict[str, list[dict[str, list[str]]]]) -> set[str]:
     return {key for rule in rules for key in rule["key_exprs"]}
 
 
-def test_who_observes_asks_for_no_command_and_who_operates_in_its_own_name_only() -> None:
+def test_an_observer_asks_for_no_command_and_an_operator_in_its_own_name_only() -> None:
     observer = queried(access_control([Member("olga", "client")]))
     assert not {key for key in observer if "/do/" in key}
     operator = {key for key in queried(access_control([Member("anna", "client", "operate")])) if "/do/" in key}

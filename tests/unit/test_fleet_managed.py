@@ -63,7 +63,7 @@ def test_the_lease_is_renewed_in_time_and_taken_anew_where_the_manager_forgot_it
     assert Records(tmp_path).lease("c1") == ""
 
 
-def test_records_are_found_by_who_comes_after_and_the_last_is_known(tmp_path: Path) -> None:
+def test_records_are_found_after_a_restart_and_the_last_is_known(tmp_path: Path) -> None:
     first = Records(tmp_path)
     first.write(RECORD)
     first.write(FleetRecord("c0", member.OPEN, decision=Decision.REVERT))  # another's: this board took no part
@@ -73,7 +73,7 @@ def test_records_are_found_by_who_comes_after_and_the_last_is_known(tmp_path: Pa
     assert again.read("c2") is None
 
 
-def test_a_record_that_is_not_whole_is_none(tmp_path: Path) -> None:
+def test_an_incomplete_record_counts_as_none(tmp_path: Path) -> None:
     Records(tmp_path).write(RECORD)
     (tmp_path / "c1.record").write_bytes(b"\xff\xff")
     assert Records(tmp_path).last() is None

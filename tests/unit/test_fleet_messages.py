@@ -57,7 +57,7 @@ def test_a_ballot_after_which_none_can_come_is_refused() -> None:
 
 
 @pytest.mark.parametrize("seconds", [-1.0, float("nan"), float("inf"), 1e9])
-def test_a_time_after_which_nobody_would_ever_ask_is_refused(seconds: float) -> None:
+def test_a_time_after_which_no_board_would_ever_ask_is_refused(seconds: float) -> None:
     with pytest.raises(InvalidRequest, match="seconds until boards ask for the decision"):
         records.decode_step(records.encode_step(FleetStep("c1", seconds=seconds)))
 

@@ -58,7 +58,7 @@ def test_a_router_that_does_not_answer_is_named(tmp_path: Path, router: str, sai
         session(Network(config=path))
 
 
-def test_without_a_router_nobody_on_this_network_is_heard(tmp_path: Path) -> None:
+def test_without_a_router_no_board_on_this_network_is_found(tmp_path: Path) -> None:
     path = tmp_path / "fleet.json5"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))

@@ -77,7 +77,7 @@ def judge(world: World, where: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("part", range(12))
-def test_whatever_ends_and_is_lost_there_is_one_decision_and_who_differs_says_so(part: int) -> None:
+def test_whatever_ends_or_is_lost_there_is_one_decision_and_boards_that_differ_say_so(part: int) -> None:
     for number in range(SCHEDULES):
         seed = part * SCHEDULES + number
         try:

@@ -57,7 +57,7 @@ def test_a_nettype_that_a_file_leaves_behind_counts_for_those_after_it(tmp_path:
     assert found.problems == ()
 
 
-def test_module_with_registers_streams_and_an_interrupt_is_told_whole() -> None:
+def test_module_with_registers_streams_and_an_interrupt_is_read_completely() -> None:
     (camera,) = extract([DATA / "camera_edge.v"], top="camera_edge", include_dirs=[DATA / "include"])
     found = [(i.name, i.protocol, i.mode, i.clock, i.reset, len(i.ports)) for i in camera.interfaces]
     assert found == [

@@ -24,7 +24,7 @@ def entity(path: Path, ports: str, generics: str = "", before: str = "") -> Modu
     return extract([path / "e.vhd"])[0]
 
 
-def test_entity_with_streams_package_types_and_attributes_is_told_whole() -> None:
+def test_entity_with_streams_package_types_and_attributes_is_read_completely() -> None:
     kernel_last = extract([DATA / "filter.vhd"])
     assert [m.name for m in kernel_last] == ["Filter", "filter_kernel"]
     found = kernel_last[0]

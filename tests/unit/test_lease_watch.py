@@ -50,7 +50,7 @@ def descriptors() -> int:
 
 
 @pytest.mark.parametrize("error", [errno.EMFILE, errno.ENFILE, errno.ENOMEM])
-def test_a_lease_whose_holder_cannot_be_watched_is_refused_and_keeps_nobody_out(
+def test_a_lease_whose_holder_cannot_be_watched_is_refused_and_keeps_no_client_out(
     watch: Watch, error: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: int) -> int:
@@ -77,7 +77,7 @@ def test_a_lease_is_refused_where_the_loop_takes_no_more(watch: Watch, monkeypat
     watch.leases.check(("board",))
 
 
-def test_leases_whose_time_is_over_cost_no_descriptors(watch: Watch) -> None:
+def test_expired_leases_cost_no_descriptors(watch: Watch) -> None:
     watch.take(seconds=1.0)
     before = descriptors()
     for _ in range(20):

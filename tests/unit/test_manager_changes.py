@@ -103,7 +103,7 @@ def test_streams_end_before_the_image_and_begin_after_it(made: Rig) -> None:
     assert "resume" not in order[:load]
 
 
-def test_nobody_reads_a_register_while_the_whole_device_is_loaded(made: Rig) -> None:
+def test_no_register_is_read_while_the_whole_device_is_loaded(made: Rig) -> None:
     at(made, "duo/default")
     seen: dict[str, type[Exception]] = {}
 
@@ -180,7 +180,7 @@ def test_overlays_go_before_their_region_is_cut_off_and_come_after_it_is_loaded(
     assert sim.control.state()["overlays"] == ["cm-prr1", "cm-prr0", "kernel_base"]
 
 
-def test_a_loading_overlay_that_somebody_took_off_is_put_on_again(
+def test_a_loading_overlay_that_was_taken_off_is_put_on_again(
     made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
     at(made, "kernel/default")
@@ -464,7 +464,7 @@ def test_values_come_back_with_the_mode_before_even_from_another_configuration(m
     assert values == {"gain": 5, "depth": 6, "led": 3}
 
 
-def test_a_value_that_nobody_had_recorded_comes_back_too(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> None:
+def test_a_value_that_was_never_recorded_comes_back_too(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> None:
     wrong = {**configs["duo"].modules, "b0": replace(configs["duo"].modules["b0"], identity=0x77)}
     made.manager.add_config(replace(configs["duo"], modules=wrong))
     at(made, "duo/default")
@@ -522,7 +522,7 @@ def test_a_replaced_configuration_without_the_mode_leaves_the_board_in_none(
 # ---- the worker, and what it expects --------------------------------------------------
 
 
-def test_whoever_fails_when_told_of_an_end_does_not_stop_the_changes_that_follow(made: Rig) -> None:
+def test_a_listener_that_fails_at_the_end_of_a_change_does_not_stop_later_changes(made: Rig) -> None:
     def fails(_: Change) -> None:
         raise RuntimeError("a listener's defect")
 

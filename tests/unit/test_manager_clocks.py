@@ -105,7 +105,7 @@ def test_a_clock_that_runs_as_it_was_set_is_not_set_again(made: Rig) -> None:
     assert made.manager.plan(ChangeMode(config_name="fast", mode="default")).steps == ()
 
 
-def test_a_clock_that_somebody_else_has_set_since_is_set_again(made: Rig, sim: SimBoard) -> None:
+def test_a_clock_that_was_changed_from_outside_is_set_again(made: Rig, sim: SimBoard) -> None:
     assert made.go("default", config="fast") is None
     PlClocks(sim.root).find("fclk1").rate = 10_000_000
     assert [s.kind for s in made.manager.plan(ChangeMode(config_name="fast", mode="default")).steps] == [

@@ -142,7 +142,7 @@ def _write(name: str, value: int):  # type: ignore[no-untyped-def]
     return RegWrite(name, value)
 
 
-def test_the_way_back_restores_registers_that_somebody_wrote(made: Rig, sim: SimBoard) -> None:
+def test_the_way_back_restores_registers_that_were_written_meanwhile(made: Rig, sim: SimBoard) -> None:
     made.manager.write_registers((_write("focus", 3),))
     sim.control.inject("icap_crc")
     assert made.go("edge_detection") is not None
@@ -175,7 +175,7 @@ def test_a_board_that_was_restarted_holds_nothing(tmp_path: Path) -> None:
             assert any("restarted" in note for note in second.notes)
 
 
-def test_a_region_that_somebody_else_reloaded_is_not_trusted(sim: SimBoard, tmp_path: Path) -> None:
+def test_a_region_that_was_reloaded_from_outside_is_not_trusted(sim: SimBoard, tmp_path: Path) -> None:
     """The identity register says another module than the record: it is loaded again."""
     with rig(sim.root, tmp_path / "one") as first:
         assert first.go("default") is None

@@ -204,7 +204,7 @@ def test_copies_are_not_written_through_a_folder_that_is_a_link(duo: Config, tmp
     assert list(elsewhere.iterdir()) == []
 
 
-def test_copies_are_not_put_where_everybody_may_write(duo: Config, tmp_path: Path, firmware: Path) -> None:
+def test_copies_are_not_put_in_a_world_writable_folder(duo: Config, tmp_path: Path, firmware: Path) -> None:
     folder = firmware / "cm-converted"
     folder.mkdir(parents=True)
     folder.chmod(0o777)
@@ -273,7 +273,7 @@ def tell_kernel(root: Path, folder: str) -> Path:
     return place
 
 
-def test_copies_go_to_the_folder_that_the_kernel_was_told_of(duo: Config, tmp_path: Path, firmware: Path) -> None:
+def test_copies_go_to_the_folder_that_the_kernel_was_given(duo: Config, tmp_path: Path, firmware: Path) -> None:
     place = tell_kernel(tmp_path / "root", "/run/cm/firmware")
     files = opened(tmp_path)
     name = files.firmware_name(image(files, duo, "a0"))
@@ -411,7 +411,7 @@ class Replacer(threading.Thread):
 @pytest.mark.parametrize(
     ("config", "victim", "changes"), [("duo", "b0.bit", 120), ("managed", "l0.bin", 120), ("kernel", "l0.bin", 60)]
 )
-def test_what_is_loaded_is_what_was_hashed_while_somebody_replaces_the_file(
+def test_what_is_loaded_is_what_was_hashed_even_if_the_file_is_replaced_meanwhile(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path, config: str, victim: str, changes: int
 ) -> None:
     """Two images take turns under the name; whichever is loaded, the record has its hash."""

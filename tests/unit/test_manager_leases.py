@@ -72,7 +72,7 @@ def test_the_refusal_names_the_holder_and_how_long(leases: Leases, clock: Clock)
         leases.check(("region:prr0",))
 
 
-def test_shared_leases_stand_beside_each_other_and_keep_off_who_has_none(leases: Leases) -> None:
+def test_shared_leases_stand_beside_each_other_and_keep_off_clients_without_one(leases: Leases) -> None:
     first, second = (take(leases, "region:prr0", exclusive=False, holder=name) for name in ("anna", "bert"))
     leases.check(("region:prr0",), first.id)
     leases.check(("region:prr0",), second.id)
@@ -114,7 +114,7 @@ def test_a_scope_that_is_none_is_refused(leases: Leases, scope: str) -> None:
         take(leases, scope)
 
 
-def test_nobody_holds_for_ever(leases: Leases) -> None:
+def test_no_lease_lasts_for_ever(leases: Leases) -> None:
     with pytest.raises(InvalidRequest, match="renewed"):
         take(leases, "board", seconds=MAX_SECONDS + 1)
 

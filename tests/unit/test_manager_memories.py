@@ -269,7 +269,7 @@ def test_a_memory_whose_window_is_not_there_is_not_found(fresh: Rig, sim: SimBoa
 
 
 @pytest.mark.parametrize("scope", ["memories:taps", "region:left", "config", "board"])
-def test_who_holds_a_lease_on_it_writes_and_nobody_else(made: Rig, scope: str) -> None:
+def test_only_the_holder_of_its_lease_writes_a_memory(made: Rig, scope: str) -> None:
     lease = made.manager.leases.request(TakeLease(scope, holder="anna")).id
     with pytest.raises(HeldBy, match="anna"):
         write(made, "taps", b"1234")
@@ -277,7 +277,7 @@ def test_who_holds_a_lease_on_it_writes_and_nobody_else(made: Rig, scope: str) -
     assert read(made, "taps", 0, 4) == b"5678"
 
 
-def test_a_lease_on_another_memory_or_region_keeps_nobody_off(made: Rig) -> None:
+def test_a_lease_on_another_memory_or_region_keeps_no_client_off(made: Rig) -> None:
     for scope in ("memories:key", "region:right", "registers:gain"):
         made.manager.leases.request(TakeLease(scope))
     write(made, "taps", b"1234")
@@ -406,7 +406,7 @@ def test_a_region_that_is_not_clear_has_to_be_said(fresh: Rig, configs: dict[str
     assert fresh.manager.memories.named("block").region is None
 
 
-def test_who_holds_a_region_defines_its_blocks(made: Rig) -> None:
+def test_the_holder_of_a_region_defines_its_blocks(made: Rig) -> None:
     lease = made.manager.leases.request(TakeLease("region:left", holder="anna")).id
     with pytest.raises(HeldBy, match="anna"):
         define(made, "block", 0x20100, 64)

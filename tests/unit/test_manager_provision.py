@@ -153,7 +153,7 @@ def test_what_was_sent_before_the_administrator_had_one_of_that_name_is_left_out
     assert "anna sent is left out" in caplog.text
 
 
-def test_who_sent_it_replaces_and_removes_it_and_an_admin_but_nobody_else(tmp_path: Path) -> None:
+def test_only_the_sender_or_an_admin_replaces_and_removes_a_configuration(tmp_path: Path) -> None:
     for who in (ANNA, ROOT):
         provisioner = Provisioner(tmp_path / "configs")
         provisioner.store(SCHEMA, FILES, sender=ANNA)
@@ -170,7 +170,7 @@ def test_who_sent_it_replaces_and_removes_it_and_an_admin_but_nobody_else(tmp_pa
         assert list((tmp_path / "configs").iterdir()) == []
 
 
-def test_a_removal_of_what_nobody_sent_says_what_there_is(provisioner: Provisioner) -> None:
+def test_removing_an_unknown_configuration_lists_those_that_were_sent(provisioner: Provisioner) -> None:
     provisioner.store(SCHEMA, FILES, sender=ANNA)
     with pytest.raises(UnknownConfig, match="there are sent"):
         provisioner.remove("other", ROOT)

@@ -157,7 +157,7 @@ def test_a_request_without_an_end_is_refused(served: Served) -> None:
         assert sock.makefile("rb").read().startswith(b"HTTP/1.1 431 ")
 
 
-def test_who_asks_for_much_and_reads_nothing_holds_nobody_up() -> None:
+def test_a_client_that_asks_for_much_and_reads_nothing_holds_no_others_up() -> None:
     with serving(b"x" * (8 << 20)) as served, ExitStack() as stack:
         for _ in range(CONNECTIONS // 2):
             stack.enter_context(served.connect()).sendall(b"GET /metrics HTTP/1.0\r\n\r\n")
@@ -186,7 +186,7 @@ def test_however_many_ask_at_once_the_page_is_made_seldom(served: Served) -> Non
 
 
 @pytest.mark.parametrize("reply", ["half", "none"])
-def test_who_hangs_up_before_the_reply_is_forgotten(served: Served, reply: str) -> None:
+def test_a_client_that_hangs_up_before_the_reply_is_forgotten(served: Served, reply: str) -> None:
     for _ in range(CONNECTIONS * 2):
         with served.connect() as sock:
             sock.sendall(b"GET / HTTP/1.0\r\n\r\n" if reply == "none" else b"GET / HT")

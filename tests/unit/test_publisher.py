@@ -62,7 +62,7 @@ def test_a_status_without_subscriber_counts_but_is_not_made(publisher: Publisher
 
 
 @pytest.mark.parametrize("topic", [b"", b"cm_st", b"cm_status"])
-def test_whoever_subscribes_to_a_prefix_of_the_status_gets_it(socket: Any, publisher: Publisher, topic: bytes) -> None:
+def test_a_subscriber_to_a_prefix_of_the_status_gets_it(socket: Any, publisher: Publisher, topic: bytes) -> None:
     publisher.status(never)
     with subscriber(socket, publisher, topic) as sub:
         assert publisher.status(lambda: Status("camera", "default", **publisher.beside()))
@@ -84,7 +84,7 @@ def test_registers_reach_a_subscriber_that_the_publisher_does_not_know_yet(socke
         assert decode_event(sub.recv_multipart()) == values
 
 
-def test_who_has_gone_is_no_subscriber_any_more(socket: Any, publisher: Publisher) -> None:
+def test_a_client_that_has_gone_is_no_longer_a_subscriber(socket: Any, publisher: Publisher) -> None:
     with subscriber(socket, publisher, b"cm_status"):
         assert publisher.has_subscriber(b"cm_status")
     assert socket.poll(HUNG)

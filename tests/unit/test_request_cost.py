@@ -74,7 +74,7 @@ def test_a_request_for_a_register_calls_few_functions(camera: Daemon, calls: Cal
     assert 10 < len(called) <= most, called
 
 
-def test_registers_are_encoded_again_for_who_listens_and_not_for_no_one(camera: Daemon, calls: Calls) -> None:
+def test_registers_are_encoded_again_only_when_there_is_a_listener(camera: Daemon, calls: Calls) -> None:
     write = rq.WriteReg((rq.RegWrite("focus", 2),))
     alone = usual(camera, calls, write)
     listener = Subscriber(camera, b"cm_read_reg")

@@ -50,7 +50,7 @@ def rights(who: Principal, **said: Any) -> Rights:
 # ---- who somebody is ---------------------------------------------------------------------
 
 
-def test_over_ipc_the_kernel_says_who_it_is() -> None:
+def test_over_ipc_the_kernel_says_who_the_client_is() -> None:
     who = introduced("ipc", "localhost:1000:1001:77", "NULL")
     assert (who.uid, who.gid, who.pid, who.account) == (1000, 1001, 77, "uid:1000")
     assert from_id(who.id) == who
@@ -70,7 +70,7 @@ def test_over_ipc_the_kernel_says_who_it_is() -> None:
         ("", "127.0.0.1", "NULL", ""),
     ],
 )
-def test_who_is_not_introduced_is_nobody_and_may_do_nothing(
+def test_a_client_that_is_not_introduced_has_no_identity_and_may_do_nothing(
     domain: str, address: str, mechanism: str, key: str
 ) -> None:
     assert introduced(domain, address, mechanism, key) == NOBODY
@@ -85,7 +85,7 @@ def test_an_address_over_tcp_is_never_taken_for_a_process() -> None:
 
 
 @given(st.text())
-def test_no_text_is_an_id_of_somebody_by_accident(text: str) -> None:
+def test_no_text_is_an_id_by_accident(text: str) -> None:
     who = from_id(text)
     assert who == NOBODY or who.id == text
     assert who.uid is None or text.split(":")[0] in ("ipc", "data")
@@ -99,11 +99,11 @@ def test_the_managers_user_and_root_are_admin_whatever_is_said() -> None:
         assert rights(user(uid), local=(), users={str(uid): ("observe",)}).everywhere is Role.ADMIN
 
 
-def test_without_settings_whoever_can_connect_here_may_do_all_but_what_concerns_others() -> None:
+def test_without_settings_a_local_client_may_do_all_but_what_concerns_others() -> None:
     assert rights(user(1000)).everywhere is Role.PROVISION
 
 
-def test_who_is_named_has_that_and_not_what_the_others_have() -> None:
+def test_a_user_that_is_named_has_its_own_rights_and_not_those_of_the_others() -> None:
     said = {"users": {"anna": ("observe",)}, "groups": {"lab": ("operate",)}, "local": ("provision",)}
     assert rights(user(1000), **said).everywhere is Role.OBSERVE
     assert rights(user(1001), **said).everywhere is Role.OPERATE
@@ -128,7 +128,7 @@ def test_a_key_has_its_roles_until_its_end_and_an_unknown_one_has_none() -> None
     assert gate.enter("curve", "10.0.0.1", "CURVE", KEY) is None
 
 
-def test_another_policy_counts_at_once_and_tells_whose_rights_are_others() -> None:
+def test_a_new_policy_counts_at_once_and_tells_whose_rights_changed() -> None:
     before = Access(keys=(AuthorizedKey(KEY, "a"), AuthorizedKey(OTHER, "b")))
     gate = Gate(before, USERS)
     one, two = (gate.enter("curve", "10.0.0.1", "CURVE", key) for key in (KEY, OTHER))
@@ -168,7 +168,7 @@ def test_a_further_grant_takes_nothing_away(some: list[Grant], more: Grant, need
 
 
 @given(st.lists(grants, max_size=3), st.lists(grants, max_size=3), needs)
-def test_nobody_gets_more_than_the_bridge_that_speaks_for_them(a: list[Grant], b: list[Grant], need: Need) -> None:
+def test_no_guest_gets_more_than_the_bridge_that_speaks_for_it(a: list[Grant], b: list[Grant], need: Need) -> None:
     bridge = Rights(tuple(b))
     guest = Rights(tuple(a), under=bridge)
     assert not guest.allow(need) or bridge.allow(need)
@@ -177,7 +177,7 @@ def test_nobody_gets_more_than_the_bridge_that_speaks_for_them(a: list[Grant], b
 
 
 @given(st.lists(grants, max_size=3), needs)
-def test_who_has_a_role_everywhere_is_refused_nothing_of_it(some: list[Grant], need: Need) -> None:
+def test_a_client_with_a_role_everywhere_is_refused_nothing_of_it(some: list[Grant], need: Need) -> None:
     """The short way of `Gate.admit`, which does not look at what a request touches."""
     found = Rights(tuple(some))
     assert need.role > found.everywhere or found.allow(need)
@@ -231,7 +231,7 @@ def test_a_lease_takes_the_right_to_what_it_keeps_from_others() -> None:
     assert touched(rq.TakeLease("registers:threshold")) == {("camera", "prr0", "threshold", None)}
 
 
-def test_who_may_reach_one_region_changes_it_and_no_other() -> None:
+def test_a_user_that_may_reach_one_region_changes_it_and_no_other() -> None:
     roles = MappingProxyType({"left": Grant(Role.OPERATE, regions=("prr0",))})
     gate = Gate(Access(users=MappingProxyType({"anna": ("left",)}), roles=roles), USERS)
     anna = user(1000).id
@@ -249,7 +249,7 @@ def test_who_may_reach_one_region_changes_it_and_no_other() -> None:
             gate.admit(anna, request, lambda: SCENE)
 
 
-def test_who_may_do_everything_costs_no_look_at_what_is_loaded() -> None:
+def test_for_a_client_that_may_do_everything_the_loaded_state_is_not_read() -> None:
     def scene() -> Scene:
         raise AssertionError
 
@@ -306,7 +306,7 @@ def test_the_page_has_the_roles_in_their_order() -> None:
 WEB = MappingProxyType({"web": Grant(Role.OPERATE, guests=("web:*",))})
 
 
-def test_a_bridge_speaks_for_whom_its_role_names_and_for_nobody_else() -> None:
+def test_a_bridge_speaks_only_for_the_guests_that_its_role_names() -> None:
     guests = MappingProxyType({"web:ann": ("observe",), "web:boss": ("admin",), "*": ()})
     gate = Gate(Access(users=MappingProxyType({"anna": ("web",)}), roles=WEB, guests=guests), USERS)
     bridge = user(1000).id
@@ -321,7 +321,7 @@ def test_a_bridge_speaks_for_whom_its_role_names_and_for_nobody_else() -> None:
     assert gate.guest(bridge, "") == bridge
 
 
-def test_an_admin_speaks_for_everybody_and_who_lacks_the_right_for_nobody() -> None:
+def test_an_admin_speaks_for_every_guest_and_a_user_without_the_right_for_none() -> None:
     guests = MappingProxyType({"boss": ("admin",)})
     gate = Gate(Access(guests=guests), USERS)
     guest = gate.guest(user(0).id, "boss")

@@ -114,7 +114,7 @@ def test_attachments_are_those_of_zenohs_own_serializer(number: int, stamp: int,
 
 
 @given(st.binary(max_size=40))
-def test_bytes_from_anybody_are_an_attachment_or_refused(data: bytes) -> None:
+def test_arbitrary_bytes_are_an_attachment_or_refused(data: bytes) -> None:
     with suppress(InvalidRequest):
         assert Attachment.from_bytes(data).to_bytes() == data
 

@@ -44,7 +44,7 @@ def peers(router: Router) -> Iterator[tuple[Peer, Peer]]:
         peer.close()
 
 
-def test_the_last_that_is_latched_is_for_who_comes_late_the_next_for_all(peers: tuple[Peer, Peer]) -> None:
+def test_a_late_subscriber_gets_the_latched_message_and_all_get_the_next(peers: tuple[Peer, Peer]) -> None:
     publisher = peers[0].transport.publisher("/late", STRING, LATCHED)
     for word in ("one", "two"):
         publisher.write({"data": word})

@@ -162,7 +162,7 @@ def test_a_message_that_is_cut_short_is_refused(cut: int) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(ALL), st.binary(max_size=300), st.booleans())
-def test_bytes_from_anybody_are_a_message_or_refused(name: str, data: bytes, little: bool) -> None:
+def test_arbitrary_bytes_are_a_message_or_refused(name: str, data: bytes, little: bool) -> None:
     with suppress(InvalidRequest):
         cdr.decode(name, bytes((0, little, 0, 0)) + data)
 

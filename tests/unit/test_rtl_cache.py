@@ -24,7 +24,7 @@ def test_what_was_made_is_not_made_again(tmp_path: Path) -> None:
     assert made(tmp_path, "one", "second").read_text() == "first"
 
 
-def test_what_nobody_asked_for_in_two_months_is_forgotten_and_what_is_used_stays(tmp_path: Path) -> None:
+def test_entries_unused_for_two_months_are_forgotten_and_used_ones_stay(tmp_path: Path) -> None:
     old = time.time() - 90 * 86400
     for name in ("used", "unused"):
         os.utime(made(tmp_path, name), (old, old))
@@ -58,6 +58,6 @@ def test_the_table_of_coverage_says_which_lines_never_ran(tmp_path: Path) -> Non
     assert text.splitlines() == ["edge.v     2 of    5 lines  not: 6-7, 12", "2 of 5 lines ran"]
 
 
-def test_a_folder_without_counts_is_told_how_to_get_some(tmp_path: Path) -> None:
+def test_the_error_for_a_folder_without_counts_says_how_to_get_some(tmp_path: Path) -> None:
     with pytest.raises(RtlError, match="--sim-coverage"):
         report(tmp_path)

@@ -32,7 +32,7 @@ def keys(tmp_path: Path) -> Path:
         ("tcp://127.0.0.1.example.org:1", "anybody who reaches it"),
     ],
 )
-def test_tcp_takes_a_key_or_to_be_told_that_it_needs_none(address: str, who: str, keys: Path) -> None:
+def test_tcp_needs_a_key_or_an_explicit_setting_that_it_needs_none(address: str, who: str, keys: Path) -> None:
     with pytest.raises(InsecureListen, match=f"{who} could change the hardware"):
         security_of([address], None, insecure=False)
     assert security_of([address], None, insecure=True) is None
@@ -76,7 +76,7 @@ def test_a_wrong_file_among_the_keys_is_left_out_and_named(keys: Path) -> None:
     assert sorted(Path(note.split(":")[0]).name for note in notes) == ["binary.pub", "broken.pub", "laptop.pub"]
 
 
-def test_that_nobody_can_connect_is_reported_but_keeps_nothing_from_running(keys: Path) -> None:
+def test_a_server_without_authorized_keys_reports_it_and_runs_all_the_same(keys: Path) -> None:
     (keys / "authorized_keys.d/laptop.pub").unlink()
     found, notes = authorized_keys(keys / "server.key", None)
     assert found == ()

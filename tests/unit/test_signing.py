@@ -204,7 +204,7 @@ def test_import_takes_what_is_signed_and_leaves_what_was_there_if_it_is_not(
     assert "not signed" in capsys.readouterr().err
 
 
-def test_the_service_leaves_out_what_nobody_signed(place: Place) -> None:
+def test_the_service_leaves_out_unsigned_configurations(place: Place) -> None:
     good = place.put(place.signed())
     (place.folder / "put" / "bare").mkdir()
     (place.folder / "put/bare/bare.yaml").write_bytes(SCHEMA.replace(b"vision", b"bare"))

@@ -70,6 +70,6 @@ def test_an_action_without_a_root_is_wrong_usage(capsys):
     assert "--root" in capsys.readouterr().err
 
 
-def test_an_action_where_nobody_serves_fails_with_how_to_start_one(tmp_path, capsys):
+def test_an_action_without_a_simulator_fails_and_says_how_to_start_one(tmp_path, capsys):
     assert main(["sim", "state", "--root", str(tmp_path)]) == 1
     assert "cm sim --root" in capsys.readouterr().err

@@ -88,7 +88,7 @@ def test_a_bitstream_of_another_tool_is_known_by_its_contents(board, folder):
     assert held(board) == "theirs"
 
 
-def test_frames_that_nobody_knows_leave_the_region_empty(board):
+def test_unknown_frames_leave_the_region_empty(board):
     load(board, board.root / "lib/firmware/cm/lab/ours.bit")
     assert load(board, assemble("xc7z020", [frames(4, 33)])) == 0
     assert held(board) is None

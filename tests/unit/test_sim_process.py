@@ -192,7 +192,7 @@ def test_a_client_that_is_killed_gives_back_its_channel_and_buffers(board):
         assert state["channels"]["from_pl"]["queued"] == 0
 
 
-def test_a_client_that_reads_no_replies_stalls_nobody(board):
+def test_a_client_that_reads_no_replies_stalls_no_others(board):
     with Node(board.root, "dev/uio0") as deaf, Uio(board.root, "dev/uio0") as uio:
         deaf.sock.setblocking(False)
         request = p.REQUEST.pack(p.OP_REG_READ, p.REG.size) + p.REG.pack(0, 32, 0x14, 0)
@@ -204,7 +204,7 @@ def test_a_client_that_reads_no_replies_stalls_nobody(board):
             assert deaf._reply()[0]
 
 
-def test_a_client_that_reads_no_interrupts_stalls_nobody(board):
+def test_a_client_that_reads_no_interrupts_stalls_no_others(board):
     with Uio(board.root, "dev/uio0") as deaf, Uio(board.root, "dev/uio0") as uio:
         deaf.events.setblocking(False)
         for _ in range(50):
@@ -341,7 +341,7 @@ def test_an_idle_board_uses_no_processor_time(board):
     assert used() - time_before < 0.25 * passed  # and does not spin
 
 
-def test_a_board_ends_when_its_parent_has_died_and_nobody_uses_it(tmp_path):
+def test_a_board_ends_when_its_parent_has_died_and_it_is_unused(tmp_path):
     root = tmp_path / "root"
     script = (
         "import subprocess, sys, os\n"

@@ -96,7 +96,7 @@ def test_configurations_for_different_devices_are_refused():
         spec(small("a", "  device: xc7z020\n"), small("b", "  device: xc7z010\n"))
 
 
-def test_a_device_nobody_knows_is_refused_with_those_there_are():
+def test_an_unknown_device_is_refused_with_a_list_of_the_known_ones():
     with pytest.raises(SimError, match="xc7z020"):
         spec(small("a", "  device: zx81\n"))
 

@@ -22,7 +22,7 @@ def test_the_same_process_gets_no_more_by_asking_again() -> None:
         share("camera", 4, GREEDY, [(GREEDY, 40), (GREEDY, 24)], EACH)
 
 
-def test_the_last_slots_are_for_who_has_none() -> None:
+def test_the_last_slots_are_for_clients_without_any() -> None:
     others = [(Peer(pid, "reader"), 64) for pid in (1, 2, 3)] + [(Peer(4, "reader"), 42)]  # 234 of the 250 there are
     assert share("camera", 8, NEW, others, EACH) == 8
     with pytest.raises(NoSlots, match=r"pid 1 \(reader\) holds 64"):

@@ -117,7 +117,7 @@ def test_a_stream_runs_while_it_is_used(policy: StreamPolicy, users: Users) -> N
     assert due(policy) == {"camera": StreamEvent.CLOSE}
 
 
-def test_what_a_client_has_set_comes_before_who_uses_it(policy: StreamPolicy) -> None:
+def test_what_a_client_has_set_comes_before_use_by_readers(policy: StreamPolicy) -> None:
     set_to(policy, "camera", enable=True)
     assert due(policy) == {"camera": StreamEvent.OPEN}
     set_to(policy, "camera", enable=False)

@@ -78,7 +78,7 @@ def test_processes_of_one_account_take_turns_too(clock: VirtualTime, turns: Turn
     assert Counter(served(turns, count=40)) == {"hostile": 20, "other": 20}
 
 
-def test_it_is_time_that_counts_and_not_how_often_somebody_asks(clock: VirtualTime, turns: Turns[Named, int]) -> None:
+def test_time_counts_and_not_how_often_a_client_asks(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     slow, quick = Named("slow", Account("a", clock)), Named("quick", Account("b", clock))
     for number in range(200):
         turns.add(slow, 0, number)
@@ -94,7 +94,7 @@ def test_an_account_may_have_a_larger_share(clock: VirtualTime, turns: Turns[Nam
     assert Counter(served(turns, count=100)) == {"favoured": 80, "other": 20}
 
 
-def test_who_was_away_has_saved_nothing_up_and_who_was_alone_owes_nothing(
+def test_a_client_saves_nothing_up_while_away_and_owes_nothing_for_time_alone(
     clock: VirtualTime, turns: Turns[Named, int]
 ) -> None:
     busy, back = Named("busy", Account("a", clock)), Named("back", Account("b", clock))
@@ -118,7 +118,7 @@ def test_time_that_is_spent_elsewhere_counts(clock: VirtualTime, turns: Turns[Na
     assert least([]) is None
 
 
-def test_of_those_who_work_the_one_who_has_spent_least_by_account_first(clock: VirtualTime) -> None:
+def test_the_least_of_several_is_by_account_first_and_then_by_client(clock: VirtualTime) -> None:
     rich, poor = Account("rich", clock), Account("poor", clock)
     a, b, c = Named("a", rich), Named("b", rich), Named("c", poor)
     a.charge(5)
@@ -128,7 +128,7 @@ def test_of_those_who_work_the_one_who_has_spent_least_by_account_first(clock: V
     assert least([a, b]) is b
 
 
-def test_who_is_alone_is_served_as_if_it_had_waited(clock: VirtualTime, turns: Turns[Named, int]) -> None:
+def test_a_client_that_is_alone_is_served_as_if_it_had_waited(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     first, second = Named("first", Account("a", clock)), Named("second", Account("a", clock))
     for client, cost in ((first, 5), (second, 7), (first, 1), (second, 2)):
         client.is_alone()
@@ -253,7 +253,7 @@ def test_replies_count_until_a_later_one_of_their_connection_was_read() -> None:
     assert (budget.unread_bytes, budget.account.leaving_bytes, budgets.leaving_bytes) == (0, 0, 0)
 
 
-def test_who_does_not_read_over_one_connection_is_answered_over_another() -> None:
+def test_a_client_that_does_not_read_one_connection_is_answered_over_another() -> None:
     budgets = Budgets(Bounds(1, 100_000), Process, lambda *_: None, tuple)
     budget, unread = budgets.of("1"), Read()
     budget.sent(unread, 101_000, b"a")

@@ -51,7 +51,7 @@ def test_addresses_and_known_names_are_let_in(host: str) -> None:
         "::1",
     ],
 )
-def test_a_name_that_somebody_else_may_have_chosen_is_refused(host: str) -> None:
+def test_a_host_name_that_others_may_have_chosen_is_refused(host: str) -> None:
     assert GATE.refuses_host(host) != ""
 
 
@@ -157,7 +157,7 @@ def test_every_frame_has_a_picture_that_is_as_large_as_it_says(frame: Any) -> No
             assert header["kind"] == "jpeg"
 
 
-def test_a_frame_without_anything_in_it_is_told_as_such() -> None:
+def test_an_empty_frame_is_reported_as_empty() -> None:
     assert opened(pictures.raw("x", np.zeros((0, 5), np.uint8), {}))[0]["kind"] == "empty"
 
 
@@ -189,7 +189,7 @@ def test_a_change_that_failed_says_why() -> None:
     assert (log.changes[0]["state"], log.changes[0]["error"]["code"]) == ("failed", "load_failed")
 
 
-def test_a_change_that_nobody_saw_run_is_listed_without_steps() -> None:
+def test_a_change_that_was_not_seen_running_is_listed_without_steps() -> None:
     log = ChangeLog()
     log.take(Status("camera", "default", last_change=1))
     log.take(Status("camera", "edge", last_change=2, last_change_seconds=0.1))
@@ -228,7 +228,7 @@ def test_a_point_has_rates_sensors_and_the_last_change() -> None:
     assert point == {"at": 2.0, "values": wanted}
 
 
-def test_a_topic_is_told_when_it_changes_and_only_in_its_newest_form() -> None:
+def test_a_topic_is_announced_when_it_changes_and_sent_only_in_its_newest_form() -> None:
     topics, told = Topics(), list[str]()
     topics.listen(told.append)
     for value in ({"a": 1}, {"a": 1}, {"a": 2}):

@@ -79,7 +79,7 @@ def test_a_memory_holds_an_array_and_registers_see_its_words(board: cm.Board) ->
     assert board.configure_memory("static", 0x58001000, 0x20, access="ro").read().tolist()[5] == 5
 
 
-def test_a_memory_is_refused_while_nobody_answers_for_it(board: cm.Board) -> None:
+def test_a_memory_is_refused_while_no_module_answers_for_it(board: cm.Board) -> None:
     window = board.memories["window"]
     window.write(np.arange(256))
     assert window.read(4, 8).tolist() == [1, 2]

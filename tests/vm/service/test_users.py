@@ -20,7 +20,7 @@ def test_a_member_of_the_group_loads_the_camera_and_sees_a_frame(board: Board, b
     assert board.do(f'python3 -c "import cm; b = cm.connect(timeout=300); {read}"', "alice").strip() == "(48, 64)"
 
 
-def test_one_who_is_not_in_the_group_is_told_so(board: Board) -> None:
+def test_a_user_outside_the_group_learns_the_reason(board: Board) -> None:
     refused = board.run("cm status", "bob")
     assert refused.status == 1
     assert "members of fpga" in refused.err
