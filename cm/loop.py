@@ -54,6 +54,8 @@ class Loop:
         self._order = itertools.count()  # timers of the same time are served as they were set
         self._calls: deque[Callback] = deque()
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
+        self._waking = threading.RLock()  # it is not closed while it is written to; a signal handler may come between
+        self._is_closed = False
         self._woken = False
         self._thread: int | None = None
         self._stopping = False
@@ -66,7 +68,7 @@ class Loop:
         self._calls.append(callback)
         if not self._woken:  # else it has not looked yet
             self._woken = True
-            os.eventfd_write(self._wake, 1)
+            self._wake_up()
 
     def ask(self, call: Callable[[], _T], timeout: float = 10.0) -> _T:
         """Call in the loop's thread and return what that returned, or raise what it raised.
@@ -85,9 +87,15 @@ class Loop:
             raise TimeoutError(f"the event loop did not answer within {timeout:.0f} s") from None
 
     def stop(self) -> None:
-        """Make `run()` return after the present round; from any thread or a signal handler."""
+        """Make `run()` return after the present round; from any thread or a signal handler; harmless once closed."""
         self._stopping = True
-        os.eventfd_write(self._wake, 1)
+        self._wake_up()
+
+    def _wake_up(self) -> None:
+        """Another thread may have ended and closed the loop meanwhile, and the descriptor may be someone else's."""
+        with self._waking:
+            if not self._is_closed:
+                os.eventfd_write(self._wake, 1)
 
     # ---- the loop's thread --------------------------------------------------------
 
@@ -162,9 +170,12 @@ class Loop:
             self._thread = None
 
     def close(self) -> None:
-        """Release the descriptors."""
-        self._epoll.close()
-        os.close(self._wake)
+        """Release the descriptors; harmless when it was done already."""
+        with self._waking:
+            if not self._is_closed:
+                self._is_closed = True
+                self._epoll.close()
+                os.close(self._wake)
 
     # ---- for loops that wait for more ----------------------------------------------
 

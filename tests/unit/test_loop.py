@@ -143,3 +143,20 @@ def test_frames_arrive_as_they_were_sent(context, frames):
         assert [bytes(frame) for frame in multipart.receive(other)] == frames
         with pytest.raises(zmq.Again):
             multipart.receive(other, zmq.NOBLOCK)
+
+
+def test_a_loop_that_was_closed_may_be_stopped_and_writes_to_nobody_elses_descriptor():
+    """Another thread may close it between the wish to stop and the waking: `stop()` raised EBADF then."""
+    loop = Loop()
+    loop.close()
+    others = [os.eventfd(0, os.EFD_NONBLOCK) for _ in range(3)]  # which have its descriptors' numbers
+    try:
+        loop.stop()
+        loop.call_threadsafe(lambda: None)
+        loop.close()
+        for other in others:
+            with pytest.raises(BlockingIOError):
+                os.eventfd_read(other)
+    finally:
+        for other in others:
+            os.close(other)

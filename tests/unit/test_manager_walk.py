@@ -121,6 +121,9 @@ def test_one_failure_of_any_operation_ends_in_the_old_mode_or_the_new(
             begin(made, way)
         made.arm(number)
         error = go(made, way.goal)
+        if number >= len(made.fault.names):  # fewer than the first time: what it polls was ready sooner
+            assert error is None
+            break
         name = made.fault.names[number]
         made.arm(-1)
         end = where(made, sim, configs)
