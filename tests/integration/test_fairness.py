@@ -225,9 +225,9 @@ def test_a_client_with_slow_requests_is_served_less_often(order: Order, context:
             order.served.clear()
             asked(other, 50)
         answered(other, 50)
-        first = order.served.index(mine.name)
-        among = order.served[first : first + 60]
-        assert among.count(mine.name) >= 45  # nine of ten
+        between = order.between(mine.name)  # one other after nine; more where ours came in several batches
+        assert max(between) > 0
+        assert between.count(0) >= 36, between
         (now,) = [client for client in told_clients(other) if client.name == mine.name]
         assert now.requests == mine.requests + 51
         assert now.loop_seconds == pytest.approx(mine.loop_seconds + 51e-6)
