@@ -6,19 +6,14 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
-import queue
-import select
-import signal
 import socket
 import struct
-import subprocess
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
+from ros_peer import PATIENCE, BridgeProcess, ListeningPeer
 
 from cm import child
 from cm.dds.graph import gid
@@ -27,11 +22,8 @@ from cm.dds.qos import qos
 from cm.dds.transport import DdsTransport
 from cm.ros import cdr
 from cm.ros.node import NodeName
-from cm.ros.transport import SERVICES, Qos
+from cm.ros.transport import SERVICES
 from cm.ros.typehash import type_hash
-
-PATIENCE = 60.0
-
 
 _CLAIM = socket.socket(socket.AF_UNIX)  # its name is the claim, as long as this process lives
 
@@ -50,53 +42,23 @@ def domain() -> int:
     raise AssertionError("a hundred runs of tests at once have all domains")
 
 
-class Bridge:
+class Bridge(BridgeProcess):
     """`cm bridge dds` as a process."""
 
     def __init__(self, runtime: Path, *arguments: str) -> None:
         environment = {**child.environment(), "CYCLONEDDS_URI": loopback(), "ROS_DOMAIN_ID": str(domain())}
-        words = child.command("cm.cli.main", "bridge", "dds", "--runtime-dir", str(runtime), *arguments)
-        self.process = subprocess.Popen(words, stderr=subprocess.PIPE, env=environment)
-        assert self.process.stderr is not None
-        self.log = b""
-        while b"cm bridge: /" not in self.log:
-            ready, _, _ = select.select([self.process.stderr], [], [], PATIENCE)
-            piece = os.read(self.process.stderr.fileno(), 65536) if ready else b""
-            assert piece, f"the bridge did not start: {self.log.decode()}"
-            self.log += piece
-
-    def stop(self) -> tuple[int, str]:
-        """Its status, and what it said."""
-        self.process.send_signal(signal.SIGINT)
-        _, rest = self.process.communicate(timeout=PATIENCE)
-        return self.process.returncode, (self.log + rest).decode()
+        super().__init__("dds", runtime, arguments, environment)
 
 
-class Peer:
-    """A node of ours on the other side."""
+class Peer(ListeningPeer):
+    """A node of ours on DDS."""
+
+    transport: DdsTransport
 
     def __init__(self) -> None:
         os.environ["CYCLONEDDS_URI"] = loopback()
         self.transport = DdsTransport(NodeName("peer"), domain())
         self.participant = self.transport._participant
-
-    @contextmanager
-    def listening(self, topic: str, kind: str, quality: Qos) -> Iterator[queue.Queue[dict[str, Any]]]:
-        """What comes on a topic."""
-        found: queue.Queue[dict[str, Any]] = queue.Queue()
-        subscription = self.transport.subscription(topic, kind, quality, found.put)
-        try:
-            yield found
-        finally:
-            subscription.close()
-
-    def next(self, topic: str, kind: str, quality: Qos, fits: Callable[[Any], bool] = lambda _: True) -> dict[str, Any]:
-        """The first message on a topic that fits."""
-        with self.listening(topic, kind, quality) as found:
-            while True:
-                values = found.get(timeout=PATIENCE)
-                if fits(values):
-                    return values
 
     def client(self, name: str, kind: str) -> Client:
         """Calls a service."""
@@ -105,9 +67,6 @@ class Peer:
     def call(self, name: str, kind: str, **request: Any) -> dict[str, Any]:
         """Call a service once."""
         return self.client(name, kind).call(request)
-
-    def close(self) -> None:
-        self.transport.close()
 
 
 class Client:

@@ -100,8 +100,9 @@ sys.stdin.read()
 
 
 @contextlib.contextmanager
-def _hostile(script: str, first: str, *words: object) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, "-c", script, *map(str, words)]
+def running(*words: object, first: str) -> Iterator[subprocess.Popen[str]]:
+    """Python with these words, from the line that it says first until the block ends."""
+    command = [sys.executable, *map(str, words)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     with subprocess.Popen(command, text=True, env=environment(), **pipes) as process:  # type: ignore[call-overload]
         try:
@@ -117,14 +118,14 @@ def unread_replies(runtime: Path, connections: int, each: int) -> Iterator[subpr
 
     To a line on its input it reads them, and says how many came.
     """
-    with _hostile(_UNREAD, "asked", runtime, connections, each) as process:
+    with running("-c", _UNREAD, runtime, connections, each, first="asked") as process:
         yield process
 
 
 @contextlib.contextmanager
 def half_messages(where: Path | int, before: bytes, connections: int) -> Iterator[None]:
     """A process that sends `before` and half a message over each of its connections to a socket, or a port."""
-    with _hostile(_HALVES, "sent", where, before.hex(), connections):
+    with running("-c", _HALVES, where, before.hex(), connections, first="sent"):
         yield
 
 

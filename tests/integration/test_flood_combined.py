@@ -9,17 +9,15 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 from daemon_thread import Daemon
-from flood import descriptors, resident_mib
-from manager_process import CAMERA, environment, short_folder, until
+from flood import descriptors, resident_mib, running
+from manager_process import CAMERA, short_folder, until
 
 import cm
 from cm.daemon import loop as loops
@@ -64,18 +62,6 @@ class Slices:
             return found
 
         patch.setattr(loops, "zmq_poll", watched)
-
-
-@contextmanager
-def running(*words: str, first: str) -> Iterator[subprocess.Popen[str]]:
-    command = [sys.executable, *words]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, env=environment(), **pipes) as process:  # type: ignore[call-overload]
-        try:
-            assert process.stdout.readline() == first + "\n"
-            yield process
-        finally:
-            process.kill()
 
 
 def ended(process: subprocess.Popen[str]) -> Any:

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests of the bridges to ROS 2 nodes have in common, whatever carries the messages."""
+
+from __future__ import annotations
+
+import os
+import queue
+import select
+import signal
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cm import child
+from cm.ros.transport import Qos, Transport
+
+PATIENCE = 60.0
+
+
+class BridgeProcess:
+    """`cm bridge NAME` beside a manager, once it has told its node's name."""
+
+    def __init__(self, name: str, runtime: Path, arguments: tuple[str, ...], environment: dict[str, str]) -> None:
+        words = child.command("cm.cli.main", "bridge", name, "--runtime-dir", str(runtime), *arguments)
+        self.process = subprocess.Popen(words, stderr=subprocess.PIPE, env=environment)
+        assert self.process.stderr is not None
+        self.log = b""
+        while b"cm bridge: /" not in self.log:
+            ready, _, _ = select.select([self.process.stderr], [], [], PATIENCE)
+            piece = os.read(self.process.stderr.fileno(), 65536) if ready else b""
+            assert piece, f"the bridge did not start: {self.log.decode()}"
+            self.log += piece
+
+    def stop(self) -> tuple[int, str]:
+        """Its status, and what it said."""
+        self.process.send_signal(signal.SIGINT)
+        _, rest = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, (self.log + rest).decode()
+
+
+class ListeningPeer:
+    """A node of ours on the other side."""
+
+    transport: Transport
+
+    @contextmanager
+    def listening(self, topic: str, kind: str, quality: Qos) -> Iterator[queue.Queue[dict[str, Any]]]:
+        """What comes on a topic."""
+        found: queue.Queue[dict[str, Any]] = queue.Queue()
+        subscription = self.transport.subscription(topic, kind, quality, found.put)
+        try:
+            yield found
+        finally:
+            subscription.close()
+
+    def next(self, topic: str, kind: str, quality: Qos, fits: Callable[[Any], bool] = lambda _: True) -> dict[str, Any]:
+        """The first message on a topic that fits."""
+        with self.listening(topic, kind, quality) as found:
+            while True:
+                values = found.get(timeout=PATIENCE)
+                if fits(values):
+                    return values
+
+    def close(self) -> None:
+        self.transport.close()
