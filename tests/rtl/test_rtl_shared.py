@@ -20,6 +20,7 @@ from cm.rtl.errors import RtlError
 from cm.rtl.main import prepare
 
 pytestmark = [needs("verilator"), needs("g++"), pytest.mark.timeout(300)]
+FRAMES = 6
 SCHEMA = """\
 project: {{name: shared, part: xc7z020clg400-1}}
 regions:
@@ -55,16 +56,17 @@ def frame(number: int) -> np.ndarray:
 
 
 def test_frames_of_two_regions_go_through_one_engine_and_come_back_on_their_streams(board: cm.Board) -> None:
+    # Nothing is read before all is written, so that each reader has room for all: what exceeds its depth is dropped.
     with (
-        board.stream("from_left") as left,
-        board.stream("from_right") as right,
+        board.stream("from_left", depth=FRAMES) as left,
+        board.stream("from_right", depth=FRAMES) as right,
         board.writer("to_left") as to_left,
         board.writer("to_right") as to_right,
     ):
-        for number in range(6):
+        for number in range(FRAMES):
             to_left.write(frame(number))
             to_right.write(frame(100 + number))
-        got = [(left.read(timeout=30).copy(), right.read(timeout=30).copy()) for _ in range(6)]
+        got = [(left.read(timeout=30).copy(), right.read(timeout=30).copy()) for _ in range(FRAMES)]
     for number, (one, other) in enumerate(got):
         assert np.array_equal(one, frame(number))
         assert np.array_equal(other, ~frame(100 + number))
