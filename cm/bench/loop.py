@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -11,7 +12,7 @@ import numpy as np
 
 from cm.bench.rounds import Batch, timed
 from cm.bench.run import Run
-from cm.bench.serving import PATIENCE, Served, free_ports, serve, settle
+from cm.bench.serving import PATIENCE, Served, serve, settle
 from cm.client.board import Board
 from cm.client.stream import Stream
 from cm.client.writer import Writer
@@ -47,7 +48,7 @@ def echoed(bench: Run, size: int) -> Iterator[Batch]:
     """Round trips of a descriptor to the manager and back, with slots of `size` bytes; nothing is copied."""
     with ExitStack() as stack:
         board = stack.enter_context(stack.enter_context(serve(bench)).connect())
-        yield timed(stack.enter_context(board.echo(size)).round_trip)
+        yield timed(stack.enter_context(board.echo(size, PATIENCE)).round_trip)
 
 
 @contextmanager
@@ -56,8 +57,8 @@ def looped(bench: Run, size: int) -> Iterator[Batch]:
     with ExitStack() as stack:
         board = stack.enter_context(stack.enter_context(serving(bench, size)).connect())
         settle(board)
-        writer = stack.enter_context(board.writer("to_pl", depth=1))
-        reader = stack.enter_context(board.stream("from_pl", depth=1))
+        writer = stack.enter_context(board.writer("to_pl", PATIENCE, depth=1))
+        reader = stack.enter_context(board.stream("from_pl", timeout=PATIENCE, depth=1))
         yield _checked(writer, reader, size)
 
 
@@ -65,9 +66,9 @@ def looped(bench: Run, size: int) -> Iterator[Batch]:
 def looped_over_tcp(bench: Run, size: int) -> Iterator[Batch]:
     """The same for a client elsewhere: frames to the manager and back over ZeroMQ and TCP, as copies."""
     with ExitStack() as stack:
-        address = f"tcp://127.0.0.1:{free_ports(3)}"
-        stack.enter_context(serving(bench, size, "--listen", address, "--insecure"))
-        board = stack.enter_context(Board(address, timeout=PATIENCE))
+        served = stack.enter_context(serving(bench, size, "--listen", "tcp://127.0.0.1:0", "--insecure"))
+        told = json.loads((served.runtime_dir / "endpoints.json").read_text(encoding="utf-8"))
+        board = stack.enter_context(Board(told["tcp"][0]["pub"], timeout=PATIENCE))
         settle(board)
         reader = stack.enter_context(board.stream("from_pl", timeout=PATIENCE))
         while not next(s for s in board.status.streams if s.name == "from_pl").open:

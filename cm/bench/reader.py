@@ -14,7 +14,7 @@ from cm.client.board import Board
 
 def main(folder: str, seconds: float) -> None:
     """Read."""
-    with Board(runtime_dir=folder) as board, board.stream("camera", timeout=30.0) as stream:
+    with Board(runtime_dir=folder, timeout=60.0) as board, board.stream("camera", timeout=60.0) as stream:
         stream.read()
         print("ready", flush=True)
         sys.stdin.readline()

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import os
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,19 +80,6 @@ def settle(board: Board) -> None:
             return
         if status.last_error is not None and not status.fpga_busy:
             raise CmError(f"the manager did not enter its mode: {status.last_error.message}")
-
-
-def free_ports(count: int) -> int:
-    """The first of so many TCP ports in a row that are free now."""
-    while True:
-        with ExitStack() as stack:
-            first = stack.enter_context(socket.create_server(("127.0.0.1", 0))).getsockname()[1]
-            try:
-                for port in range(first + 1, first + count):
-                    stack.enter_context(socket.create_server(("127.0.0.1", port)))
-            except (OSError, OverflowError):
-                continue
-            return int(first)
 
 
 def cpu_seconds(pid: int) -> float:

@@ -82,22 +82,22 @@ def _frame(frame: Frame) -> dict[str, Any]:
 
 
 def _frames(board: Board, action: Mapping[str, Any]) -> dict[str, Any]:
-    with board.stream(action["stream"], depth=100) as stream:
+    with board.stream(action["stream"], timeout=board.timeout, depth=100) as stream:
         return {"sequences": [f.sequence for f in islice(stream, action["count"])], "lost": stream.lost}
 
 
 def _after(board: Board, action: Mapping[str, Any]) -> dict[str, Any]:
-    with board.stream(action["stream"], depth=100) as stream:
+    with board.stream(action["stream"], timeout=board.timeout, depth=100) as stream:
         return _frame(stream.after(action["generation"]))
 
 
 def _statuses(board: Board, action: Mapping[str, Any]) -> dict[str, Any]:
-    with board.watch(timeout=10) as statuses:
+    with board.watch(timeout=board.timeout) as statuses:
         return {"modes": [s.mode for s in islice(statuses, action["count"])]}
 
 
 def _irqs(board: Board, action: Mapping[str, Any]) -> dict[str, Any]:
-    with board.interrupts[action["name"]].events(timeout=10) as events:
+    with board.interrupts[action["name"]].events(timeout=board.timeout) as events:
         return {"counts": [e.count for e in islice(events, action["count"])]}
 
 

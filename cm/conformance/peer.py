@@ -13,7 +13,7 @@ from cm.errors import Timeout
 from cm.wire import cm_pb2 as pb
 from cm.wire.topics import Endpoints
 
-_WAIT = 20_000  # milliseconds for an answer
+_WAIT = 60_000  # milliseconds for an answer
 
 
 class Peer:

@@ -67,7 +67,7 @@ class Driver:
         """End it."""
         _stream(self._process.stdin).close()
         try:
-            self._process.wait(10)
+            self._process.wait(60)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

@@ -20,7 +20,7 @@ from cm.wire import cm_pb2 as pb
 Picture = np.ndarray[Any, np.dtype[np.uint8]]
 
 PICTURES = 3  # photographs to see in each mode before going on
-TIMEOUT_MS = 15_000
+TIMEOUT_MS = 60_000  # of silence; on a loaded machine a picture may take seconds
 BUSY = 0.10  # share of edge pixels in the centre above which a closer look is worth it
 
 
@@ -49,10 +49,13 @@ class Application:
         self.listener = context.socket(zmq.SUB)
         self.listener.setsockopt(zmq.RCVHWM, 4)
         self.listener.connect(f"ipc://{runtime_dir}/pub")
-        self.actor = context.socket(zmq.PUB)
+        self.actor = context.socket(zmq.XPUB)  # a PUB that hears who listens
         self.actor.connect(f"ipc://{runtime_dir}/sub")
         self.listener.setsockopt(zmq.SUBSCRIBE, b"cm_status")
         self.listener.setsockopt(zmq.SUBSCRIBE, b"cm_read_data")
+        if not self.actor.poll(TIMEOUT_MS):  # what is sent before the manager listens is lost
+            raise NothingCame("the configuration manager does not listen")
+        self.actor.recv()
         self.status = pb.Status()
 
     # ---- observe --------------------------------------------------------------------

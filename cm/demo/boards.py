@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import random
 import signal
 import socket
 import subprocess
@@ -19,7 +20,7 @@ from cm import child
 from cm.errors import CmError, Timeout
 
 _PATIENCE = 120.0  # seconds, on a loaded machine
-_END = 20.0
+_END = 60.0
 _SETTINGS = 'access:\n  guests: {"*": operate}\n'
 
 
@@ -29,10 +30,14 @@ class FleetFailed(CmError):
     code = "fleet_failed"
 
 
-def free_port() -> int:
-    """A TCP port that is free now."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
+def free_ports(count: int = 1) -> int:
+    """The first of so many TCP ports in a row that are free now. None that connections to others get by themselves."""
+    for first in random.sample(range(20000, 32000, 16), 200):  # below the ephemeral ones of Linux
+        with contextlib.suppress(OSError), ExitStack() as stack:
+            for port in range(first, first + count):
+                stack.enter_context(socket.create_server(("127.0.0.1", port)))
+            return int(first)
+    raise FleetFailed(f"no {count} TCP ports in a row are free on this machine")
 
 
 def started(words: bytes, *arguments: str) -> subprocess.Popen[bytes]:
@@ -121,7 +126,7 @@ class LocalFleet:
     """A router and boards, as a context manager."""
 
     def __init__(self, names: Iterable[str], folder: Path, at_once: int = 4) -> None:
-        self.router = f"tcp/127.0.0.1:{free_port()}"
+        self.router = f"tcp/127.0.0.1:{free_ports()}"
         self.boards = {name: BoardProcesses(name, folder / name, self.router) for name in names}
         self._at_once = at_once
         self._stack = ExitStack()

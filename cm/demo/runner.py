@@ -17,7 +17,7 @@ from cm.errors import CmError, Timeout
 
 _HOLD = 10  # frames for which the camera looks at one photograph
 _START_TIMEOUT = 120.0  # the first time, its HDL is compiled
-_STOP_TIMEOUT = 15.0
+_STOP_TIMEOUT = 60.0
 # What `cm build generate` makes of the example beside it.
 _SCHEMA = Path(__file__).parents[1] / "data" / "examples" / "camera" / "config" / "camera.yaml"
 SHEET = "contact-sheet.png"

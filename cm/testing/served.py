@@ -15,7 +15,7 @@ from cm.errors import CmError
 from cm.sim import Control
 
 START_TIMEOUT = 300.0  # seconds: HDL may have to be compiled
-STOP_TIMEOUT = 15.0
+STOP_TIMEOUT = 60.0
 
 
 class NotServed(CmError):
@@ -59,7 +59,7 @@ class Served:
     def begin(self, load: str) -> None:
         """The board as after power-up, and `load` ("CONFIG[/MODE]") in it; empty: the only configuration."""
         self.control.clear()
-        with connect(str(self.runtime)) as board:
+        with connect(str(self.runtime), timeout=60.0) as board:
             config, _, mode = load.partition("/")
             config = config or self._only(board)
             board.load(config, mode, progress=False, force=True)

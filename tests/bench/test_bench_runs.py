@@ -12,6 +12,7 @@ import pytest
 from cm.bench.table import CASES, NAMES, Case
 from cm.cli.main import main
 
+pytestmark = pytest.mark.timeout(900)
 KEYS = {"value", "unit", "baseline", "ratio", "goal", "met", "missing", "ran"}
 
 

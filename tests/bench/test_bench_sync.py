@@ -15,6 +15,7 @@ import pytest
 
 from cm.sim import Board
 
+pytestmark = pytest.mark.timeout(900)
 SOURCE = Path(__file__).parents[2] / "csrc/tests/sim_dma_buf.c"
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import os
 from collections.abc import Callable
 
-PATIENCE = float(os.environ.get("CM_TEST_PATIENCE", "10"))  # seconds for one step; more for an emulated board
+PATIENCE = float(os.environ.get("CM_TEST_PATIENCE", "60"))  # seconds for one step; more for an emulated board
 
 
 @dataclasses.dataclass(frozen=True)

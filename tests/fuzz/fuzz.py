@@ -4,8 +4,8 @@
     python tests/fuzz/fuzz.py [TARGET…] [--minutes M] [--jobs N] [--seed S] [--keep]
 
 Each target runs in a process of its own, from its seeds, the kept corpus and what earlier runs found in
-`build/fuzz/<target>`. An input that takes 20 s or 2 GiB, or that raises what the target does not expect, is a
-finding: it is left in `build/fuzz`, named at the end, and the exit status is 1. `--keep` adds what
+`build/fuzz/<target>`. An input that takes 20 s of processor time or 2 GiB, or that raises what the target does not
+expect, is a finding: it is left in `build/fuzz`, named at the end, and the exit status is 1. `--keep` adds what
 reaches new code to the kept corpus, in the fewest files (`-merge=1`). `--seed` makes the same inputs in the same
 order, from an empty `build/fuzz`: what a short run with it finds is the change's doing, not chance.
 """
@@ -21,18 +21,36 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 CORPUS = HERE / "corpus"
 WORK = HERE.parents[1] / "build" / "fuzz"
-SECONDS, MIB = 20, 2048  # of one input
+SECONDS, MIB = 20, 2048  # of one input; processor time: a machine that is busy finds nothing else
+HUNG = 300  # seconds that pass, after which one is taken to go on for ever
 KEPT = 1024  # bytes of a file in the kept corpus, at most
 
 
 def names() -> list[str]:
     """Every target."""
     return sorted(path.stem for path in (HERE / "targets").glob("[a-z]*.py"))
+
+
+class TooSlow(Exception):
+    """An input that takes too much of a processor's time."""
+
+
+def bounded(one: Callable[[bytes], None]) -> Callable[[bytes], None]:
+    """What reads one input, and is not to take long."""
+
+    def timed(data: bytes) -> None:
+        begun = time.process_time()
+        one(data)
+        if (took := time.process_time() - begun) > SECONDS:
+            raise TooSlow(f"{took:.0f} s for {len(data)} bytes")
+
+    return timed
 
 
 def run_one(name: str, flags: list[str]) -> None:
@@ -52,7 +70,7 @@ def run_one(name: str, flags: list[str]) -> None:
     for index, seed in enumerate(target.seeds()):
         (found / f"seed{index}").write_bytes(seed)
     again = shlex.join([sys.executable, str(Path(__file__).resolve()), "--one", name])  # a merge starts itself anew
-    atheris.Setup([again, f"-max_len={target.MAX_LENGTH}", *flags], target.one)
+    atheris.Setup([again, f"-max_len={target.MAX_LENGTH}", *flags], bounded(target.one))
     atheris.Fuzz()
 
 
@@ -79,7 +97,7 @@ def fuzz(name: str, seconds: int, seed: int) -> str:
     child = _child(
         name,
         f"-max_total_time={seconds}",
-        f"-timeout={SECONDS}",
+        f"-timeout={HUNG}",
         f"-rss_limit_mb={MIB}",
         f"-artifact_prefix={name}-",
         f"-seed={seed}",

@@ -23,7 +23,7 @@ DEFAULT, COLOUR = 0x44454641, 0x434F4C4F  # what the modules' Verilog says of it
 def board(open_project: Path) -> Iterator[Board]:
     served = Served("bits", build=str(open_project / "build.yaml"))
     try:
-        with connect(str(served.runtime)) as connected:
+        with connect(str(served.runtime), timeout=60) as connected:
             yield connected
     finally:
         served.stop()

@@ -131,7 +131,7 @@ def board(open_pair: Path) -> Iterator[Board]:
         pytest.skip("needs verilator, which is not installed")
     manager = Served("bits", build=str(open_pair / "build.yaml"))
     try:
-        with connect(str(manager.runtime)) as connected:
+        with connect(str(manager.runtime), timeout=60) as connected:
             yield connected
     finally:
         manager.stop()

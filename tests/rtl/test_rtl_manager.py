@@ -31,7 +31,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
     runtime = tmp_path_factory.mktemp("run")
     manager = Manager(runtime, "--sim=rtl", "--sim-hold", "0").start()
     try:
-        with cm.connect(str(runtime)) as connected:
+        with manager.connected() as connected:
             connected.load("camera")
             yield connected
     finally:
@@ -50,7 +50,7 @@ def test_every_mode_gives_the_pixels_of_the_software_model(
     board.registers.write({"focus": FOCUS, **values})
     seen = frame(PHOTO, (480, 640), FOCUS, 1)
     expected = model(seen, values)  # type: ignore[operator]
-    with board.stream("camera") as stream:
+    with board.stream("camera", timeout=60) as stream:
         pictures = [np.array(stream.read()) for _ in range(6)]
     assert any(np.array_equal(picture, expected) for picture in pictures), "the lens follows within a few frames"
     assert np.array_equal(pictures[-1], expected)
@@ -58,7 +58,7 @@ def test_every_mode_gives_the_pixels_of_the_software_model(
 
 def test_the_interrupt_of_a_frame_is_the_modules_own(board: cm.Board) -> None:
     board.set_mode("default")
-    with board.interrupts["frame_done"].events(60.0) as told, board.stream("camera") as stream:
+    with board.interrupts["frame_done"].events(60.0) as told, board.stream("camera", timeout=60) as stream:
         for _ in range(3):
             stream.read()
         assert next(told).count
@@ -67,9 +67,9 @@ def test_the_interrupt_of_a_frame_is_the_modules_own(board: cm.Board) -> None:
 def test_without_a_compiler_the_software_models_serve_and_the_log_says_so(tmp_path: Path) -> None:
     manager = Manager(tmp_path, "--sim=rtl", env={**environment(), "CM_VERILATOR": "/nowhere/verilator"}).start()
     try:
-        with cm.connect(str(tmp_path)) as board:
+        with manager.connected() as board:
             board.load("camera")
-            with board.stream("camera") as stream:
+            with board.stream("camera", timeout=60) as stream:
                 assert stream.read().shape == (480, 640)
     finally:
         manager.stop()

@@ -27,7 +27,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
     runtime = tmp_path_factory.mktemp("run")
     manager = Manager(runtime, "--sim=rtl", "--build", str(COPIER)).start()
     try:
-        with cm.connect(str(runtime)) as connected:
+        with manager.connected() as connected:
             connected.load("copier")
             yield connected
     finally:

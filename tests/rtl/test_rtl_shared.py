@@ -44,7 +44,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
     prepare(schema)
     manager = Manager(folder, "--sim=rtl", "--build", str(schema)).start()
     try:
-        with cm.connect(str(folder)) as connected:
+        with manager.connected() as connected:
             connected.load("shared", mode="both")
             yield connected
     finally:
@@ -60,13 +60,13 @@ def test_frames_of_two_regions_go_through_one_engine_and_come_back_on_their_stre
     with (
         board.stream("from_left", depth=FRAMES) as left,
         board.stream("from_right", depth=FRAMES) as right,
-        board.writer("to_left") as to_left,
-        board.writer("to_right") as to_right,
+        board.writer("to_left", timeout=60) as to_left,
+        board.writer("to_right", timeout=60) as to_right,
     ):
         for number in range(FRAMES):
             to_left.write(frame(number))
             to_right.write(frame(100 + number))
-        got = [(left.read(timeout=30).copy(), right.read(timeout=30).copy()) for _ in range(FRAMES)]
+        got = [(left.read(timeout=60).copy(), right.read(timeout=60).copy()) for _ in range(FRAMES)]
     for number, (one, other) in enumerate(got):
         assert np.array_equal(one, frame(number))
         assert np.array_equal(other, ~frame(100 + number))

@@ -78,7 +78,7 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Iterator[cm.Board]:
     prepare(schema)
     manager = Manager(folder, "--sim=rtl", "--build", str(schema)).start()
     try:
-        with cm.connect(str(folder)) as connected:
+        with manager.connected() as connected:
             connected.load("chain", mode="both")
             yield connected
     finally:
@@ -94,11 +94,11 @@ def test_a_mode_puts_modules_in_a_row_by_the_switchs_registers(
 ) -> None:
     for mode, total in zip(modes, sums, strict=True):
         board.mode = mode
-        with board.stream("from_chain") as out, board.writer("to_chain") as into:
+        with board.stream("from_chain") as out, board.writer("to_chain", timeout=60) as into:
             for number in range(3):
                 data = np.arange(number, number + 48, dtype=np.uint8)
                 into.write(data)
-                assert np.array_equal(out.read(timeout=30), data + np.uint8(total))
+                assert np.array_equal(out.read(timeout=60), data + np.uint8(total))
 
 
 @needs("verilator")

@@ -10,9 +10,9 @@ from collections.abc import Callable
 import pytest
 import zmq
 
-from cm.bench.serving import free_ports
 from cm.client.aio.relay import Relay
 from cm.client.errors import ConnectionLost
+from cm.demo.boards import free_ports
 
 HUNG = 30.0
 

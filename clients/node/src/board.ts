@@ -37,8 +37,6 @@ export interface Interrupt {
   readonly timestampNs: number;
 }
 
-const PATIENCE = 5; // seconds for what is published; what comes later is not told
-
 /** Connect to a manager: `tcp://host[:port]`, a runtime folder, or this machine's. Nothing is sent yet. */
 export function connect(address?: string, options: ConnectOptions = {}): Board {
   const keys = typeof options.keys === "string" ? loadKeys(options.keys) : options.keys;
@@ -107,16 +105,19 @@ export class Board {
     await this.ask("cm_write_config", cm.WriteConfig.encode({ cancel: true }).finish());
   }
 
-  /** A change, with its progress: from the first status on we are listened to, and the last may come after the reply. */
+  /**
+   * A change, with its progress: from the first status on we are listened to. The last may come after the reply; what
+   * comes later than the time-out of requests is not told.
+   */
   async #told(ask: () => Promise<cm.IChange>, progress: (progress: Progress) => void): Promise<cm.IChange> {
     const statuses = this.watch();
     try {
-      await statuses.next(PATIENCE);
+      await statuses.next(this.timeout);
       const told = { last: 0, until: Infinity };
       const telling = this.#tell(statuses, progress, told);
       const change = await ask();
       told.until = count(change.number);
-      const late = new Promise((resolve) => setTimeout(resolve, PATIENCE * 1000).unref());
+      const late = new Promise((resolve) => setTimeout(resolve, this.timeout * 1000).unref());
       if (told.last < told.until) await Promise.race([telling, late]);
       return change;
     } finally {

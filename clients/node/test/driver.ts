@@ -35,22 +35,22 @@ const ACTIONS: Record<string, (board: Board, action: Action) => Promise<Result>>
   async statuses(board, { count }) {
     const modes: string[] = [];
     const statuses = board.watch();
-    while (modes.length < count) modes.push((await statuses.next(10)).mode);
+    while (modes.length < count) modes.push((await statuses.next(board.timeout)).mode);
     return { modes };
   },
   frame: async (board, { stream }) => described(await board.read(stream as string)),
   async frames(board, { stream, count }) {
     const sequences: number[] = [];
-    const frames = board.stream(stream as string, { depth: 100, timeout: 10 });
+    const frames = board.stream(stream as string, { depth: 100, timeout: board.timeout });
     while (sequences.length < count) sequences.push((await frames.read()).sequence);
     return { sequences, lost: frames.lost };
   },
   after: async (board, { stream, generation }) =>
-    described(await board.stream(stream as string, { depth: 100, timeout: 10 }).after({ generation: generation as number })),
+    described(await board.stream(stream as string, { depth: 100, timeout: board.timeout }).after({ generation: generation as number })),
   async irqs(board, { name, count }) {
     const counts: number[] = [];
     const irqs = board.interrupts(name as string);
-    while (counts.length < count) counts.push((await irqs.next(10)).count);
+    while (counts.length < count) counts.push((await irqs.next(board.timeout)).count);
     return { counts };
   },
   lease: async (board, { scope }) => ({ id: (await board.takeLease(scope as string)).id }),

@@ -2,17 +2,21 @@
 // The tour of what a client can do, over ipc and over TCP with keys.
 import assert from "node:assert/strict";
 import { after, before, describe, test } from "node:test";
-import { connect, ConnectionLost, KeyRefused, loadKeys, RequestFailed, Timeout, type Board, type Frame, type Progress } from "../src/index.js";
+import {
+  connect, ConnectionLost, KeyRefused, loadKeys, RequestFailed, Timeout,
+  type Board, type Events, type Frame, type Progress, type Values,
+} from "../src/index.js";
 import { Manager } from "./manager.js";
 
 const manager = new Manager();
 before(async () => { await manager.start(); });
 after(async () => { await manager.stop(); });
 
-const LIMIT = { timeout: 100_000 }; // hung, on however busy a machine
+const PATIENCE = 60; // seconds for one step, on however busy a machine
+const LIMIT = { timeout: 900_000 }; // hung
 const WAYS = {
-  ipc: (guest = "") => connect(manager.runtime, { guest }),
-  curve: (guest = "") => connect(manager.tcp, { keys: manager.keys, guest }),
+  ipc: (guest = "") => connect(manager.runtime, { guest, timeout: PATIENCE }),
+  curve: (guest = "") => connect(manager.tcp, { keys: manager.keys, guest, timeout: PATIENCE }),
 };
 
 for (const [way, reach] of Object.entries(WAYS)) {
@@ -87,8 +91,9 @@ for (const [way, reach] of Object.entries(WAYS)) {
         if (seen.length === 5) break;
       }
       stream.close();
-      assert.deepEqual(seen, seen.map((_, index) => seen[0]! + index));
-      assert.equal(stream.lost, 0);
+      // the camera does not wait for a reader that gets no processor time
+      assert.deepEqual(seen, [...new Set(seen)].sort((a, b) => a - b));
+      assert.equal(seen.at(-1)! - seen[0]! + 1, seen.length + stream.lost);
     });
 
     test("what is written comes back through the loop", async () => {
@@ -96,7 +101,7 @@ for (const [way, reach] of Object.entries(WAYS)) {
       const loop = board.stream("from_pl");
       await loop.open();
       const picture = Uint8Array.from({ length: 480 * 640 }, (_, index) => index % 251);
-      const back = loop.read(20);
+      const back = loop.read();
       await until(async () => (await board.status()).streams.some((s) => s.name === "from_pl" && s.open));
       await board.write("to_pl", picture);
       assert.deepEqual((await back).data, picture);
@@ -116,11 +121,9 @@ for (const [way, reach] of Object.entries(WAYS)) {
       const writes = board.registers.events();
       const stream = other.stream("camera");
       await stream.read();
-      assert.ok((await done.next(20)).count > 0);
-      const written = await other.registers.write({ zoom: 2 });
-      let heard = await writes.next(20);
-      while (heard.generation !== written.generation) heard = await writes.next(20);
-      assert.deepEqual(heard.values, { zoom: 2 });
+      assert.ok((await done.next(PATIENCE)).count > 0);
+      const values = await heard(writes, () => other.registers.write({ zoom: 2 }));
+      assert.deepEqual(values, { zoom: 2 });
       await other.registers.write({ zoom: 1 });
       other.close();
     });
@@ -147,14 +150,14 @@ for (const [way, reach] of Object.entries(WAYS)) {
 test("who has no key, or one that the board does not know, is told so", LIMIT, async () => {
   const server = loadKeys(manager.keys).serverPublic;
   for (const options of [{ keys: { ...loadKeys(manager.stranger), serverPublic: server } }, { keys: manager.stranger }, {}]) {
-    const stranger = connect(manager.tcp, { ...options, timeout: 20 });
+    const stranger = connect(manager.tcp, { ...options, timeout: PATIENCE });
     await assert.rejects(stranger.status(), KeyRefused);
     stranger.close();
   }
 });
 
 test("who waits hears at once of a manager that dies", LIMIT, async () => {
-  const board = connect(manager.runtime);
+  const board = connect(manager.runtime, { timeout: PATIENCE });
   await board.setMode("loopback");
   const waiting = board.read("from_pl", 100);
   await until(async () => (await board.status()).streams.some((s) => s.name === "from_pl" && s.open));
@@ -171,8 +174,25 @@ function edges(frame: Frame): number {
   return sum / data.length;
 }
 
+/** The values of a write, once it is told: it is done again while the manager does not know of our subscription. */
+async function heard(writes: Events<Values>, write: () => Promise<Values>): Promise<Values["values"]> {
+  const generations = new Set<number>();
+  const end = performance.now() + PATIENCE * 1000;
+  for (;;) {
+    generations.add((await write()).generation);
+    try {
+      for (;;) {
+        const event = await writes.next(1);
+        if (generations.has(event.generation)) return event.values;
+      }
+    } catch (error) {
+      if (!(error instanceof Timeout) || performance.now() > end) throw error;
+    }
+  }
+}
+
 async function until(condition: () => Promise<boolean>): Promise<void> {
-  const end = performance.now() + 30_000;
+  const end = performance.now() + PATIENCE * 1000;
   while (!(await condition())) {
     assert.ok(performance.now() < end, "the condition did not come true");
     await new Promise((resolve) => setTimeout(resolve, 5));

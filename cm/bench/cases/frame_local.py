@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from cm.bench.result import Goal, Result, unavailable
 from cm.bench.rounds import Samples, interleave, timed
 from cm.bench.run import IMAGE, Rivals, Run
-from cm.bench.serving import serve
+from cm.bench.serving import PATIENCE, serve
 
 GOALS = {
     "frame_local_vs_zmq": Goal(100, at_least=True),
@@ -29,7 +29,7 @@ def run(bench: Run) -> list[Result]:
         rivals = Rivals(bench, stack)
         rivals.add(("zmq", "iceoryx2"), IMAGE)
         board = stack.enter_context(stack.enter_context(serve(bench)).connect())
-        image, small = (stack.enter_context(board.echo(size)) for size in (IMAGE, 64))
+        image, small = (stack.enter_context(board.echo(size, PATIENCE)) for size in (IMAGE, 64))
         few = {"zmq": rivals.batches["zmq"]}
         many = {name: batch for name, batch in rivals.batches.items() if name != "zmq"}
         ours = {"image": timed(image.round_trip), "64b": timed(small.round_trip)}

@@ -4,6 +4,7 @@
 No postponed annotations here: the IDL types are read from them when the class is made.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +19,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-_PATIENCE = 10
+_PATIENCE = 60  # seconds, on a loaded machine
 
 
 @dataclass
@@ -30,7 +31,7 @@ class Frame(IdlStruct, typename="cm.bench.Frame"):
 
 class _Ends:
     def __init__(self, folder: Path, there: str, back: str) -> None:
-        prefix = folder.name.replace("-", "_")
+        prefix = re.sub(r"\W", "_", str(folder))  # all of a network's domain 0 hear of it
         qos = Qos(Policy.Reliability.Reliable(duration(seconds=_PATIENCE)), Policy.History.KeepLast(1))
         self._participant = DomainParticipant()
         self.writer = DataWriter(self._participant, Topic(self._participant, f"{prefix}_{there}", Frame, qos=qos), qos)

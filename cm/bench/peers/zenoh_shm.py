@@ -12,6 +12,7 @@ import zenoh
 from zenoh import shm
 
 _SLOTS = 4
+_PATIENCE = 60.0  # seconds, on a loaded machine
 
 
 class _Ends:
@@ -45,7 +46,7 @@ class ZenohNear(_Ends):
     def trip(self) -> object:
         """There and back."""
         self.publisher.put(self.buffer())
-        return self.received.get(timeout=10.0).payload.as_shm()
+        return self.received.get(timeout=_PATIENCE).payload.as_shm()
 
     def close(self) -> None:
         """Close the session."""

@@ -75,7 +75,7 @@ class Apt:
             "APT::Get::AllowUnauthenticated": "false",
             "Acquire::AllowInsecureRepositories": "false",
             "Acquire::Languages": "none",
-            "Acquire::Retries": "2",
+            "Acquire::Retries": "5",
             "APT::Update::Post-Invoke": "",
             "APT::Update::Post-Invoke-Success": "",
             "DPkg::Pre-Invoke": "",

@@ -76,7 +76,7 @@ class Board:
 
     def twin(self, name: str) -> Board:
         """Another board with the disk that this one would have if its power went now; switched off."""
-        first = free_ports()
+        first = free_ports(lane=9)  # that of a board without forwards
         ports = {first + index: there for index, there in enumerate(self.booted.machine.forwards.values())}
         return Board(self.booted.twin(self._folder / name, ports), first, self._folder)
 

@@ -41,6 +41,7 @@ class Apt:
             "APT::Architectures": self.arch.debian,
             "APT::Sandbox::User": "",
             "APT::Install-Recommends": "false",
+            "Acquire::Retries": "5",
             "Dir::State": self._root / "state",
             "Dir::State::status": self._root / "status",
             "Dir::Cache": self._root / "cache",

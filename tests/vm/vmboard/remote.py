@@ -22,9 +22,13 @@ BOOT_S = 50.0  # until the manager answers, times the board's slowness
 PATIENCE_S = 10  # for one step, as on the board
 
 
-def free_ports(count: int = 3) -> int:
-    """The first of so many neighbouring ports that nobody has now."""
-    for first in random.sample(range(20000, 32000, 16), 64):  # others look for some at the same time
+def free_ports(lane: int, count: int = 3) -> int:
+    """The first of so many neighbouring ports that nobody has now.
+
+    Boards bind theirs minutes later: each looks in one of ten lanes, so that no two of a run get the same ones.
+    """
+    lowest = 20000 + 1200 * lane
+    for first in random.sample(range(lowest, lowest + 1200, 16), 64):  # other runs look for some at the same time
         if all(_free(first + index) for index in range(count)):
             return first
     raise VmError(f"no {count} neighbouring TCP ports are free on this host")

@@ -138,16 +138,16 @@ def _machines(cache: Cache, tiers: list[Tier], keyword: str, output: Path) -> di
 def _for_test(cache: Cache, tier: Tier, keyword: str, place: Path) -> qemu.Machine:
     if tier.installed:
         require(tier.arch.qemu, "depmod", "mke2fs", "dpkg-deb")
-        return service.machine(cache, tier, place, _forwards())
+        return service.machine(cache, tier, place, _forwards(tier))
     if not tier.remote:
         changes = int(os.environ.get("CM_VM_CHANGES", tier.changes))  # how many is the user's patience
         words = (f"cm.changes={changes}", *([f"cm.keyword={keyword.replace(' ', '+')}"] if keyword else []))
         return machine(cache, tier, words)
-    return machine(cache, tier, ("cm.action=serve",), _forwards())
+    return machine(cache, tier, ("cm.action=serve",), _forwards(tier))
 
 
-def _forwards() -> dict[int, int]:
-    first = remote.free_ports()
+def _forwards(tier: Tier) -> dict[int, int]:
+    first = remote.free_ports(list(TIERS).index(tier.name))
     return {first + index: there for index, there in enumerate(PORTS)}
 
 
