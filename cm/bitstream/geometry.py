@@ -11,8 +11,10 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from itertools import accumulate
+from pathlib import Path
+
+_COLUMNS = Path(__file__).with_name("data") / "columns.json"  # importlib.resources is 2 MiB of a manager
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +55,7 @@ def _counts(text: str) -> list[int]:
 
 @cache
 def _dies() -> Mapping[str, Geometry]:
-    found = json.loads((files("cm.bitstream") / "data" / "columns.json").read_text("utf-8"))
+    found = json.loads(_COLUMNS.read_text("utf-8"))
     result = {}
     for die in found["dies"]:
         rows = {}

@@ -14,18 +14,24 @@ from cm.bitstream.geometry import Geometry, geometry_of
 from cm.bitstream.packets import Register
 from cm.bitstream.reach import check_addresses
 from cm.bitstream.report import Refusal, Report, Section
-from cm.bitstream.rules import Event, Rules
+from cm.bitstream.rules import Rules
 from cm.bitstream.writes import packet_events
 from cm.native import bitstream as native
 
 
-def _apply(events: native.Events, phase: int, words: int, encrypted: bool) -> Rules:
-    rules = Rules()
-    rules.encrypted = encrypted
-    for row in events.tolist():
-        rules.take(Event(*row))
-    rules.finish(phase, words)
-    return rules
+def _take(image: Image) -> tuple[Rules, native.Events, list[int]]:
+    """A whole stream: the rules applied to it, what writes frames, and the lengths of its fills."""
+    port, rules, writes, fills = native.PacketProcessor(), Rules(), native.Events(), []
+    rules.encrypted = image.encrypted
+    for event in packet_events(image, port):
+        if event.kind in (native.FRAMES, native.MULTI):
+            writes.append(event)
+            continue
+        rules.take(event)
+        if event.kind == native.FILL:
+            fills.append(event.count)
+    rules.finish(port.phase, len(image.stream) // 4)
+    return rules, writes, fills
 
 
 def _identify(image: Image, rules: Rules) -> tuple[str | None, int | None, Family | None]:
@@ -56,10 +62,9 @@ def _sections(image: Image, rules: Rules, writes: native.Events, family: Family 
     return tuple(result)
 
 
-def _check_frames(rules: Rules, events: native.Events, writes: native.Events, family: Family | None) -> list[Refusal]:
+def _check_frames(rules: Rules, writes: native.Events, fills: list[int], family: Family | None) -> list[Refusal]:
     if family is None or rules.encrypted:
         return []
-    fills = events["count"][events["kind"] == native.FILL].tolist()
     return [*frames.check_frames(writes, family), *frames.check_fills(fills, family)]
 
 
@@ -86,14 +91,11 @@ def inspect_image(image: Image, data: memoryview) -> Report:
 
 def analyse(image: Image) -> Report:
     """Everything but the hash of the file and its length."""
-    events, phase = packet_events(image)
-    is_write = (events["kind"] == native.FRAMES) | (events["kind"] == native.MULTI)
-    writes = events[is_write]
-    rules = _apply(events[~is_write], phase, len(image.stream) // 4, image.encrypted)
+    rules, writes, fills = _take(image)
     if image.rest:
         rules.refuse(BadContainer, f"{image.rest} bytes follow the last whole word")
     device, idcode, family = _identify(image, rules)
-    rules.problems += _check_frames(rules, events, writes, family)
+    rules.problems += _check_frames(rules, writes, fills, family)
     looks_partial = not rules.registers & {Register.TIMER, Register.WBSTAR}
     partial = image.header.partial if image.header else looks_partial
     geometry = geometry_of(device) if partial else None  # what a full image writes is no question
@@ -111,7 +113,7 @@ def analyse(image: Image) -> Report:
         crc=rules.crc,
         footprint=frames.footprint(writes, family, geometry) if family else (),
         encrypted=rules.encrypted,
-        compressed=bool((writes["kind"] == native.MULTI).any()),
+        compressed=native.MULTI in writes.kinds,
         length=len(image.stream),
         sha256="",
         problems=tuple(rules.problems),

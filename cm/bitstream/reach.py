@@ -23,7 +23,7 @@ _ROW_PADDING = {Family.SERIES7: 1, Family.ULTRASCALE_PLUS: 4}  # beside the one 
 
 def _runs(events: native.Events, family: Family) -> Iterator[tuple[int, FrameAddress, int]]:
     """Give word, address and real frames of each FRAMES or MULTI event; a run in pieces grows from its FAR."""
-    for word, kind, _, far, count, before, shared in events.tolist():
+    for word, kind, _, far, count, before, shared in events:
         if kind == native.MULTI:
             yield word, decode_far(far, family), shared
         else:

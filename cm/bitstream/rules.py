@@ -8,8 +8,6 @@ padding, headers) may only be what real tools write there. `docs/bitstreams.md` 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from cm.bitstream.errors import BadContainer, BadPacket, BitstreamError, CrcMismatch, CrcMissing, Truncated
 from cm.bitstream.packets import Command, Register
 from cm.bitstream.report import CrcResult, Refusal
@@ -34,19 +32,6 @@ _FAULTS = {
     5: "breaks the pair of a type 1 and a type 2 packet",
     6: "is the CRC of the words before it, written to another register",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """One row of `cm.native.bitstream.event_dtype` in plain integers."""
-
-    word: int
-    kind: int
-    reg: int
-    value: int
-    count: int
-    extra: int
-    frames: int
 
 
 class Rules:
@@ -78,7 +63,7 @@ class Rules:
         """Note a problem; the first of each code is what people get to read."""
         self.problems.append(Refusal(error.code, message))
 
-    def take(self, event: Event) -> None:
+    def take(self, event: native.Event) -> None:
         """Apply the rules to the next event."""
         if event.kind == native.SYNC:
             self.syncs.append(event.word)
@@ -108,13 +93,13 @@ class Rules:
         if self.crc is not CrcResult.ABSENT:
             self.problems.extend(self._gaps)
 
-    def _foreign(self, event: Event) -> None:
+    def _foreign(self, event: native.Event) -> None:
         if event.kind == native.FAULT:
             self.refuse(BadPacket, f"word {event.word}: {event.value:08X} {_FAULTS[event.reg]}")
         elif event.kind == native.STRAY:
             self.refuse(BadPacket, f"word {event.word}: {event.value:08X} is outside of sync and is not padding")
 
-    def _write(self, event: Event) -> None:
+    def _write(self, event: native.Event) -> None:
         self.registers.add(event.reg)
         if event.reg == Register.IDCODE:
             self.idcodes.append(event.value)
@@ -127,7 +112,7 @@ class Rules:
         self._reset = False
         self._uncovered.append((event.reg, event.value))
 
-    def _command(self, event: Event) -> None:
+    def _command(self, event: native.Event) -> None:
         if event.value not in _COMMANDS:
             self.refuse(BadPacket, f"word {event.word}: CMD {event.value:08X} is not allowed in a bitstream")
         elif event.value == Command.START:
@@ -138,13 +123,13 @@ class Rules:
             self._boundary(event, "RCRC")
             self._reset = True
 
-    def _start(self, event: Event) -> None:
+    def _start(self, event: native.Event) -> None:
         """No tool starts a device twice in one bitstream, however many sections it has."""
         if self._started:
             self.refuse(BadContainer, f"word {event.word}: a second image follows the first: give one at a time")
         self._starting = True
 
-    def _boundary(self, event: Event, name: str) -> None:
+    def _boundary(self, event: native.Event, name: str) -> None:
         """RCRC and DESYNC: what was written since the last CRC or RCRC stays unchecked."""
         odd = [pair for pair in self._uncovered if pair not in _NEUTRAL]
         if event.extra or odd or len(set(self._uncovered)) < len(self._uncovered):
@@ -152,7 +137,7 @@ class Rules:
             self._gaps.append(Refusal(CrcMissing.code, f"word {event.word}: {what}"))
         self._uncovered.clear()
 
-    def _crc(self, event: Event) -> None:
+    def _crc(self, event: native.Event) -> None:
         self._reset = False
         self._uncovered.clear()
         if event.value != event.count:

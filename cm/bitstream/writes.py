@@ -26,25 +26,20 @@ class FrameWrite:
     repeated: int = 0
 
 
-def packet_events(image: Image) -> tuple[native.Events, int]:
-    """Run the whole stream through a port; return its events and the phase it ends in."""
-    import numpy as np
-
-    port = native.PacketProcessor()
-    batches = []
+def packet_events(image: Image, port: native.PacketProcessor) -> Iterator[native.Event]:
+    """Run the whole stream through a port, and give its events one by one."""
     done = 0
     while done < len(image.stream) // 4:
         used, events = port.feed(image.stream, image.swapped, done)
         done += used
-        batches.append(events)
-    return (np.concatenate(batches) if batches else np.empty(0, native.event_dtype())), port.phase
+        yield from events
 
 
 def frame_writes(image: Image) -> Iterator[FrameWrite]:
     """The frame data of a good bitstream, in its order. Packets that go on from one FAR are one write."""
     words = native.swap(image.stream) if image.swapped else bytes(image.stream)
     run: FrameWrite | None = None
-    for at, kind, _, far, count, before, repeated in packet_events(image)[0].tolist():
+    for at, kind, _, far, count, before, repeated in packet_events(image, native.PacketProcessor()):
         if kind == native.FRAMES:
             (header,) = struct.unpack_from(">I", words, 4 * at)
             first = at + (1 if header & _TYPE1_COUNT else 2)

@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from cm._version import __version__
 from cm.cli.commands import COMMANDS, CommandMissing, add_command, find_command
+from cm.cli.help_format import Help, RawHelp
 
 DESCRIPTION = "Configuration manager for FPGA systems that reconfigure themselves while they run."
 EPILOG = "`cm COMMAND --help` says more. Exit status: 0 done, 1 refused or failed, 2 wrong usage."
@@ -19,6 +20,7 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         kwargs.setdefault("allow_abbrev", False)
+        kwargs.setdefault("formatter_class", Help)
         super().__init__(*args, **kwargs)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
@@ -77,7 +79,7 @@ def _top() -> tuple[argparse.ArgumentParser, argparse._SubParsersAction[argparse
         usage="cm [-h] [--version] COMMAND ...",
         description=DESCRIPTION,
         epilog=_epilog(),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=RawHelp,
     )
     parser.add_argument("--version", action="version", version=f"cm {__version__}")
     return parser, parser.add_subparsers(prog="cm", dest="command", metavar="COMMAND", help=argparse.SUPPRESS)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cm.cli.common import completes
+from cm.cli.help_format import RawHelp
 
 if TYPE_CHECKING:
     from cm.sim import Control
@@ -38,7 +39,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="serve a simulated board",
         description="Serve a simulated board in a folder until it is interrupted.",
         epilog=_FAULTS,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=RawHelp,
     )
     add_arguments(parser)
     parser.set_defaults(run=run, refuse=parser.error)

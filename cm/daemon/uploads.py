@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -98,6 +97,8 @@ class Uploads:
         return upload
 
     def _new(self, part: rq.Upload) -> int:
+        import tempfile  # with shutil 1 MiB, which most managers never need
+
         try:
             with tempfile.TemporaryFile(dir=self._folder, buffering=0) as file:
                 fd = os.dup(file.fileno())

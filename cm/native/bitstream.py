@@ -1,23 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thin typed functions over ``csrc/bitstream.c``: the configuration port and its CRC.
 
-Data is anything with the buffer protocol and is never copied. Events come as rows of a numpy array
-of `event_dtype`; what their fields mean for each kind stands in ``csrc/bitstream.h``.
+Data is anything with the buffer protocol and is never copied. There is no numpy here: a manager checks
+bitstreams, and would need 11 MiB for it.
 """
 
 from __future__ import annotations
 
-from functools import cache
-from typing import TYPE_CHECKING, Any, TypeAlias
+from collections.abc import Iterator
+from struct import Struct
+from typing import Any, NamedTuple
 
 from cm.native._cm import ffi, lib
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-Event: TypeAlias = "np.void"
-Events: TypeAlias = "npt.NDArray[np.void]"
 
 SYNC: int = lib.CM_CONFIG_SYNC
 WRITE: int = lib.CM_CONFIG_WRITE
@@ -31,15 +25,43 @@ OPAQUE: int = lib.CM_CONFIG_OPAQUE
 FAULT: int = lib.CM_CONFIG_FAULT
 
 _BATCH = 512
+_ROW = Struct("=Q6I")  # struct cm_config_event
 
 
-@cache
-def event_dtype() -> np.dtype[np.void]:
-    """A row of events; numpy is imported by those that look at the events, as not all users of bitstreams do."""
-    import numpy as np
+class Event(NamedTuple):
+    """What a port did; ``csrc/bitstream.h`` says what the fields mean for each kind."""
 
-    fields = [("word", "=u8"), *((name, "=u4") for name in ("kind", "reg", "value", "count", "extra", "frames"))]
-    return np.dtype(fields)
+    word: int
+    kind: int
+    reg: int
+    value: int
+    count: int  # type: ignore[assignment]  # tuples have a method of that name
+    extra: int
+    frames: int
+
+
+class Events:
+    """Many events, in order, in the 32 bytes each that the shim uses: as tuples they would be eight times as long.
+
+    A bitstream that writes each frame by itself has tens of thousands.
+    """
+
+    __slots__ = ("_rows", "kinds")
+
+    def __init__(self) -> None:
+        self._rows = bytearray()
+        self.kinds: set[int] = set()  # of all events in it
+
+    def append(self, event: Event) -> None:
+        """Add one at the end."""
+        self._rows += _ROW.pack(*event)
+        self.kinds.add(event.kind)
+
+    def __iter__(self) -> Iterator[Event]:
+        return map(Event._make, _ROW.iter_unpack(self._rows))
+
+    def __len__(self) -> int:
+        return len(self._rows) // _ROW.size
 
 
 def crc(value: int, register: int, words: Any, swapped: bool = False) -> int:
@@ -71,20 +93,17 @@ class PacketProcessor:
         """Go back to the state after power-on."""
         lib.cm_config_reset(self._port, capture)
 
-    def feed(self, words: Any, swapped: bool, start: int = 0) -> tuple[int, Events]:
+    def feed(self, words: Any, swapped: bool, start: int = 0) -> tuple[int, list[Event]]:
         """Consume 32-bit words of the buffer from word ``start`` on.
 
         Returns how many were consumed (fewer than there are when the events were full, or a capture
-        stopped it: call again) and the events, in order.
+        stopped it: call again) and the events, in order, at most 512.
         """
         data = ffi.from_buffer("uint8_t[]", words)
         count = len(data) // 4 - start
         used = lib.cm_config_feed(self._port, data + 4 * start, count, swapped, self._events, _BATCH, self._made)
-        import numpy as np
-
-        dtype = event_dtype()
-        size = self._made[0] * dtype.itemsize
-        return int(used), np.frombuffer(bytes(ffi.buffer(self._events, size)), dtype=dtype)
+        rows = ffi.buffer(self._events, self._made[0] * _ROW.size)
+        return int(used), [Event._make(row) for row in _ROW.iter_unpack(rows)]
 
     @property
     def phase(self) -> int:

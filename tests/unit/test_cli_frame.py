@@ -140,6 +140,17 @@ def test_help_of_a_command_is_what_its_option_prints(words: list[str], capsys: p
     assert capsys.readouterr().out == by_option
 
 
+@pytest.mark.parametrize(("columns", "longest"), [("60", 58), ("130", 128), ("wide", 78), ("0", 78)])
+def test_help_is_as_wide_as_the_terminal(
+    columns: str, longest: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", columns)  # where it gives no number, stdout is asked, which is no terminal here
+    monkeypatch.setattr("os.get_terminal_size", lambda: (_ for _ in ()).throw(OSError("no terminal")))
+    with pytest.raises(SystemExit):
+        main(["serve", "--help"])
+    assert longest - 15 < max(map(len, capsys.readouterr().out.splitlines())) <= longest
+
+
 def test_help_of_what_is_no_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert "there is no command rge; did you mean reg?" in usage_error(["help", "rge"], capsys)
 

@@ -89,6 +89,11 @@ def test_a_frame_without_a_shape_has_no_length() -> None:
     assert frame_bytes(replace(READ, shape=(3, 5), dtype="complex64")) == 120
 
 
+@pytest.mark.parametrize(("dtype", "length"), [("<u2", 2), (">f8", 8), ("c8", 8), ("B", 1)])
+def test_a_request_may_name_a_dtype_in_any_way_that_numpy_knows(dtype: str, length: int) -> None:
+    assert frame_bytes(replace(READ, shape=(3, 5), dtype=dtype)) == 15 * length
+
+
 # ---- channels ----------------------------------------------------------------------------------------
 
 

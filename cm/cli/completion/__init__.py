@@ -12,6 +12,7 @@ from importlib import import_module
 
 from cm.cli.common import completes
 from cm.cli.completion.tree import command_tree
+from cm.cli.help_format import RawHelp
 
 SHELLS = ("bash", "zsh", "fish")
 NAMES = "names"  # asked for by the scripts
@@ -29,7 +30,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         help="print a completion script for a shell",
         description="Print a completion script for a shell.",
         epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        formatter_class=RawHelp,
     )
     completes(parser.add_argument("shell", choices=(*SHELLS, NAMES)), *SHELLS)
     parser.add_argument("words", nargs=argparse.REMAINDER, help=f"with `{NAMES}`: a command line after cm; its last "

@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a manager imports while it works: on a board with 512 MB it stays small only without what it does not need."""
+
+from __future__ import annotations
+
+import sys
+
+from manager_process import environment, served
+
+# numpy alone takes 11 MiB, importlib.resources 2, shutil (with bz2 and lzma) 0.6.
+HEAVY = {"asyncio", "bz2", "ctypes", "email", "http", "importlib.resources", "lzma", "multiprocessing", "shutil"}
+HEAVY |= {"sqlite3", "ssl", "statistics", "tempfile", "unittest", "xml", "zipfile"}
+LIBRARIES = {"_cffi_backend", "_yaml", "cm", "google", "yaml", "zmq"}
+STARTED_WITH = {"_distutils_hack", "sitecustomize", "usercustomize"}  # by Python itself, where there are any
+_ELSEWHERE = {"org", "win32api"}  # of other systems: the standard library tries to import them
+
+
+def imported(log: bytes) -> set[str]:
+    """Modules in what Python says with PYTHONPROFILEIMPORTTIME."""
+    lines = log.decode(errors="replace").splitlines()
+    return {line.rpartition("|")[2].strip() for line in lines if line.startswith("import time:")} - {"imported package"}
+
+
+def test_a_manager_that_works_imports_no_arrays_and_no_library_it_does_not_need() -> None:
+    with served(env={**environment(), "PYTHONPROFILEIMPORTTIME": "1"}) as (manager, _), manager.connected() as board:
+        board.load("camera", "default")
+        board.plan("edge_detection")
+        board.mode = "edge_detection"
+        board.registers["focus"] = 3
+        assert board.registers["focus"] == 3
+        assert board.read("camera", timeout=60).shape
+        board.mode = "loopback"
+        assert board.mode == "loopback"
+    modules = imported(manager.log)
+    assert {"cm.bitstream.inspect", "cm.daemon.streams.settings", "cm.wire.cm_pb2"} <= modules
+    assert not modules & HEAVY
+    tops = {name.partition(".")[0] for name in modules} - sys.stdlib_module_names - STARTED_WITH - _ELSEWHERE
+    assert tops <= LIBRARIES
+    assert not {name for name in modules if name.startswith(("cm.client", "cm.sim", "cm.build", "cm.bench"))}
