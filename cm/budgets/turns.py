@@ -77,6 +77,11 @@ class Client(Spender):
         self.spent += nanoseconds
         account.spent += nanoseconds / account.share
 
+    def spend(self, nanoseconds: int) -> None:
+        """It took so much of a processor beside the loop, which others had not."""
+        self.spent += nanoseconds
+        self.account.spent += nanoseconds / self.account.share
+
     def is_alone(self) -> None:
         """It comes and goes, which most do: the same in less than half the time."""
         account = self.account

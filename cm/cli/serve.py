@@ -31,6 +31,7 @@ from cm.errors import InvalidRequest
 from cm.settings.model import FILE as SETTINGS_FILE
 from cm.settings.model import Settings as Defaults
 
+_SWITCH = 0.0005  # seconds, a tenth of Python's own
 _HDL = ("rtl", "bits")  # kinds of simulated board that run a design's HDL
 
 if TYPE_CHECKING:
@@ -132,8 +133,17 @@ def run(args: argparse.Namespace) -> int:
         server = Server(options)
         _obey_signals(server)
         where = [f"{options.runtime_dir}", *options.listen]
-        server.serve(lambda: _say(f"cm serve: ready at {', '.join(where)}"))
+        server.serve(lambda: _ready(f"cm serve: ready at {', '.join(where)}"))
     return 0
+
+
+def _ready(sentence: str) -> None:
+    """What there is by now stays; and no thread waits for long while another, which works aside, has Python's lock."""
+    from cm.daemon.host.collector import keep
+
+    keep()
+    sys.setswitchinterval(_SWITCH)
+    _say(sentence)
 
 
 def _say(sentence: str) -> None:

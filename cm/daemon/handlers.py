@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NoReturn, TypeVar
+from typing import TypeVar
 
 from cm.budgets.budget import Budget
+from cm.budgets.places import Places
 from cm.budgets.registry import with_holdings
+from cm.daemon.aside import Aside, Result
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.config_handlers import SentConfigs
 from cm.daemon.connections import Connections
@@ -42,7 +43,9 @@ Began = Callable[[Change], Callable[[], None]]
 
 
 _LEASES = (rq.TakeLease, rq.RenewLease, rq.ReleaseLease, rq.BreakLease)
-_OF_CLIENTS = frozenset({rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, *_LEASES})  # done by turns
+_OF_CLIENTS = frozenset(
+    {rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, rq.PlanChange, *_LEASES}
+)  # done by turns
 _STORES = frozenset({rq.Provision, rq.RemoveConfig})
 _UPLOADED = frozenset({rq.Provision, rq.WriteData})  # what they need may have been sent before them
 
@@ -64,7 +67,8 @@ class Services:
     sessions: Sessions
     pieces: Pieces
     connections: Connections
-    aside: Executor  # for what reads or writes files, so that the loop goes on
+    aside: Aside  # for what reads or writes files, so that the loop goes on
+    changes: Places  # in the queue of changes
 
 
 class Handlers:
@@ -119,7 +123,7 @@ class Handlers:
             if kind in _OF_CLIENTS:
                 self.table[kind](request, respond, self._s.connections.budgets.of(connection))
             elif kind is rq.ChangeMode:
-                self._change_mode(request, respond, began)  # type: ignore[arg-type]
+                self._change_mode(request, respond, began, connection)  # type: ignore[arg-type]
             elif kind in _STORES:
                 self.table[kind](request, respond, began, connection)
             else:
@@ -137,21 +141,13 @@ class Handlers:
         except Exception as error:  # noqa: BLE001 (every request gets an answer)
             self._failed(error, respond)
 
-    def _aside(self, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
+    def _aside(self, client: Budget, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
         """Do `work` in another thread and go on with `then` in the loop's."""
 
-        def finish(result: Callable[[], _T]) -> None:
+        def finish(result: Result[_T]) -> None:
             self._guarded(lambda: then(result()), respond)
 
-        def run() -> None:
-            try:
-                done = work()
-            except Exception as error:  # noqa: BLE001 (raised again in the loop's thread)
-                self._s.loop.call_threadsafe(partial(finish, partial(_raise, error)))
-            else:
-                self._s.loop.call_threadsafe(partial(finish, lambda: done))
-
-        self._s.aside.submit(run)
+        self._s.aside.submit(client, work, finish)
 
     # ---- status and configurations ------------------------------------------------------
 
@@ -170,20 +166,25 @@ class Handlers:
     def _list_configs(self, _: rq.ListConfigs, respond: Respond) -> None:
         respond(Reply(self._sent.listed()))
 
-    def _plan_change(self, request: rq.PlanChange, respond: Respond) -> None:
+    def _plan_change(self, request: rq.PlanChange, respond: Respond, client: Budget) -> None:
         change = rq.ChangeMode(request.config_name, request.mode)
-        self._aside(lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
+        self._aside(client, lambda: self._s.manager.plan(change), lambda plan: respond(Reply(plan)), respond)
 
-    def _change_mode(self, request: rq.ChangeMode, respond: Respond, began: Began) -> None:
-        ends: list[Callable[[], None]] = []
+    def _change_mode(self, request: rq.ChangeMode, respond: Respond, began: Began, connection: str) -> None:
+        give_back = self._s.changes.take(self._s.connections.budgets.of(connection))
+        ends = [give_back]
 
         def ended(change: Change) -> None:
             if not request.no_wait:
-                respond(_ended(change))
+                respond(change.reply())
             for end in ends:
                 end()
 
-        change = self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(partial(ended, c)))
+        try:
+            change = self._s.manager.submit(request, lambda c: self._s.loop.call_threadsafe(partial(ended, c)))
+        except BaseException:
+            give_back()
+            raise
         ends.append(began(change))  # its end is told by a later turn of the loop
         if request.no_wait:
             respond(Reply(ChangeInfo(change.number, done=False)))
@@ -196,20 +197,25 @@ class Handlers:
         self._s.manager.leases.check(("config",), request.lease)
         whose = self._sent.allowed(connection), self._sent.sender(connection)
         store = partial(self._s.provisioner.store, request.schema, request.files, *whose)
-        self._aside(store, lambda config: self._provisioned(request, config, respond, began), respond)
+        client = self._s.connections.budgets.of(connection)
+        then = partial(self._provisioned, request, respond, began, connection)
+        self._aside(client, store, then, respond)
 
-    def _provisioned(self, request: rq.Provision, config: Config, respond: Respond, began: Began) -> None:
+    def _provisioned(
+        self, request: rq.Provision, respond: Respond, began: Began, connection: str, config: Config
+    ) -> None:
         self._s.manager.add_config(self._s.complete(config))
         if request.change is None:
             respond(Reply(self._s.manager.describe(config.name, {})))
         else:
-            self._change_mode(replace(request.change, config_name=config.name), respond, began)
+            self._change_mode(replace(request.change, config_name=config.name), respond, began, connection)
 
     def _remove_config(self, request: rq.RemoveConfig, respond: Respond, _: Began, connection: str) -> None:
         self._s.manager.leases.check(("config",), request.lease)
         self._sent.check_removable(request.config_name)
         remove = partial(self._s.provisioner.remove, request.config_name, self._sent.sender(connection))
-        self._aside(remove, lambda _: self._removed(request.config_name, respond), respond)
+        client = self._s.connections.budgets.of(connection)
+        self._aside(client, remove, lambda _: self._removed(request.config_name, respond), respond)
 
     def _removed(self, name: str, respond: Respond) -> None:
         self._s.manager.forget_config(name)
@@ -238,13 +244,3 @@ class Handlers:
         info = self._s.manager.leases.request(request, client.name)
         self._s.leases.follow(info, request, client.name)
         respond(Reply(info))
-
-
-def _raise(error: Exception) -> NoReturn:
-    raise error
-
-
-def _ended(change: Change) -> Reply:
-    if change.error is not None:
-        return Reply(error=change.error)
-    return Reply(ChangeInfo(change.number, done=True, seconds=change.seconds, generation=change.generation))

@@ -7,11 +7,12 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import zmq
 
+from cm.budgets.places import Places
+from cm.daemon.aside import Aside
 from cm.daemon.board_watch import BoardWatch
 from cm.daemon.connections import Connections
 from cm.daemon.dispatcher import Dispatcher
@@ -39,6 +40,7 @@ from cm.daemon.streams.acceptor import Acceptor
 from cm.daemon.streams.discovery import with_channels
 from cm.daemon.streams.registry import Streams
 from cm.manager.access.leases import Leases
+from cm.manager.execution.worker import QUEUE_LENGTH
 from cm.manager.manager import Environment, Manager
 from cm.manager.reporting.status import Moment
 from cm.manager.state.journal import Journal
@@ -68,7 +70,7 @@ class Server:
         own_folder(options.state_dir)
         self._provisioner = Provisioner(options.state_dir / "configs", options.unsigned, options.quota)
         self._journal = Journal(options.state_dir)
-        self._aside = ThreadPoolExecutor(1, "cm-files")
+        self._aside = Aside(self._loop)
         waiting = mark((configs := self._configs()).values(), options.queue_bytes)
         self._sockets = Sockets(self._context, options.runtime_dir, waiting, options.limits, options.group)
         self._authenticator = Authenticator(self._context, gate.enter)
@@ -108,7 +110,7 @@ class Server:
     def _make_reloader(self) -> Reloader:
         loop, o = self._loop, self._options
         standing = partial(self._provisioner.standing, example=o.example)
-        aside = self._aside, loop.call_threadsafe, standing, self._with_channels
+        aside = self._aside.thread, loop.call_threadsafe, standing, self._with_channels
         bounded = self._connections, self._streams
         renew = renewal(self._sessions.renew, bounded, self._manager.leases, self._provisioner)
         return Reloader(Surroundings(self._manager, renew, self._service, *aside, o.reload, o.changed), o.configs)
@@ -134,6 +136,7 @@ class Server:
             connections=self._connections,
             complete=self._with_channels,
             aside=self._aside,
+            changes=Places(1 + QUEUE_LENGTH, "changes"),
         )
 
     # ---- life ---------------------------------------------------------------------
@@ -186,7 +189,7 @@ class Server:
     def _close(self) -> None:
         self._service.stopping()
         users = (self._connections.close, self._streams.end, self._pieces.close, self._interrupts.close)
-        watches = (self._metrics.close, self._sensors.close, self._leases.close, self._aside.shutdown)
+        watches = (self._metrics.close, self._sensors.close, self._leases.close, self._aside.close)
         board = (self._publisher.close, self._devices.lost, self._journal.close, self._sockets.close)
         last = (self._authenticator.close, self._context.term, self._loop.close, self._locks.release)
         for end in (self._manager.stop, self._acceptor.close, *users, *watches, *board, *last):

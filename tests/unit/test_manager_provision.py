@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import gc
 from pathlib import Path
 
 import pytest
@@ -192,6 +193,48 @@ def test_quotas_of_each_and_of_all_are_kept(tmp_path: Path) -> None:
     provisioner.remove("a", ANNA)
     provisioner.store(named("d"), (file,), sender=BEN)
     assert set(provisioner.configs()) == {"b", "c", "d"}
+
+
+def long(name: str, registers: int) -> str:
+    """A schema with so many of them, at 43 bytes each."""
+    lines = "".join(f"          register_{i:06}: {{offset: {4 * i:#010x}}}\n" for i in range(registers))
+    return named(name) + f"  mmio:\n    - base_address: 0x20000\n      registers:\n{lines}"
+
+
+def test_schemas_have_a_quota_of_their_own_since_they_stay_in_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("cm.daemon.host.provision.SCHEMAS_EACH", 3000)
+    monkeypatch.setattr("cm.daemon.host.provision.SCHEMAS_ALL", 4000)
+    provisioner = Provisioner(tmp_path / "configs")
+    provisioner.store(long("a", 50), (), sender=ANNA)
+    with pytest.raises(QuotaExceeded, match="schemas of yours would have"):
+        provisioner.store(long("b", 50), (), sender=ANNA)
+    provisioner.store(long("a", 50), (), sender=ANNA)
+    with pytest.raises(QuotaExceeded, match="schemas of all clients' would have"):
+        provisioner.store(long("b", 50), (), sender=BEN)
+    assert set(provisioner.configs()) == {"a"}
+
+
+def test_a_long_schema_is_read_without_a_search_for_garbage_in_all_that_there_is(provisioner: Provisioner) -> None:
+    """All threads wait for one: 0.2 s for 24,000 registers, several times for each schema."""
+    found: list[int] = []
+
+    def look(phase: str, info: dict[str, int]) -> None:
+        if phase == "start" and info["generation"] == 2:
+            found.append(len(gc.get_objects()))
+
+    gc.callbacks.append(look)
+    try:
+        kept = provisioner.store(long("a", 4000), ())
+        before = len(gc.get_objects())
+        provisioner.store(long("b", 4000), ())
+    finally:
+        gc.callbacks.remove(look)
+        gc.unfreeze()
+    assert len(kept.registers) == 4000
+    assert len(found) <= 2  # one before each
+    assert found[-1] <= before + 100  # and the second does not look through the first's
 
 
 def test_a_full_disk_changes_nothing(small_disk: Path) -> None:

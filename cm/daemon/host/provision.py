@@ -3,17 +3,22 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from cm.daemon.folders import own_folder
+from cm.daemon.host.collector import keeping
 from cm.daemon.host.sent import (
     CONFIGS_MAX,
     OURSELVES,
     SCHEMA_FILE,
+    SCHEMAS_ALL,
+    SCHEMAS_EACH,
     NotTheirs,
     Owned,
     Quota,
@@ -70,7 +75,8 @@ class Provisioner:
             return found
         for path in stored:
             try:
-                config = load(path)
+                with keeping():
+                    config = load(path)
             except CmError as error:
                 _LOG.error("a provisioned configuration is left out: %s", error)
             else:
@@ -105,18 +111,20 @@ class Provisioner:
         """
         if not self._unsigned:
             raise InvalidRequest(f"a configuration over the wire is refused: {_SIGNED_ONLY}")
-        config = loads(schema)
+        with keeping():
+            config = loads(schema)
         check_paths(config)
         self._check_owner(config.name, sender)
         allowed(config.name)
         check_files(config.name, files)
-        self._check_quota(config.name, len(schema) + sum(len(f.data) for f in files), sender)
+        written = schema.encode()
+        self._check_quota(config.name, len(written) + sum(len(f.data) for f in files), len(written), sender)
         with room_for(config.name):
             own_folder(self._folder)
-            self._write(config.name, schema, files, sender)
+            self._write(config.name, written, files, sender)
         place = self._folder / config.name
         self.owned = {**self.owned, config.name: _owned(place)}
-        return load(place / SCHEMA_FILE)
+        return replace(config, source=place.absolute() / SCHEMA_FILE, sha256_source=hashlib.sha256(written).hexdigest())
 
     def remove(self, name: str, sender: Sender) -> None:
         """Take away what a client sent. Raises UnknownConfig, Reserved, NotTheirs."""
@@ -136,30 +144,35 @@ class Provisioner:
         if owned is not None and not sender.admin and owned.account != sender.account:
             raise NotTheirs(f"configuration {name!r} was sent by {owned.name}; only they and an admin may replace it")
 
-    def _check_quota(self, name: str, wanted: int, sender: Sender) -> None:
+    def _check_quota(self, name: str, wanted: int, schema: int, sender: Sender) -> None:
         others = [owned for known, owned in self.owned.items() if known != name]
         own = [owned for owned in others if owned.account == sender.account]
-        for whose, held, limit in (("yours", own, self._quota.each), ("all clients'", others, self._quota.all)):
-            total = sum(owned.bytes for owned in held) + wanted
-            if total > limit:
+        on_disk, in_memory = [o.bytes for o in own], [o.schema for o in own]
+        all_on_disk, all_in_memory = [o.bytes for o in others], [o.schema for o in others]
+        for whose, held, more, limit in (
+            ("yours", on_disk, wanted, self._quota.each),
+            ("all clients'", all_on_disk, wanted, self._quota.all),
+            ("schemas of yours", in_memory, schema, SCHEMAS_EACH),
+            ("schemas of all clients'", all_in_memory, schema, SCHEMAS_ALL),
+        ):
+            if sum(held) + more > limit:
                 raise QuotaExceeded(
-                    f"configuration {name!r} has {wanted} bytes; {whose} would have {total} together, of {limit}: "
-                    "remove some (cm config remove)"
+                    f"configuration {name!r} has {more} bytes; {whose} would have {sum(held) + more} together, of "
+                    f"{limit}: remove some (cm config remove)"
                 )
         if len(others) >= CONFIGS_MAX:
             raise QuotaExceeded(f"clients have sent {CONFIGS_MAX} configurations already: remove some")
 
-    def _write(self, name: str, schema: str, files: tuple[File, ...], sender: Sender) -> None:
+    def _write(self, name: str, schema: bytes, files: tuple[File, ...], sender: Sender) -> None:
         import tempfile  # with shutil 1 MiB, which most managers never need
 
         new = Path(tempfile.mkdtemp(prefix=f".{name}-", dir=self._folder))
         try:
-            _write(new / SCHEMA_FILE, schema.encode())
+            _write(new / SCHEMA_FILE, schema)
             _write(new / _OWNER, json.dumps({"account": sender.account, "name": sender.name}).encode())
             for file in files:
                 _write(new / file.name, file.data)
             _sync(new)
-            load(new / SCHEMA_FILE)
             self._swap(new, self._folder / name)
         except BaseException:
             _remove(new)
@@ -193,7 +206,8 @@ def _owned(folder: Path) -> Owned:
         account, name = str(said["account"]), str(said["name"])
     except (OSError, ValueError, LookupError, TypeError):
         account, name = "", "somebody"
-    return Owned(account, name, sum(path.stat().st_size for path in folder.iterdir()))
+    sizes = {path.name: path.stat().st_size for path in folder.iterdir()}
+    return Owned(account, name, sum(sizes.values()), sizes.get(SCHEMA_FILE, 0))
 
 
 def _remove(folder: Path) -> None:

@@ -18,6 +18,7 @@ from cm.schema.model import Config
 SCHEMA_FILE = "schema.yaml"
 MAX_BYTES = 512 << 20
 CONFIGS_MAX = 256  # of all clients
+SCHEMAS_EACH, SCHEMAS_ALL = 2 << 20, 4 << 20  # bytes of text of each, and of all: 10 to 15 times that in memory
 
 
 class Reserved(InvalidRequest):
@@ -64,11 +65,12 @@ OURSELVES = Sender("", "the manager", admin=True)
 
 @dataclass(frozen=True, slots=True)
 class Owned:
-    """A configuration that was sent: whose it is, and its bytes."""
+    """A configuration that was sent: whose it is, its bytes, and those of them that are its schema."""
 
     account: str
     name: str
     bytes: int
+    schema: int = 0
 
 
 def check_paths(config: Config) -> None:

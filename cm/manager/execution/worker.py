@@ -20,7 +20,7 @@ from cm.manager.planning.goals import Goal
 from cm.manager.state.record import Pending
 from cm.manager.state.steps import Place
 from cm.manager.state.table import BoardState, RegionPhase
-from cm.messages.status import ErrorInfo
+from cm.messages.status import ChangeInfo, ErrorInfo, Reply
 from cm.schema.model import ConfigType
 
 QUEUE_LENGTH = 8
@@ -65,6 +65,12 @@ class Change:
     def wait(self, timeout: float | None = None) -> bool:
         """Wait for its end; False if it did not come in time."""
         return self._done.wait(timeout)
+
+    def reply(self) -> Reply:
+        """What who asked is told of its end."""
+        if self.error is not None:
+            return Reply(error=self.error)
+        return Reply(ChangeInfo(self.number, done=True, seconds=self.seconds, generation=self.generation))
 
     def finish(self, error: ErrorInfo | None, seconds: float) -> None:
         """Its end."""

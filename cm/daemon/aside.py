@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work that reads or writes files: one after the other in a thread of its own, while the loop goes on, by turns."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from time import thread_time_ns
+from typing import Any, TypeVar
+
+from cm.budgets.budget import Budget
+from cm.budgets.turns import least
+from cm.daemon.loop import Loop
+
+_T = TypeVar("_T")
+Result = Callable[[], _T]  # returns what the work returned, or raises what it raised
+_Job = tuple[Callable[[], Any], Callable[[Result[Any]], None]]
+
+
+class Aside:
+    """A client's works in the order of its requests; of several clients, who has spent least comes next.
+
+    What a work takes of a processor is reckoned as spent, since it is not there for the loop meanwhile. The loop's
+    thread; works run in another.
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self.thread = ThreadPoolExecutor(1, "cm-files")  # what is given to it directly waits for one work at most
+        self._waiting: dict[Budget, deque[_Job]] = {}
+        self._runs = False
+
+    def submit(self, client: Budget, work: Callable[[], _T], then: Callable[[Result[_T]], None]) -> None:
+        """Have something done for a client, and go on with `then` in the loop's thread."""
+        jobs = self._waiting.get(client)
+        if jobs is None:
+            client.comes()
+            jobs = self._waiting[client] = deque()
+        jobs.append((work, then))
+        self._go_on()
+
+    def close(self) -> None:
+        """Forget what waits, and let what runs end."""
+        self._waiting.clear()
+        self.thread.shutdown()
+
+    def _go_on(self) -> None:
+        client = None if self._runs else least(self._waiting)
+        if client is None:
+            return
+        client.goes()
+        jobs = self._waiting.pop(client)
+        work, then = jobs.popleft()
+        if jobs:
+            self._waiting[client] = jobs  # of those who have spent as much, behind the others
+        self._runs = True
+        self.thread.submit(self._run, client, work, then)
+
+    def _run(self, client: Budget, work: Callable[[], Any], then: Callable[[Result[Any]], None]) -> None:
+        began, result = thread_time_ns(), _outcome(work)
+        took = thread_time_ns() - began
+
+        def ended() -> None:
+            self._runs = False
+            client.spend(took)
+            self._go_on()
+            then(result)
+
+        self._loop.call_threadsafe(ended)
+
+
+def _outcome(work: Callable[[], Any]) -> Result[Any]:
+    try:
+        done = work()
+    except Exception as error:  # noqa: BLE001 (raised again in the loop's thread)
+        return _raising(error)
+    return lambda: done
+
+
+def _raising(error: Exception) -> Result[Any]:
+    def again() -> Any:
+        raise error
+
+    return again

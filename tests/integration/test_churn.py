@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clients that have the manager change, plan and store without end, beside another of another account.
+
+Over TCP without keys a client is of another account than over ipc. Counts and order are asserted, never times.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+from daemon_thread import Daemon, daemon
+from manager_process import CAMERA, environment, until
+
+from cm.budgets.budget import Budget
+from cm.daemon.aside import Aside
+from cm.manager.execution.worker import Change, Worker
+from cm.messages import requests as rq
+from cm.messages.status import Reply
+from cm.wire.encode import decode_reply, encode_request
+
+
+@pytest.fixture
+def served() -> Iterator[Daemon]:
+    with daemon(load="camera/default", listen=("tcp://127.0.0.1:0",)) as made:
+        until(lambda: made.status.mode == "default" and not made.status.fpga_busy)
+        yield made
+
+
+class Client:
+    """Asks ahead, and reads its replies by their numbers."""
+
+    def __init__(self, context: zmq.Context[Any], address: str) -> None:
+        self._socket = context.socket(zmq.DEALER)
+        self._socket.connect(address)
+
+    def ask(self, *requests: rq.Request) -> None:
+        for number, request in enumerate(requests):
+            self._socket.send_multipart([b"%d" % number, b"", *encode_request(request)])
+
+    def replies(self, count: int) -> dict[int, Reply]:
+        found = {}
+        for _ in range(count):
+            assert self._socket.poll(60_000)
+            frames = self._socket.recv_multipart()
+            found[int(bytes(frames[0]))] = decode_reply(frames[2:])
+        return found
+
+    def codes(self, count: int) -> list[str]:
+        return [r.error.code if r.error else "ok" for _, r in sorted(self.replies(count).items())]
+
+
+@pytest.fixture
+def hostile(served: Daemon, context: zmq.Context[Any]) -> Client:
+    return Client(context, f"ipc://{served.folder}/run/req")
+
+
+@pytest.fixture
+def other(served: Daemon, context: zmq.Context[Any]) -> Client:
+    return Client(context, served.server._sockets.tcp[0].req)
+
+
+def change(number: int) -> rq.ChangeMode:
+    return rq.ChangeMode("camera", ("edge_detection", "colorise", "default")[number % 3], no_wait=True)
+
+
+def test_who_fills_the_queue_of_changes_leaves_places_to_others(
+    served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goes_on, ended, turn = threading.Event(), [], Worker._turn
+
+    def held(worker: Worker, change: Change) -> None:
+        assert goes_on.wait(60)
+        turn(worker, change)
+        ended.append(change.number)
+
+    monkeypatch.setattr(Worker, "_turn", held)
+    hostile.ask(*[change(i) for i in range(40)])
+    codes = hostile.codes(40)
+    assert codes == ["ok"] * 7 + ["busy"] * 33
+    other.ask(change(1), change(2))
+    assert other.codes(2) == ["ok", "busy"]  # the last place but one; and it has one already
+    goes_on.set()
+    until(lambda: len(ended) == 8)
+    until(lambda: not served.status.fpga_busy)
+    hostile.ask(*[change(i) for i in range(7)])
+    assert hostile.codes(7) == ["ok"] * 7  # all were given back
+    until(lambda: len(ended) == 15)
+
+
+def test_a_plan_waits_for_one_work_of_another_client_and_not_for_all_of_them(
+    served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    goes_on, began, done, run = threading.Event(), threading.Event(), [], Aside._run
+
+    def noted(aside: Aside, client: Budget, *work: Any) -> None:
+        began.set()
+        assert goes_on.wait(60)
+        done.append(client.account.name)
+        run(aside, client, *work)
+
+    monkeypatch.setattr(Aside, "_run", noted)
+    hostile.ask(*[rq.PlanChange("camera", "edge_detection")] * 60)
+    assert began.wait(60)
+    other.ask(rq.PlanChange("camera", "colorise"))
+    until(lambda: len(served.server._aside._waiting) == 2)
+    goes_on.set()
+    assert other.codes(1) == ["ok"]
+    assert hostile.codes(60) == ["ok"] * 60
+    (ours,) = set(done) - {done[0]}
+    assert done.index(ours) == 1
+    assert len(done) == 61
+
+
+def test_settings_are_read_again_after_one_work_however_many_wait(
+    served: Daemon, hostile: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else who is to lose a right could put that off."""
+    goes_on, began, order, run = threading.Event(), threading.Event(), [], Aside._run
+
+    def noted(aside: Aside, *work: Any) -> None:
+        began.set()
+        assert goes_on.wait(60)
+        order.append("work")
+        run(aside, *work)
+
+    monkeypatch.setattr(Aside, "_run", noted)
+    schema = (CAMERA / "camera.yaml").read_text("utf-8").replace("name: camera", "name: mine", 1)
+    hostile.ask(*[rq.Provision(schema)] * 30)
+    assert began.wait(60)
+    read = served.server._aside.thread.submit(order.append, "settings")
+    goes_on.set()
+    read.result(60)
+    assert order.index("settings") == 1
+    assert hostile.codes(30) == ["ok"] * 30
+
+
+def test_what_a_manager_has_made_when_it_is_ready_is_never_looked_through_for_garbage(tmp_path: Path) -> None:
+    """Full collections took its loop 15 to 30 ms, the first of them when the first flood came."""
+    code = (
+        "import gc, sys\nfrom cm.daemon.server import Server\nfrom cm.cli.main import main\n"
+        "Server.serve = lambda self, ready: (ready(), self._close())\n"
+        "status = main(sys.argv[1:])\n"
+        "print(status, gc.get_freeze_count() > 20_000, len(gc.get_objects()) < 5_000)"
+    )
+    words = ["serve", "--config", str(CAMERA), "--runtime-dir", str(tmp_path / "r"), "--state-dir", str(tmp_path / "s")]
+    said = subprocess.run(
+        [sys.executable, "-c", code, *words], env=environment(), capture_output=True, text=True, timeout=60, check=True
+    )
+    assert said.stdout == "0 True True\n"
