@@ -19,7 +19,7 @@ def main(folder: str, seconds: float) -> None:
         print("ready", flush=True)
         sys.stdin.readline()
         before, frames, begun = stream.lost, 0, time.monotonic()
-        while time.monotonic() < begun + seconds:
+        while not frames or time.monotonic() < begun + seconds:
             int(stream.read()[0, 0])
             frames += 1
         print(frames / (time.monotonic() - begun), stream.lost - before)

@@ -25,6 +25,9 @@ EYE, MIND, HAND = "eye", "mind", "hand"
 PICTURE = "fleet.png"
 BUSY = 0.10  # share of strong edges above which a closer look is worth it
 _PATIENCE = 120.0  # seconds
+# Seconds after which a board that has heard nothing asks: the third when it is there again, but none before the change
+# is decided, however busy the machine is.
+_SETTLE = 15.0
 
 
 def run_fleet_demo(out: Path) -> Path:
@@ -109,7 +112,7 @@ def _change_with_a_death(fleet: Fleet, local: LocalFleet, course: Course) -> Non
             local.boards[HAND].kill()
 
     try:
-        fleet.mode("edge_detection", policy="quorum", timeout=30.0, settle=2.0, tell=tell)
+        fleet.mode("edge_detection", policy="quorum", timeout=60.0, settle=_SETTLE, tell=tell)
     except ChangeFailed as error:
         if error.outcome.decision is not Decision.KEEP:
             raise

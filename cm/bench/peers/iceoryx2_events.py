@@ -28,8 +28,16 @@ class _Ends:
         self._notifier.notify()
 
     def wait(self) -> None:
-        while not self._listener.blocking_wait():
+        while not self._came():
             continue
+
+    def _came(self) -> bool:
+        try:
+            return bool(self._listener.blocking_wait())
+        except iceoryx2.ListenerWaitError as error:
+            if "InterruptSignal" not in str(error):
+                raise
+            return False  # by a signal, or the process was stopped for a while
 
 
 class EventsNear(_Ends):
