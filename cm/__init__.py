@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Board", "CmError", "Picture", "__version__", "aio", "connect", "device", "errors"]
 
-# name → the module that has it, or that it is
+# name → the module that defines it, or that is it
 _WHERE = {
     "Board": "cm.client.board",
     "CmError": "cm.errors",
@@ -34,7 +34,7 @@ _WHERE = {
 }
 
 
-if not TYPE_CHECKING:  # for a type checker it would allow all
+if not TYPE_CHECKING:  # to a type checker it would allow any name
 
     def __getattr__(name: str) -> Any:
         where = _WHERE.get(name)

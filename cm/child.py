@@ -15,7 +15,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-# `-c` puts "" first (PYTHONSAFEPATH, or -P, does not); `sys` is built in, so nothing is looked for before.
+# `-c` puts "" first (PYTHONSAFEPATH, or -P, does not); `sys` is built in, so no folder is searched before this runs.
 _START = """\
 import sys
 if sys.path[:1] == [""]: del sys.path[0]
@@ -34,9 +34,10 @@ def command(module: str, *arguments: str) -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """Ours; where the package is not installed (a work tree), it is importable in it as it is here.
+    """Our environment; if the package is not installed (a work tree), the child finds it as we do.
 
-    An installed one is found without: on PYTHONPATH all that is installed would go before the standard library.
+    An installed one is found anyway: its folder on PYTHONPATH would put all installed packages before the standard
+    library.
     """
     folder = str(Path(__file__).resolve().parents[1])
     if folder in (*site.getsitepackages(), site.getusersitepackages()):
@@ -46,7 +47,7 @@ def environment() -> dict[str, str]:
 
 
 def said_until(process: subprocess.Popen[bytes], words: bytes, timeout: float) -> tuple[bool, bytes]:
-    """Whether a child said something on its standard error, a pipe, and what it said; False at its end too.
+    """Whether a child wrote `words` to its standard error, a pipe, before it ended; and all that it wrote.
 
     `timeout`: seconds of silence that are too long.
     """

@@ -24,7 +24,7 @@ class InvalidRequest(CmError, ValueError):
 
 
 class NotFound(CmError, LookupError):
-    """Something was named that does not exist; the sentence lists what does."""
+    """A name that does not exist was given; the sentence lists those that do."""
 
     code = "not_found"
 
@@ -36,7 +36,7 @@ class Busy(CmError):
 
 
 class Forbidden(CmError, PermissionError):
-    """Whoever asks has no right to it; the sentence says who that is and what it takes."""
+    """The client has no right to do this; the sentence names the client and the right that it needs."""
 
     code = "forbidden"
 

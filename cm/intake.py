@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages off ZeroMQ sockets, each served in its turn: by what its client has spent, not by how often it asks.
+"""Messages from ZeroMQ sockets, each served in its turn: by what its client has used, not by how often it asks.
 
-A ROUTER and a SUB hand out one message of each connection in turn, whoever these belong to: with 256 connections one
-client would have 256 turns. So messages are taken in ahead, a round of all connections that have some, and wait here.
-Who pipelines is held back all the same: a round that brings nothing new is followed by none for a while, as long as
-each client that waits has something here.
+A ROUTER or SUB hands out one message of each connection in turn, no matter which client the connections belong to: a
+client with 256 connections would get 256 turns. So messages are read ahead, one round over all connections that have
+some, and wait here.
 
-Who does not read its answers gets no more of them: what it asks for waits here, until there is room for its answers
-again. Of whom a lot waits here, connections are not read any more until little does: the rest waits in its own sockets.
+A client that sends ahead gains nothing by it: after a round that brought nothing new, there is no other for a while, as
+long as each waiting client has a message here.
+
+A client that does not read its answers gets no more of them: its requests wait here until there is room for answers
+again. If many bytes of a client wait here, its connections are not read until few do; the rest waits in its own
+sockets.
 """
 
 from __future__ import annotations
@@ -27,28 +30,28 @@ from cm.budgets.turns import Turns
 from cm.multipart import Message
 
 _POLLIN = int(zmq.POLLIN)
-_AHEAD = 32  # messages of a socket that are taken in before one is served
+_AHEAD = 32  # messages of a socket that are read before one is served
 _QUIET = 8  # messages that are served after a round that brought nothing new
-_KEEPING = 1024  # bytes that a message takes here beside its own
-_BLIND = 100_000  # nanoseconds of serving after which it is looked whether someone else waits
-_MUCH = 1 << 20  # bytes that wait here; then it is seen to whose they are
-_AGAIN = 0.005  # seconds until it is looked again whether answers were read
+_KEEPING = 1024  # bytes of overhead for each message that waits here
+_BLIND = 100_000  # nanoseconds of serving after which we look whether another client waits
+_MUCH = 1 << 20  # bytes that wait here; beyond it, we look whose they are
+_AGAIN = 0.005  # seconds until we look again whether answers were read
 _Serve = Callable[[Message, Budget], None]
 _NO_MESSAGE = Message("", [], -1, 0)
 
 
 class Loop(Protocol):
-    """Whose thread all of this is in (`cm.loop.Loop`)."""
+    """The loop whose thread runs all of this (`cm.loop.Loop`)."""
 
     def call_soon(self, callback: Callable[[], None]) -> None:
-        """Call in its next turn, which then does not wait."""
+        """Call in the loop's next turn, which then does not wait."""
 
     def call_later(self, seconds: float, callback: Callable[[], None]) -> object:
         """Call once, `seconds` from now."""
 
 
 class _Source:
-    """A socket, and how far the round of its connections is."""
+    """A socket, and which of its connections this round has reached."""
 
     def __init__(
         self,
@@ -61,7 +64,7 @@ class _Source:
         self.routed = socket.type == zmq.ROUTER
         self.ready: list[tuple[Any, int]] = [(socket, _POLLIN)]
         self._seen: set[Hashable] = set()  # connections, in this round
-        self._news = False  # whether this round brought something of one that had nothing waiting
+        self._news = False  # whether this round brought a message of a client that had none waiting
         self.quiet = 0  # messages to be served before the next round
 
     def came(self, connection: Hashable, news: bool) -> bool:
@@ -77,17 +80,17 @@ class _Source:
 
 
 class Intake:
-    """What came and was not served yet. The loop's thread, in each turn of which one message is served."""
+    """Messages that have come and not been served yet; each turn of the loop serves one, in the loop's thread."""
 
     def __init__(self, budgets: Budgets, loop: Loop, connections: Connections) -> None:
         self._budgets = budgets
         self._loop = loop
         self._brakes = Brakes(connections)
-        self._looking = False  # a timer runs, since somebody does not read answers
+        self._looking = False  # a timer runs, because a client does not read its answers
         self._sources: list[_Source] = []
         self._turns: Turns[Budget, tuple[_Serve, Message, int]] = Turns()
         self._called = False
-        self._blind = 0  # nanoseconds that were served since it was last looked who else waits
+        self._blind = 0  # nanoseconds of serving since we last looked who else waits
 
     def add(
         self,
@@ -106,7 +109,7 @@ class Intake:
         return arrived
 
     def _arrived(self, source: _Source) -> None:
-        if self._called:  # then all sockets are looked at
+        if self._called:  # all sockets are looked at in that case
             return
         began, stopped = monotonic_ns(), self._turns.stopped
         message = multipart.receive_from(source.socket, source.routed, bool(stopped))
@@ -127,14 +130,14 @@ class Intake:
         self._serve(budget, began, source.serve, message)
 
     def _others_wait(self, source: _Source) -> bool:
-        """Whether there is more to take in. To ask costs as much as serving a tenth of a short request."""
+        """Whether there is more to read. Asking costs a tenth of serving a short request."""
         self._blind = 0
         return bool(zmq_poll(source.ready, 0))
 
     def put(self, connection: str, key: Hashable, call: Callable[[], None]) -> None:
-        """Have something else done for whose connection that is, in its turn, and in a later one of the loop.
+        """Have other work done for the client of that connection, in its turn, and in a later turn of the loop.
 
-        What has the same `key` is done in order. Raises TooMuchWaiting.
+        Work with the same `key` is done in order. Raises TooMuchWaiting.
         """
         budget = self._budgets.of(connection)
         budget.requests += 1
@@ -160,7 +163,7 @@ class Intake:
             budget.charge(took)
 
     def _keep(self, source: _Source, message: Message, budget: Budget, began: int) -> bool:
-        """Let a message wait; whether it ended a round of its socket's connections."""
+        """Let a message wait; returns whether it ended a round of its socket's connections."""
         size, sender = sum(map(len, message.frames)) + _KEEPING, source.sender(message)
         news = False
         try:
@@ -169,7 +172,7 @@ class Intake:
             budget.refused += 1
             if budget.reads(sender):
                 source.refuse(message, budget, error)
-            elif message.source >= 0:  # not even that would be read
+            elif message.source >= 0:  # the connection would not even read the refusal
                 self._brakes.cut(budget, message.source)
         else:
             news = self._turns.add(budget, (source, sender), (source.serve, message, size))
@@ -183,7 +186,7 @@ class Intake:
         return budget.has_much_waiting or (source, sender) in self._turns.stopped.get(budget, ())
 
     def _look_again(self) -> None:
-        """Let those go on who have read something."""
+        """Resume the clients that have read something."""
         self._looking = False
         if self._turns.go_on(_may_be_served):
             self._come_back()
@@ -196,7 +199,7 @@ class Intake:
             self._loop.call_later(_AGAIN, self._look_again)
 
     def _take_in(self, source: _Source) -> bool:
-        """Take in what came meanwhile; whether there may be more, of which nothing else will tell."""
+        """Read what came meanwhile; returns whether there may be more that nothing else will report."""
         if source.quiet:
             source.quiet -= 1
             return True
@@ -210,7 +213,7 @@ class Intake:
         return True
 
     def _go_on(self) -> None:
-        """Take in what came meanwhile, and serve whose turn it is."""
+        """Read what came meanwhile, and serve the client whose turn it is."""
         self._called = False
         try:
             more = [self._take_in(source) for source in self._sources]

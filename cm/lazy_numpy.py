@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""numpy, imported when it is first used: what needs no arrays is there sooner for it."""
+"""numpy, imported when it is first used, so that programs that need no arrays start sooner."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 class _Later:
-    """Stands for the module; what was used once is kept as an attribute of its own."""
+    """Stands for the module; what has been used once is kept as an attribute."""
 
     def __getattr__(self, name: str) -> Any:
         import numpy

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """An event loop: descriptors, timers, and calls, from this thread or another. One thread; callbacks do not block.
 
-The simulated board runs on it as it is; the daemon adds ZeroMQ's sockets (`cm.daemon.loop`). Why it is not
-asyncio's, and what either costs: docs/decisions/own-event-loop.md.
+The simulated board runs on it as it is; the daemon adds ZeroMQ's sockets (`cm.daemon.loop`). Why it is not asyncio's,
+and what each costs: docs/decisions/own-event-loop.md.
 
 Descriptors that were registered as listeners are served after all others of the same round. A client that
 closes a node and opens it again is thus always seen to close it first: the close happened before the
-connect, so both are ready in one round or the close alone.
+connect, so either both are ready in one round, or the close alone.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Loop:
         self._order = itertools.count()  # timers of the same time are served as they were set
         self._calls: deque[Callback] = deque()
         self._wake = os.eventfd(0, os.EFD_CLOEXEC | os.EFD_NONBLOCK)
-        self._waking = threading.RLock()  # it is not closed while it is written to; a signal handler may come between
+        self._waking = threading.RLock()  # held while it is written to or closed; a signal handler may interrupt
         self._is_closed = False
         self._woken = False
         self._thread: int | None = None
@@ -73,7 +73,7 @@ class Loop:
     def ask(self, call: Callable[[], _T], timeout: float = 10.0) -> _T:
         """Call in the loop's thread and return what that returned, or raise what it raised.
 
-        Direct if this is that thread, or if the loop does not run yet. Raises TimeoutError.
+        The call is direct if this is that thread, or if the loop does not run yet. Raises TimeoutError.
         """
         if self._thread in (None, threading.get_ident()):
             return call()
@@ -82,7 +82,7 @@ class Loop:
         try:
             return answer.result(timeout)
         except NotInTime:
-            if answer.done():  # what was called raised it, or ended this moment
+            if answer.done():  # the call itself raised it, or ended just now
                 return answer.result()
             raise TimeoutError(f"the event loop did not answer within {timeout:.0f} s") from None
 
@@ -116,7 +116,7 @@ class Loop:
             self._epoll.modify(fd, select.EPOLLOUT)
 
     def pause(self, fd: int) -> None:
-        """Call nothing for `fd` but at its peer's end, until `resume`."""
+        """Until `resume`, call nothing for `fd` unless its peer has gone."""
         self._epoll.modify(fd, 0)
 
     def resume(self, fd: int) -> None:
@@ -147,7 +147,7 @@ class Loop:
         return self.call_at(time.monotonic() + seconds, callback)
 
     def every(self, seconds: float, callback: Callback) -> None:
-        """Call again and again, until the loop ends."""
+        """Call repeatedly, until the loop ends."""
 
         def again() -> None:
             callback()
@@ -156,7 +156,7 @@ class Loop:
         self.call_later(seconds, again)
 
     def run(self) -> None:
-        """Serve until `stop()`. What other threads have asked for by then is still done."""
+        """Serve until `stop()`. Calls that other threads have asked for by then are still made."""
         self._thread = threading.get_ident()
         try:
             while not self._stopping:
@@ -180,11 +180,11 @@ class Loop:
     # ---- for loops that wait for more ----------------------------------------------
 
     def _wait(self, milliseconds: int) -> None:
-        """Wait until a descriptor is ready, at most so long (-1: without end), and serve what is."""
+        """Wait until a descriptor is ready, at most that long (-1: without limit), and serve those that are."""
         self._serve(milliseconds / 1000)
 
     def _failed(self, error: Exception) -> None:
-        """A callback raised this; as it stands, `run()` ends with it."""
+        """A callback raised this; here, `run()` ends with it."""
         raise error
 
     def _serve(self, seconds: float) -> None:
@@ -211,11 +211,11 @@ class Loop:
             self._failed(error)
 
     def _run_calls(self) -> None:
-        for _ in range(len(self._calls)):  # not those that they add: others get their turn first
+        for _ in range(len(self._calls)):  # not the calls that these add: others get their turn first
             self._guarded(self._calls.popleft())
 
     def _run_timers(self) -> int:
-        """Make the calls that are due; milliseconds to the next timer, -1 without one."""
+        """Make the calls that are due; returns the milliseconds until the next timer, -1 if there is none."""
         timers, now = self._timers, time.monotonic()
         while timers and (timers[0][0] <= now or timers[0][2].callback is None):
             timer = heapq.heappop(timers)[2]
@@ -232,7 +232,7 @@ class Loop:
     def _drain_wake(self) -> None:
         with suppress(BlockingIOError):
             os.eventfd_read(self._wake)
-        self._woken = False  # after it was read, and before calls are made: none is without a waking or a call
+        self._woken = False  # between reading and calling: a call is made now, or wakes the loop again
 
 
 def _fulfil(answer: Future[_T], call: Callable[[], _T]) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """ZeroMQ messages of several frames, in a third of the time of pyzmq's own methods.
 
-`Socket.send_multipart` builds each frame's flags from enumerations and `recv_multipart` asks the socket
-for RCVMORE behind each frame; small requests spend more time there than in libzmq. A `zmq.Frame` knows
+`Socket.send_multipart` builds each frame's flags from enumerations and `recv_multipart` asks the socket for RCVMORE
+after each frame; small requests spend more time there than in libzmq. A `zmq.Frame` knows
 whether more follow.
 """
 
@@ -14,27 +14,27 @@ from typing import Any, NamedTuple
 import zmq
 
 _MORE = int(zmq.SNDMORE)
-# What `zmq.Socket.send` calls after it has looked for a routing id and a group, which only draft sockets have:
-# 0.15 µs less for a frame in a tight loop, 4 % of a register's round trip (docs/decisions/own-event-loop.md).
+# What `zmq.Socket.send` calls after looking for a routing id and a group, which only draft sockets have. Calling it
+# directly saves 0.15 µs per frame in a tight loop, 4 % of a register's round trip (docs/decisions/own-event-loop.md).
 _push = super(zmq.Socket, zmq.Socket).send
 _pull = super(zmq.Socket, zmq.Socket).recv
 _USER: Any = b"User-Id"  # a string would be encoded each time
-_new = tuple.__new__  # what making a named tuple comes to, without a function in Python
+_new = tuple.__new__  # how a named tuple is made, without the function in Python
 _SMALL = 4096  # bytes; larger frames stay where libzmq put them
-_TINY = 255  # bytes of a frame, such as a routing id, that does not count (CM_GUARD_SMALL of csrc/guard.h)
-_MANY = 16  # parts of a message; of more, each counts as so many bytes
+_TINY = 255  # bytes of a frame that does not count, such as a routing id (CM_GUARD_SMALL of csrc/guard.h)
+_MANY = 16  # parts of a message; with more, each part counts as that many bytes
 _SOURCE = int(zmq.SRCFD)
 _PARTS = 1024  # of a message; further ones are dropped
-_LOCAL = "ipc:"  # what the user ids of processes of this machine begin with (`cm.rights.principal`)
+_LOCAL = "ipc:"  # the beginning of the user ids of processes on this machine (`cm.rights.principal`)
 
 Frame = bytes | memoryview
 
 
 class Message(NamedTuple):
-    """A message, and the user id that authentication gave its connection; empty where it gave none.
+    """A message, and the user id that authentication gave its connection; empty if it gave none.
 
-    Of one that is not short, or comes from elsewhere: the connection's descriptor (-1: not known), and its bytes, as
-    `cm.native.guard` counts them.
+    For a message that is not short, or comes from another machine, also the connection's descriptor (-1: not known),
+    and its bytes, as `cm.native.guard` counts them.
     """
 
     connection: str
@@ -84,7 +84,7 @@ def receive_from(socket: zmq.Socket[bytes], routed: bool, known: bool = False) -
             frames.pop()
     if len(frames) > _MANY + routed:
         large += _TINY * (len(frames) - routed)
-    try:  # of the last frame: libzmq 4.3.4 knows none of a routing id that it read ahead, as after a poll
+    try:  # from the last frame: libzmq 4.3.4 has none for a routing id that it read ahead, as after a poll
         connection = frame.get(_USER)
     except zmq.ZMQError:
         connection = ""
@@ -100,7 +100,7 @@ def _source(frame: zmq.Frame) -> int:
 
 
 def send_tracked(socket: zmq.Socket[bytes], frames: Sequence[Frame]) -> zmq.MessageTracker:
-    """As `send`, without a copy of the last frame, which must not change any more; tells when it has left."""
+    """As `send`, without a copy of the last frame, which must not change; the tracker tells when it has been sent."""
     for frame in frames[:-1]:
         _push(socket, frame, _MORE)
     last = zmq.Frame(frames[-1], track=True, copy=False)

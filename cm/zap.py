@@ -24,7 +24,7 @@ class Authenticator:
     def __init__(
         self, context: zmq.Context[zmq.Socket[bytes]], admit: Callable[[str, str, str, str], str | None]
     ) -> None:
-        """Before the first bind: libzmq lets everybody in while nobody answers."""
+        """To be made before the first bind: libzmq admits every peer as long as nothing answers."""
         self.socket = context.socket(zmq.REP)
         self.socket.linger = 0
         self.socket.bind(_ADDRESS)
@@ -46,7 +46,7 @@ class Authenticator:
 
 
 def _introduction(frames: list[bytes]) -> tuple[str, str, str, str]:
-    """Of version, request, domain, address, routing id, mechanism, credentials."""
+    """The parts of a request: version, request, domain, address, routing id, mechanism, credentials."""
     key = z85.encode(frames[6]).decode() if frames[5] == b"CURVE" and len(frames) > 6 and len(frames[6]) == 32 else ""
     domain, address, mechanism = (frames[at].decode("utf-8", "replace") for at in (2, 3, 5))
     return domain, address, mechanism, key

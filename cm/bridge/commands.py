@@ -31,7 +31,7 @@ class Commands:
         self._lock = threading.Lock()
 
     def board(self, caller: Caller) -> Board:
-        """The connection for a caller's short requests. It stays ours."""
+        """The connection for a caller's short requests, which remains ours to close."""
         with self._lock:
             board = self._boards.pop(caller.guest, None) or self._connect(caller.guest)
             self._boards[caller.guest] = board
@@ -67,7 +67,10 @@ class Commands:
         progress: Callable[[Progress], None] | None = None,
         timeout: float | None = None,
     ) -> float:
-        """Go to a mode and wait; the seconds it took. A connection of its own: others are answered meanwhile."""
+        """Go to a mode and wait; returns the seconds it took.
+
+        It uses a connection of its own, so that others are answered meanwhile.
+        """
         with self._connect(caller.guest) as board:
             return board.load(
                 config, mode, progress=progress or False, timeout=timeout, queue=queue, force=force, lease=caller.lease
@@ -86,7 +89,7 @@ class Commands:
     ) -> RegValues:
         """Several registers or fields in order, all checked before the first is written.
 
-        `masks`: of a register named there only these bits.
+        `masks`: for a register named there, only these bits are written.
         """
         writes = [register_write(name, value) for name, value in values.items()]
         masked = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Follows a manager and tells a bridge what happens, as records; waits for one that is gone until it is back."""
+"""Follows a manager and tells a bridge what happens, as records; if the manager goes away, waits until it is back."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from cm.messages.status import ConfigInfo, Irq, RegValues, Status
 from cm.wire import topics
 from cm.wire.encode import decode_event
 
-ENDED = "the bridge ends"  # what `link` is told last
-_LOOK = 1.0  # seconds between two looks whether the manager is there, and between two tries to connect
+ENDED = "the bridge ends"  # the last thing that `link` is told
+_LOOK = 1.0  # seconds between two checks whether the manager is there, and between two tries to connect
 
 
 class Sink(Protocol):
@@ -34,7 +34,7 @@ class Sink(Protocol):
         """A status: the first after each connection, then each that is published."""
 
     def config(self, record: ConfigRecord) -> None:
-        """What runs is another, or is set otherwise: after the status that says so."""
+        """Another configuration or mode runs, or its settings have changed; called after the status that says so."""
 
     def registers(self, record: RegistersRecord) -> None:
         """Registers were written."""
@@ -75,7 +75,7 @@ class Follower:
         """End `run`, from any thread or signal handler; twice is fine."""
         if not self._stopped.is_set():
             self._stopped.set()
-            os.close(self._ring)  # the other end gets readable
+            os.close(self._ring)  # makes the other end readable
 
     def _follow(self, board: Board) -> None:
         subscription = board.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ)
@@ -92,7 +92,7 @@ class Follower:
                 while not self._stopped.is_set() and (frames := subscription.receive(0.0)) is not None:
                     self._take(board, decode_event(frames))
                 if time.monotonic() >= look:
-                    # A subscription waits for ever; a question ends where the manager has gone.
+                    # A subscription would wait for ever, while a request fails if the manager has gone.
                     self._know(board.ask(calls.status(), self._patience))
                     look = time.monotonic() + _LOOK
         finally:
@@ -115,14 +115,14 @@ class Follower:
         stamp = time.time_ns()
         self._sink.status(StatusRecord(self._identity, stamp, status))
         place = _place(status)
-        if place != self._place and not status.fpga_busy:  # within a change, mode and streams may be of two modes
+        if place != self._place and not status.fpga_busy:  # during a change the two may be of different modes
             self._place = place
             config = board.config() if status.config_name else ConfigInfo()
             self._sink.config(config_record(status, config, stamp))
 
 
 def _place(status: Status) -> object:
-    """What another description belongs to, where it is another."""
+    """What a description is valid for: if this differs, ask for another."""
     streams = tuple((s.name, s.shape, s.dtype) for s in status.streams)
     modules = tuple((region.name, region.module) for region in status.regions)
     return status.started_ns, status.config_name, status.mode, status.configs, streams, modules

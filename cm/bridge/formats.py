@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the frames of each stream are: the schema says it, settings at run time and the frames themselves may differ."""
+"""What the frames of each stream are, by the schema; settings at run time and the frames themselves may differ."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def config_record(status: Status, config: ConfigInfo, stamp_ns: int) -> ConfigRe
 
 
 def _said(status: Status, config: ConfigInfo) -> Mapping[str, Stream]:
-    """The streams as the schema has them in this mode; none where it cannot be read here."""
+    """The streams as the schema has them in this mode; none if this version cannot read it."""
     if not config.schema:
         return {}
     try:
@@ -56,7 +56,7 @@ def stream_format(now: StreamStatus, said: Stream | None) -> StreamFormat:
 
 
 def encoding_of(shape: tuple[int, ...], dtype: str, said: str | None) -> str:
-    """What frames are: what was said where it fits them, else what shape and dtype say; empty: no pictures."""
+    """The encoding of frames: the declared one if it fits, else what shape and dtype imply; empty: no pictures."""
     if said and not misfit(said, shape, np.dtype(dtype).itemsize):
         return said
     return implied_encoding(shape, dtype)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams of a board for a bridge: frames read in a thread of their own while somebody listens, and frames written."""
+"""Streams of a board for a bridge: frames read in a thread of their own while anyone listens, and frames written."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from cm.errors import CmError, InvalidRequest, NotFound, Timeout
 if TYPE_CHECKING:
     from cm.client.writer import Writer
 
-_WAIT = 0.25  # seconds after which a reader looks whether it is to end
+_WAIT = 0.25  # seconds between two checks whether a reader is to end
 _AGAIN = 1.0  # seconds between two tries to read a stream that fails
 
 
 class FrameReader:
     """Reads a stream while it is started. `take` gets each frame in the reader's thread, and must not keep its memory.
 
-    Frames that come while `take` works are skipped but for the newest, unless `newest` is False: then as many wait
-    as `depth` says, and what comes then is lost.
+    Of the frames that come while `take` works, only the newest is kept, unless `newest` is False: then up to `depth`
+    frames wait, and further ones are lost.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class FrameReader:
         self.problem = ""  # why nothing comes, if that is known
 
     def start(self) -> None:
-        """Begin; nothing where it has begun."""
+        """Begin; does nothing if it has begun already."""
         if self._thread is None:
             self._ending.clear()
             self._thread = threading.Thread(target=self._run, name=f"frames of {self._format.name}", daemon=True)
@@ -84,7 +84,7 @@ class FrameReader:
 
 
 class FrameWriter:
-    """Frames towards the hardware: into slots where the manager runs on this machine, else as messages."""
+    """Frames towards the hardware: into slots if the manager runs on this machine, otherwise as messages."""
 
     def __init__(self, board: Board, stream: str, lease: str = "") -> None:
         self._board = board
@@ -94,7 +94,7 @@ class FrameWriter:
         self._remote = False
 
     def write(self, data: npt.NDArray[Any]) -> None:
-        """One frame, in the stream's shape or as flat bytes. Raises what the manager refused, or InvalidRequest."""
+        """One frame, in the stream's shape or as flat bytes. Raises the manager's refusal, or InvalidRequest."""
         flat = data.reshape(-1).view(np.uint8) if data.flags.c_contiguous else np.frombuffer(data.tobytes(), np.uint8)
         self.fill(flat.nbytes, lambda target: np.copyto(target, flat))
 

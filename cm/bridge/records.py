@@ -15,7 +15,7 @@ from cm.schema.pictures import CameraInfo
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Which board it is, and which run of its manager: `started_ns` is another after a restart."""
+    """Which board it is, and which run of its manager: `started_ns` changes with each restart."""
 
     name: str
     version: str = ""
@@ -24,7 +24,7 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Caller:
-    """In whose name something is asked: the `guest` of the policy (empty: the bridge's own), and its leases' ids."""
+    """In whose name a request is made: the policy's `guest` (empty: the bridge itself), and its leases' ids."""
 
     guest: str = ""
     lease: str = ""
@@ -41,7 +41,7 @@ class StatusRecord:
 
 @dataclass(frozen=True, slots=True)
 class StreamFormat:
-    """A stream in the mode that runs, and what its frames are. `encoding` is empty where they are not pictures."""
+    """A stream in the mode that runs, and what its frames are. `encoding` is empty if they are not pictures."""
 
     name: str
     writes: bool  # towards the hardware
@@ -104,9 +104,9 @@ class InterruptRecord:
 
 @dataclass(frozen=True, slots=True)
 class FrameRecord:
-    """A frame where it lies: `data` is read-only memory of the manager's, to be used before the call with it returns.
+    """A frame in place: `data` is read-only memory of the manager, valid until the call that passes it returns.
 
-    `height`, `width` and `step` (bytes from row to row) are 0 where `encoding` is empty.
+    `height`, `width` and `step` (bytes from row to row) are 0 if `encoding` is empty.
     """
 
     board: str

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm conformance`: a manager that is played to a client, and a client that is played to a manager."""
+"""`cm conformance`: plays a manager to test a client, and a client to test a manager."""

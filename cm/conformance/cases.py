@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client is put through: each case asks it for something, plays the manager, and knows the right answer."""
+"""The cases that a client is tested with: each asks it for something, plays the manager, and knows the right answer."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Case:
     play: Play
     listens: Callable[[Stage, str], None] = _nothing
     check: Callable[[list[Taken]], str] = _all_right
-    timeout: float = 30.0  # seconds, of each request of the client; a loaded machine needs some
+    timeout: float = 30.0  # seconds, of each request of the client; a loaded machine needs that long
     keys: str = ""  # "known", "unknown": over TCP with such keys
 
 
@@ -57,7 +57,10 @@ def _value(**values: int) -> Answer:
 
 
 def cases() -> Iterator[Case]:
-    """All of them, made anew: some have a state. What a client may ask beside its task is answered for the case."""
+    """All cases, made anew because some have a state.
+
+    Requests of a client beside its task are answered without the case.
+    """
     for case in _cases():
         asks_status = any(action["do"] == "status" for action in case.do)
         yield case if asks_status else replace(case, play=_beside(case.play))

@@ -17,7 +17,7 @@ from cm.errors import CmError
 
 
 def main() -> None:
-    """A line for each case, and one back."""
+    """Read a line for each case, and write one in reply."""
     for line in sys.stdin:
         asked = json.loads(line)
         place = asked["connect"]
@@ -40,7 +40,7 @@ def _code(error: Exception) -> str:
 
 def _done(reach: Callable[..., Board], board: Board, action: Mapping[str, Any]) -> dict[str, Any]:
     try:
-        if action["do"] == "together":  # a board is one thread's: so each has its own connection
+        if action["do"] == "together":  # a board belongs to one thread, so each has its own connection
             with ThreadPoolExecutor() as pool:
                 return {"results": list(pool.map(partial(_alone, reach), action["actions"]))}
         if action["do"] == "as_guest":
@@ -73,7 +73,7 @@ def _value(value: Any) -> Any:
 
 def _write_masked(board: Board, action: Mapping[str, Any]) -> dict[str, Any]:
     value = board.registers.write_masked(action["name"], action["value"], action["mask"])
-    return {"values": {action["name"]: value}, "generation": 41}  # the blocking client tells a value alone
+    return {"values": {action["name"]: value}, "generation": 41}  # the blocking client returns the value alone
 
 
 def _frame(frame: Frame) -> dict[str, Any]:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/protocol.md promises of a manager, asked of one that runs, with bare sockets.
+"""What docs/protocol.md promises of a manager, checked on a running one, with bare sockets.
 
 Nothing is changed unless `act`: then registers are written with what they hold, leases are taken and given back, and
-the modes of the loaded configuration are gone to and back.
+each mode of the loaded configuration is entered and left again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cm.errors import Timeout
 from cm.wire import cm_pb2 as pb
 from cm.wire.topics import Endpoints
 
-_NEWER = b"\xc2\xbb\x01\x03new"  # field 3000 of every message: one that is newer than the manager
+_NEWER = b"\xc2\xbb\x01\x03new"  # field 3000 of every message: a field that is newer than the manager
 
 
 # ---- what changes nothing ---------------------------------------------------------------------
@@ -30,7 +30,7 @@ def a_req_is_answered(peer: Peer) -> None:
 
 
 def frames_before_a_command_come_back(peer: Peer) -> None:
-    """a DEALER with and without frames of its own, also such as begin with cm_"""
+    """a DEALER with and without frames of its own, also frames that begin with cm_"""
     with peer.dealer() as dealer:
         for envelope in ([], [b"1", b""], [b"cm_client", b"\0", b""]):
             dealer.send_multipart([*envelope, b"cm_status", b""])
@@ -68,7 +68,7 @@ def fields_of_newer_clients_are_ignored(peer: Peer) -> None:
 
 
 def a_subscriber_hears_the_status_at_once(peer: Peer) -> None:
-    """the one that replies tell, or a later one"""
+    """the one whose number replies carry, or a later one"""
     before = peer.ask("cm_status").status
     with peer.listening():
         pass
@@ -128,7 +128,7 @@ def a_write_is_published_with_its_generation(peer: Peer) -> None:
 
 
 def a_change_is_told_from_its_begin_to_its_end(peer: Peer) -> None:
-    """another mode and back: while it runs the mode is that of before"""
+    """another mode and back: while it runs, the status has the mode of before"""
     status = peer.ask("cm_status").status
     config = peer.ask("cm_read_config").config
     others = [m.name for m in config.modes if m.name != status.mode]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bare sockets to a manager, and what is said where a promise is not kept."""
+"""Bare sockets to a manager, and the error for a promise that is not kept."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class Peer:
 
     @contextmanager
     def dealer(self) -> Iterator[zmq.Socket[bytes]]:
-        """For requests of which several are under way."""
+        """A DEALER socket, for several requests at a time."""
         with self.socket(zmq.DEALER, self._endpoints.req) as dealer:
             yield dealer
 
     def ask(self, topic: str, message: bytes = b"", *payload: bytes) -> pb.Reply:
-        """A request of its own connection."""
+        """Send a request over a connection of its own."""
         with self.socket(zmq.REQ, self._endpoints.req) as req:
             req.send_multipart([topic.encode(), message, *payload])
             answer = req.recv_multipart()
@@ -55,7 +55,7 @@ class Peer:
 
     @contextmanager
     def listening(self, *topics: str) -> Iterator[zmq.Socket[bytes]]:
-        """A SUB that the manager knows of: the first status has come."""
+        """A SUB socket whose subscription has arrived: the first status has come."""
         with self.socket(zmq.SUB, self._endpoints.pub) as sub:
             for topic in (*topics, "cm_status"):
                 sub.setsockopt(zmq.SUBSCRIBE, topic.encode())

@@ -50,7 +50,7 @@ def each(**values: int) -> Play:
 
 
 def asked_for(**guests: str) -> Callable[[list[Taken]], str]:
-    """In whose name each register was read; nobody's but the client's own where that is empty."""
+    """The guest in whose name each register was read; empty if the client asked in its own."""
 
     def check(taken: list[Taken]) -> str:
         reads = [t for t in taken if isinstance(t.request, rq.ReadReg)]
@@ -100,7 +100,7 @@ class Late:
 
 
 def stream_asked(stage: Stage, taken: Taken) -> None:
-    """What a client may ask before it subscribes, or for a single frame."""
+    """Answers what a client may request before it subscribes, or for a single frame."""
     if isinstance(taken.request, rq.ReadData):
         stage.reply(taken, PIXELS, frame=frame("camera", 5, shape=[2, 3], dtype="uint16", length=12))
     elif taken.topic == "cm_data_config":
@@ -139,7 +139,7 @@ def statuses(stage: Stage, topic: str) -> None:
 
 
 def irqs(stage: Stage, topic: str) -> None:
-    """Behind a status, for clients that wait for one until they listen; and without one, for those that do not."""
+    """After a status, for clients that wait for one before they listen; and without one, for those that do not."""
     if topic == "cm_status":
         stage.publish("cm_status", CAMERA)
     if topic in ("cm_irq", "cm_status"):

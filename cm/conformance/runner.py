@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cases against a driver: a program of the client's author, which does what lines of JSON ask it for."""
+"""Runs cases against a driver: a program by the client's author, which does what lines of JSON tell it to."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _HUNG = 60.0  # seconds beyond a case's own time-outs
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a case: "passed", "failed", or "left out" where the driver cannot do what is asked."""
+    """The result of a case: "passed", "failed", or "left out" if the driver cannot do what is asked."""
 
     name: str
     says: str
@@ -80,7 +80,7 @@ def _stream(stream: IO[str] | None) -> IO[str]:
 
 
 def run(command: Sequence[str], chosen: Iterator[Case]) -> Iterator[Outcome]:
-    """Each case with a driver of its own life: one that falls takes no other case with it."""
+    """Run each case with a process of its own for the driver, so that one that crashes affects no other case."""
     for case in chosen:
         driver = Driver(command)
         try:
@@ -114,7 +114,7 @@ def _complaint(case: Case, results: list[Any]) -> str:
 
 
 def _same(want: Any, have: Any) -> bool:
-    """Integers may be text, where a language's numbers would lose digits; what a driver says more is its own affair."""
+    """Integers may be text, as some languages' numbers would lose digits; anything else a driver adds is ignored."""
     if isinstance(want, AnyError):
         return isinstance(have, dict) and bool(have.get("error"))
     if isinstance(want, dict):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sockets of a manager, played in a thread: what a client sends is checked and kept, what it gets is the case's."""
+"""The sockets of a manager, played in a thread: what a client sends is checked and kept; the case answers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from cm.wire import cm_pb2 as pb
 from cm.wire.decode import decode_request
 from cm.wire.envelope import split_envelope
 
-_POLL = 50  # milliseconds between two looks at whether it is over
+_POLL = 50  # milliseconds between two checks for the end
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ Listens = Callable[["Stage", str], None]
 
 
 class Stage:
-    """Serves while the context lasts. `play` answers requests, `listens` hears of subscriptions; both in its thread."""
+    """Serves while the context lasts. `play` answers requests, `listens` is told of subscriptions, in its thread."""
 
     def __init__(self, folder: Path, play: Play, listens: Listens, keys: ServerKeys | None = None) -> None:
         self.folder = folder
@@ -57,7 +57,7 @@ class Stage:
         self.endpoint = ""
         self._play, self._listens, self._keys = play, listens, keys
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._ending = threading.Event()  # what has been sent by now is still taken
+        self._ending = threading.Event()  # what has been sent by then is still read
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="cm-stage")
 
@@ -88,7 +88,7 @@ class Stage:
         self._pub.send_multipart([topic.encode(), message.SerializeToString(), *payload])
 
     def vanish(self) -> None:
-        """As a manager that was killed: its sockets close, and nothing is said."""
+        """Vanish as a manager that is killed: its sockets close, and nothing is said."""
         for socket in (self._req, self._pub, self._sub):
             socket.close(0)
         self._over.set()
@@ -121,7 +121,7 @@ class Stage:
         return {n: f"tcp://127.0.0.1:{first + i}" for i, n in enumerate(("pub", "sub", "req"))}
 
     def _three_in_a_row(self) -> int | None:
-        """The first of three ports that were free; None where somebody has one of them."""
+        """The first of three ports that were free; None if one of them is in use."""
         first = self._pub.bind_to_random_port("tcp://127.0.0.1")
         bound = [(self._pub, f"tcp://127.0.0.1:{first}")]
         for offset, socket in enumerate((self._sub, self._req), 1):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of Cyclone DDS: from CYCLONEDDS_URI as everywhere, otherwise such that no frames are lost."""
+"""Settings of Cyclone DDS: those of CYCLONEDDS_URI if it is set, otherwise such that no frames are lost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MINIMUM = '<SocketReceiveBufferSize min="4MB"/>'
 
 
 def uri() -> str:
-    """What CYCLONEDDS_URI is to be: what it is already, or the shipped settings as far as the kernel lets."""
+    """The value for CYCLONEDDS_URI: the one that is set, or the shipped settings as far as the kernel allows them."""
     given = os.environ.get("CYCLONEDDS_URI")
     if given is not None:
         return given

@@ -34,17 +34,17 @@ class Dispatcher:
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
     def add(self, reader: DataReader, take: Callable[[Raw], None]) -> None:
-        """`take` gets each sample; what it raises as CmError is logged."""
+        """Pass each sample to `take`; a CmError that it raises is logged."""
         self.watch(reader, lambda: _hand_on(reader, take))
 
     def watch(self, reader: DataReader, work: Callable[[], None]) -> None:
-        """`work` takes what is there, whenever something has come."""
+        """Call `work` whenever something has come; it takes all that is there."""
         condition = ReadCondition(reader, _ANY)
         self._readers = (*self._readers, (condition, work))
         self._waitset.attach(condition)
         if not self._thread.ident:
             self._thread.start()
-        self._wake.set(True)  # what had come before it was attached
+        self._wake.set(True)  # for what had come before it was attached
 
     def _run(self) -> None:
         while not self._closed:
@@ -55,7 +55,7 @@ class Dispatcher:
                     logged(work)
 
     def close(self) -> None:
-        """End the thread, and wait for it; twice is fine. The readers stay their owner's."""
+        """End the thread, and wait for it; twice is fine. The readers still belong to their owner."""
         self._closed = True
         self._wake.set(True)
         if self._thread.ident and self._thread is not threading.current_thread():
@@ -65,12 +65,12 @@ class Dispatcher:
 def _hand_on(reader: DataReader, take: Callable[[Raw], None]) -> None:
     while samples := reader.take(N=_MANY):
         for sample in samples:
-            if isinstance(sample, Raw):  # no notice of a writer that has gone
+            if isinstance(sample, Raw):  # not the notice that a writer has gone
                 logged(partial(take, sample))
 
 
 def logged(work: Callable[[], None]) -> None:
-    """What goes wrong with one sample must not end the thread, which is that of others, too."""
+    """A failure with one sample must not end the thread, which serves other readers too."""
     try:
         work()
     except CmError as error:

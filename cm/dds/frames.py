@@ -19,7 +19,7 @@ from cm.ros import cdr
 from cm.ros.samples import hand_on
 from cm.ros.transport import Body
 
-_HEAD = 4096  # bytes within which all fields before the frame's are
+_HEAD = 4096  # bytes that hold all fields before the frame's
 
 Take = Callable[[dict[str, Any], Body], None]
 
@@ -37,7 +37,7 @@ class _Within:
 
 
 def taking(library: Library | None, reader: DataReader, kind: str, take: Take) -> Callable[[], None]:
-    """What takes all frames of a reader that are there."""
+    """The function that takes all waiting frames of a reader."""
     sample = bytes(cdr.head(kind, {}, 7)) + b"1234567"
     if library is None or not library.pieces(reader._ref).proved(sample):
         return lambda: _by_python(reader, kind, take)

@@ -40,7 +40,7 @@ class Graph:
             self._tell()
 
     def remove(self, *ends: Entity) -> None:
-        """Endpoints that are about to go."""
+        """Endpoints that are about to be closed."""
         gone = {gid(end) for end in ends}
         with self._lock:
             self._ends = {key: [kept for kept in held if kept not in gone] for key, held in self._ends.items()}
@@ -54,5 +54,5 @@ class Graph:
 
 
 def gid(entity: Entity) -> bytes:
-    """By which others know an entity: its GUID."""
+    """The GUID by which others know an entity."""
     return bytes(entity.guid.bytes)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The functions of libddsc by which a sample is made from pieces of memory: one copy, where the Python API makes two.
+"""The functions of libddsc that make a sample from pieces of memory, with one copy where the Python API makes two.
 
-They are not a public interface, so each library is tried before it is used (`proved`): where it is another than
-expected, `Library.open` gives None, and samples take the way of the Python API.
+They are not a public interface, so each library is tried before it is used (`proved`): if it is not the expected one,
+`Library.open` returns None, and samples go through the Python API.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _ANY_STATE = 0x7F  # DDS_ANY_STATE
 
 
 class Library:
-    """The libddsc that cyclonedds itself runs on. Its wheel holds two; the other would know no entity of ours."""
+    """The libddsc that cyclonedds itself runs on. Its wheel contains two; the other one would not know our entities."""
 
     def __init__(self, path: str) -> None:
         self.ffi = FFI()
@@ -47,7 +47,7 @@ class Library:
 
     @classmethod
     def open(cls) -> Library | None:
-        """None where cyclonedds is of a version that was not tried, or lacks one of the functions."""
+        """None if this version of cyclonedds has not been tried, or lacks one of the functions."""
         if not version("cyclonedds").startswith(_TRIED):
             return None
         from cyclonedds.__library__ import library_path
@@ -60,7 +60,7 @@ class Library:
         return found
 
     def pieces(self, entity: int) -> Pieces:
-        """Samples for a writer. Raises OSError where it has no type."""
+        """Samples for a writer. Raises OSError if it has no type."""
         return Pieces(self, entity)
 
     def taken(self, reader: int) -> Iterator[Taken]:
@@ -90,7 +90,7 @@ class Taken:
         return bytes(self._ffi.buffer(out))
 
     def copy(self, offset: int, address: int, length: int) -> None:
-        """A piece to where it is wanted: the one copy. Raises ValueError where there is less."""
+        """Copy a piece to where it is needed: the only copy. Raises ValueError if there is less."""
         if offset + length > self.size:
             raise ValueError(f"{offset + length} bytes are wanted of a sample of {self.size}")
         self._dds.ddsi_serdata_to_ser(self._serdata, offset, length, self._ffi.cast("void *", address))
@@ -111,7 +111,7 @@ class Pieces:
     def write(self, head: bytearray, rows: Any, length: int) -> None:
         """`rows`: addresses and lengths of what follows, `length` bytes in all. Raises OSError."""
         sample = self._made(head, rows, length)
-        if self._dds.dds_writecdr(self._entity, sample) < 0:  # which takes the sample over
+        if self._dds.dds_writecdr(self._entity, sample) < 0:  # which then owns the sample
             raise OSError("DDS did not take the sample")
 
     def _made(self, head: bytearray, rows: Any, length: int) -> Any:
@@ -145,4 +145,4 @@ class Pieces:
             held = bytes(self._ffi.buffer(back))
         finally:
             self._dds.ddsi_serdata_unref(made)
-        return held[:2] == sample[:2] and held[4 : len(sample)] == sample[4:]  # between: how much is padding
+        return held[:2] == sample[:2] and held[4 : len(sample)] == sample[4:]  # between them stands how much is padding

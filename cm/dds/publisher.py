@@ -23,7 +23,7 @@ _LOG = logging.getLogger("cm.dds")
 
 
 class DdsPublisher:
-    """A writer; threads take turns. `library`: None where frames are to go by the Python API, which copies twice."""
+    """A writer; threads take turns. `library`: None if frames are to go through the Python API, which copies twice."""
 
     def __init__(
         self, writer: DataWriter, kind: str, library: Library | None, closed: Callable[[DdsPublisher, DataWriter], None]
@@ -39,7 +39,7 @@ class DdsPublisher:
 
     @property
     def copies(self) -> int:
-        """How often the last frame was copied until it was a sample; 0 before the first."""
+        """How often the last frame was copied on its way into a sample; 0 before the first."""
         return self._copies
 
     def write(self, values: Values) -> None:
@@ -63,7 +63,7 @@ class DdsPublisher:
                 self._pieces = _proved(self._library, self.writer, self._kind) if self._library is not None else None
                 self._copies = 2 if self._pieces is None else 1
             if self._pieces is None:
-                self._send(self._gathering.gathered(start, data))  # the copy of ours, before that of the Python API
+                self._send(self._gathering.gathered(start, data))  # our own copy, before that of the Python API
                 return
             try:
                 self._pieces.write(start, _rows(data), data.nbytes)
@@ -89,7 +89,7 @@ class DdsPublisher:
 
 
 def _proved(library: Library, writer: DataWriter, kind: str) -> Pieces | None:
-    """What makes samples from pieces, if that makes what it ought to."""
+    """The maker of samples from pieces, if it has been shown to make correct ones."""
     sample = bytes(cdr.head(kind, {}, 7)) + b"1234567"
     try:
         pieces = library.pieces(writer._ref)
@@ -102,7 +102,7 @@ def _proved(library: Library, writer: DataWriter, kind: str) -> Pieces | None:
 
 
 def _rows(data: npt.NDArray[Any]) -> list[tuple[int, int]]:
-    """Addresses and lengths of memory in one piece, in their order: rows where something stands between them."""
+    """Addresses and lengths of contiguous memory, in order: single rows if something lies between them."""
     if data.flags.c_contiguous:
         return [(data.__array_interface__["data"][0], data.nbytes)]
     if data.ndim > 1 and data[0].flags.c_contiguous:

@@ -14,7 +14,7 @@ _ANY = -1
 
 
 def qos(wanted: Qos, hash_text: str, more: str = "") -> DdsQos:
-    """With the type's hash in USER_DATA, where ROS's tools look for it, behind `more`."""
+    """Quality of service with the type's hash in USER_DATA, after `more`, where ROS's tools look for it."""
     history = Policy.History.KeepLast(wanted.depth)
     policies = [
         Policy.Reliability.Reliable(_BLOCKED) if wanted.reliable else Policy.Reliability.BestEffort,

@@ -22,13 +22,13 @@ from cm.ros.transport import Values
 
 _LOG = logging.getLogger("cm.dds")
 _HEADER = struct.Struct("<Qq")
-_MET = 10.0  # seconds that a reply waits until DDS has found the reader of the client that asked; it would be lost
+_MET = 10.0  # seconds that a reply waits for DDS to find the reader of the client that asked; without, it would be lost
 _LOOK = 0.005
 _CLIENT = b"clientid="
 
 
 def mark() -> str:
-    """By which the two ends of a service belong together."""
+    """The mark by which the two ends of a service belong together."""
     return "serviceid=" + ".".join(f"{byte:x}" for byte in os.urandom(16)) + ";"
 
 
@@ -49,7 +49,7 @@ class Service:
         self._busy = busy
 
     def take(self, sample: Raw) -> None:
-        """A request. Raises InvalidRequest for what is none."""
+        """Take a request. Raises InvalidRequest for what is not one."""
         request = cdr.Reader(sample.data)
         header = _HEADER.pack(request.take("Q", 8), request.take("q", 8))
         values = cdr.read(self._asked, request)
@@ -69,7 +69,7 @@ class Service:
             self._busy.release()
 
     def _is_met(self, client: int) -> bool:
-        """Whether who asked can hear: its writer may be known before its reader. False where it has gone."""
+        """Whether a reply would reach the client: its writer may be known before its reader. False if it has gone."""
         until = time.monotonic() + _MET
         while (asking := self._requests.get_matched_publication_data(client)) is not None:
             name = _client_of(asking)
@@ -90,7 +90,7 @@ class Service:
 
 
 def _client_of(end: Any) -> bytes:
-    """The mark of a client's end; empty for clients of old, which have none."""
+    """The mark of a client's endpoint; empty for old clients, which have none."""
     data = end.qos[Policy.Userdata].data if Policy.Userdata in end.qos else b""
     found = next((part for part in data.split(b";") if part.startswith(_CLIENT)), b"")
     return bytes(found)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS's interfaces as types of cyclonedds: what a topic is matched by. Samples go by as bytes, nothing is decoded."""
+"""ROS's interfaces as types of cyclonedds, by which topics are matched. Samples pass as bytes; nothing is decoded."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class Raw:
 
 @cache
 def struct(name: str) -> Any:
-    """A message's type, with its fields for whom they can tell something."""
+    """A message's type, with its fields, for tools that show them."""
     fields = {field.name: _field(field) for field in message(name).fields}
     return final(make_idl_struct(name.rpartition("/")[2], dds_name(name), fields))
 
 
 @cache
 def sample_type(name: str, service: bool = False) -> Any:
-    """The type of a topic, whose samples are `Raw`; of a service's with the header that Cyclone's RMW puts before."""
+    """The type of a topic, whose samples are `Raw`; of a service's topic with the header of Cyclone's RMW."""
     fields: dict[str, Any] = {"header_guid": types.uint64, "header_sequence": types.int64} if service else {}
     fields.update({field.name: _field(field) for field in message(name).fields})
     return final(make_idl_struct(name.rpartition("/")[2], dds_name(name), fields, bases=(_Bytes,)))

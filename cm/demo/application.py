@@ -25,7 +25,7 @@ BUSY = 0.10  # share of edge pixels in the centre above which a closer look is w
 
 
 class NothingCame(RuntimeError):
-    """The manager fell silent."""
+    """The manager has sent nothing for too long."""
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Application:
         self.listener = context.socket(zmq.SUB)
         self.listener.setsockopt(zmq.RCVHWM, 4)
         self.listener.connect(f"ipc://{runtime_dir}/pub")
-        self.actor = context.socket(zmq.XPUB)  # a PUB that hears who listens
+        self.actor = context.socket(zmq.XPUB)  # a PUB that is told of subscriptions
         self.actor.connect(f"ipc://{runtime_dir}/sub")
         self.listener.setsockopt(zmq.SUBSCRIBE, b"cm_status")
         self.listener.setsockopt(zmq.SUBSCRIBE, b"cm_read_data")

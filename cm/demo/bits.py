@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures through modules that open tools have built: each runs by the bits of its bitstream."""
+"""Pictures through modules that open tools have built: each is simulated from the bits of its bitstream."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from cm.rtl.design import load_rtl_design
 from cm.rtl.tools import find_tools
 from cm.sim.hardware.camera import shipped_photos
 
-_ROOM = 1 << 22  # bytes for a picture that comes out
+_ROOM = 1 << 22  # bytes reserved for a picture that comes out
 
 
 class ShowFailed(CmError):
-    """A module did not answer as what was loaded."""
+    """A module that was loaded gives the identity of another."""
 
     code = "show_failed"
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What came out of a module, and what of it was not simulated."""
+    """What came out of a module, and which of its parts were not simulated."""
 
     picture: Picture
     left_out: tuple[str, ...]
@@ -48,7 +48,7 @@ def run_bits_demo(build: Path, out: Path, say: Callable[[str], None] = print) ->
 
 
 def through_modules(build: Path, photo: Picture, say: Callable[[str], None] = print) -> dict[str, Shown]:
-    """What comes out of each module, by name. CmError where something is not there, or answers as another."""
+    """What comes out of each module, by name. Raises CmError if a module is missing, or is another."""
     with tempfile.TemporaryDirectory(prefix="cm-bits-") as text:
         folder = Path(text)
         design, tools = load_rtl_design(build, folder / "tree"), find_tools()

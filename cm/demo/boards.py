@@ -31,8 +31,8 @@ class FleetFailed(CmError):
 
 
 def free_ports(count: int = 1) -> int:
-    """The first of so many TCP ports in a row that are free now. None that connections to others get by themselves."""
-    for first in random.sample(range(20000, 32000, 16), 200):  # below the ephemeral ones of Linux
+    """The first of that many consecutive TCP ports that are free now, outside the range for outgoing connections."""
+    for first in random.sample(range(20000, 32000, 16), 200):  # below Linux's ephemeral ports
         with contextlib.suppress(OSError), ExitStack() as stack:
             for port in range(first, first + count):
                 stack.enter_context(socket.create_server(("127.0.0.1", port)))
@@ -58,7 +58,7 @@ def started(words: bytes, *arguments: str) -> subprocess.Popen[bytes]:
 
 
 def _drain(process: subprocess.Popen[bytes]) -> None:
-    """What it says further is read, so that it never waits for us."""
+    """Read what it says further, so that it never blocks on a full pipe."""
     assert process.stderr is not None
     with process.stderr as pipe, contextlib.suppress(OSError):
         while pipe.read(4096):
@@ -110,7 +110,7 @@ class BoardProcesses:
         return self
 
     def kill(self) -> None:
-        """As a loss of power does it; the simulated hardware goes with its manager."""
+        """Kill it as a loss of power would; the simulated hardware goes with its manager."""
         bridge, manager, self.bridge, self.manager = self.bridge, self.manager, None, None
         ended(bridge, signal.SIGKILL)
         ended(manager, signal.SIGKILL)

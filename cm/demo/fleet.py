@@ -89,7 +89,7 @@ def _observe_decide_act(fleet: Fleet, course: Course) -> None:
 
 
 def _through_the_pl(fleet: Fleet, picture: Picture) -> Picture:
-    """There and back on the second board: sent until the answer that was asked for before has come."""
+    """Send a picture through the second board's PL and back, again and again until the answer has come."""
     with ThreadPoolExecutor(1) as threads:
         answer = threads.submit(fleet.frame, MIND, "from_pl")
         while not answer.done():
@@ -98,7 +98,7 @@ def _through_the_pl(fleet: Fleet, picture: Picture) -> Picture:
 
 
 def _settled_picture(fleet: Fleet) -> Picture:
-    """Of the frames the second from now: the first may have begun before the register was written."""
+    """The second frame from now: the first may have begun before the register was written."""
     fleet.frame(HAND, "camera")
     return np.array(fleet.frame(HAND, "camera"))
 

@@ -28,7 +28,7 @@ _READ_ONLY = {"TCR0", "TCR1"}
 
 
 def registers(module: ModuleInstance, interface: str) -> tuple[RegisterInfo, ...]:
-    """What the instance says of its registers behind this interface, or else what its type is known to have."""
+    """The registers that the instance describes behind this interface, or else those that its type is known to have."""
     described = module.registers.get(interface, ())
     if described:
         return described

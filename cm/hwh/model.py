@@ -113,4 +113,4 @@ class Hwh:
     vivado: str
     timestamp: str
     modules: Mapping[str, ModuleInstance]  # by instance
-    external_ranges: tuple[MemoryRange, ...]  # through an external slave port: all there is in a partial's file
+    external_ranges: tuple[MemoryRange, ...]  # through an external slave port: the only ones in a partial design's file

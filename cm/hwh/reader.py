@@ -22,7 +22,7 @@ from cm.hwh.model import (
     RegisterInfo,
 )
 
-_LIMIT = 64 * 1024 * 1024  # bytes; the largest real ones have a few
+_LIMIT = 64 * 1024 * 1024  # bytes; the largest real files have a few MiB
 
 
 class HwhError(CmError, ValueError):

@@ -55,7 +55,7 @@ class DmaChannel:
 
     @property
     def interrupt_port(self) -> str:
-        """The engine's port that tells it."""
+        """The engine's interrupt port."""
         channel = f"_ch{self.number + 1}" if self.kind == "axi_mcdma" else ""
         return f"{self.direction}{channel}_introut"
 
@@ -66,7 +66,7 @@ class DmaChannel:
 
     @property
     def limits(self) -> str:
-        """What an engine without scatter/gather cannot do; empty where it has that."""
+        """What an engine without scatter/gather cannot do; empty if it has it."""
         if self.scatter_gather:
             return ""
         return (
@@ -112,7 +112,7 @@ def windows(hwh: Hwh) -> tuple[MemoryRange, ...]:
 
 
 def memories(hwh: Hwh) -> tuple[MemoryRange, ...]:
-    """Block RAM behind AXI BRAM controllers (PG078), as `windows`; whatever kind the range is said to be."""
+    """Block RAM behind AXI BRAM controllers (PG078), as `windows`, whatever kind the file gives the range."""
     ps = processor(hwh)
     found = ps.ranges if ps else hwh.external_ranges
     kept = {(x.base, x.instance): x for x in found if _is_memory(hwh, x)}
@@ -179,16 +179,16 @@ def dma_channels(hwh: Hwh) -> tuple[DmaChannel, ...]:
 
 
 def _channels(module: ModuleInstance, direction: str) -> int:
-    """How many an engine has of a direction."""
+    """How many channels an engine has in a direction."""
     name = f"C_NUM_{direction.upper()}_CHANNELS"
     text = module.parameters.get(name) or module.parameters.get(name.lower(), "")
     return min(max(int(text), 1), 16) if module.type == "axi_mcdma" and text.isdecimal() else 1
 
 
 def _engine(module: ModuleInstance) -> tuple[bool, int]:
-    """Whether there is scatter/gather, and bits of the length register; both as the core, or its customisation, says.
+    """Whether there is scatter/gather, and the bits of the length register; as the core or its customisation says.
 
-    What is not written has the core's default: scatter/gather, and 14 bits (PG021).
+    A parameter that is missing has the core's default: scatter/gather, and 14 bits (PG021).
     """
     values = {key.lower(): value for key, value in module.parameters.items()}
     bits = values.get("c_sg_length_width", "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counters of changes, loads and streams, since the manager's start. Any thread may add, any may look."""
+"""Counters of changes, loads and streams, since the manager's start. Any thread may add and read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LAG_SECONDS = (0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 5.0)
 
 
 class Distribution(NamedTuple):
-    """How many values were at most each bound, the last without one; and their sum."""
+    """How many values lie within each bound (the last entry has none), and the sum of all."""
 
     bounds: tuple[float, ...]
     at_most: tuple[int, ...]
@@ -24,7 +24,7 @@ class Distribution(NamedTuple):
 
 
 class Histogram:
-    """Values by size; the caller sees to threads."""
+    """Values by size; the caller takes care of locking."""
 
     def __init__(self, bounds: Sequence[float]) -> None:
         self._bounds = tuple(bounds)
@@ -42,7 +42,7 @@ class Histogram:
 
 
 class Times(NamedTuple):
-    """So many, and the seconds that they took together."""
+    """How many there were, and the seconds that they took together."""
 
     number: int = 0
     seconds: float = 0.0
@@ -58,7 +58,7 @@ class Loads(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class ChangeCounts:
-    """Changes by how they ended, their times, those of each kind of step, and what went through the ports."""
+    """Changes by how they ended, with their times, those of each kind of step, and what was loaded."""
 
     outcomes: Mapping[str, int]
     failures: Mapping[str, int]  # by the error's code
@@ -99,7 +99,7 @@ class ChangeTotals:
             self._loads[port] = Loads(so_far.number + 1, so_far.bytes + length, so_far.seconds + seconds)
 
     def read(self) -> ChangeCounts:
-        """All of it, of one moment."""
+        """All counts, as of one moment."""
         with self._lock:
             return ChangeCounts(
                 dict(self._outcomes), dict(self._failures), self._seconds.read(), dict(self._steps), dict(self._loads)
@@ -120,7 +120,7 @@ class Moved(NamedTuple):
 
 
 class StreamTotals:
-    """What streams moved before they were opened last: their own counters begin anew then."""
+    """What streams moved before they were last opened: at that moment their own counters start at 0 again."""
 
     def __init__(self) -> None:
         self._ended: dict[str, Moved] = {}
@@ -130,5 +130,5 @@ class StreamTotals:
         self._ended[stream] = self._ended.get(stream, Moved()).plus(moved)
 
     def with_ended(self, now: Mapping[str, Moved]) -> dict[str, Moved]:
-        """Of every stream that ever ran: what it moves now, and did before."""
+        """Totals of every stream that ever ran: what it has moved since it was opened, and before."""
         return {name: self._ended.get(name, Moved()).plus(now.get(name, Moved())) for name in {**self._ended, **now}}

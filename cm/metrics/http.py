@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A server of one page, in the daemon's own loop: what scrapers do cannot hold the loop up.
+"""A server of one page, in the daemon's own loop, which no scraper can hold up.
 
-Each connection is one request, which has to be short and to come soon, and one reply. There are never more than
-`CONNECTIONS` of them: the oldest goes when one more comes. All who have asked get the same page, which is made for
-them, not sooner than `_REST` times what making it took since the last one, so that whoever asks as often as he can
-takes a small share of the loop's time; until then no new connection is accepted.
+Each connection carries one request, which has to be short and to arrive soon, and one reply. There are never more
+than `CONNECTIONS` of them: the oldest is closed when another comes. All that have asked by then get the same page.
+After a page the server rests for `_REST` times as long as making it took, and accepts no new connection meanwhile, so
+that a client that asks as often as it can takes only a small share of the loop's time.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CONNECTIONS = 16
 _SECONDS = 5.0  # for a request to come whole, and for its reply to be read
 _LONGEST = 4096  # bytes of a request
 _REST = 20.0
-_SHORTEST_REST = 0.02  # seconds; after so many connections as there may be at once, too
+_SHORTEST_REST = 0.02  # seconds; also after as many connections as there may be at once
 _PATHS = (b"/metrics", b"/")
 
 
@@ -71,14 +71,14 @@ class MetricsServer:
             self._listener = None
 
     def _accept(self) -> None:
-        """Let in who waits, so that a page is made for many at once."""
+        """Accept all waiting connections, so that one page is made for many."""
         for _ in range(CONNECTIONS):
             assert self._listener is not None
             try:
                 sock, _ = self._listener.accept()
             except BlockingIOError:
                 return
-            except OSError:  # no descriptors: who waits goes on waiting
+            except OSError:  # no descriptors are left: the connections keep waiting
                 break
             self._let_in(sock)
         self._rest(_SHORTEST_REST)
@@ -99,14 +99,14 @@ class MetricsServer:
             self._asked.remove(connection)
 
     def _answer(self, connection: _Connection) -> None:
-        """One has asked for the page."""
+        """A connection has asked for the page."""
         self._asked.append(connection)
         if not self._rests:
             self._loop.call_soon(self._tell)
             self._rest(_SHORTEST_REST)
 
     def _tell(self) -> None:
-        """Make the page for all who have asked by now."""
+        """Make the page, and send it to all that have asked by now."""
         asked, self._asked = self._asked, []
         if not asked:
             return
@@ -180,7 +180,7 @@ class _Connection:
             self._asked(self)
 
     def reply(self, status: int, reason: str, body: bytes) -> None:
-        """Send it as the other side reads it, and hang up."""
+        """Send the reply as fast as the other side reads it, and hang up."""
         head = "".join(_head(status, reason, len(body))).encode()
         self._left = memoryview(head if self._head_only else head + body)
         self._loop.watch_write(self.fd, self._writable)
@@ -210,7 +210,7 @@ class _Connection:
 
 
 def _reason(error: OSError) -> str:
-    """Without what `socket.create_server` adds: the address is told already."""
+    """Without what `socket.create_server` adds: our message names the address already."""
     return (error.strerror or str(error)).partition(" (while")[0]
 
 

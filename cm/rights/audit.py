@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The log of who did what: the first record of a burst at once, and how many followed when it is over."""
+"""The log of who did what: the first record of a burst is written at once, the number of the others when it is over."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cm.rights.principal import Principal, printable
 
 _LOG = logging.getLogger("cm.audit")
 BURST = 10.0  # seconds
-_MOST = 512  # bursts at once; beyond, all further ones are one
+_MOST = 512  # bursts at once; all beyond that count as one
 _NAMED = 4  # registers of one request that are named
 
 
@@ -33,7 +33,7 @@ class Audit:
         self._bursts: dict[tuple[str, str], _Burst] = {}
 
     def note(self, connection: str, kind: str, say: Callable[[], str], level: int = logging.INFO) -> None:
-        """Something of a kind over a connection; `say` is asked for its sentence where that is logged."""
+        """Something of this kind happened over a connection; `say` is asked for its sentence only if it is logged."""
         burst = self._bursts.get((connection, kind))
         if burst is not None and self._clock() < burst.until:
             burst.more += 1
@@ -49,7 +49,7 @@ class Audit:
         self._bursts[connection, kind] = _Burst(text, level, self._clock() + BURST)
 
     def look(self) -> None:
-        """Tell of bursts that are over; called now and then."""
+        """Log the bursts that are over; called now and then."""
         now = self._clock()
         over = [key for key, burst in self._bursts.items() if burst.until <= now]
         for key in over:
@@ -61,7 +61,7 @@ class Audit:
 
 
 def described(who: Principal, request: rq.Request) -> str:
-    """Who did what, in a line; of data their place only."""
+    """Who did what, in a line; data are only named, not shown."""
     return f"{who}: {type(request).__name__}{_subject(request)}"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where everything that comes in is let through or stopped. One thread, that of the daemon's loop."""
+"""Where every request is let through or refused. In the thread of the daemon's loop only."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from cm.rights.policy import Users
 from cm.rights.principal import CURVE, NOBODY, Principal, from_id, guest_of, introduced, on_behalf
 
 _NAME = 64  # characters of a guest's name
-_OPERATE = Role.OPERATE  # a look into an enum's class is not free
+_OPERATE = Role.OPERATE  # looking it up in the enum's class takes time
 _KEPT = 4096  # connections whose rights are remembered
 
 
 @dataclass(frozen=True, slots=True)
 class _Known:
-    """A client, what it may do, and the highest role that nothing narrows."""
+    """A client, what it may do, and its highest role without limits."""
 
     who: Principal
     rights: Rights
@@ -45,13 +45,13 @@ class Gate:
         self._users = users
         self._now = now
         self._known: dict[str, _Known] = {}
-        self.observers: set[str] = set()  # connections that may look at everything, for as long as the policy stays
+        self.observers: set[str] = set()  # connections that may look at everything, as long as the policy is the same
         self._origins: dict[str, set[Principal]] | None = {}  # who came over TCP, by address
         self._looked = now()
         self.audit = Audit()
 
     def renew(self, access: Access) -> Callable[[Principal], bool]:
-        """Another policy from now on; tells of any client whether its rights differ from those before."""
+        """Apply another policy from now on; returns a function that tells whether a client's rights have changed."""
         before, self._access = self._access, access
         self._known.clear()
         self.observers.clear()
@@ -69,7 +69,7 @@ class Gate:
         return frozenset(public for public, until in ends if until is not None and since < until <= self._looked)
 
     def from_address(self, address: str) -> Iterable[Principal]:
-        """All who may have come over TCP from an address: every key, once too many have."""
+        """All clients that may have come over TCP from an address: every key, if there have been too many."""
         if self._origins is None:
             return [introduced(CURVE, address, "CURVE", key.public) for key in self._access.keys]
         return self._origins.get(address.removeprefix("::ffff:"), ())
@@ -79,7 +79,7 @@ class Gate:
         return self._look_up(connection).who
 
     def rights(self, connection: str) -> Rights:
-        """What may be asked over a connection; nothing once its key has expired."""
+        """What may be requested over a connection; nothing once its key has expired."""
         return self._current(connection).rights
 
     def everywhere(self, connection: str) -> Role:
@@ -92,11 +92,11 @@ class Gate:
     def enter(self, domain: str, address: str, mechanism: str, key: str) -> str | None:
         """The id of a new connection; None for a client that may do nothing at all.
 
-        Over the socket of what is published, only who may look at everything: ZeroMQ hands out by prefixes, and has
-        no safe way to refuse one of them to one subscriber (docs/security.md).
+        The socket for publications admits only clients that may look at everything: ZeroMQ selects by prefix, and has
+        no safe way to refuse one prefix to one subscriber (docs/security.md).
         """
         transport, _, publishes = domain.partition(" ")
-        address = address.removeprefix("::ffff:")  # IPv4 at a socket of both
+        address = address.removeprefix("::ffff:")  # IPv4 at a socket for both
         who = introduced(transport, address, mechanism, key)
         rights = self.rights(who.id)
         if rights.role == Role.NONE or (publishes and rights.everywhere < Role.OBSERVE):
@@ -111,9 +111,9 @@ class Gate:
         return who.id
 
     def guest(self, bridge: str, name: str) -> str:
-        """The connection of the guest that a bridge speaks for; the bridge's own where none is named.
+        """The connection of the guest that a bridge speaks for; the bridge's own if none is named.
 
-        Nothing may be asked over it where the bridge has no right to speak for that name.
+        Nothing may be requested over it if the bridge has no right to speak for that name.
         """
         if not name:
             return bridge
@@ -149,7 +149,10 @@ class Gate:
         return _Known(who, rights, rights.everywhere)
 
     def admit(self, connection: str, request: Request, scene: Callable[[], Scene]) -> Request:
-        """The request as it may be carried out. Raises Forbidden, and what the scene raises for what is not there."""
+        """The request as it may be carried out.
+
+        Raises Forbidden, and whatever the scene raises for names that do not exist.
+        """
         known, need = self._known.get(connection), least(request)
         if known is None or known.rights.until is not None:
             known = self._current(connection)
@@ -166,7 +169,7 @@ class Gate:
     def _narrowly(
         self, connection: str, known: _Known, request: Request, need: Need, scene: Callable[[], Scene]
     ) -> Request:
-        """As `admit`, for clients that may not do everything."""
+        """As `admit`, for clients whose rights have limits."""
         if known.rights.role < need.role:
             raise Forbidden(_sentence(self.principal(connection), need))
         seen = scene()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of authorized keys: ``name: value`` lines, a client each."""
+"""Files of authorized keys: ``name: value`` lines, one file for each client."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from cm.errors import InvalidRequest
 from cm.rights.model import AuthorizedKey
 
 FOLDER = "authorized_keys.d"
-OLD_FOLDER = "clients"  # as older versions of `cm keygen` had it
+OLD_FOLDER = "clients"  # the name in older versions of `cm keygen`
 _FIELDS = ("public", "role", "expires")
 _DEFAULT = ("provision",)
 
 
 def pairs_of(text: str) -> dict[str, str]:
-    """The lines of a key file that are not comments, by name. The last of a name counts."""
+    """The lines of a key file that are not comments, by name. Of several with one name the last counts."""
     lines = (line.partition(":") for line in text.splitlines() if line.strip() and not line.startswith("#"))
     return {name.strip(): value.strip() for name, _, value in lines}
 
 
 def authorized(name: str, pairs: Mapping[str, str]) -> AuthorizedKey:
-    """The key of a client. Raises InvalidRequest for what is not a public key of one."""
+    """The key of a client. Raises InvalidRequest for what is not a client's public key."""
     public = pairs.get("public", "")
     if "secret" in pairs:
         raise InvalidRequest("it holds a secret key: only NAME.pub belongs here, the .key is the client's alone")

@@ -18,8 +18,8 @@ class Role(IntEnum):
     NONE = 0
     OBSERVE = 1  # look at all that the board holds and tells
     OPERATE = 2  # change modes, registers, streams and memories; take leases
-    PROVISION = 3  # bring configurations, take back one's own, define memories
-    ADMIN = 4  # take away what is others': leases, configurations; speak for others
+    PROVISION = 3  # send configurations, remove one's own, define memories
+    ADMIN = 4  # take away leases and configurations of others; speak for others
 
 
 def role_named(name: str) -> Role:
@@ -75,7 +75,7 @@ def _match(name: str | None, patterns: tuple[str, ...]) -> bool:
 class Rights:
     """What a client may do: whatever one of the grants allows. `until`: CLOCK_REALTIME seconds.
 
-    `under`: rights that must allow it too, those of the bridge that speaks for the client.
+    `under`: further rights that must allow it too: those of the bridge that speaks for the client.
     """
 
     grants: tuple[Grant, ...] = ()
@@ -84,13 +84,13 @@ class Rights:
 
     @property
     def role(self) -> Role:
-        """The highest, however narrow."""
+        """The highest role, however limited."""
         own = max((grant.role for grant in self.grants), default=Role.NONE)
         return min(own, self.under.role) if self.under else own
 
     @property
     def everywhere(self) -> Role:
-        """The highest that nothing narrows."""
+        """The highest role without limits."""
         own = max(
             (grant.role for grant in self.grants if replace(grant, guests=()) == Grant(grant.role)), default=Role.NONE
         )
@@ -125,11 +125,12 @@ def _no_roles() -> Mapping[str, Grant]:
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """Who has which roles. `roles` are narrowed ones, with names of their own; lists of roles add up.
+    """Who has which roles.
 
-    `group` owns the sockets of the runtime folder; `local` is for all who can connect to them and are not named;
-    the manager's own user and root are always admin. `insecure`: over TCP without keys. `guests`: those that a
-    bridge speaks for, by name; ``*`` for all others.
+    `roles` are limited ones, with names of their own; lists of roles add up. `group` owns the sockets of the runtime
+    folder; `local` is for all users that can connect to them and are not named; the manager's own user and root are
+    always admin. `insecure`: for clients over TCP without keys. `guests`: for those that a bridge speaks for, by name;
+    ``*`` for all others.
     """
 
     group: str = ""
@@ -143,5 +144,5 @@ class Access:
 
     @property
     def names(self) -> frozenset[str]:
-        """All roles that there are."""
+        """The names of all roles."""
         return frozenset((*(role.name.lower() for role in Role if role), *self.roles))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What requests touch: from a request and what is loaded to needs. Pure."""
+"""What requests touch: from a request and the loaded configuration to needs. Pure."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _READ_CONFIG, _WRITE_CONFIG = "cm_read_config", "cm_write_config"
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What requests are understood by: the loaded configuration, its mode; `target`: where a change goes.
+    """What it takes to understand requests: the loaded configuration, its mode, and where a change would go.
 
-    `target` raises what the manager would raise: UnknownMode and the like.
+    `target` finds the latter, and raises what the manager would raise: UnknownMode and the like.
     """
 
     loaded: Config | None
@@ -28,7 +28,7 @@ class Scene:
 
 
 def least(request: rq.Request) -> Need:
-    """The role that a request takes at least; for a kind that is not known here an admin's."""
+    """The lowest role that a request needs; admin for a kind of request that is not known here."""
     kind = _KINDS.get(type(request))
     return kind.least if kind else _UNKNOWN
 
@@ -57,7 +57,7 @@ def _cancel(base: Need, _: rq.CancelChange, __: Scene) -> Iterator[Need]:
 
 
 def _change(base: Need, request: rq.ChangeMode, scene: Scene) -> Iterator[Need]:
-    """A mode touches the regions of its modules; another configuration, or a whole image, all there are."""
+    """A mode touches the regions of its modules; another configuration, or a full image, touches all regions."""
     config, mode = scene.target(request)
     loaded = scene.loaded
     regions = {config.modules[name].region for name in config.modes[mode].modules}
@@ -75,17 +75,17 @@ def _remove(base: Need, request: rq.RemoveConfig, _: Scene) -> Iterator[Need]:
 
 
 def _provision(base: Need, _: rq.Provision, __: Scene) -> Iterator[Need]:
-    """Its name is known when its schema has been read: `provisioning` is asked then."""
+    """Its name is known only when its schema has been read: `provisioning` is asked then."""
     yield base
 
 
 def opening(name: str, writes: bool, scene: Scene) -> Need:
-    """To open a stream where frames are not copied, or memory there; the topic is the socket's name."""
+    """What it takes to open a stream or memory that is not copied; the topic is the name of the data socket."""
     return next(_data(Need(Role.OPERATE if writes else Role.OBSERVE, "data"), rq.ReadData(name), scene))
 
 
 def provisioning(name: str) -> Need:
-    """To store a configuration, or to remove it."""
+    """The need to store or remove a configuration."""
     return Need(Role.PROVISION, _WRITE_CONFIG, name)
 
 
@@ -97,7 +97,7 @@ def _registers(base: Need, request: rq.ReadReg | rq.WriteReg, scene: Scene) -> I
     visible = scene.loaded.visible_registers(scene.mode) if scene.loaded else {}
     for name in names:
         register = visible.get(name.partition(".")[0])
-        region = register.region or STATIC if register else "*"  # of what is not there: whoever may touch all
+        region = register.region or STATIC if register else "*"  # what does not exist takes rights to all
         yield replace(base, config=config, region=region, register=name)
 
 
@@ -107,7 +107,7 @@ def _data(base: Need, request: Any, scene: Scene) -> Iterator[Need]:
 
 
 def _region_of(name: str, scene: Scene) -> str:
-    """Of a stream or memory; all of them for what is not there, or was defined at run time."""
+    """The region of a stream or memory; all regions for one that does not exist, or was defined at run time."""
     if scene.loaded is None:
         return "*"
     mode = scene.loaded.modes.get(scene.mode or "")
@@ -119,7 +119,7 @@ def _region_of(name: str, scene: Scene) -> str:
 
 
 def _take(base: Need, request: rq.TakeLease, scene: Scene) -> Iterator[Need]:
-    """Who keeps others off something must be allowed to touch it."""
+    """A client that reserves something must be allowed to touch it."""
     kind, _, name = request.scope.partition(":")
     if kind == "region":
         yield replace(base, region=name)
@@ -140,7 +140,7 @@ _UNKNOWN = Need(Role.ADMIN, "")
 
 
 class _Kind:
-    """Of requests: the role that they take at least, and what they touch."""
+    """A kind of request: the lowest role that it needs, and what it touches."""
 
     __slots__ = ("least", "parts")
 

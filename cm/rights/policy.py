@@ -23,7 +23,7 @@ class Users:
 
 
 def known_as(principal: Principal, access: Access, users: Users) -> Principal:
-    """With the name by which people know it."""
+    """The principal with the name by which people know it."""
     if principal.via or principal.name:
         return principal
     if principal.uid is not None:
@@ -34,7 +34,7 @@ def known_as(principal: Principal, access: Access, users: Users) -> Principal:
 
 
 def rights_of(principal: Principal, access: Access, users: Users) -> Rights:
-    """What a client may do: nothing for one that is not known."""
+    """What a client may do: nothing if it is not known."""
     if principal.transport in (IPC, DATA) and principal.uid is not None:
         return _of_user(principal, access, users)
     if principal.transport == CURVE:
@@ -46,7 +46,7 @@ def rights_of(principal: Principal, access: Access, users: Users) -> Rights:
 
 
 def _of_user(principal: Principal, access: Access, users: Users) -> Rights:
-    """A user that is named has what is said of it, and of its groups; all others what `local` says."""
+    """A user that is named, or whose group is, has the roles given there; all others have those of `local`."""
     assert principal.uid is not None
     assert principal.gid is not None
     if principal.uid in (0, users.own):
@@ -64,13 +64,13 @@ def _of_user(principal: Principal, access: Access, users: Users) -> Rights:
 
 
 def of_guest(name: str, bridge: Rights, access: Access) -> Rights:
-    """Of a guest that a bridge speaks for: what `guests` says of the name, and no more than the bridge may do."""
+    """The rights of a guest: those that `guests` gives to the name, and no more than those of the bridge."""
     said = access.guests.get(name, access.guests.get("*", ()))
     return Rights(grants(said, access), bridge.until, bridge)
 
 
 def grants(roles: Iterable[str], access: Access) -> tuple[Grant, ...]:
-    """The grants of roles by name; a name that nothing is called is not a grant (settings refuse it beforehand)."""
+    """The grants of roles by name; names of no role give no grant (settings refuse them beforehand)."""
     return tuple(found for name in roles if (found := _grant(name, access)) is not None and found.role > Role.NONE)
 
 

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whom a request comes from, whatever way it came."""
+"""Who a request comes from, whatever way it came."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-IPC, CURVE, TCP, DATA = "ipc", "curve", "tcp", "data"  # ways in; `data` is the socket of frames without copies
+IPC, CURVE, TCP, DATA = "ipc", "curve", "tcp", "data"  # kinds of connection; `data`: frames without copies
 GUEST = "for"  # begins the id of a guest: a client that a bridge speaks for
 
 
@@ -13,8 +13,8 @@ GUEST = "for"  # begins the id of a guest: a client that a bridge speaks for
 class Principal:
     """A process of this machine, the holder of a key, or a client over TCP without one.
 
-    `id` is the same for all that one connection asks, and stands beside each of its messages (ZMQ's User-Id).
-    `name` is a user's, or that of the key's file. `via`: the id of a bridge that speaks for `name`.
+    `id` is the same for all requests of one connection, and accompanies each of its messages (ZMQ's User-Id). `name` is
+    a user's, or that of the key's file. `via`: the id of a bridge that speaks for `name`.
     """
 
     id: str
@@ -29,7 +29,7 @@ class Principal:
 
     @property
     def account(self) -> str:
-        """What budgets are kept under: all connections of a user, of a key, or of an address together."""
+        """The key of its budget: all connections of a user, of a key, or of an address together."""
         if self.via:
             return f"for:{self.name}"
         if self.uid is not None:
@@ -51,14 +51,14 @@ NOBODY = Principal("", "")
 
 
 def of_process(transport: str, uid: int, gid: int, pid: int) -> Principal:
-    """Who the kernel says that a process is; its name is looked up by whoever knows users."""
+    """The process as the kernel describes it; its name is looked up where users are known."""
     return Principal(f"{transport}:{uid}:{gid}:{pid}", transport, uid=uid, gid=gid, pid=pid)
 
 
 def introduced(domain: str, address: str, mechanism: str, key: str = "") -> Principal:
-    """Who is introduced by ZeroMQ's authentication (ZAP); NOBODY for what says not enough.
+    """The peer that ZeroMQ's authentication (ZAP) describes; NOBODY if it does not say enough.
 
-    Over ipc libzmq hands on what the kernel says of the peer, as an address that ends in :UID:GID:PID.
+    Over ipc libzmq passes on what the kernel says of the peer, as an address that ends in :UID:GID:PID.
     """
     if domain == IPC and mechanism == "NULL":
         numbers = address.split(":")[-3:]

@@ -12,19 +12,19 @@ from cm.rights.policy import Users
 
 
 def system_users() -> Users:
-    """Those of this machine, as they are when they are asked about."""
+    """The users of this machine, looked up at each call."""
     return Users(_name, _groups, os.geteuid())
 
 
 def _name(uid: int) -> str:
     try:
         return pwd.getpwuid(uid).pw_name
-    except KeyError:  # of a container, or one that was deleted
+    except KeyError:  # a user of a container, or one that was deleted
         return ""
 
 
 def _groups(uid: int, gid: int) -> tuple[str, ...]:
-    """Of the process, and those that the user is a member of."""
+    """The process's groups, and those that the user is a member of."""
     numbers = [gid]
     name = _name(uid)
     if name:

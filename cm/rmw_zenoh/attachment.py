@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cm.errors import InvalidRequest
 
-_LAYOUT = struct.Struct("<qqB16s")  # as zenoh's serializer writes two integers and an array, whose length is before it
+_LAYOUT = struct.Struct("<qqB16s")  # as zenoh's serializer writes two integers and an array with its length before it
 _GID = 16
 
 
@@ -26,7 +26,7 @@ class Attachment:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Attachment:
-        """Raises InvalidRequest for what is none."""
+        """Raises InvalidRequest for what is no attachment."""
         if len(data) != _LAYOUT.size or data[16] != _GID:
             raise InvalidRequest(
                 f"this is not an attachment of rmw_zenoh since Jazzy: {data[:40].hex(' ') or 'nothing'}"

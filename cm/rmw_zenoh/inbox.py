@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What comes from zenoh's threads, taken up by a thread of ours: zenoh's are the network's, and must not wait."""
+"""What arrives in zenoh's threads is handled by a thread of ours: zenoh's serve the network and must not wait."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LOG = logging.getLogger("cm.rmw_zenoh")
 
 
 class Inbox:
-    """The last `depth` that came; what is older is lost, as rmw_zenoh has it. `take` gets each."""
+    """The last `depth` messages that came; older ones are lost, as with rmw_zenoh. Each is passed to `take`."""
 
     def __init__(self, name: str, depth: int, take: Callable[[Any], None]) -> None:
         self._take = take
@@ -50,7 +50,7 @@ class Inbox:
 
 
 def logged(work: Callable[[Any], None], thing: Any) -> None:
-    """What goes wrong with one message must not end the thread."""
+    """A failure with one message must not end the thread."""
     try:
         work(thing)
     except CmError as error:

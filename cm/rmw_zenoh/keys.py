@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What rmw_zenoh calls things: keys of topics and services, the tokens by which its graph knows nodes and their ends.
+"""rmw_zenoh's names: keys of topics and services, and the tokens by which its graph knows nodes and their endpoints.
 
 As its docs/design.md has them since Jazzy (0.2). Humble's keys have no hashes of types, and are others.
 """
@@ -16,12 +16,12 @@ from cm.ros.transport import Qos
 
 GRAPH = "@ros2_lv"
 _SLASH = "%"  # a name is one part of a token
-_USUAL_DEPTH = 42  # what is as usual with rmw_zenoh is left out: reliable, volatile, this depth
+_USUAL_DEPTH = 42  # rmw_zenoh's defaults are left out: reliable, volatile, this depth
 _BEST_EFFORT, _TRANSIENT_LOCAL = "2", "1"  # rmw/types.h
 
 
 class End(Enum):
-    """What an end is, as tokens say it."""
+    """The kind of an endpoint, as tokens spell it."""
 
     PUBLISHER = "MP"
     SUBSCRIPTION = "MS"
@@ -42,11 +42,11 @@ class NodeKey:
 
     @property
     def token(self) -> str:
-        """By which others see the node."""
+        """The token by which others see the node."""
         return self.of(self.number, "NN")
 
     def of(self, number: int, kind: str) -> str:
-        """The start of the token of one of its ends."""
+        """The beginning of the tokens of its endpoints."""
         names = [_mangled(name) for name in (self.enclave, self.namespace, self.name)]
         return "/".join((GRAPH, str(self.domain), self.session, str(self.number), str(number), kind, *names))
 
@@ -65,12 +65,12 @@ class EndKey:
 
     @property
     def key(self) -> str:
-        """Where its data goes."""
+        """The key that its data is sent under."""
         return "/".join((str(self.node.domain), self.topic.strip("/"), dds_name(self.kind), self.hash_text))
 
     @property
     def token(self) -> str:
-        """By which others see it."""
+        """The token by which others see it."""
         start = self.node.of(self.number, self.end.value)
         return "/".join((start, _mangled(self.topic), dds_name(self.kind), self.hash_text, quality_text(self.quality)))
 

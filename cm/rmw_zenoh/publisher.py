@@ -52,7 +52,7 @@ class ZenohPublisher:
             self._put(message, attachment=Attachment(self._number, time.time_ns(), self._gid).to_bytes())
 
     def listeners(self) -> int:
-        """1 where there are subscribers: zenoh tells no more."""
+        """1 if there are subscribers: zenoh does not say how many."""
         with self._lock:
             return int(self._token is not None and self._plain.matching_status.matching)
 
@@ -70,7 +70,7 @@ class ZenohPublisher:
 
 
 def quality(end: EndKey) -> dict[str, Any]:
-    """What rmw_zenoh gives a publisher that keeps the last: it drops what the network cannot take."""
+    """The quality that rmw_zenoh gives a publisher with history "keep last": it drops what the network cannot take."""
     reliable = end.quality.reliable
     return {
         "congestion_control": zenoh.CongestionControl.DROP,
@@ -79,7 +79,7 @@ def quality(end: EndKey) -> dict[str, Any]:
 
 
 def _latched(session: Any, end: EndKey) -> Any:
-    """Whose last messages who comes late asks for."""
+    """A publisher whose last messages are sent to subscribers that come later."""
     reliable = end.quality.reliable
     return zenoh.ext.declare_advanced_publisher(
         session,

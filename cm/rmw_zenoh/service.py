@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A service: a queryable, whose queries bring a request and whose replies give back the attachment's number."""
+"""A service: a queryable whose queries carry a request, and whose replies return the attachment's number."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cm.ros import cdr
 from cm.ros.transport import Values
 
 _LOG = logging.getLogger("cm.rmw_zenoh")
-_LOOK = 0.1  # seconds between two looks whether all is over, while as many requests run as may
+_LOOK = 0.1  # seconds between two checks for the end, while as many requests run as are allowed
 
 
 class Door:
@@ -38,7 +38,7 @@ class Door:
                 work()
 
     def close(self) -> None:
-        """Wait for who is inside, and let nobody in any more; twice is fine."""
+        """Let no thread in any more, and wait for the one that is inside; twice is fine."""
         with self._lock:
             self.closed = True
 
@@ -55,7 +55,7 @@ class Service:
         self._door = door
 
     def take(self, query: Any) -> None:
-        """A request; what is none is told to who asked."""
+        """Take a request; if it is not a valid one, the reply says so."""
         try:
             attachment = Attachment.from_bytes(_bytes(query.attachment))
             values = cdr.decode(f"{self._end.kind}_Request", _bytes(query.payload))

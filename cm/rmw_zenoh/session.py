@@ -16,8 +16,8 @@ from cm.errors import InvalidRequest
 _LOG = logging.getLogger("cm.rmw_zenoh")
 PORT = 7447
 _FILE, _OVERRIDE = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE"  # rmw_zenoh's own
-_TRY = 3000  # milliseconds of trying to reach a router that was named
-# What rmw_zenoh sets otherwise than zenoh: nothing is searched for by multicast, a local router tells who is there.
+_TRY = 3000  # milliseconds for trying to reach a router that was named
+# Where rmw_zenoh differs from zenoh's defaults: no search by multicast; a local router knows the others.
 _USUAL: Mapping[str, Any] = {
     "mode": "peer",
     "connect/endpoints": [f"tcp/localhost:{PORT}"],
@@ -26,7 +26,7 @@ _USUAL: Mapping[str, Any] = {
     "listen/endpoints": ["tcp/localhost:0"],
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": True,
-    "timestamping/enabled": True,  # what is latched is told apart by it
+    "timestamping/enabled": True,  # latched messages are told apart by it
     "queries_default_timeout": 600_000,
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 50_000,  # microseconds
 }
@@ -45,8 +45,9 @@ def endpoint(text: str) -> str:
 
 
 def opened(router: str = "") -> Any:
-    """A session; `router`: go through that one, instead of the local one with direct connections to who is there.
+    """Open a session.
 
+    `router`: go through that one, instead of through the local one and direct connections to the others.
     `ZENOH_SESSION_CONFIG_URI` and `ZENOH_CONFIG_OVERRIDE` count as they do for rmw_zenoh. Raises InvalidRequest.
     """
     try:
@@ -59,7 +60,7 @@ def opened(router: str = "") -> Any:
 
 
 def _config(router: str) -> Any:
-    """A file, or what is usual; what the override says; what is asked for here."""
+    """The file's settings or the defaults, then those of the override, then those asked for here."""
     path = os.environ.get(_FILE, "")
     config = zenoh.Config.from_file(path) if path else zenoh.Config()
     settings = {} if path else {name: json.dumps(value) for name, value in _USUAL.items()}
@@ -79,5 +80,5 @@ def _config(router: str) -> Any:
 
 
 def _said(error: Exception) -> str:
-    """What zenoh says, without where in its sources."""
+    """zenoh's message, without the place in its sources."""
     return str(error).split(" at ", maxsplit=1)[0].strip() or type(error).__name__

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics that are listened to."""
+"""Subscriptions to topics."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _plain(session: Any, end: EndKey, handler: Any) -> Any:
 
 
 def _late(session: Any, end: EndKey, handler: Any) -> Any:
-    """Asks those that publish for what they sent before."""
+    """Asks publishers for what they sent before."""
     recovery = zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if end.quality.reliable else None
     history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=end.quality.depth)
     return zenoh.ext.declare_advanced_subscriber(

@@ -23,7 +23,7 @@ from cm.ros.transport import SERVICES, Body, Qos, Values
 from cm.ros.typehash import type_hash
 
 _REQUESTS = 32  # that are worked on at a time
-_WAITING = 1000  # others wait; of more, the oldest get no answer
+_WAITING = 1000  # requests that wait; if there are more, the oldest get no answer
 
 
 class ZenohTransport:

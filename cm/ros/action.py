@@ -115,7 +115,7 @@ class ChangeModeServer:
 
     def _turn(self, goal: _Goal, status: int) -> None:
         with self._lock:
-            if goal.status in _RUNNING:  # a goal that has ended stays as it ended
+            if goal.status in _RUNNING:  # a goal that has ended keeps its state
                 goal.status = status
             rows = [{"goal_info": g.info, "status": g.status} for g in self._goals.values()]
             self._status.write({"status_list": rows})

@@ -17,7 +17,7 @@ _CODES = {
     "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
 }  # fmt: skip
 _BYTES = ("byte", "uint8")
-_MOST = 1 << 26  # elements of a sequence that is read: what is longer is not a message of ours
+_MOST = 1 << 26  # most elements of a sequence that is read: our messages have no longer ones
 
 Values = Mapping[str, Any]
 _Put = Callable[[bytearray, Any], None]
@@ -32,7 +32,7 @@ def encode(name: str, values: Values) -> bytes:
 
 
 def put(name: str, out: bytearray, values: Values) -> None:
-    """The same behind what is in `out` already, which begins with the header."""
+    """As `encode`, but appended to `out`, which begins with the header."""
     try:
         _putter(name)(out, values)
     except (struct.error, TypeError, ValueError, AttributeError) as error:
@@ -40,7 +40,7 @@ def put(name: str, out: bytearray, values: Values) -> None:
 
 
 def head(name: str, values: Values, length: int) -> bytearray:
-    """All of a message that stands before the bytes of its last field, of which `length` follow."""
+    """All of a message up to the `length` bytes of its last field."""
     out = bytearray(HEADER)
     *fields, _ = message(name).fields
     for field in fields:
@@ -56,7 +56,7 @@ def decode(name: str, data: bytes | memoryview) -> dict[str, Any]:
 
 
 def read(name: str, reader: Reader) -> dict[str, Any]:
-    """The same, from where a reader is."""
+    """As `decode`, from a reader's position on."""
     try:
         values: dict[str, Any] = _taker(name)(reader)
     except (struct.error, IndexError, UnicodeDecodeError, ValueError) as error:
@@ -65,7 +65,7 @@ def read(name: str, reader: Reader) -> dict[str, Any]:
 
 
 def decode_head(name: str, data: bytes | memoryview) -> tuple[dict[str, Any], int, int]:
-    """All fields but the last, which is of bytes: how many there are, and where they begin. Raises InvalidRequest."""
+    """All fields but the last, which holds bytes: how many, and where they begin. Raises InvalidRequest."""
     reader = Reader(data)
     *fields, _ = message(name).fields
     try:
@@ -77,7 +77,7 @@ def decode_head(name: str, data: bytes | memoryview) -> tuple[dict[str, Any], in
 
 
 class Reader:
-    """Where in a message one is; of either byte order."""
+    """A position in a message, of either byte order."""
 
     def __init__(self, data: bytes | memoryview) -> None:
         self.data = memoryview(data).cast("B")

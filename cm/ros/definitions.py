@@ -49,7 +49,7 @@ class Message:
 
 @cache
 def message(name: str) -> Message:
-    """The message of that name; what rosidl makes of a service or an action counts, too: ``Plan_Request``, ``Plan``.
+    """The message of that name; also those that rosidl derives from a service or an action: ``Plan_Request``, ``Plan``.
 
     Raises NotFound.
     """
@@ -102,7 +102,7 @@ def _parts(name: str, text: str) -> Iterator[tuple[str, str]]:
 
 
 def _service(name: str) -> Iterator[tuple[str, str]]:
-    """A service has a hash of its own: it is described as its request, its reply, and an event that tells of both."""
+    """A service has a hash of its own: it is described by its request, its reply, and an event with both."""
     asked, replied, event = f"{name}_Request", f"{name}_Response", f"{name}_Event"
     yield event, f"{_EVENT_INFO} info\n{asked}[<=1] request\n{replied}[<=1] response"
     yield name, f"{asked} request_message\n{replied} response_message\n{event} event_message"

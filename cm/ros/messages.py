@@ -135,7 +135,7 @@ def camera_info(stream: StreamFormat, frame: FrameRecord) -> Values:
 
 
 def plan(info: PlanInfo) -> dict[str, Any]:
-    """The answer of cm_interfaces/Plan, but for success."""
+    """The reply of cm_interfaces/Plan, without `success`."""
     steps = [
         {"kind": s.kind, "subject": s.subject, "text": s.text, "bytes": s.bytes, "seconds": s.seconds}
         for s in info.steps

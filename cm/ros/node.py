@@ -23,7 +23,7 @@ from cm.ros.streams import Streams
 from cm.ros.transport import EVENTS, LATCHED, Qos, Transport
 
 _LOG = logging.getLogger("cm.ros")
-_LOOK = 0.25  # seconds between two looks who listens to streams
+_LOOK = 0.25  # seconds between two checks for subscribers to streams
 _DIAGNOSTICS = 1.0  # seconds between two diagnostics
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
@@ -55,7 +55,7 @@ class BoardNode:
     def __init__(
         self, transport: Transport, name: NodeName, commands: Commands, guest: str = "", inputs: Qos = EVENTS
     ) -> None:
-        """`inputs`: of the topics that are written to the hardware; those that offer less are not heard."""
+        """`inputs`: for topics that are written to the hardware; publishers that offer less are not heard."""
         self._transport = transport
         self._own = name.full
         self._lock = threading.Lock()
@@ -90,7 +90,7 @@ class BoardNode:
             self._board, self._problem = board, problem
             if board is None:
                 self._streams.close()
-        self._next = 0.0  # told at once
+        self._next = 0.0  # so that it is published at once
 
     def status(self, record: StatusRecord) -> None:
         """Publish a status."""
@@ -98,7 +98,7 @@ class BoardNode:
         self._status.write(messages.status(record))
 
     def config(self, record: ConfigRecord) -> None:
-        """Publish what runs, and have its streams and parameters."""
+        """Publish what runs, and offer its streams and parameters."""
         self._parameters.take(record)
         with self._lock:
             if self._board is not None:

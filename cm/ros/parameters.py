@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Registers as the node's parameters: ``registers.focus``, and their fields: ``fields.led.blink``.
 
-A parameter's name must not begin another's: ``ros2 param dump`` makes maps of them.
+A parameter's name must not begin another's: ``ros2 param dump`` turns them into maps.
 
-What a register may hold is the parameter's range, a read-only register a read-only parameter. Parameters are signed:
+The values that a register may hold are the parameter's range; a read-only register is a read-only parameter.
+Parameters are signed:
 a value of 64 bits whose highest bit is set shows as a negative number, and is written as one.
 """
 
@@ -35,7 +36,7 @@ class Parameters:
         self._known: Mapping[str, tuple[RegisterInfo, FieldInfo | None]] = {}
 
     def take(self, record: ConfigRecord) -> None:
-        """Another mode has other registers."""
+        """Take the registers of another mode."""
         known: dict[str, tuple[RegisterInfo, FieldInfo | None]] = {}
         for register in record.registers:
             known[_REGISTERS + register.name] = (register, None)
@@ -69,13 +70,13 @@ class Parameters:
         return {"types": bytes(_INTEGER if name in self._known else _NOT_SET for name in request["names"])}
 
     def get(self, request: dict[str, Any]) -> Values:
-        """GetParameters: what the registers hold now; not set is what cannot be read, or does not exist."""
+        """GetParameters: what the registers hold now; "not set" for those that cannot be read, or do not exist."""
         asked = [name for name in request["names"] if name in self._known and self._known[name][0].access != "wo"]
         held = self._held(asked)
         return {"values": [_value(held.get(name)) for name in request["names"]]}
 
     def _held(self, names: list[str]) -> dict[str, int]:
-        """One by one where they cannot be read together: a region may be cut off just now."""
+        """Read one by one if they cannot be read together: a region may be isolated at the moment."""
         if not names:
             return {}
         try:
@@ -136,12 +137,12 @@ class Parameters:
 
 
 def _register(name: str) -> str:
-    """As the manager calls it: ``led``, ``led.blink``."""
+    """The name that the manager knows: ``led``, ``led.blink``."""
     return name.partition(".")[2]
 
 
 def _bounds(register: RegisterInfo, field: FieldInfo | None) -> tuple[int, int]:
-    """As signed numbers: the whole range where the width of 64 bits is used to the end."""
+    """The bounds as signed numbers; all values if all 64 bits are used."""
     if field is not None:
         first, last = 0, (1 << field.width) - 1
     else:
@@ -157,7 +158,7 @@ def _value(value: int | None) -> Values:
 
 
 def _below(name: str, prefixes: Any, depth: int) -> bool:
-    """As rclcpp has it: `depth` counts the parts behind the prefix, 0 is any."""
+    """As in rclcpp: `depth` counts the parts after the prefix, 0 means any number."""
     if not prefixes:
         return depth == 0 or name.count(".") < depth
     return any(

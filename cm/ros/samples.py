@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of frames in one piece, for transports whose library takes and gives no other."""
+"""Messages of frames in one piece, for transports whose library accepts and delivers nothing else."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Gathering:
         self._buffer = bytearray()
 
     def gathered(self, head: bytearray, data: npt.NDArray[Any]) -> bytearray:
-        """Head and frame, behind each other: one copy, whatever lies between the frame's rows. Good until the next."""
+        """Head and frame in one piece: one copy, whatever lies between the frame's rows. Valid until the next call."""
         total = len(head) + data.nbytes
         if len(self._buffer) != total + -total % self._align:
             self._buffer = bytearray(total + -total % self._align)
@@ -43,7 +43,10 @@ class Copied:
 
 
 def hand_on(kind: str, message: bytes | memoryview, take: Callable[[dict[str, Any], Body], None]) -> None:
-    """`take` gets a message's fields, and its last one's bytes. Raises InvalidRequest for what is no such message."""
+    """Pass a message's fields, and the bytes of its last one, to `take`.
+
+    Raises InvalidRequest for what is no such message.
+    """
     values, length, offset = cdr.decode_head(kind, message)
     data = memoryview(message)[offset : offset + length]
     if len(data) != length:

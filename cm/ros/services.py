@@ -68,12 +68,12 @@ class Services:
 
 
 def refusal(code: str, message: str) -> Values:
-    """An answer that says no."""
+    """A reply that refuses."""
     return {"success": False, "code": code, "message": message}
 
 
 def refusals_told(answer: Answer) -> Answer:
-    """`answer` with success, or with the manager's code and sentence."""
+    """Wraps `answer`: its reply says success, or has the manager's code and sentence."""
 
     def told(request: dict[str, Any]) -> Values:
         try:

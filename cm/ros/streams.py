@@ -37,7 +37,7 @@ class ReadableStream:
         self._reader = FrameReader(board, stream, self._take, depth=3)
 
     def look(self) -> None:
-        """Run while somebody listens, and only then."""
+        """Run only while there are subscribers."""
         info = self._info.listeners() if self._info is not None else 0
         if self._publisher.listeners() + info:
             self._reader.start()
@@ -76,7 +76,7 @@ class WritableStream:
         self._subscription: Closing = transport.frames(f"{base}/{topic}", kind, inputs, self._take)
 
     def look(self) -> None:
-        """Nothing runs but when something comes."""
+        """Does nothing: work is done only when a frame comes."""
 
     def _take(self, values: Mapping[str, Any], body: Body) -> None:
         try:
@@ -93,7 +93,7 @@ class WritableStream:
             self._told = ""
 
     def _tell(self, problem: str) -> None:
-        """Once for all frames that have it."""
+        """Log a problem once for all frames that have it."""
         if problem != self._told:
             self._told = problem
             _LOG.warning("frames for %s are not written: %s", self._stream.name, problem)
@@ -110,7 +110,7 @@ class WritableStream:
         return not step or (self._row(values) == step and length == height * step)
 
     def _rows(self, values: Mapping[str, Any], body: Body) -> npt.NDArray[np.uint8]:
-        """Without what stands between the end of a row and the next."""
+        """The rows without the padding between them."""
         data = np.empty(body.length, np.uint8)
         body.into(data)
         height, step = values["height"], values["step"]
@@ -145,7 +145,7 @@ class Streams:
         self._open: dict[str, tuple[Any, ReadableStream | WritableStream]] = {}
 
     def take(self, record: ConfigRecord, board: Board) -> None:
-        """Open what is new, close what has gone; what is as it was goes on."""
+        """Open new topics and close old ones; those that have not changed continue."""
         wanted = {stream.name: stream for stream in record.streams if not stream.writes or stream.shape}
         for name in [name for name, (kept, _) in self._open.items() if kept != _kind(wanted.get(name))]:
             self._open.pop(name)[1].close()
@@ -171,7 +171,7 @@ class Streams:
 
 
 def _kind(stream: StreamFormat | None) -> Any:
-    """What another endpoint is needed for, where it is another: shapes of frames that are read may change."""
+    """If this differs, another endpoint is needed; the shape of frames that are read may change without one."""
     if stream is None:
         return None
     if stream.writes:

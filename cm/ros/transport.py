@@ -17,7 +17,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Qos:
-    """Quality of service in ROS's terms; `latched`: who comes late gets what was published last (transient local)."""
+    """Quality of service in ROS's terms; `latched`: late subscribers get what was published last (transient local)."""
 
     depth: int
     reliable: bool = True
@@ -27,7 +27,7 @@ class Qos:
 LATCHED = Qos(1, latched=True)
 EVENTS = Qos(10)
 SERVICES = Qos(10)
-IMAGES = Qos(2)  # reliable: who subscribes by best effort (sensor data) matches it, too
+IMAGES = Qos(2)  # reliable: best-effort subscribers (sensor data) match it, too
 SENSOR_DATA = Qos(5, reliable=False)
 
 
@@ -41,7 +41,7 @@ class Publisher(Protocol):
         """One whose last field is the frame's bytes; `head` are the others."""
 
     def listeners(self) -> int:
-        """How many subscribers there are; 1 for any where the middleware tells no more."""
+        """How many subscribers there are; 1 for any number if the middleware does not say how many."""
 
     def close(self) -> None:
         """End it; twice is fine."""
@@ -55,7 +55,7 @@ class Closing(Protocol):
 
 
 class Body(Protocol):
-    """The bytes of a frame that came, wherever they are."""
+    """The bytes of a frame that came, wherever they lie."""
 
     length: int
 
@@ -76,4 +76,4 @@ class Transport(Protocol):
         """Listen to a topic whose last field is a frame's bytes: `take` gets the other fields, and copies these."""
 
     def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> None:
-        """Serve: `answer` may take its time, since each request has a thread; what it raises is logged."""
+        """Serve: `answer` may take long, since each request has a thread; what it raises is logged."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The settings of the service: ``/etc/cm/cm.yaml`` (docs/service.md).
 
-What reads YAML is imported when it is first used: who has no settings file does not pay for it.
+The reader of YAML is imported when it is first used, so that a start without a settings file does not pay for it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = [
 ]
 
 
-if not TYPE_CHECKING:  # for a type checker it would allow all
+if not TYPE_CHECKING:  # to a type checker it would allow any name
 
     def __getattr__(name: str) -> Any:
         if name not in __all__:

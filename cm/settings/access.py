@@ -17,7 +17,7 @@ _LISTS = ("local", "insecure")
 
 
 def access(values: Mapping[str, Any]) -> AccessSettings:
-    """Values that the schema has been held against."""
+    """The data for values that have been checked against the schema."""
     known = dict(values)
     if "keys" in known:
         known["keys"] = Path(known["keys"])
@@ -35,7 +35,7 @@ def _grant(said: Mapping[str, Any]) -> Grant:
 
 
 def unknown_roles(values: Mapping[str, Any]) -> Iterator[tuple[KeyPath, str, str]]:
-    """Roles that nothing is called: where, what, and what may have been meant."""
+    """Names of roles that do not exist: where they stand, and what may have been meant."""
     known = {*(role.name.lower() for role in Role if role), *values.get("roles", ())}
     for path, roles in _named(values):
         for index, role in enumerate(roles):

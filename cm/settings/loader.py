@@ -128,5 +128,5 @@ class _Reading:
 
 
 def _is_blank(text: str) -> bool:
-    """Whether there are comments only: a file as it is shipped, all defaults."""
+    """Whether there are only comments, as in the shipped file: all settings have their defaults."""
     return all(not line.strip() or line.lstrip().startswith("#") for line in text.splitlines())

@@ -23,7 +23,7 @@ class StreamSettings:
 
 @dataclass(frozen=True, slots=True)
 class DmaSettings:
-    """DMA memory; `prefetch_mib` MiB are for images held ready."""
+    """DMA memory; `prefetch_mib` MiB are for images that are kept ready."""
 
     prefetch_mib: int = 64
 
@@ -37,7 +37,7 @@ class ImportSettings:
 
 @dataclass(frozen=True, slots=True)
 class PolicySettings:
-    """Configurations that nobody signed: `signatures` off, warn or require; `signers` the folder of public keys.
+    """Configurations without a signature: `signatures` off, warn or require; `signers` the folder of public keys.
 
     `older`: whether an import of an older version than the one in force is allowed.
     """

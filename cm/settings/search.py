@@ -21,9 +21,10 @@ class Found:
 
 
 def find_configs(places: Iterable[str]) -> Found:
-    """What the files and folders at `places` hold, in order; ``*`` stands for any folder.
+    """The configurations in the files and folders at `places`, in order; ``*`` stands for any folder.
 
-    The first of a name counts. One bad file must not keep a board from starting: it is left out and named.
+    Of several with one name the first counts. One bad file must not keep a board from starting: it is left out, with a
+    sentence that names it.
     """
     configs: dict[str, Config] = {}
     left_out = []
@@ -42,7 +43,7 @@ def find_configs(places: Iterable[str]) -> Found:
 def _files(places: Iterable[str]) -> Iterator[Path]:
     for place in places:
         for path in sorted(Path("/").glob(place.lstrip("/"))):
-            if path.name.startswith("."):  # of an import that goes on, or kept for a rollback
+            if path.name.startswith("."):  # of an import under way, or kept for a rollback
                 continue
             if path.is_dir():
                 yield from schema_files(path)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signed configurations: who made the files of a folder, and that they are still those files."""
+"""Signed configurations: who made the files of a folder, and whether they are unchanged."""
 
 from cm.signing.errors import SignatureRefused as SignatureRefused
 from cm.signing.errors import SigningUnavailable as SigningUnavailable

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ed25519 keys in PEM files, as openssl makes them; a key is called as its file is.
+"""ed25519 keys in PEM files, as openssl makes them; a key is named after its file.
 
 openssl genpkey -algorithm ed25519 -out release.pem
 openssl pkey -in release.pem -pubout -out release.pub.pem
@@ -20,7 +20,7 @@ from cm.signing.manifest import SIGNATURES, read_small
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-_CONTEXT = b"fpga-cm configuration manifest 1\0"  # a signature over something else is none over this
+_CONTEXT = b"fpga-cm configuration manifest 1\0"  # a signature over something else cannot be used for this
 _INSTALL = "install python3-cryptography, or the extra: pip install 'fpga-cm[sign]'"
 
 
@@ -62,7 +62,7 @@ def public_keys(folder: Path) -> Mapping[str, Ed25519PublicKey]:
 
 
 def signer(folder: Path, manifest: bytes, keys: Mapping[str, Ed25519PublicKey]) -> str:
-    """Return which of `keys` has signed a folder's manifest. Raises SignatureRefused where none has."""
+    """Return which of `keys` has signed a folder's manifest. Raises SignatureRefused if none has."""
     from cryptography.exceptions import InvalidSignature
 
     claims = _claims(folder)

@@ -36,7 +36,7 @@ def add_manifest(config: str, version: int, files: Mapping[str, bytes]) -> dict[
 
 
 def read_small(path: Path) -> bytes | None:
-    """Return a file's bytes; None where there is none. Raises SignatureRefused for one of no sane length."""
+    """Return a file's bytes; None where there is none. Raises SignatureRefused for one that is too long."""
     try:
         with path.open("rb") as file:
             data = file.read(_LARGEST + 1)
@@ -48,7 +48,7 @@ def read_small(path: Path) -> bytes | None:
 
 
 def parse(data: bytes, path: Path) -> Manifest:
-    """Return what a manifest says. Raises SignatureRefused where it is none."""
+    """Return what a manifest says. Raises SignatureRefused for what is not a manifest."""
     try:
         found = json.loads(data)
         config, version, files = found["config"], found["version"], found["files"]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is done with configurations that nobody signed. The policy never lies beside what it judges."""
+"""What is done with configurations without a signature. The policy is never read from the folder that it judges."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """Who signed a folder, and which version it is; `warning` where the policy wants it told."""
+    """Who signed a folder, and which version it is; `warning`: a sentence to log, if the policy wants one."""
 
     signer: str | None = None
     version: int | None = None
@@ -35,11 +35,11 @@ class Judgement:
 
 
 def judge(folder: Path, name: str, policy: Policy, installed: Path | None = None) -> Judgement:
-    """Judge the files of configuration `name` in `folder`; `installed`: what they would take the place of.
+    """Judge the files of configuration `name` in `folder`; `installed`: the configuration that they would replace.
 
     Raises SignatureRefused where the policy requires a signature and the folder has no good one, or
     where it refuses an older version; SigningUnavailable where it requires one and nothing here can
-    check it. With ``warn`` either is told instead.
+    check it. With ``warn``, a warning says so instead.
     """
     if policy.signatures == "off":
         return Judgement()

@@ -12,7 +12,7 @@ import pytest
 if TYPE_CHECKING:
     from cm.client.board import Board
 
-_KEY: pytest.StashKey[Any] = pytest.StashKey()  # dict: what is served, by what it serves
+_KEY: pytest.StashKey[Any] = pytest.StashKey()  # dict: managers that run, by what they serve
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -31,7 +31,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """The boards of this session."""
     config.stash[_KEY] = {}
     folder = config.getoption("--rtl-coverage")
-    first = not hasattr(config, "workerinput")  # a worker of pytest-xdist would take those of the others away
+    first = not hasattr(config, "workerinput")  # a worker of pytest-xdist would delete those of the others
     for old in Path(folder).glob("*.dat") if folder and first else ():
         old.unlink()
 
@@ -60,7 +60,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 @pytest.fixture
 def board(request: pytest.FixtureRequest) -> Iterator[Board]:
-    """A connected `cm.Board` on a simulated board of the schemas of `cm_config`; without, the shipped camera.
+    """A connected `cm.Board` on a simulated board of the schemas of `cm_config`, or else of the shipped camera.
 
     The manager runs as long as the session. Each test begins with the hardware as after power-up, without faults, and
     with `cm_load` loaded.
@@ -90,7 +90,7 @@ def rtl_board(request: pytest.FixtureRequest) -> Iterator[Board]:
 def inject(request: pytest.FixtureRequest) -> Iterator[Callable[..., None]]:
     """``inject(fault, target=None, count=1, value=0)`` on the board of the test; see `cm sim inject`.
 
-    What still waits at the end of the test is forgotten.
+    Faults that have not taken effect by the end of the test are forgotten.
     """
     name = next((name for name in ("rtl_board", "board") if name in request.fixturenames), "board")
     request.getfixturevalue(name)

@@ -25,7 +25,7 @@ class NotServed(CmError):
 
 
 class Served:
-    """`cm serve --sim` in a folder of its own, which goes with it."""
+    """`cm serve --sim` in a folder of its own, which is deleted with it."""
 
     def __init__(self, kind: str, configs: tuple[str, ...] = (), build: str = "", coverage: str = "") -> None:
         """`kind`: models or rtl. `coverage`: folder for counts of the HDL's lines. Raises NotServed."""
@@ -57,7 +57,7 @@ class Served:
         return Control(self.runtime / "board")
 
     def begin(self, load: str) -> None:
-        """The board as after power-up, and `load` ("CONFIG[/MODE]") in it; empty: the only configuration."""
+        """Put the board into the state after power-up, and load `load` ("CONFIG[/MODE]"; empty: what there is)."""
         self.control.clear()
         with connect(str(self.runtime), timeout=60.0) as board:
             config, _, mode = load.partition("/")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A frame as what a terminal is sent, by one of the three ways."""
+"""A frame as text for a terminal, in one of the three ways."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from cm.view.pixels import Bytes, fitted, outline, plotted, visible
 from cm.view.terminal import Size
 
 WAYS = ("kitty", "sixel", "blocks")
-_SIDE = 1280  # pixels of a picture at most, in either direction
+_SIDE = 1280  # most pixels of a picture, in either direction
 
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """Text that draws a picture at the cursor, so many rows high; and what to say of the picture."""
+    """Text that draws a picture at the cursor, the rows that it takes, and a description of the picture."""
 
     text: str
     rows: int

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures out of characters: ▀ with two colours is two pixels, one above the other. Works on any terminal.
+"""Pictures made of characters: ▀ in two colours is two pixels, one above the other. Works on any terminal.
 
 The colours are SGR's 38 and 48 (ECMA-48, ISO 8613-6): of 24 bits, or of xterm's 256.
 """

@@ -10,14 +10,14 @@ import numpy as np
 
 from cm.view.pixels import Bytes, coloured
 
-IMAGE = 4211  # its number there: each frame takes the place of the one before
+IMAGE = 4211  # its number in the terminal: each frame replaces the one before
 _PIECE = 4096  # characters of one sequence at most
 DELETE = f"\x1b_Ga=d,d=I,i={IMAGE},q=2\x1b\\"
-QUERY = "\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\"  # who can answers i=31;OK
+QUERY = "\x1b_Gi=31,s=1,v=1,a=q,t=d,f=24;AAAA\x1b\\"  # a terminal that knows the protocol answers i=31;OK
 
 
 def encoded(pixels: Bytes, columns: int, rows: int) -> str:
-    """A picture that the terminal makes as large as so many cells; the cursor stays where it is."""
+    """A picture that the terminal scales to that many cells; the cursor stays where it is."""
     picture = np.ascontiguousarray(coloured(pixels))
     height, width = picture.shape[:2]
     data = binascii.b2a_base64(zlib.compress(picture.tobytes(), 1), newline=False).decode("ascii")

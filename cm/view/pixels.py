@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[Any]
-_MOST = 1e38  # of a signal: a float32 holds no more
+_MOST = 1e38  # greatest value of a signal: close to what a float32 can hold
 Bytes = npt.NDArray[np.uint8]
 
 
@@ -18,7 +18,7 @@ Bytes = npt.NDArray[np.uint8]
 class Visible:
     """Rows × columns, or rows × columns × 3, of bytes.
 
-    `step`: only every so many-th pixel is there. `span`: the numbers that are black and white, where they were spread.
+    `step`: only every step-th pixel is shown. `span`: the numbers that are black and white, where they were spread.
     """
 
     pixels: Bytes
@@ -35,7 +35,7 @@ class Outline:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Of all of it."""
+        """The least and the greatest value of the whole signal."""
         return float(self.low.min()), float(self.high.max())
 
 
@@ -55,14 +55,14 @@ def _bytes(values: Array, step: int) -> Visible:
     numbers = _real(values)
     finite = numbers[np.isfinite(numbers)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
-    with np.errstate(all="ignore"):  # of what is not finite, or nearly
+    with np.errstate(all="ignore"):  # of values that are infinite, nearly so, or not numbers
         scaled = (numbers - low) / (high - low) * 255.0 if high > low else np.zeros_like(numbers)
     pixels = np.nan_to_num(scaled, nan=0.0, posinf=255.0, neginf=0.0).clip(0, 255).astype(np.uint8)
     return Visible(pixels, step, (low, high))
 
 
 def outline(values: Array, columns: int) -> Outline:
-    """A signal in at most so many columns."""
+    """A signal in at most that many columns."""
     numbers = np.clip(np.nan_to_num(_real(values.ravel()), posinf=0.0, neginf=0.0), -_MOST, _MOST)
     edges = np.linspace(0, len(numbers), min(len(numbers), columns) + 1).astype(np.int64)[:-1]
     return Outline(np.minimum.reduceat(numbers, edges), np.maximum.reduceat(numbers, edges))
@@ -83,7 +83,7 @@ def plotted(signal: Outline, width: int, height: int) -> Bytes:
 
 
 def fitted(pixels: Bytes, width: int, height: int) -> Bytes:
-    """A picture in at most so many pixels, with its proportions; smaller ones by the mean of what falls together."""
+    """A picture within that many pixels, with its proportions kept; pixels that fall together are averaged."""
     rows, columns = pixels.shape[:2]
     factor = min(width / columns, height / rows)
     wide, tall = max(1, round(columns * factor)), max(1, round(rows * factor))
@@ -91,7 +91,7 @@ def fitted(pixels: Bytes, width: int, height: int) -> Bytes:
 
 
 def resized(pixels: Bytes, width: int, height: int) -> Bytes:
-    """A picture of exactly so many pixels."""
+    """A picture of exactly that many pixels."""
     return _along(_along(pixels, height, 0), width, 1)
 
 
@@ -108,7 +108,7 @@ def _along(pixels: Bytes, length: int, axis: int) -> Bytes:
 
 
 def coloured(pixels: Bytes) -> Bytes:
-    """Rows × columns × 3, also of grey."""
+    """Rows × columns × 3, for grey pictures too."""
     return pixels if pixels.ndim == 3 else np.repeat(pixels[:, :, np.newaxis], 3, 2)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames drawn over each other on a terminal that is given back as it was."""
+"""Frames drawn one over the other on a terminal, which is restored at the end."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from cm.view.terminal import Ability, Size, asked, has_true_colour, keys_as_they
 _BEGIN = "\x1b[?1049h\x1b[?25l"  # the alternate screen, no cursor
 _END = "\x1b[?25h\x1b[?1049l"
 _HOME, _CLEAR, _TO_END = "\x1b[H", "\x1b[2J", "\x1b[K"
-_TOGETHER, _SHOW = "\x1b[?2026h", "\x1b[?2026l"  # no half pictures, where the terminal knows that
+_TOGETHER, _SHOW = "\x1b[?2026h", "\x1b[?2026l"  # no half-drawn pictures, if the terminal knows this mode
 
 
 class Screen:
-    """Where frames go: a terminal, or a file that is sent what one would be."""
+    """Where frames go: a terminal, or a file that gets what a terminal would be sent."""
 
     def __init__(self, out: TextIO, size: Callable[[], Size], ability: Ability, keys: int | None) -> None:
         self._out = out
@@ -40,7 +40,7 @@ class Screen:
         self._write(f"{made.text}{below}")
 
     def draw(self, frame: npt.NDArray[Any], says: str) -> None:
-        """In place of what was there, with a line under it."""
+        """Draw in place of the last picture, with a line under it."""
         made, size = self._drawing(frame), self._size()
         clear = _CLEAR if size != self._before else ""
         self._before = size
@@ -56,7 +56,7 @@ class Screen:
         return drawing(frame, self._ability.way, self._size(), self._true_colour)
 
     def ended(self) -> bool:
-        """Whether somebody pressed q, or Escape."""
+        """Whether the user has pressed q or Escape."""
         if self._keys is None or not select.select([self._keys], [], [], 0)[0]:
             return False
         return any(key in (ord("q"), 0x1B) for key in os.read(self._keys, 64))
@@ -66,7 +66,7 @@ class Screen:
         self._write(_BEGIN)
 
     def end(self) -> None:
-        """Give it back as it was."""
+        """Restore the terminal."""
         self._write((kitty.DELETE if self._ability.way == "kitty" else "") + _END)
 
     def _write(self, text: str) -> None:
@@ -87,5 +87,5 @@ def on_terminal(way: str) -> Iterator[Screen]:
 
 
 def into_file(way: str, size: Size) -> Screen:
-    """What a terminal of that size would be sent, on standard output."""
+    """Write what a terminal of that size would be sent to standard output."""
     return Screen(sys.stdout, lambda: size, Ability(way, size.cell), None)

@@ -30,7 +30,7 @@ def _grey(pixels: Bytes) -> tuple[npt.NDArray[np.intp], list[tuple[int, int, int
 
 
 def _coloured(pixels: Bytes) -> tuple[npt.NDArray[np.intp], list[tuple[int, int, int]]]:
-    """The cube, with what is lost spread over the neighbours."""
+    """The nearest colours of the cube, with the error spread over the neighbours."""
     rows, columns = pixels.shape[:2]
     dither = np.tile(_DITHER, (-(-rows // 4), -(-columns // 4)))[:rows, :columns, np.newaxis]
     steps = np.minimum((pixels / 255 * (_STEPS - 1) + dither).astype(np.intp), _STEPS - 1)
@@ -52,7 +52,7 @@ def _band(rows: npt.NDArray[np.intp]) -> str:
 
 
 def _runs(columns: npt.NDArray[np.intp]) -> str:
-    """Characters; those that come more than three times in a row with their number before them."""
+    """The characters of a line; more than three equal ones in a row are written once, with their number before them."""
     starts = np.flatnonzero(np.diff(columns, prepend=-1))
     lengths = np.diff(np.append(starts, len(columns)))
     letters = (columns[starts] + 63).tolist()

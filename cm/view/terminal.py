@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 from cm.view import kitty
 
-_ANSWER = 1.0  # seconds in which a terminal says what it is; over a slow line too
-_ATTRIBUTES = "\x1b[c"  # DA1: every terminal answers, so that nobody waits for what others do not
+_ANSWER = 1.0  # seconds in which a terminal answers, even over a slow line
+_ATTRIBUTES = "\x1b[c"  # DA1: every terminal answers this, so we need not wait for answers that some never send
 _CELL = "\x1b[16t"  # pixels of a cell (xterm's "Window manipulation")
 _LAST = re.compile(rb"\x1b\[\?([\d;]*)c")
 _SIXEL = "4"  # among the attributes
@@ -35,7 +35,7 @@ class Size:
 
 @dataclass(frozen=True, slots=True)
 class Ability:
-    """How a terminal can draw: kitty, sixel or blocks; `cell` where it told the pixels of one."""
+    """How a terminal can draw: kitty, sixel or blocks; `cell` is its size in pixels, if the terminal said so."""
 
     way: str = "blocks"
     cell: tuple[int, int] | None = None
@@ -71,7 +71,7 @@ def has_true_colour(environment: Mapping[str, str]) -> bool:
 
 
 def size_of(descriptor: int, cell: tuple[int, int] | None = None) -> Size:
-    """How large a terminal is now. Raises OSError where it is none."""
+    """How large a terminal is now. Raises OSError for what is not a terminal."""
     rows, columns, width, height = struct.unpack("HHHH", fcntl.ioctl(descriptor, termios.TIOCGWINSZ, bytes(8)))
     columns, rows = columns or 80, rows or 24
     if cell is None and width and height:
@@ -81,7 +81,7 @@ def size_of(descriptor: int, cell: tuple[int, int] | None = None) -> Size:
 
 @contextmanager
 def keys_as_they_come(descriptor: int) -> Iterator[None]:
-    """Keys are neither shown nor kept until Enter; Ctrl-C stays what it is."""
+    """Keys are delivered at once and not shown; Ctrl-C works as always."""
     before = termios.tcgetattr(descriptor)
     try:
         attributes = termios.tcgetattr(descriptor)

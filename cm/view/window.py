@@ -35,7 +35,7 @@ class Window:
         self._root.protocol("WM_DELETE_WINDOW", self.close)
 
     def draw(self, frame: npt.NDArray[Any], says: str) -> None:
-        """In place of the one before."""
+        """Draw in place of the last frame."""
         picture = self._picture(np.asarray(frame))
         height, width = picture.shape[:2]
         data = b"P6 %d %d 255\n" % (width, height) + coloured(picture).tobytes()
@@ -49,7 +49,7 @@ class Window:
             return plotted(signal, *_SIGNAL)
         pixels = visible(frame, 1 << 14).pixels
         room = self._label.winfo_width(), self._label.winfo_height()
-        if self._image is None or min(room) < 16:  # as large as the frame, until somebody makes it another size
+        if self._image is None or min(room) < 16:  # as large as the frame, until the user resizes it
             room = (
                 min(pixels.shape[1], self._root.winfo_screenwidth()),
                 min(pixels.shape[0], self._root.winfo_screenheight() - 80),
@@ -62,7 +62,7 @@ class Window:
         self.look()
 
     def look(self) -> bool:
-        """See to what the user did; whether the window is still open."""
+        """Handle what the user did; returns whether the window is still open."""
         if self.open:
             self._root.update()
         return self.open

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm web`: a page to look at a board through, and with `--control` to change it. A client like any other."""
+"""`cm web`: a page to look at a board through, and with `--control` to change it. It is a client like any other."""

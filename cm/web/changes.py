@@ -14,7 +14,10 @@ _STEPS_MAX = 200  # of one change that are kept
 
 
 class ChangeLog:
-    """The last changes, newest last, as JSON has them. Times are seconds: `at` since the epoch, others long."""
+    """The last changes, newest last, as JSON has them.
+
+    Times are in seconds: `at` since the epoch, others are durations.
+    """
 
     def __init__(self) -> None:
         self.changes: deque[dict[str, Any]] = deque(maxlen=KEPT)
@@ -23,7 +26,7 @@ class ChangeLog:
         self._last_change: int | None = None
 
     def take(self, status: Status) -> bool:
-        """Note what a status says; whether that is something new."""
+        """Note what a status says; returns whether it is new."""
         if status.progress is not None:
             self._goes_on(status.progress)
             return True
@@ -34,7 +37,7 @@ class ChangeLog:
         return ended
 
     def forget(self) -> None:
-        """Another manager, or the same one anew: its changes have numbers of their own."""
+        """Forget all: another manager, or the same one restarted, numbers its changes anew."""
         self._last_change = None
         if self._running is not None:
             self._running.update(state="lost")
@@ -66,7 +69,7 @@ class ChangeLog:
             self._running["steps"][-1]["seconds"] = now - self._since
 
     def _ended(self, status: Status) -> None:
-        """A change that was over between two statuses has no steps."""
+        """A change that began and ended between two statuses has no steps."""
         change = self._running
         if change is None or change["number"] != status.last_change:
             change = self._new(status.last_change, status.config_name, status.mode)

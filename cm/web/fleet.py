@@ -18,7 +18,7 @@ from cm.web.topics import Topics
 
 _AGAIN = 2.0  # seconds between two tries to reach the fleet
 _PAUSE = 0.25  # seconds between two tables
-_SHOWN = 500  # boards; the number of all is told
+_SHOWN = 500  # boards at most; the page is told how many there are
 
 
 class FleetWatch:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who may use the page's server: decided by the token, and by the origin that the browser states.
 
-A page elsewhere that a browser has open can make it connect here, from the user's own machine, and a name that such a
-page controls can be made to lead here (DNS rebinding). Neither knows the token. Beyond that the Host has to be an
-address or a name of this machine, and the Origin of a WebSocket the page's own.
+A foreign page that is open in a browser can make it connect here, from the user's own machine, and a name that such a
+page controls can be made to resolve to this machine (DNS rebinding). Neither knows the token. In addition, the Host
+has to be an address or a name of this machine, and the Origin of a WebSocket that of our own page.
 """
 
 from __future__ import annotations
@@ -23,14 +23,17 @@ _SHORTEST = 16  # characters of a token
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """What a request has to have. `names`: those by which this machine is reached, beside its addresses."""
+    """What a request has to have. `names`: the names of this machine, beside its addresses."""
 
     token: str
     names: frozenset[str]
 
     @classmethod
     def of(cls, token: str, names: Collection[str]) -> Gate:
-        """With a fresh token if there is none, and this machine's name. Raises InvalidRequest for one that is short."""
+        """With this machine's name, and a new token if none is given.
+
+        Raises InvalidRequest for a token that is too short.
+        """
         if token and len(token) < _SHORTEST:
             raise InvalidRequest(f"the token has {len(token)} characters; it must not be guessed: {_SHORTEST} at least")
         known = {"localhost", os.uname().nodename, *names}
@@ -67,7 +70,7 @@ def _hostname(host: str) -> str | None:
 
 
 def _is_address(name: str) -> bool:
-    """An address leads where it says; a name can be made to lead elsewhere."""
+    """An address is what it says; a name can be made to resolve elsewhere."""
     try:
         ipaddress.ip_address(name)
     except ValueError:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one connection to the manager that all pages share, and what it sends, for the pages."""
+"""The one connection to the manager that all pages share, and what it has sent, for the pages."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Connect = Callable[[], Board]
 
 
 class Hub:
-    """Follows the manager from `run` on; where it goes away, until it is there again."""
+    """Follows the manager from `run` on; if it goes away, waits until it is back."""
 
     def __init__(self, connect: Connect, control: bool) -> None:
         self._connect = connect
@@ -43,7 +43,7 @@ class Hub:
         self._errors: deque[dict[str, Any]] = deque(maxlen=_ERRORS)
         self._last_error: tuple[str, str] | None = None
         self._started_ns = 0
-        self._stale = asyncio.Event()  # another mode: what is known of it has to be asked for again
+        self._stale = asyncio.Event()  # the mode has changed: its description has to be asked for again
         self._tell_link("not connected yet")
         for topic, nothing in (("errors", []), ("changes", []), ("interrupts", {})):
             self.topics.tell(topic, nothing)
@@ -113,7 +113,7 @@ class Hub:
         self.topics.tell("status", plain(status))
 
     def _note(self, status: Status) -> None:
-        """Each error once, when it is told first."""
+        """Note each error once, when it is first reported."""
         error = status.last_error
         known = (error.code, error.message) if error else None
         if known != self._last_error and error is not None:
@@ -187,5 +187,5 @@ class Hub:
 
 
 def _place(status: Status) -> tuple[Any, ...]:
-    """What of a status makes what was asked before it void."""
+    """The part of a status whose change makes earlier answers void."""
     return status.config_name, status.mode, status.configs, status.fpga_busy, status.started_ns

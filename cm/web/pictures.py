@@ -18,7 +18,7 @@ import numpy.typing as npt
 from cm.view.pixels import Bytes, Outline, outline, visible
 
 SIDE = 1280  # pixels at most; of a larger frame every second, third, … pixel is shown
-COLUMNS = 1024  # of a signal; of a longer one the least and the greatest value in each
+COLUMNS = 1024  # of a signal; a longer one is shown as the least and the greatest value in each
 _QUALITY = 85
 Array = npt.NDArray[Any]
 
@@ -29,7 +29,7 @@ def raw(stream: str, frame: Array, about: Mapping[str, Any]) -> bytes:
 
 
 def small(stream: str, frame: Array, about: Mapping[str, Any]) -> bytes:
-    """For a browser elsewhere: a JPEG, where it is a picture."""
+    """For a browser on another machine: a JPEG, if it is a picture."""
     return _message(stream, frame, about, _jpeg)
 
 

@@ -29,7 +29,7 @@ _MESSAGE = 1 << 16  # bytes of what a page sends
 _HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "Cache-Control": "no-cache",  # asked for again each time: an upgrade must not meet scripts of before
+    "Cache-Control": "no-cache",  # so that after an upgrade no browser uses old scripts
     "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
     "Referrer-Policy": "no-referrer",
@@ -49,7 +49,7 @@ class Options:
     port: int = 8080
     control: bool = False
     tls: ssl.SSLContext | None = None
-    fleet: Callable[[], Fleet] | None = None  # whose boards are shown beside the one
+    fleet: Callable[[], Fleet] | None = None  # its boards are shown beside the one
 
 
 class PageServer:
@@ -70,7 +70,7 @@ class PageServer:
             await self._listen(runner)
             host, port = runner.addresses[0][:2]
             scheme = "https" if self._options.tls else "http"
-            if host in ("0.0.0.0", "::"):  # everywhere: browsers need a name
+            if host in ("0.0.0.0", "::"):  # all interfaces: browsers need a name
                 host = os.uname().nodename
             where = f"[{host}]" if ":" in host else host
             on_ready(f"{scheme}://{where}:{port}/#token={self._options.gate.token}")
@@ -97,7 +97,7 @@ class PageServer:
     async def _follow(self, _: web.Application) -> AsyncIterator[None]:
         tasks = [asyncio.create_task(self._hub.run())]
         if self._options.fleet is not None:
-            from cm.web.fleet import FleetWatch  # zenoh is there only where a fleet is
+            from cm.web.fleet import FleetWatch  # zenoh is needed only for a fleet
 
             tasks.append(asyncio.create_task(FleetWatch(self._options.fleet, self._hub.topics).run()))
         yield

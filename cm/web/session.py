@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One page: its requests, and what it is sent. If it is slow, it gets only the latest state of each topic."""
+"""One page: its requests, and what it is sent. A slow page gets only the latest state of each topic."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cm.web.gate import Gate
 from cm.web.hub import Hub
 from cm.web.watching import Watching
 
-_PAUSE = 0.02  # seconds between two messages: what comes together is told together
+_PAUSE = 0.02  # seconds between two messages, so that changes at about the same time are sent together
 _HELLO = 10.0  # seconds in which a page has to say who it is
 _UNDER_WAY = 2  # pictures of a stream that a page has not drawn yet
 _ASKED = 8  # requests of a page that may be under way
@@ -133,7 +133,7 @@ class Session:
                 for stream in tuple(self._sent):
                     await self._send_picture(stream)
                 await asyncio.sleep(_PAUSE)
-        except ConnectionError:  # the page has gone, which ends the other side of this as well
+        except ConnectionError:  # the page has gone, which ends the other direction as well
             return
 
     async def _send_picture(self, stream: str) -> None:

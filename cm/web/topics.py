@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What pages are sent, by topic: only the newest message of each counts, however slow a page is."""
+"""What pages are sent, by topic: only the newest message of each is kept, however slow a page is."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Listener = Callable[[str], None]
 
 
 def plain(message: Any) -> Any:
-    """A frozen message as what JSON knows."""
+    """A frozen message as plain data for JSON."""
     return asdict(message, dict_factory=lambda pairs: {k: v.value if isinstance(v, Enum) else v for k, v in pairs})
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Streams that pages show: each is read once, however many pages show it, and not at all if none does.
 
-Frames are taken off as they come, so that the hardware and other readers lose nothing by us; thirty a second at most
-are made into pictures. Who is slow gets the newest when it has drawn the last.
+Frames are read as they come, so that the hardware and other readers are not held up; at most thirty a second are made
+into pictures. A slow page gets the newest when it has drawn the last.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from cm.web.hub import Hub
 
 _EVERY = 1 / 30  # seconds between two pictures at least
 _AGAIN = 1.0  # seconds before a stream that could not be read is tried again
-_LINGER = 2.0  # seconds that a stream is still read with no page watching: one may just be reloading
+_LINGER = 2.0  # seconds for which a stream is still read when no page watches it: a page may just be reloading
 _KINDS = {"raw": pictures.raw, "small": pictures.small}
 OnPicture = Callable[[str], None]
 
@@ -36,7 +36,7 @@ class _Watched:
 
     @property
     def kinds(self) -> set[str]:
-        """In which forms it is wanted."""
+        """The kinds of picture that pages want of it."""
         return {kind for kind, _ in self.watchers.values()}
 
 
@@ -55,7 +55,7 @@ class Watching:
             watched.task = asyncio.create_task(self._read(stream, watched))
 
     def leave(self, watcher: Hashable, stream: str) -> None:
-        """Watch no more; fine where it did not."""
+        """Stop watching; fine if it was not watched."""
         watched = self._streams.get(stream)
         if watched is None:
             return

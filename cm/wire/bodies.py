@@ -27,7 +27,7 @@ def status_to_pb(s: st.Status) -> pb.Status:
 
 
 def encoded_status(s: st.Status) -> bytes:
-    """A status' message: two of them behind each other are one that has the fields of both."""
+    """The message of a status, in two parts: protobuf reads messages that follow each other as one."""
     message = pb.Status(
         config_name=s.config_name,
         mode=s.mode,
@@ -65,13 +65,13 @@ _Lasting = tuple[
 
 
 class _LastingParts:
-    """The longest parts of a status, encoded: the dozen statuses of one change of mode have them in common."""
+    """The longest parts of a status, encoded: they are the same in the dozen statuses of one change of mode."""
 
     def __init__(self) -> None:
         self._last: tuple[_Lasting | None, bytes] = (None, b"")
 
     def encoded(self, parts: _Lasting) -> bytes:
-        """Of these; what is the very same as the last time is not looked into."""
+        """The encoded form of these parts; objects that are identical to those of last time are not encoded again."""
         before, encoded = self._last
         if parts != before:
             encoded = _encoded_parts(*parts)
@@ -221,7 +221,7 @@ def registers_to_pb(r: st.RegValues) -> pb.RegValues:
 
 
 def registers_into(message: pb.RegValues, r: st.RegValues) -> None:
-    """Fill a message in its place: a third of the time that keyword arguments and a copy take."""
+    """Fill a message in place, in a third of the time that keyword arguments and a copy take."""
     message.config_name = r.config_name
     message.mode = r.mode
     message.generation = r.generation

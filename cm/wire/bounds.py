@@ -14,28 +14,28 @@ FILES = 256  # of a configuration
 NAME_BYTES = 256
 LEASES_BYTES = 4096  # ids between commas
 SCHEMA_BYTES = 1 << 20
-MESSAGE_BYTES = 128 << 10  # of the second frame, but where it has a schema
+MESSAGE_BYTES = 128 << 10  # of the second frame, unless it holds a schema
 TEXT_BYTES = 64 << 10
 BITS = 64
-_DIGITS = {16: 16, 10: 20, 8: 22, 2: 64}  # that 64 bits have at most, by the base
-_ALWAYS_FINE = 256  # bytes of a message in which nothing can break a bound
+_DIGITS = {16: 16, 10: 20, 8: 22, 2: 64}  # most digits of 64 bits, by the base
+_ALWAYS_FINE = 256  # bytes of a message that is too short to break any bound
 _LIMITS = {"schema": SCHEMA_BYTES, "lease": LEASES_BYTES}
 
 
 class TooMany(InvalidRequest):
-    """A request lists more than one may."""
+    """A request lists more entries than are allowed."""
 
     code: ClassVar[str] = "too_many"
 
 
 class TooLong(InvalidRequest):
-    """A message or a text is longer than one may be."""
+    """A message or a text is longer than allowed."""
 
     code: ClassVar[str] = "too_long"
 
 
 class NameTooLong(InvalidRequest):
-    """A name is longer than any there can be."""
+    """A name is longer than any name can be."""
 
     code: ClassVar[str] = "name_too_long"
 
@@ -47,7 +47,7 @@ class NumberTooLong(InvalidRequest):
 
 
 def check_length(topic: str, message: bytes, schema: bool = False) -> None:
-    """Raise TooLong for a message that is not looked into; before it is parsed, which takes as long as it is long."""
+    """Raise TooLong for a message that is too long to be parsed: that takes time in proportion to its length."""
     most = SCHEMA_BYTES + MESSAGE_BYTES if schema else MESSAGE_BYTES
     if len(message) > most:
         raise TooLong(f"{topic}: a message of {len(message)} bytes; {most} at most, and data in frames behind it")

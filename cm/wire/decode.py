@@ -17,7 +17,7 @@ from cm.wire import cm_pb2 as pb
 
 Frame = bytes | memoryview
 _Message = TypeVar("_Message", bound=Message)
-_SHORT, _KEPT = 256, 256  # bytes of a message whose request is kept, and how many are
+_SHORT, _KEPT = 256, 256  # bytes of the longest message whose request is kept, and how many are kept
 _Decoder = Callable[[bytes, Sequence[Frame]], rq.Request]
 
 
@@ -42,7 +42,7 @@ def decode_request(frames: Sequence[Frame]) -> rq.Request:
 
 @lru_cache(_KEPT)
 def _decode_again(topic: bytes, message: bytes) -> rq.Request:
-    """A client that asks for a register or the status asks again, in the same bytes; requests are frozen."""
+    """Clients repeat requests for a register or the status byte for byte, so decoded ones are kept; they are frozen."""
     return _decode(topic, message, ())
 
 
@@ -110,7 +110,7 @@ def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 
 
 def _file(entry: pb.File, payload: Frame | None) -> rq.File:
-    """A file as it came; whether its sha256 is right takes its time, and is found out where it is stored."""
+    """A file as it came; checking its sha256 takes time, and is done where it is stored."""
     if payload is None:
         return rq.File(entry.name, b"", entry.sha256, entry.upload)
     if len(payload) != entry.length:

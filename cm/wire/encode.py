@@ -196,7 +196,7 @@ _FROM_FIELD = {field: decode for field, _, decode in _BODIES.values()}
 
 
 def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> list[Frame]:
-    """A reply → ``[topic][Reply][payload…]``; `sequence` takes the place of the reply's own."""
+    """A reply → ``[topic][Reply][payload…]``; `sequence` replaces the reply's own."""
     body, error = reply.body, reply.error
     message = pb.Reply()
     message.ok = error is None
@@ -216,9 +216,9 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
 class RegisterReply:
     """A reply that holds registers, kept to be filled in again: a third of the time that a new one takes.
 
-    Whoever polls a register mostly finds what was there before: then the bytes are those of before, too.
+    A client that polls a register mostly finds the same value as before; then the bytes are the same, too. `fields`
 
-    `fields` are, for each name, those to be taken out of the register's value: name, lowest bit, mask.
+    are, for each name, those to extract from the register's value: name, lowest bit, mask.
     """
 
     def __init__(

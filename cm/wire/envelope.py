@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from cm.wire.decode import TOPICS, Frame
 
-GUEST = b"for="  # begins the frame before the empty one, of a bridge that speaks for somebody
+GUEST = b"for="  # begins the frame before the empty one, if a bridge speaks for a guest
 
 
 def guest_named(envelope: list[Frame]) -> str:
@@ -23,9 +23,9 @@ def split_envelope(frames: list[Frame]) -> tuple[list[Frame], list[Frame]]:
 def envelope_length(frames: list[Frame]) -> int:
     """How many of the frames that a ROUTER received are the return path.
 
-    A REQ socket puts an empty frame between them; a DEALER may, with frames of its own before it, or may send the
-    message straight away. So a message that begins with a topic has none before it, and an empty frame that something
-    follows ends what it has: frames of a client's own may be anything but a whole topic.
+    A REQ socket puts an empty frame between them; a DEALER may do so, with frames of its own before it, or may send
+    the message without. So if the first frame is a topic, there is no return path; otherwise an empty frame that
+    others follow ends it. A client's own frames may be anything but a topic.
     """
     if len(frames) > 1 and not frames[1]:  # most do
         return 2

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of fleets ↔ frozen data. Of a manager's own messages a bridge changes no byte: it adds fields behind."""
+"""Messages of fleets ↔ frozen data. A bridge changes no byte of a manager's messages: it appends fields."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cm.wire.fleet_records import parsed, record_from_pb, record_to_pb
 
 
 def extras(labels: tuple[str, ...], clock: fl.ClockSync, record: fl.FleetRecord | None) -> bytes:
-    """What is put behind a serialised Status: protobuf reads messages one behind the other as one."""
+    """What is appended to a serialised Status: protobuf reads messages that follow each other as one."""
     message = pb.Status(labels=labels, clock=_clock_to_pb(clock))
     if record is not None:
         message.fleet.CopyFrom(record_to_pb(record))
@@ -29,7 +29,7 @@ def board_status(data: bytes) -> fl.BoardStatus:
 
 
 def body(reply: bytes) -> tuple[str, bytes] | ErrorInfo:
-    """What a Reply holds: the name of its message and its bytes, or the error. Raises InvalidRequest."""
+    """The content of a Reply: the name of its message and its bytes, or the error. Raises InvalidRequest."""
     message: Any = parsed(pb.Reply, reply)
     if not message.ok:
         return bodies.error_from_pb(message.error)
@@ -41,7 +41,7 @@ def body(reply: bytes) -> tuple[str, bytes] | ErrorInfo:
 
 
 def each_register(data: bytes) -> list[tuple[str, bytes]]:
-    """RegValues of several → those of each, with its name."""
+    """RegValues of several registers → those of each, with its name."""
     message = parsed(pb.RegValues, data)
     return [
         (
@@ -90,7 +90,7 @@ def encode_fetch(fetch: fl.FetchBundle) -> bytes:
 
 
 def decode_fetch(data: bytes) -> fl.FetchBundle:
-    """Raises InvalidRequest for what cannot be."""
+    """The inverse of `encode_fetch`. Raises InvalidRequest."""
     m = parsed(pb.FetchBundle, data)
     wanted = -(-m.length // m.part_length) if m.part_length else 0
     hashes = (m.sha256, *m.parts)
@@ -119,7 +119,7 @@ def _bundle_from_pb(m: pb.BundleState) -> fl.BundleState:
 
 
 def encode_answer(body: fl.FleetRecord | fl.BundleState | ErrorInfo) -> bytes:
-    """What a bridge itself answers with: a Reply, as a manager's."""
+    """A Reply of the bridge itself, in the form of a manager's."""
     if isinstance(body, ErrorInfo):
         message = pb.Reply(ok=False, error=bodies.error_to_pb(body))
     elif isinstance(body, fl.FleetRecord):
@@ -130,7 +130,7 @@ def encode_answer(body: fl.FleetRecord | fl.BundleState | ErrorInfo) -> bytes:
 
 
 def decode_answer(data: bytes) -> fl.FleetRecord | fl.BundleState | ErrorInfo:
-    """The other way round. Raises InvalidRequest for a Reply with another body."""
+    """The inverse of `encode_answer`. Raises InvalidRequest for a Reply with another body."""
     reply: Any = parsed(pb.Reply, data)
     if not reply.ok:
         return bodies.error_from_pb(reply.error)

@@ -43,11 +43,11 @@ def encode_step(step: fl.FleetStep) -> bytes:
 
 
 def decode_step(data: bytes) -> fl.FleetStep:
-    """Raises InvalidRequest for what is not a step, has no id, or a ballot that none may follow."""
+    """Raises InvalidRequest for what is not a step, has no id, or has a ballot that leaves no room for another."""
     m = parsed(pb.FleetStep, data)
     if not m.id or not m.id.isascii() or not m.id.isprintable() or len(m.id) > 64 or "/" in m.id:
         raise InvalidRequest(f"a change of a fleet has an id of 1 to 64 printable characters without /, not {m.id!r}")
-    if not 0 <= m.seconds <= LONGEST:  # no number is between them
+    if not 0 <= m.seconds <= LONGEST:  # also refuses NaN
         raise InvalidRequest(
             f"change {m.id}: 0 to {LONGEST} seconds until boards ask for the decision, not {m.seconds}"
         )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from cm.errors import InvalidRequest
 
-SOCKET = "data"  # its name in the runtime folder
+SOCKET = "data"  # the socket's name in the runtime folder
 PACKET_MAX = 4096
 SLOTS_MAX = 256
 FDS_MAX = 64
@@ -56,7 +56,7 @@ class Open:
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """``struct cm_plane_geometry``: what comes from here on; `stride` 0: lines follow each other."""
+    """``struct cm_plane_geometry``: the form of the frames that follow; `stride` 0: no gaps between lines."""
 
     slot_length: int
     frame_length: int = 0

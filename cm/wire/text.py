@@ -52,7 +52,7 @@ def parse_registers(payload: bytes) -> WriteReg:
     """``{ 'focus':0x2}`` → the writes in their order. Values are integers or true/false.
 
     Raises InvalidRequest; TooLong, TooMany, NameTooLong and NumberTooLong for what no request may hold. Read entry by
-    entry, in a time that grows with the text and no faster.
+    entry, in a time proportional to the length of the text.
     """
     if len(payload) > bounds.TEXT_BYTES:
         raise bounds.TooLong(f"cm_write_reg: text of {len(payload)} bytes; at most {bounds.TEXT_BYTES} are read")

@@ -39,10 +39,7 @@ class Endpoints:
 
 
 def ipc_endpoints(runtime_dir: Path) -> Endpoints:
-    """Endpoints of a manager on this machine.
-
-    Raises InvalidRequest where the folder's path is too long for a Unix socket.
-    """
+    """Endpoints of a manager on this machine. Raises InvalidRequest if the path is too long for a Unix socket."""
     folder = runtime_dir.absolute()
     if len(str(folder / "pub").encode()) > MAX_IPC_PATH:
         raise InvalidRequest(

@@ -22,7 +22,7 @@ _INSTALLED = Path("/usr/share/prjxray/database")  # where Debian's prjxray-datab
 def find_database(setting: Path | None = None) -> Path:
     """Return the folder with ``zynq7/``, ``artix7/``, …: `setting`, CM_XRAY_DATABASE, Debian's, else a fetched one.
 
-    Raises DatabaseMissing with where it was looked for.
+    Raises DatabaseMissing, which names the places that were searched.
     """
     named = setting or (Path(os.environ[VARIABLE]) if os.environ.get(VARIABLE) else None)
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fpga-cm" / "packages"
@@ -38,7 +38,7 @@ def find_database(setting: Path | None = None) -> Path:
 
 
 class Database:
-    """What is public of one part, such as ``xc7z010clg400-1``. Files are read when they are first needed."""
+    """What the database says about one part, such as ``xc7z010clg400-1``. Files are read when they are first needed."""
 
     def __init__(self, family: Path, part: str, fabric: str) -> None:
         self.family = family

@@ -14,10 +14,11 @@ from cm.xray.tiles import Segment, Tile
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """All features whose bits are as they want them, and the set bits (frame address, position) that none explains.
+    """All features whose bits have the required values, and the set bits that no feature explains.
 
-    A feature with no bit that must be 1 cannot be told from one that was never set, and is not listed;
-    nor are pips without bits. Features whose bits are part of another's are listed beside it.
+    These bits are (frame address, position). A feature with no bit that must be 1 cannot be told from one that was
+    never set, and is not listed; nor are pips without bits. Features whose bits are part of another's are listed beside
+    it.
     """
 
     features: frozenset[Feature]
@@ -25,7 +26,7 @@ class Decoded:
 
 
 def decode(database: Database, frames: Frames, tiles: Iterable[str] | None = None) -> Decoded:
-    """Return what frames say, checksums aside; `tiles` (all by default) are the tiles that are looked at."""
+    """Return what frames say, ignoring checksums; `tiles` (all by default) are the tiles that are looked at."""
     chosen = database.tiles.values() if tiles is None else [database.tiles[name] for name in tiles]
     left = {address: frame & ~ECC_MASK for address, frame in frames.items()}
     found = set()

@@ -27,7 +27,7 @@ class Clash:
 
 @dataclass(frozen=True, slots=True)
 class Encoded:
-    """Frames by address, with checksums where `encode` was asked for them; those without a set bit are left out.
+    """Frames by address, with checksums if `encode` was asked for them; frames without a set bit are left out.
 
     `unresolved` are features that the database does not know, `clashes` bits with two values: both must be
     empty for the frames to mean what the features say.
@@ -63,7 +63,7 @@ def encode(database: Database, features: Iterable[Feature], *, ecc: bool = True)
 
 
 def bits_of(database: Database, feature: Feature) -> list[tuple[tuple[int, int], bool]] | None:
-    """Return ((frame address, bit of the frame), value) of a feature; None for one that the database has not."""
+    """Return ((frame address, bit of the frame), value) of a feature; None for one that the database does not have."""
     tile = database.tiles.get(feature.tile)
     if tile is None:
         return None

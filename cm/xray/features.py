@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Features, and their text form (FASM): what a tile is set to, one bit of meaning each."""
+"""Features, and their text form (FASM): the settings of a tile, each of which is on or off."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Setting(NamedTuple):
 
     @property
     def width(self) -> int:
-        """How many bits are set by it."""
+        """How many bits it sets."""
         return 1 if self.high is None or self.low is None else self.high - self.low + 1
 
     def features(self) -> Iterator[Feature]:
@@ -58,7 +58,7 @@ class Setting(NamedTuple):
 def parse(lines: Iterable[str], source: str = "FASM") -> Iterator[Setting]:
     """Read lines of FASM; comments, annotations in braces and empty lines are left out.
 
-    Raises XrayError with `source` and the number of a line that is none.
+    Raises XrayError with `source` and the number of a line that is not FASM.
     """
     for number, line in enumerate(lines, 1):
         text = re.sub(r"\{[^}]*\}", "", line.partition("#")[0]).strip()

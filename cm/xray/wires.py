@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wires: which of neighbouring tiles are one node, and the pips that join nodes."""
+"""Wires: which wires of neighbouring tiles form one node, and the pips that join nodes."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Kind:
 
 
 class Wires:
-    """The wires of a part. What was asked once is kept."""
+    """The wires of a part. Answers are cached."""
 
     def __init__(self, database: Database) -> None:
         self._database = database
