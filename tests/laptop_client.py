@@ -32,7 +32,7 @@ def by_hand(address: str) -> None:
         assert board.plan("default").bytes > 0
         assert dir(board.registers)
         assert board.interrupts.names
-        assert "only its own machine has" in error_of(lambda: board.writer("to_pl"))
+        assert "only its own machine has" in error_of(lambda: board.writer("to_pl", timeout=60))
         assert "only its own machine has" in error_of(lambda: board.allocate(4))
     assert "connect('tcp://kria.local')" in error_of(cm.connect)
     assert "on Linux only" in error_of(lambda: import_module("cm.device"))
@@ -67,7 +67,7 @@ def commands(address: str) -> None:
     os.environ["CM_CONNECT"] = address
     assert main(["status"]) == 0
     assert main(["completion", "names", "mode", "edg"]) == 0
-    assert cm.connect().mode == "edge_detection"
+    assert cm.connect(timeout=60).mode == "edge_detection"
     assert main(["help"]) == 0
     assert main(["keygen", "keys", "laptop"]) == 0
     assert main(["completion", "zsh"]) == 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import signal
 import subprocess
 import tempfile
@@ -40,6 +41,27 @@ def until(condition: Callable[[], _T], timeout: float = 60.0) -> _T:
 
 def _as_a_service() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)  # ignored where the tests run under nohup(1)
+
+
+def patient(folder: Path) -> Path:
+    """The camera example, in `folder`, with a minute for each load: for boards whose port is `stalled`."""
+    text, regions = re.subn(
+        r"^    prr\d:\n", r"\g<0>      timeout: 60\n", (CAMERA / "camera.yaml").read_text(), flags=re.MULTILINE
+    )
+    assert regions == 2
+    (folder / "patient").mkdir()
+    (folder / "patient/camera.yaml").write_text(text)
+    return folder / "patient"
+
+
+@contextlib.contextmanager
+def stalled(sim: SimBoard) -> Iterator[None]:
+    """The board's configuration port takes nothing meanwhile: a load is under way for as long as a test wants."""
+    sim.control.inject("icap_stall")
+    try:
+        yield
+    finally:
+        sim.control.clear("icap_stall")
 
 
 class Manager:

@@ -13,11 +13,11 @@ REGIONS = """
     prr0:
       decoupler: {base_address: 0x1000, offset: 0x0, bit: 0}
       identity: {base_address: 0x2000, offset: 0x1000}
-      timeout: 0.3
+      timeout: 60
     prr1:
       decoupler: {base_address: 0x1000, offset: 0x0, bit: 1}
       identity: {base_address: 0x6000, offset: 0x1000}
-      timeout: 0.3
+      timeout: 60
 """
 
 DUO = f"""
@@ -93,7 +93,7 @@ config:
   name: kernel
   type: partial
   device: xc7z020
-{REGIONS.replace("timeout: 0.3", "timeout: 0.3" + chr(10) + "      loader: overlay")}
+{REGIONS.replace("timeout: 60", "timeout: 60" + chr(10) + "      loader: overlay")}
   modules:
     k0: {{region: prr0, identity: 0xd0}}
     l0: {{region: prr0, identity: 0xe0}}

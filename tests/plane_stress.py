@@ -20,6 +20,7 @@ from cm.sim import Board as SimBoard
 READERS = 8
 WORDS = 16384  # 128 KiB a frame
 DEPTH = 4  # frames that a reader may hold if it does not say
+HUNG = 30.0  # seconds; a busy machine may well take some between two frames
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def _all_is_given_back(board: cm.Board) -> None:
 
     stream = until(alone)
     assert stream.slots <= 2 * READERS * DEPTH, f"{stream.slots} slots for {READERS} readers"
-    with board.stream("from_pl", depth=1) as reader, board.writer("to_pl", timeout=60) as writer:
+    with board.stream("from_pl", depth=1, timeout=60) as reader, board.writer("to_pl", timeout=60) as writer:
         places = set()
         for number in range(2 * stream.slots):
             writer.write(np.full(WORDS, number, np.uint64))

@@ -22,6 +22,7 @@ _FAULTS = """faults (TARGET, VALUE):
   hang             channel             nothing moves until cleared
   drop_interrupt   interrupt           the next one does not come
   icap_crc, icap_id, icap_hang         how the next load fails
+  icap_stall       '', bytes           the port takes no more until cleared
   overlay_error    overlay             the next one cannot be applied
   fpga_manager_error                   the next load fails at its end
   register_stuck   register            writes are lost until cleared

@@ -192,9 +192,11 @@ class Manager:
     def submit(self, request: ChangeMode, on_done: Callable[[Change], None] | None = None) -> Change:
         """Accept a change; it runs when those before it have ended. Nothing is touched if this raises.
 
+        Where nothing is loaded yet, one without a configuration is for that of the change before it.
         `on_done` is called at its end, from the worker's thread.
         """
-        config, mode = goals.target(request, self.configs, self.state.config)
+        coming = self._worker.coming  # before the state, which names it from its end on
+        config, mode = goals.target(request, self.configs, self.state.config or coming)
         scopes = leases_concerned(config, mode, self.state.config)
         self.leases.check(scopes, request.lease)
         if request.no_queue and self._worker.busy:

@@ -15,13 +15,14 @@ KINDS: Mapping[str, str] = {
     "icap_crc": "",
     "icap_id": "",
     "icap_hang": "",
+    "icap_stall": "none; value: bytes that are taken before; until cleared",
     "overlay_error": "overlay name, or none for any",
     "fpga_manager_error": "",
     "register_stuck": "register name; until cleared",
     "clock_stuck": "clock name; until cleared",
     "gpio_stuck": "line as LABEL:LINE; until cleared",
 }
-STICKY = frozenset({"hang", "register_stuck", "clock_stuck", "gpio_stuck"})
+STICKY = frozenset({"hang", "icap_stall", "register_stuck", "clock_stuck", "gpio_stuck"})
 UNTIL_CLEARED = 0
 
 

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from suite_board import PATIENCE, Board
@@ -18,11 +20,12 @@ from suite_board import PATIENCE, Board
 import cm.device as device
 from cm.bitstream import to_dma_words
 
+if TYPE_CHECKING:
+    from cm.sim import Board as Simulator
+
 SCHEMA = Path(__file__).parents[2] / "cm/data/camera/camera.yaml"
 LOOP = Path(__file__).parents[1] / "rtl/loop/build.yaml"
 FIRMWARE = "lib/firmware/cm/camera"
-# Slow enough that a load of some 280 KB (28 ms) can be met while it runs.
-SIM_ARGUMENTS = ("--icap-rate", "10000000")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -33,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def _simulated() -> Iterator[Board]:
     from cm.sim import Board as Simulator
 
-    with Simulator([SCHEMA], arguments=SIM_ARGUMENTS) as simulator:
+    with Simulator([SCHEMA]) as simulator:
         yield Board(
             root=str(simulator.root),
             to_pl="to_pl",
@@ -48,7 +51,15 @@ def _simulated() -> Iterator[Board]:
             overlay=str(simulator.root / FIRMWARE / "camera.dtbo"),
             close_waits=False,  # its load goes on to the end, unheard
             raise_interrupt=lambda: simulator.control.interrupt("loop_done"),
+            stall=partial(_stall, simulator),
         )
+
+
+def _stall(simulator: Simulator, on: bool) -> None:
+    if on:
+        simulator.control.inject("icap_stall")
+    else:
+        simulator.control.clear("icap_stall")
 
 
 def _rtl() -> Iterator[Board]:
@@ -75,6 +86,7 @@ def _rtl() -> Iterator[Board]:
             overlay=str(simulator.root / "lib/firmware/cm/loop/loop_static.dtbo"),
             close_waits=False,
             raise_interrupt=lambda: left.write(0x14, 1),
+            stall=partial(_stall, simulator),
         )
         control.write(0x00C, 1)  # IRQ_ENABLE
         control.write(0x100, 1)  # what is loaded while it is connected spoils what is connected to it

@@ -28,3 +28,4 @@ class Board:
     overlay: str | None = None  # a .dtbo that this board takes
     close_waits: bool = True  # closing a port waits for the end of its load
     raise_interrupt: Callable[[], None] | None = None  # in place of `trigger`
+    stall: Callable[[bool], None] | None = None  # lets a load stand still, and go on; elsewhere it has its own speed

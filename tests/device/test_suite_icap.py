@@ -59,9 +59,12 @@ def test_a_second_load_meanwhile_is_busy(icap: device.Icap, words: bytes, board:
         other.import_buffer(buffer.fd) as theirs,
     ):
         buffer.array(0, len(words))[:] = bytearray(words)
+        stall = board.stall or (lambda on: None)
+        stall(True)
         icap.load(buffer, len(words))
         with pytest.raises(device.DeviceBusy):
             other.load(theirs, len(words))
+        stall(False)
         assert icap.wait(PATIENCE).ok
         assert other.take() is None  # the end of a load is told to the file that started it
 

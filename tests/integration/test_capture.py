@@ -8,6 +8,7 @@ import json
 import resource
 import signal
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,8 @@ import cm
 from cm import child
 from cm.cli.frame_files import NpyFiles
 from cm.cli.main import main
+from cm.sim import Board as SimBoard
+from cm.sim.process.control import Control
 
 
 def command(manager: Manager, *arguments: str) -> list[str]:
@@ -46,13 +49,26 @@ def test_a_file_is_whole_after_each_frame(tmp_path: Path) -> None:
     assert (np.load(tmp_path / "x.npy").shape, np.load(tmp_path / "x-2.npy").shape) == ((3, 2, 3), (1, 5))
 
 
-def test_a_change_of_mode_within_loses_no_frame(board: cm.Board, manager: Manager, tmp_path: Path) -> None:
+@pytest.fixture
+def camera(shared: tuple[Manager, SimBoard]) -> Iterator[Control]:
+    """The board's control, with a camera that waits: frames come when the test wants them."""
+    control = shared[1].control
+    control.pause("camera")
+    yield control
+    control.resume("camera")
+
+
+def test_a_change_of_mode_within_loses_no_frame(
+    board: cm.Board, manager: Manager, camera: Control, tmp_path: Path
+) -> None:
     out = tmp_path / "x.npy"
     with subprocess.Popen(
         [*command(manager, "camera", str(out), "--count", "12", "--json")], stdout=subprocess.PIPE, env=environment()
     ) as capture:
+        camera.step("camera", 4)
         begun(board, out)
         board.set_mode("colorise")
+        camera.resume("camera")
         told = json.loads(capture.communicate(timeout=60)[0])
     assert capture.returncode == 0
     first, second = (np.load(name) for name in told["files"])

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import IO
 
 import pytest
-from manager_process import Manager, environment
+from manager_process import Manager, environment, served, stalled, until
+from manager_schemas import written
 
 import cm
 from cm.cli.main import main
@@ -36,19 +37,23 @@ def lines(process: subprocess.Popen[str], count: int) -> list[str]:
 
 
 def test_a_change_that_runs_is_cancelled_and_the_board_is_back(
-    own: tuple[Manager, SimBoard], capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    manager, sim = own
-    place = ["--runtime-dir", str(manager.runtime)]
-    with manager.connected() as board:
-        board.load("camera", "default")
-        sim.control.inject("icap_hang", count=1)
-        change = board.load_async("camera", "edge_detection")
-        assert main(["cancel", "--json", *place]) == 0
-        said = json.loads(capsys.readouterr().out)
-        assert (said["change"], said["config_name"], said["mode"]) == (change.number, "camera", "default")
+    """Its first load goes on when the manager has heard of the cancel: there is no second one."""
+    written(tmp_path, ("duo",))
+    with served(schemas=tmp_path) as (manager, sim), manager.connected() as board:
+        place = ["--runtime-dir", str(manager.runtime)]
+        board.load("duo", "default")
+        cancel = cm.Board.cancel
+        monkeypatch.setattr(cm.Board, "cancel", lambda asking: (cancel(asking), sim.control.clear("icap_stall")))
+        with stalled(sim):
+            change = board.load_async("duo", "both")
+            until(lambda: (p := board.status.progress) is not None and p.step == "load")
+            assert main(["cancel", "--json", *place]) == 0
+        said = {"change": change.number, "cancelled": True, "config_name": "duo", "mode": "default"}
+        assert json.loads(capsys.readouterr().out) == said
         assert main(["cancel", *place]) == 0
-        assert capsys.readouterr().out == "no change is running; the board is in camera/default\n"
+        assert capsys.readouterr().out == "no change is running; the board is in duo/default\n"
 
 
 @pytest.mark.parametrize("words", [("watch",), ("reg", "watch", "focus")], ids=lambda words: words[0])

@@ -421,7 +421,7 @@ def test_a_stream_without_frames_tells_its_own_time_out(board: Any) -> None:
 
 def test_an_unknown_stream_is_an_error_when_it_is_opened(board: Any) -> None:
     with pytest.raises(RequestNotFound, match="camra"):
-        board.stream("camra").open()
+        board.stream("camra", timeout=60).open()
 
 
 def test_frames_are_read_and_written_with_a_copy(board: Any) -> None:
@@ -446,9 +446,9 @@ def test_slots_are_borrowed_filled_and_sent(board: Any, reach: tuple[str, dict[s
     board.set_mode("loopback")
     if "endpoint" in reach[1]:
         with pytest.raises(InvalidRequest, match="only its own machine has"):
-            board.writer("to_pl").close()
+            board.writer("to_pl", timeout=60).close()
         with pytest.raises(InvalidRequest, match="only its own machine has"):
-            board.echo(100).close()
+            board.echo(100, timeout=60).close()
         return
     with board.stream("from_pl", timeout=60) as frames, board.writer("to_pl", timeout=60) as sender:
         with sender.slot() as slot:
@@ -519,7 +519,7 @@ def test_after_its_end_a_board_says_so_whatever_is_asked(reach: tuple[str, dict[
             board.memories["scratchpad"].read,
             lambda: board.watch().next(1.0),
             lambda: board.lease().take(),
-            lambda: board.stream("camera").read(),
+            lambda: board.stream("camera", timeout=60).read(),
             stream_.read,
             lambda: watch.next(1.0),
             lambda: handle.wait(1.0),

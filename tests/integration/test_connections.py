@@ -71,7 +71,7 @@ def test_1500_idle_connections_of_a_user_leave_room_for_a_client(guarded: Guarde
     with idle_connections(guarded.manager.runtime / name, 250, 6) as kept:
         assert sum(kept) <= NOFILE * 3 // 4
         assert descriptors(guarded.pid) <= before + NOFILE * 3 // 4 + 16
-        with cm.connect(f"tcp://127.0.0.1:{guarded.tcp[1]}", keys=str(guarded.keys)) as board:
+        with cm.connect(f"tcp://127.0.0.1:{guarded.tcp[1]}", keys=str(guarded.keys), timeout=60) as board:
             assert works(board)
     until(lambda: descriptors(guarded.pid) <= before + 16)
     with guarded.manager.connected() as board:
@@ -93,7 +93,7 @@ def test_1500_bare_connections_to_a_port_with_keys_leave_room_for_a_client(guard
         with guarded.manager.connected() as board:
             assert works(board)
     until(lambda: descriptors(guarded.pid) <= before + 16)
-    with cm.connect(f"tcp://{host}:{port}", keys=str(guarded.keys)) as board:
+    with cm.connect(f"tcp://{host}:{port}", keys=str(guarded.keys), timeout=60) as board:
         assert works(board)
 
 

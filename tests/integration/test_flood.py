@@ -95,7 +95,7 @@ def test_no_turn_of_the_loop_does_more_than_a_slice_of_one_request(
         with (
             SimBoard([folder / "schemas"], root=folder / "board") as sim,
             serving(folder, sim.root, folder / "schemas") as runtime,
-            cm.connect(runtime_dir=runtime) as board,
+            cm.connect(runtime_dir=runtime, timeout=60) as board,
         ):
             board.load("many", "default")
             turns.most = turns.all = 0

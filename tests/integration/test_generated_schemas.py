@@ -61,7 +61,7 @@ def test_frames_come_through_every_mode_of_the_generated_camera(tmp_path: Path) 
     _, out = generated(copy_examples(tmp_path), "camera")
     with running(out / "config") as board:
         board.load("camera", "default")
-        with board.stream("camera") as stream:
+        with board.stream("camera", timeout=60) as stream:
             for mode, shape in (("default", (480, 640)), ("edge_detection", (480, 640)), ("colorise", (480, 640, 3))):
                 board.mode = mode
                 frame = next(frame for frame in stream if frame.info.mode == mode)

@@ -25,7 +25,7 @@ from cm.sim import Board as SimBoard
 
 READER = """
 import sys, cm
-with cm.connect(runtime_dir=sys.argv[1]) as board, board.stream("camera") as stream:
+with cm.connect(runtime_dir=sys.argv[1], timeout=60) as board, board.stream("camera", timeout=60) as stream:
     for frame in stream:
         print(frame.sequence, flush=True)
 """

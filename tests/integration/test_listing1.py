@@ -46,7 +46,7 @@ def test_its_modes_and_register_work(listing: cm.Board) -> None:
 def test_the_boards_channels_are_its_streams(listing: cm.Board, tmp_path: Path) -> None:
     listing.mode = "default"
     listing.mode = "edge_detection"  # the register is at its default again
-    with listing.stream("camera") as stream:
+    with listing.stream("camera", timeout=60) as stream:
         frames = [np.array(frame) for frame in islice(stream, 2)]
     assert any(np.array_equal(frames[0], flat(sobel(photo))) for photo in shipped_photos().values())
 
@@ -54,7 +54,7 @@ def test_the_boards_channels_are_its_streams(listing: cm.Board, tmp_path: Path) 
 def test_data_go_through_its_only_region(listing: cm.Board) -> None:
     listing.mode = "default"
     sent = np.arange(4096, dtype=np.uint32).astype(np.uint8)
-    with listing.stream("from_pl") as stream:
+    with listing.stream("from_pl", timeout=60) as stream:
         listing.configure_stream("from_pl", enable=True)
         listing.write("to_pl", sent)
         assert np.array_equal(stream.read(), sent)

@@ -99,7 +99,7 @@ def test_a_reader_that_does_not_synchronise_sees_old_bytes(apart: Setup) -> None
         """
         from cm.client import mapping
         mapping.SlotMappings._sync = lambda *_: None
-        with board.stream("from_pl") as reader:
+        with board.stream("from_pl", timeout=60) as reader:
             board.write("to_pl", PICTURE)
             tell(same=bool((reader.read() == PICTURE).all()))
         """,
@@ -111,7 +111,7 @@ def test_a_reader_synchronises_what_it_takes_once_at_each_end(apart: Setup) -> N
     before = apart.counts("camera")
     told = apart.run(
         """
-        with board.stream("camera") as stream:
+        with board.stream("camera", timeout=60) as stream:
             sharp = [float(np.abs(np.diff(frame.astype(int))).mean()) for frame in islice(stream, 20)]
             frame = stream.read()
             frame.release(); frame.release(); del frame
@@ -126,7 +126,7 @@ def test_frames_that_are_never_read_cost_nothing(apart: Setup) -> None:
     before = apart.counts("camera")
     apart.run(
         """
-        with board.stream("camera", depth=4) as slow, board.stream("camera") as quick:
+        with board.stream("camera", depth=4, timeout=60) as slow, board.stream("camera", timeout=60) as quick:
             first = slow.read()
             for frame in islice(quick, 10):
                 pass
@@ -139,7 +139,7 @@ def test_the_newest_frame_costs_what_it_skips(apart: Setup) -> None:
     before = apart.counts("camera")
     told = apart.run(
         """
-        with board.stream("camera", newest=True) as newest, board.stream("camera") as all_frames:
+        with board.stream("camera", 60, newest=True) as newest, board.stream("camera", 60) as all_frames:
             taken = []
             for _ in range(3):
                 taken.append(newest.read().sequence)
@@ -158,7 +158,7 @@ def test_what_a_writer_fills_arrives_and_each_slot_is_synchronised_once(apart: S
         apart,
         """
         same = 0
-        with board.stream("from_pl") as reader, board.writer("to_pl", depth=3) as writer:
+        with board.stream("from_pl", timeout=60) as reader, board.writer("to_pl", depth=3, timeout=60) as writer:
             for number in range(12):
                 with writer.slot() as array:
                     array[...] = PICTURE + number
@@ -182,9 +182,9 @@ def test_lines_apart_are_synchronised_as_well(apart: Setup) -> None:
         """
         for name in ("to_pl", "from_pl"):
             board.configure_stream(name, stride=700)
-        with board.stream("from_pl") as reader:
+        with board.stream("from_pl", timeout=60) as reader:
             board.write("to_pl", PICTURE)
-            with board.writer("to_pl") as writer:
+            with board.writer("to_pl", timeout=60) as writer:
                 first = bool((reader.read() == PICTURE).all())
                 writer.write(PICTURE[::-1])
                 tell(same=[first, bool((reader.read() == PICTURE[::-1]).all())])
@@ -266,7 +266,7 @@ def test_a_writer_whose_stream_stops_under_its_hands_ends_what_it_began(apart: S
     _, to_pl, _ = loop(
         apart,
         """
-        with board.writer("to_pl") as writer, writer.slot() as array:
+        with board.writer("to_pl", timeout=60) as writer, writer.slot() as array:
             board.configure_stream("to_pl", slots=6, force=True)
             array[...] = 1
         """,
@@ -288,8 +288,8 @@ def test_asyncio_synchronises_the_same(apart: Setup) -> None:
         """
         import asyncio
         async def main():
-            async with cm.aio.connect(runtime_dir=sys.argv[1]) as twin, twin.stream("from_pl") as stream:
-                async with twin.writer("to_pl") as writer:
+            async with cm.aio.connect(runtime_dir=sys.argv[1], timeout=60) as twin:
+                async with twin.stream("from_pl", timeout=60) as stream, twin.writer("to_pl", timeout=60) as writer:
                     for number in range(3):
                         async with writer.slot() as array:
                             array[...] = PICTURE
@@ -339,7 +339,7 @@ def test_coherent_memory_is_never_synchronised(library: Path, tmp_path: Path) ->
         setup.run(
             """
             board.load("camera", "loopback")
-            with board.stream("from_pl") as reader, board.writer("to_pl") as writer:
+            with board.stream("from_pl", timeout=60) as reader, board.writer("to_pl", timeout=60) as writer:
                 writer.write(PICTURE)
                 assert (reader.read() == PICTURE).all()
                 board.write("to_pl", PICTURE)

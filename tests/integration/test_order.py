@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zmq
-from manager_process import CAMERA, Manager, served, until
+from manager_process import CAMERA, Manager, patient, served, stalled, until
 
 import cm
 from cm.messages import requests as rq
@@ -21,9 +21,9 @@ TO_EDGE = rq.ChangeMode("camera", "edge_detection", no_wait=True, force=True)
 
 
 @pytest.fixture(scope="module")
-def slow() -> Iterator[tuple[Manager, SimBoard]]:
-    """A port that takes a tenth of a second for a module, so that there is something to overtake."""
-    with served(board=("--icap-rate", "2800000")) as both:
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Manager, SimBoard]]:
+    """A port that takes a tenth of a second for a module, or as long as a test wants."""
+    with served(board=("--icap-rate", "2800000"), schemas=patient(tmp_path_factory.mktemp("camera"))) as both:
         yield both
 
 
@@ -114,10 +114,14 @@ def test_a_write_to_a_register_of_the_coming_mode_succeeds(board: cm.Board, send
     assert board.registers["threshold"] == 9
 
 
-def test_a_write_waits_only_for_a_change_that_touches_its_register(board: cm.Board, sender: Sender) -> None:
-    sender.send(rq.ChangeMode("camera", "edge_detection", force=True), write("scratch", 5))
-    assert [error(reply) for reply in sender.replies(2)] == [None, None]
-    assert sender.arrived == [1, 0]  # the write was answered before the change had ended
+def test_a_write_waits_only_for_a_change_that_touches_its_register(
+    board: cm.Board, sender: Sender, slow: tuple[Manager, SimBoard]
+) -> None:
+    with stalled(slow[1]):
+        sender.send(rq.ChangeMode("camera", "edge_detection", force=True), write("scratch", 5))
+        assert [error(reply) for reply in sender.replies(1)] == [None]
+        assert sender.arrived == [1]  # the write was answered before the change had ended
+    assert [error(reply) for reply in sender.replies(1)] == [None]
 
 
 def test_no_sender_waits_for_another_senders_change(
@@ -126,19 +130,25 @@ def test_no_sender_waits_for_another_senders_change(
     other = Sender(context, slow[0])
     other.send(rq.ReadStatus())
     other.replies(1)
-    sender.send(TO_EDGE)
-    until(lambda: board.status.progress is not None and board.status.progress.step == "load")
-    other.send(write("focus", 8))
-    [refused] = other.replies(1)
-    assert refused.error is not None
-    assert refused.error.code == "region_busy"
+    with stalled(slow[1]):
+        sender.send(TO_EDGE)
+        until(lambda: (p := board.status.progress) is not None and p.step == "load")
+        other.send(write("focus", 8))
+        [refused] = other.replies(1)
+        assert refused.error is not None
+        assert refused.error.code == "region_busy"
     until(lambda: not board.status.fpga_busy)
 
 
-def test_what_looks_never_waits_and_a_cancel_overtakes(board: cm.Board, sender: Sender) -> None:
-    sender.send(TO_EDGE, write("focus", 6), rq.ReadStatus(), rq.CancelChange())
-    sender.replies(4)
-    assert sender.arrived == [0, 2, 3, 1]  # the write last: it waited for the change
+def test_what_looks_never_waits_and_a_cancel_overtakes(
+    board: cm.Board, sender: Sender, slow: tuple[Manager, SimBoard]
+) -> None:
+    with stalled(slow[1]):
+        sender.send(TO_EDGE, write("focus", 6), rq.ReadStatus(), rq.CancelChange())
+        sender.replies(3)
+        assert sender.arrived == [0, 2, 3]
+    sender.replies(1)
+    assert sender.arrived == [1]  # the write last: it waited for the change
     until(lambda: not board.status.fpga_busy)
     assert board.registers["focus"] == 6
     assert board.mode in ("default", "edge_detection")

@@ -16,6 +16,7 @@ from manager_process import REPOSITORY, Manager
 
 import cm
 from cm.sim import Board as SimBoard
+from cm.sim.hardware import camera
 
 TOOLS = ("make", "cc", "pkg-config")
 MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]
@@ -67,11 +68,10 @@ def test_the_documented_reader_reads(board: cm.Board, manager: Manager, reader: 
     lines = done.stdout.splitlines()
     assert all("of default: 480x640 uint8, 307200 bytes, mean " in line for line in lines[:5])
     numbers = [int(line.split()[1].rstrip(",")) for line in lines[:5]]
-    assert numbers == list(range(numbers[0], numbers[0] + 5))
-    assert lines[5] == "0 lost"
-    means = {line.rpartition(" ")[2] for line in lines[:5]}
-    with board.stream("camera") as stream:
-        assert means & {f"{frame.mean():.1f}" for frame, _ in zip(stream, range(8), strict=False)}
+    assert numbers == sorted(set(numbers))
+    assert lines[5] == f"{numbers[-1] - numbers[0] - 4} lost", "what a busy machine kept from it is counted"
+    pictures = {f"{camera.frame(photo).mean():.1f}" for photo in camera.shipped_photos().values()}
+    assert {line.rpartition(" ")[2] for line in lines[:5]} <= pictures
 
 
 def test_in_c_frames_after_a_write_are_of_its_generation(board: cm.Board, manager: Manager, reader: Path) -> None:
@@ -121,7 +121,7 @@ def test_a_frame_that_failed_is_reported_to_its_writer(
     loop: cm.Board, shared: tuple[Manager, SimBoard], writer: Path
 ) -> None:
     shared[1].control.inject("dma_error", "to_pl")
-    with loop.stream("from_pl"):
+    with loop.stream("from_pl", timeout=60):
         done = run(writer, shared[0], "to_pl")
     assert done.returncode == 1
     assert "Input/output error" in done.stderr

@@ -186,7 +186,7 @@ def test_a_bridge_asks_in_the_name_of_its_guests_with_their_rights(guarded: Guar
 
         def told(*envelope: bytes) -> Reply:
             bridge.send_multipart([b"1", *envelope, b"", b"cm_write_reg", request])
-            assert bridge.poll(20_000)
+            assert bridge.poll(60_000)
             frames = bridge.recv_multipart()
             assert frames[: len(envelope) + 2] == [b"1", *envelope, b""]
             return Reply.FromString(frames[-1])

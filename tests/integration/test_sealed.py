@@ -48,7 +48,7 @@ class Grabber(DataConnection):
 @pytest.fixture
 def reader(manager: Manager) -> Iterator[list[int]]:
     connection = Grabber(manager.runtime, Open("camera"))
-    connection.set_timeout(20)
+    connection.set_timeout(60)
     fds = connection.grab()
     yield fds
     for fd in fds:
@@ -73,7 +73,7 @@ def test_a_reader_cannot_write_to_them_by_its_descriptor_nor_by_another(reader: 
 
 def test_no_client_can_seal_the_memory_that_writers_share(manager: Manager) -> None:
     connection = Grabber(manager.runtime, Open("to_pl", write=True))
-    connection.set_timeout(20)
+    connection.set_timeout(60)
     fds = connection.grab()
     with pytest.raises(PermissionError):
         fcntl.fcntl(fds[0], fcntl.F_ADD_SEALS, _F_SEAL_FUTURE_WRITE)

@@ -48,7 +48,7 @@ class Service:
         shutil.copytree(CAMERA, self.configs)
         self.inbox = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.inbox.bind(str(folder / "notify"))
-        self.inbox.settimeout(20)
+        self.inbox.settimeout(60)
         self.keygen("first")
         settings = folder / "cm.yaml"
         settings.write_text(
@@ -154,10 +154,10 @@ def test_a_reload_that_finds_damage_leaves_it_out_and_serves_on(service: Service
 
 
 def test_keys_count_and_end_once_they_are_changed_without_a_signal(service: Service) -> None:
-    assert service.answers("first", timeout=20)
+    assert service.answers("first", timeout=60)
     service.keygen("second")
     service.reloaded()
-    assert service.answers("second", timeout=20)
+    assert service.answers("second", timeout=60)
     (service.keys / "authorized_keys.d/first.pub").unlink()
     service.reloaded()
-    assert not service.answers("first", timeout=20)
+    assert not service.answers("first", timeout=60)

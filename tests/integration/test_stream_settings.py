@@ -180,7 +180,7 @@ def test_a_running_cycle_ends_when_it_is_switched_off_by_force(loop: cm.Board) -
             raise AssertionError("it still repeats")
         until(lambda: not writer.poll() and writer.geometry is not None and not writer.geometry.cyclic)
         writer.write(np.full((480, 640), 5, np.uint8))
-        assert reader.read(timeout=60)[0, 0] == 5
+        assert until(lambda: reader.read(timeout=60)[0, 0] == 5)  # one more of before may come first
 
 
 # ---- refusals ------------------------------------------------------------------------------
@@ -270,7 +270,8 @@ def test_backpressure_is_switched_on_and_off(loop: cm.Board) -> None:
         loop.configure_stream(name, shape=(4096,))
     for switched in (True, False):
         assert loop.configure_stream("from_pl", backpressure=switched).backpressure is switched
-        with loop.stream("from_pl", depth=2, timeout=60) as slow, loop.writer("to_pl", timeout=3.0) as writer:
+        patience = 3.0 if switched else 60.0
+        with loop.stream("from_pl", depth=2, timeout=60) as slow, loop.writer("to_pl", patience) as writer:
             sent = 0
             with contextlib.suppress(Timeout):
                 while sent < 60:
@@ -286,9 +287,8 @@ def test_a_limit_is_set_and_lifted(board: cm.Board) -> None:
     assert board.configure_stream("camera", dtype="int8").limit == 10
     assert board.configure_stream("camera", rate=float("inf")).limit == 0
     with board.stream("camera", timeout=60) as stream:
-        times = [frame.timestamp_ns for frame in islice(stream, 20)]
-    closest = min(later - earlier for earlier, later in pairwise(times))
-    assert closest < 0.07e9, "the limit is still there"
+        times = pairwise(frame.timestamp_ns for frame in stream)  # with the limit, 0.1 s are between any two
+        assert next(later - earlier for earlier, later in times if later - earlier < 0.07e9)
 
 
 def test_a_stream_is_run_stopped_and_left_to_its_users_again(board: cm.Board, manager: Manager) -> None:
@@ -320,7 +320,7 @@ def test_raw_messages_switch_on_and_off(loop: cm.Board, manager: Manager) -> Non
 
         def ask(message: pb.DataConfig) -> pb.Reply:
             socket.send_multipart([b"cm_data_config", message.SerializeToString()])
-            assert socket.poll(20_000)
+            assert socket.poll(60_000)
             return pb.Reply.FromString(socket.recv_multipart()[1])
 
         assert ask(pb.DataConfig(stream="to_pl", cyclic=True)).stream.state.cyclic

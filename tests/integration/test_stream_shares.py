@@ -11,11 +11,11 @@ from cm.client.errors import RequestBusy
 
 
 def test_a_reader_of_255_slots_leaves_frames_to_others(manager: Manager, board: cm.Board) -> None:
-    with manager.connected() as other, board.stream("camera", depth=255) as greedy:
+    with manager.connected() as other, board.stream("camera", depth=255, timeout=60) as greedy:
         greedy.read(timeout=60)
         (client,) = [c for s in board.status.streams for c in s.clients if s.name == "camera" and c.depth > 4]
         assert client.depth == 64
-        mine = other.stream("camera", depth=4)  # of the same process
+        mine = other.stream("camera", depth=4, timeout=60)  # of the same process
         with pytest.raises(RequestBusy, match=r"pid \d+ \(.*\) holds 64, of 256"):
             mine.read(timeout=60)
         assert other.read("camera", timeout=60).sequence >= 0  # over ZeroMQ

@@ -55,7 +55,7 @@ def serving(folder: Path, root: Path) -> Iterator[Path]:
     thread.start()
     try:
         assert ready.wait(60)
-        with cm.connect(runtime_dir=options.runtime_dir) as board:
+        with cm.connect(runtime_dir=options.runtime_dir, timeout=60) as board:
             board.load("camera", "default")
         yield options.runtime_dir
     finally:

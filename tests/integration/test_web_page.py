@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from manager_process import REPOSITORY, Manager, served, until
+from manager_process import REPOSITORY, Manager, patient, served, until
 from PIL import Image
 from web_leaks import changed, held
 from web_support import WebServer, change, chromium, page_of, watch, web_server
@@ -24,7 +24,6 @@ from web_support import WebServer, change, chromium, page_of, watch, web_server
 from cm.sim import Board as SimBoard
 
 SHOTS = Path(os.environ.get("CM_WEB_SHOTS") or REPOSITORY / "build" / "web")
-SLOW = "60000"  # bytes per second: a load takes seconds, and longer than the manager waits for it
 
 
 @pytest.fixture(scope="module")
@@ -136,26 +135,27 @@ def test_a_page_that_may_look_offers_nothing_else(camera: tuple[Manager, SimBoar
         shoot(other, "read-only")
 
 
-def test_a_change_is_shown_step_by_step_and_a_region_that_it_left_cut_off(browser: Any) -> None:
+def test_a_change_is_shown_step_by_step_and_a_region_that_it_left_cut_off(browser: Any, tmp_path: Path) -> None:
     with (
-        served(board=["--icap-rate", SLOW]) as (manager, _),
+        served(schemas=patient(tmp_path)) as (manager, sim),
         web_server(manager.runtime, "--control") as server,
         page_of(browser, server) as page,
     ):
         assert page.text_content("#loaded") == "nothing loaded"
         shoot(page, "nothing-loaded")
+        sim.control.inject("icap_stall", value=100_000)
         page.click("li[data-mode=edge_detection] .go")
         page.wait_for_selector("g[data-region=prr0].loading")
         seen(page, "document.querySelector('#progress progress').value > 0.1")
         assert "load prr0" in page.text_content("#progress")
-        page.evaluate(
-            "document.querySelector('#progress button').click()"
-        )  # it may be hidden already: the step is late
+        page.click("#progress button")
         shoot(page, "changing")
+        sim.control.inject("icap_crc")
+        sim.control.clear("icap_stall")
         page.wait_for_selector("#progress", state="hidden")
         page.wait_for_selector("#changes [data-state=failed]")
         page.wait_for_selector("g[data-region=prr0].failed")  # there was no mode to go back to
-        assert "step_timeout" in page.text_content("#banner")
+        assert "load_failed" in page.text_content("#banner")
         assert page.get_attribute("#state", "data-state") == "error"
         shoot(page, "cut-off")
 

@@ -33,7 +33,7 @@ class Peer:
     def connect(self, kind: int, manager: Manager, name: str) -> zmq.Socket[bytes]:
         socket = self.context.socket(kind)
         socket.linger = 0
-        socket.rcvtimeo = 20_000
+        socket.rcvtimeo = 60_000
         socket.connect(f"ipc://{manager.runtime}/{name}")
         return socket
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from manager_process import until
 from manager_support import Rig, rig
 
 from cm.sim import Board as SimBoard
@@ -56,9 +57,7 @@ def test_many_changes_of_mode_leave_nothing_behind(made: tuple[Rig, SimBoard], c
             before, pages, started = held(sim), resident(), time.monotonic()
     took = time.monotonic() - started
     print(f"{changes} changes in {took:.1f} s; {held(sim)}; RSS {pages * PAGE >> 10} → {resident() * PAGE >> 10} KiB")
-    after = held(sim)
-    assert after.pop("descriptors") <= before.pop("descriptors")  # fewer, where another thread had one for a moment
-    assert after == before
+    until(lambda: all(now <= before[what] for what, now in held(sim).items()))  # the board ends connections later
     assert resident() <= pages * RSS_GROWTH
     journal = board.journal._path.stat().st_size
     assert journal < 1 << 20

@@ -19,7 +19,7 @@ MODES = ("default", "edge_detection")
 CLIENT = """
 import sys, cm
 from pathlib import Path
-with cm.connect(runtime_dir=Path(sys.argv[1])) as board:
+with cm.connect(runtime_dir=Path(sys.argv[1]), timeout=60) as board:
     print("ready", flush=True)
     while True:
         board.registers["focus"] = 3

@@ -51,7 +51,7 @@ class FakeNode:
             with contextlib.suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
         for thread in self._threads:
-            thread.join(10)
+            thread.join(60)
         self._listener.close()
 
     def __enter__(self) -> FakeNode:

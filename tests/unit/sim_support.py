@@ -20,7 +20,7 @@ class Node:
 
     def __init__(self, root: Path, relative: str) -> None:
         self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.sock.settimeout(10)
+        self.sock.settimeout(60)
         fd = os.open(Path(root) / relative, os.O_PATH)
         try:
             self.sock.connect(f"/proc/self/fd/{fd}")
@@ -33,7 +33,7 @@ class Node:
             self.sock.close()
             raise
         self.events = socket.socket(fileno=fds[0])
-        self.events.settimeout(10)
+        self.events.settimeout(60)
 
     def call(self, op: int, payload: bytes = b"", fds: tuple[int, ...] = ()) -> tuple[bytes, list[int]]:
         """A request and its reply; OSError with the errno it was refused with."""
@@ -50,7 +50,7 @@ class Node:
             raise OSError(error, os.strerror(error))
         return data[p.REPLY.size :], fds
 
-    def event(self, timeout: float = 10.0) -> bytes:
+    def event(self, timeout: float = 60.0) -> bytes:
         """The next event packet."""
         self.events.settimeout(timeout)
         return self.events.recv(4096)
@@ -81,7 +81,7 @@ class Uio(Node):
     def unmask(self) -> None:
         self.events.send(struct.pack("<I", 1))
 
-    def interrupt(self, timeout: float = 10.0) -> int:
+    def interrupt(self, timeout: float = 60.0) -> int:
         return struct.unpack("<I", self.event(timeout))[0]
 
 
@@ -122,7 +122,7 @@ class Dma(Buffered):
     def cancel(self) -> None:
         self.call(p.DMA_IOC_CANCEL, p.DMA_CANCEL.pack(p.DMA_CANCEL.size, 0))
 
-    def done(self, timeout: float = 10.0) -> tuple[int, ...]:
+    def done(self, timeout: float = 60.0) -> tuple[int, ...]:
         """cookie, length, timestamp_ns, sequence, status, flags"""
         return p.DMA_COMPLETION.unpack(self.event(timeout))
 
@@ -143,7 +143,7 @@ class Icap(Buffered):
         fields = (p.ICAP_LOAD.size, flags, handle, 0, 0, len(data), cookie)
         self.call(p.ICAP_IOC_LOAD, p.ICAP_LOAD.pack(*fields))
 
-    def finished(self, timeout: float = 10.0) -> tuple[int, int]:
+    def finished(self, timeout: float = 60.0) -> tuple[int, int]:
         fields = p.ICAP_COMPLETION.unpack(self.event(timeout))
         return fields[4], fields[5]
 

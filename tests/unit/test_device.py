@@ -28,6 +28,7 @@ from fake_node import (
     attribute,
     uio_class,
 )
+from manager_process import until
 
 import cm.device as device
 from cm.device.errors import device_error
@@ -283,7 +284,7 @@ def test_closing_ends_the_wait_of_another_thread(uio: tuple[device.Uio, Memory, 
     thread = threading.Thread(target=wait)
     thread.start()
     regs.close()
-    thread.join(10)
+    thread.join(60)
     assert [type(error) for error in caught] == [device.DeviceClosed]
 
 
@@ -319,7 +320,7 @@ def test_a_channel_describes_itself(dma: tuple[device.AxiDma, Channel]) -> None:
 def test_a_completion_has_the_length_that_moved(dma: tuple[device.AxiDma, Channel]) -> None:
     with dma[0].allocate(64) as buffer:
         dma[0].submit(buffer, cookie=1 << 63)
-        assert dma[0].wait(5) == device.Completion(1 << 63, 61, 9, 0, 0, False)
+        assert dma[0].wait(60) == device.Completion(1 << 63, 61, 9, 0, 0, False)
         assert dma[0].completions() == []
 
 
@@ -411,8 +412,9 @@ def test_devices_leak_no_descriptor(tmp_path: Path) -> None:
         for _ in range(20):
             with device.AxiDma.open("cam", tmp_path) as opened, opened.allocate(64) as buffer:
                 buffer.array()
+        del opened, buffer  # what is closed keeps the event that wakes its waiters as long as there is anything of it
         gc.collect()
-        assert open_descriptors() <= before + 2  # the fake's last connection
+        until(lambda: open_descriptors() <= before)  # the fake ends its connections in threads of its own
 
 
 class OverlayTree:

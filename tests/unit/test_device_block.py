@@ -32,7 +32,7 @@ class Words:
         index, width, offset, value = REG.unpack(payload)
         assert width == 32
         self.asked.set()
-        assert self.go_on.wait(10)
+        assert self.go_on.wait(60)
         if op == REG_WRITE:
             self.words[offset] = value
         return self.error, REG.pack(index, width, offset, self.words.get(offset, 0)), []
@@ -133,7 +133,7 @@ def test_python_runs_on_while_a_block_is_read(node: tuple[device.Uio, Words, Fak
     found: list[bytearray] = []
     reader = threading.Thread(target=lambda: found.append(uio.read_block(0, 16)))
     reader.start()
-    assert words.asked.wait(10)  # the reader is inside the shim, and the node's thread and this one run
+    assert words.asked.wait(60)  # the reader is inside the shim, and the node's thread and this one run
     words.go_on.set()
-    reader.join(10)
+    reader.join(60)
     assert found == [bytearray(16)]

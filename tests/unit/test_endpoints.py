@@ -62,7 +62,7 @@ def test_three_ports_in_a_row_are_bound_for_port_0(sockets: Sockets) -> None:
     assert (port(bound.sub), port(bound.req)) == (first + 1, first + 2)
     assert sockets.tcp == [bound]
     for number in range(first, first + 3):
-        socket.create_connection(("127.0.0.1", number), timeout=20).close()
+        socket.create_connection(("127.0.0.1", number), timeout=60).close()
 
 
 def test_a_port_that_is_named_is_bound_with_the_two_behind_it(sockets: Sockets, context, tmp_path: Path) -> None:

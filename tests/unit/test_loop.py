@@ -30,7 +30,7 @@ def pair(context: zmq.Context[zmq.Socket[bytes]], clients: int) -> tuple[zmq.Soc
     for _ in range(clients):
         client = context.socket(zmq.DEALER)
         client.set_hwm(0)
-        client.rcvtimeo = 20_000
+        client.rcvtimeo = 60_000
         client.connect("inproc://loop")
         asking.append(client)
     return server, asking
@@ -81,7 +81,7 @@ def test_every_message_is_served_whatever_is_sent_meanwhile(context):
 def test_messages_that_were_there_before_the_socket_was_added_are_served(context):
     server, (client,) = pair(context, 1)
     client.send(b"early")
-    assert server.poll(5000)  # its signal is used up
+    assert server.poll(60_000)  # its signal is used up
     loop = Loop()
     loop.add_socket(server, lambda: (loop.send(server, multipart.receive(server)), loop.stop())[1])
     loop.run()
@@ -95,7 +95,7 @@ def test_a_timer_set_for_a_message_that_was_looked_for_again_is_not_late(context
     """Nothing else comes that would wake the loop."""
     server, (client,) = pair(context, 1)
     client.send(b"early")
-    assert server.poll(5000)  # its signal is used up
+    assert server.poll(60_000)  # its signal is used up
     loop = Loop()
     loop.add_socket(server, lambda: (multipart.receive(server), loop.call_later(0.01, loop.stop)))
     thread = threading.Thread(target=loop.run, daemon=True)

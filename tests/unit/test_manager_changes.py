@@ -257,11 +257,11 @@ def held(made: Rig) -> Iterator[threading.Event]:
     def stop(name: str) -> None:
         if name == "icap.load" and not free.is_set():
             reached.set()
-            assert free.wait(20)
+            assert free.wait(60)
 
     made.fault.watch = stop
     made.manager.submit(ChangeMode(config_name="duo", mode="both"))
-    assert reached.wait(20)
+    assert reached.wait(60)
     yield free
     free.set()
     made.manager.wait_idle()
@@ -271,8 +271,28 @@ def test_a_second_change_waits_for_the_first(made: Rig, held: threading.Event) -
     second = made.manager.submit(ChangeMode(config_name="duo", mode="default"))
     assert not second.wait(0.05)
     held.set()
-    assert second.wait(20)
+    assert second.wait(60)
     assert second.error is None
+    assert made.manager.status().mode == "default"
+
+
+def test_a_mode_alone_is_of_the_configuration_that_is_being_loaded_first(made: Rig) -> None:
+    """As after `cm serve --load` or `--sim`: a client may be there before the first change has ended."""
+    held, let = threading.Event(), threading.Event()
+
+    def hold(name: str) -> None:
+        held.set()
+        assert let.wait(60)
+
+    with pytest.raises(NothingLoaded):
+        made.manager.submit(ChangeMode(mode="both"))
+    made.fault.watch = hold
+    first = made.manager.submit(ChangeMode(config_name="duo", mode="default"))
+    assert held.wait(60)
+    second, third = (made.manager.submit(change) for change in (ChangeMode(mode="both"), ChangeMode(mode="default")))
+    let.set()
+    assert all(change.wait(60) and change.error is None for change in (first, second, third))
+    assert (second.config, second.mode, third.mode) == ("duo", "both", "default")
     assert made.manager.status().mode == "default"
 
 
@@ -281,7 +301,7 @@ def test_a_change_that_does_not_want_to_wait_is_refused(made: Rig, held: threadi
         made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True))
     held.set()
     made.manager.wait_idle()
-    assert made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True)).wait(20)
+    assert made.manager.submit(ChangeMode(config_name="duo", mode="default", no_queue=True)).wait(60)
 
 
 def test_the_queue_is_bounded(made: Rig, held: threading.Event) -> None:
@@ -289,7 +309,7 @@ def test_the_queue_is_bounded(made: Rig, held: threading.Event) -> None:
     with pytest.raises(ChangeBusy, match="8 changes wait"):
         made.manager.submit(ChangeMode(config_name="duo", mode="default"))
     held.set()
-    assert all(change.wait(20) and change.error is None for change in waiting)
+    assert all(change.wait(60) and change.error is None for change in waiting)
 
 
 def test_changes_that_wait_are_cancelled_when_the_manager_stops(made: Rig, held: threading.Event) -> None:
@@ -298,7 +318,7 @@ def test_changes_that_wait_are_cancelled_when_the_manager_stops(made: Rig, held:
     stopper.start()
     assert not waiting[0].wait(0.05)
     held.set()
-    stopper.join(20)
+    stopper.join(60)
     assert [c.error.code for c in waiting if c.error] == ["cancelled"] * 3
     assert made.manager.status().mode == "both"
 
@@ -603,17 +623,17 @@ def test_a_mode_that_went_while_its_change_waited_is_unknown(made: Rig, configs:
 
     def hold(name: str) -> None:
         held.set()
-        assert let.wait(10)
+        assert let.wait(60)
 
     made.fault.watch = hold
     first = made.manager.submit(ChangeMode(config_name="kernel", mode="default"))
-    assert held.wait(10)
+    assert held.wait(60)
     second = made.manager.submit(ChangeMode(config_name="duo", mode="lit"))
     made.manager.add_config(replace(duo, modes={n: m for n, m in duo.modes.items() if n != "lit"}))
     made.fault.watch = lambda _: None
     let.set()
-    assert first.wait(10)
-    assert second.wait(10)
+    assert first.wait(60)
+    assert second.wait(60)
     assert first.error is None
     assert second.error is not None
     assert second.error.code == "unknown_mode"

@@ -212,7 +212,7 @@ def test_a_change_takes_the_memories_of_its_regions_and_leaves_the_others(made: 
     assert made.go("both", config="filter") is None  # fir is there already: only right is loaded
     assert seen == {"static": b"here"}
     change = made.manager.submit(ChangeMode(config_name="filter", mode="default", force=True))
-    assert change.wait(30)
+    assert change.wait(60)
     assert change.error is None
     made.fault.watch = lambda name: None
     assert isinstance(seen["left"], RegionBusy)

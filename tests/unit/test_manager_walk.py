@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from manager_process import until
 from manager_support import Rig, make_rig, rig
 
 from cm.device import DeviceError, DevicePermission, Overlays
@@ -352,9 +353,10 @@ def test_a_fault_of_the_board_brings_it_back(
 
 @pytest.mark.parametrize("way", [TWO_REGIONS, TO_FULL, BY_OVERLAY], ids=str)
 def test_nothing_leaks_over_failed_changes(made: Rig, sim: SimBoard, way: Way) -> None:
-    def held() -> tuple[int, int, int, list[str]]:
+    def held() -> tuple[int, int, int, int]:
         state = sim.control.state()
-        return len(list(Path("/proc/self/fd").iterdir())), state["buffers"], state["connections"], state["overlays"]
+        fds, overlays = len(list(Path("/proc/self/fd").iterdir())), len(state["overlays"])
+        return fds, state["buffers"], state["connections"], overlays
 
     def fail() -> None:
         made.arm(count - 8)
@@ -367,4 +369,4 @@ def test_nothing_leaks_over_failed_changes(made: Rig, sim: SimBoard, way: Way) -
     before = held()
     for _ in range(6):
         fail()
-    assert held() == before
+    until(lambda: all(now <= was for now, was in zip(held(), before, strict=True)))  # the board ends connections later

@@ -57,12 +57,12 @@ def service(count: int) -> tuple[RegisterService, ManagerState]:
 
 
 def seconds(made: RegisterService) -> float:
-    """Of a batch of writes."""
+    """Processor time of a batch of writes."""
     writes = [(RegWrite(f"r{number % FEW}", number),) for number in range(WRITES)]
-    begin = time.perf_counter()
+    begin = time.thread_time()
     for write in writes:
         made.write(write, "")
-    return time.perf_counter() - begin
+    return time.thread_time() - begin
 
 
 def test_a_write_costs_the_same_with_ten_and_with_a_thousand_registers() -> None:

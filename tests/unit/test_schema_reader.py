@@ -113,13 +113,13 @@ def outcome(text: str) -> str:
     return problems[0].code
 
 
-@settings(max_examples=100, deadline=10_000)
+@settings(max_examples=100)
 @given(st.text(max_size=200))
 def test_any_text_is_loaded_or_refused(text: str) -> None:
     outcome(text)
 
 
-@settings(max_examples=100, deadline=10_000)
+@settings(max_examples=100)
 @given(st.text("-:[]{}&*!|>'\"%#?,@` \n\tab01x<.~", max_size=60))
 def test_any_text_of_yaml_signs_is_loaded_or_refused(text: str) -> None:
     outcome("config:\n  name: c\n  modes: {default: {}}\n  " + text)
@@ -141,13 +141,13 @@ trees = st.recursive(
 )
 
 
-@settings(max_examples=100, deadline=10_000)
+@settings(max_examples=100)
 @given(trees)
 def test_any_structure_is_loaded_or_refused(tree: Any) -> None:
     outcome(yaml.safe_dump({"config": tree}))
 
 
-@settings(max_examples=60, deadline=10_000)
+@settings(max_examples=60)
 @given(st.dictionaries(st.sampled_from(sorted(cm.schema.json_schema()["definitions"]["config"]["properties"])), trees))
 def test_any_values_of_known_keys_are_loaded_or_refused(values: Any) -> None:
     outcome(yaml.safe_dump({"config": {"name": "c", "modes": {"default": {}}, **values}}))

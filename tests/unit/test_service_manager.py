@@ -20,7 +20,7 @@ from cm.daemon.host.systemd import ServiceManager
 def inbox(tmp_path: Path) -> Iterator[socket.socket]:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         sock.bind(str(tmp_path / "socket"))
-        sock.settimeout(5)
+        sock.settimeout(60)
         yield sock
 
 
@@ -40,7 +40,7 @@ def test_the_address_may_be_in_the_abstract_namespace() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
         name = f"cm-test-{os.getpid()}"
         sock.bind("\0" + name)
-        sock.settimeout(5)
+        sock.settimeout(60)
         ServiceManager({"NOTIFY_SOCKET": f"@{name}"}).ready()
         assert sock.recv(100) == b"READY=1"
 

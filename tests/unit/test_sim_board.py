@@ -578,6 +578,20 @@ def test_an_injected_fault_fails_one_load(board, fault, status):
         assert icap.load(words(board, "edge"))[0] == 0
 
 
+def test_a_port_that_stands_still_takes_the_words_when_it_goes_on(board):
+    load(board, "default")
+    board.control.inject("icap_stall", value=1000)
+    with Icap(board.root, "dev/cm_icap0") as icap:
+        icap.start(words(board, "edge"))
+        assert icap.quiet(0.05)
+        state, _, done, *_ = icap.status()
+        assert (state, done) == (p.STATE_LOADING, 1000)
+        assert board.control.state()["regions"]["prr0"]["module"] == "default"
+        board.control.clear("icap_stall")
+        assert icap.finished() == (0, 0)
+    assert board.control.state()["regions"]["prr0"]["module"] == "edge"
+
+
 def test_the_words_of_a_bit_file_as_they_are_do_not_sync(board):
     data = (board.root / FIRMWARE / "edge.bit").read_bytes()
     with Icap(board.root, "dev/cm_icap0") as icap:

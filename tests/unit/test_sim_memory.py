@@ -50,7 +50,7 @@ def load(board):
     with device.Icap.open(root=board.root) as icap, icap.allocate(len(words)) as buffer:
         buffer.array(0, len(words))[:] = bytearray(words)
         icap.load(buffer, len(words))
-        assert icap.wait(10).ok
+        assert icap.wait(60).ok
 
 
 def test_a_window_is_as_large_as_its_memories(board):

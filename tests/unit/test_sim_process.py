@@ -30,9 +30,10 @@ from cm.sim.transport import protocol as p
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FAST = ["--hold", "0", "--rate", "0"]
+PATIENT = [*FAST, "--linger", "60"]  # without an owner for as long as a busy machine may take to give it another
 
 
-def until(condition: Callable[[], bool], timeout: float = 10.0) -> bool:
+def until(condition: Callable[[], bool], timeout: float = 60.0) -> bool:
     """Whether a condition that nothing announces comes true in time."""
     deadline = time.monotonic() + timeout
     while not condition():
@@ -141,9 +142,9 @@ def connect(root: Path, relative: str) -> socket.socket:
     return sock
 
 
-def opening(sock: socket.socket) -> int | None:
+def opening(sock: socket.socket, patience: float = 0.3) -> int | None:
     """The errno of its open, or None where there is no answer."""
-    if not select.select([sock], [], [], 0.3)[0]:
+    if not select.select([sock], [], [], patience)[0]:
         return None
     data, fds, _, _ = socket.recv_fds(sock, 100, 1)
     for fd in fds:
@@ -199,7 +200,7 @@ def test_a_client_that_reads_no_replies_stalls_no_others(board):
         sent = fill(deaf.sock, request)
         uio.write(0x14, 77)
         assert uio.read(0x14) == 77
-        deaf.sock.settimeout(10)
+        deaf.sock.settimeout(60)
         for _ in range(sent):
             assert deaf._reply()[0]
 
@@ -218,8 +219,8 @@ def test_a_board_out_of_descriptors_serves_new_clients_when_others_have_gone(tmp
         used = len(list(Path(f"/proc/{board.pid}/fd").iterdir()))
         resource.prlimit(board.pid, resource.RLIMIT_NOFILE, (used + 10, used + 10))
         clients = [connect(board.root, "dev/uio0") for _ in range(20)]
-        opened = [opening(client) for client in clients]
-        assert opened[0] == 0
+        assert opening(clients[0], 60.0) == 0
+        opened = [opening(client) for client in clients[1:]]
         assert set(opened) - {0}
         assert set(opened) <= {0, errno.EMFILE, None}
         for client in clients:
@@ -229,24 +230,24 @@ def test_a_board_out_of_descriptors_serves_new_clients_when_others_have_gone(tmp
 
 
 def test_other_nodes_answer_while_a_bitstream_is_loaded(tmp_path):
-    with Board(arguments=[*FAST, "--icap-rate", "400000"]) as board:
+    with Board(arguments=[*FAST, "--icap-rate", "10000"]) as board:  # half a minute, whose end is not waited for
         data = to_dma_words(board.root / "lib/firmware/cm/camera/edge.bit")
         with Icap(board.root, "dev/cm_icap0") as icap, Uio(board.root, "dev/uio0") as uio:
             icap.start(data)
             seen = set()
-            while icap.quiet(0):
+            while len(seen) < 5:
                 uio.write(0x14, 3)
                 assert uio.read(0x14) == 3
                 state, _, done, total, _ = icap.status()
-                if state == p.STATE_LOADING:
-                    seen.add(done)
-            assert icap.finished() == (0, 0)
-            assert len(seen) > 1
+                assert icap.quiet(0)
+                assert state == p.STATE_LOADING
+                seen.add(done)
             assert max(seen) <= total
 
 
 def test_a_region_gives_garbage_while_it_is_loaded_and_a_second_load_is_busy(tmp_path):
-    with Board(arguments=[*FAST, "--icap-rate", "500000"]) as board:
+    with Board(arguments=FAST) as board:
+        board.control.inject("icap_stall", value=100_000)
         folder = board.root / "lib/firmware/cm/camera"
         with Icap(board.root, "dev/cm_icap0") as icap, Dma(board.root, "dev/cm_dma/camera") as channel:
             icap.start(to_dma_words(folder / "edge.bit"))
@@ -258,6 +259,8 @@ def test_a_region_gives_garbage_while_it_is_loaded_and_a_second_load_is_busy(tmp
             channel.submit(handle, 480 * 640)
             channel.done()
             assert np.bincount(memory[: 480 * 640], minlength=256).min() > 1000
+            assert icap.quiet(0)
+            board.control.clear("icap_stall")
             assert icap.finished() == (0, 0)
 
 
@@ -379,7 +382,7 @@ sys.stdin.read()
 def orphaned(tmp_path):
     """A root whose board has lost its owner; the module `edge` runs on it."""
     root = tmp_path / "root"
-    script = STARTER.format(repository=str(REPOSITORY), root=str(root), arguments=FAST)
+    script = STARTER.format(repository=str(REPOSITORY), root=str(root), arguments=PATIENT)
     owner = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE)
     assert owner.stdout.readline() == b"started\n"
     with pytest.raises(SimError, match="busy"):
@@ -393,7 +396,7 @@ def orphaned(tmp_path):
 
 def test_a_board_whose_owner_was_killed_is_taken_over_with_what_it_holds(orphaned):
     pid = Control(orphaned).state()["pid"]
-    with Board(root=orphaned, arguments=FAST) as board:
+    with Board(root=orphaned, arguments=PATIENT) as board:
         assert board.pid == pid
         assert board.alive
         assert board.control.state()["regions"]["prr0"]["module"] == "edge"

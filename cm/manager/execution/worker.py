@@ -94,6 +94,7 @@ class Worker:
         self._queue: queue.Queue[Change | None] = queue.Queue(QUEUE_LENGTH)
         self._thread = threading.Thread(target=self._work, name="cm-changes", daemon=True)
         self._stopping = threading.Event()
+        self._newest: Change | None = None
         self.running: Change | None = None
 
     def start(self) -> None:
@@ -113,7 +114,14 @@ class Worker:
             self._queue.put_nowait(change)
         except queue.Full:
             raise ChangeBusy(f"{QUEUE_LENGTH} changes wait already; try again when one has ended") from None
+        self._newest = change
         return change
+
+    @property
+    def coming(self) -> str | None:
+        """The configuration of the change that was asked for last; None where it has ended."""
+        newest = self._newest
+        return newest.config if newest is not None and not newest.done else None
 
     @property
     def busy(self) -> bool:

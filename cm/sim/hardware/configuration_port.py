@@ -90,16 +90,19 @@ class Engine:
             # The words go nowhere; the driver gives up when the port should long have been done.
             self._loop.call_later(run.seconds_left + 0.1, lambda: self._finish(-errno.ETIMEDOUT, protocol.ERR_TIMEOUT))
             return
-        self._feed(run)
+        stall = self._faults.take("icap_stall")
+        self._feed(run, stall.value if stall else self.total)
         self.done = min(run.fed, run.bytes_at(time.monotonic()))
-        if self.done < self.total:
+        if stall and self.done < self.total:
+            self._loop.call_later(_STEP, self._step)
+        elif self.done < self.total:
             self._wait(run)
         else:
             self._finish(*self._verdict())
 
-    def _feed(self, run: _Run) -> None:
+    def _feed(self, run: _Run, most: int) -> None:
         """Work on the words that are due before the next look: a port does that while the clock ticks."""
-        target = run.bytes_at(time.monotonic() + _STEP)
+        target = min(run.bytes_at(time.monotonic() + _STEP), most // 4 * 4)
         if target > run.fed:
             words = run.data[run.fed : target]
             if run.through is not None:
