@@ -47,7 +47,7 @@ struct cm_guard_limits {
 	uint64_t
 		bytes; /* of a message; and of how many that nobody took more is read, see guard_owe.c */
 	uint32_t
-		topics; /* subscriptions and their ends at once; a sixteenth of it comes back every second */
+		topics; /* subscriptions and their ends at once, four times as many of a peer over all its connections; a sixteenth comes back every second */
 };
 
 /* A connection, and who is at its other end. */

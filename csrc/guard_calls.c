@@ -118,6 +118,20 @@ static void settle(struct cm_guard_place *place, const struct cm_guard_limits *l
 	pthread_mutex_unlock(&cm_guard_lock);
 }
 
+/* Of what was just read: whether its peer subscribes no more often, over all its connections, than it may. */
+static bool may_subscribe(const struct cm_guard_place *place, uint32_t topics,
+			  const struct cm_guard_limits *limits)
+{
+	bool may;
+
+	if (!topics || !limits->topics)
+		return true;
+	pthread_mutex_lock(&cm_guard_lock);
+	may = cm_guard_pay(&place->peer, topics, limits->topics, seconds());
+	pthread_mutex_unlock(&cm_guard_lock);
+	return may;
+}
+
 static int ended(struct cm_guard_place *place, int cause)
 {
 	pthread_mutex_lock(&cm_guard_lock);
@@ -133,6 +147,7 @@ ssize_t cm_guard_recv(int fd, void *data, size_t size, int flags)
 	uint32_t kind =
 		place ? atomic_load_explicit(&place->kind, memory_order_relaxed) : CM_GUARD_NONE;
 	struct cm_guard_limits limits = { 0 };
+	uint32_t before;
 	ssize_t got;
 	int cause;
 
@@ -149,12 +164,16 @@ ssize_t cm_guard_recv(int fd, void *data, size_t size, int flags)
 		return got;
 	if (place->has_place)
 		atomic_fetch_add_explicit(&place->read, (uint64_t)got, memory_order_relaxed);
+	before = atomic_load_explicit(&place->stream.frames, memory_order_relaxed);
 	cause = cm_guard_follow(&place->stream, kind, &limits, data, (size_t)got,
 				kind == CM_GUARD_TOPICS ? seconds() : 0);
 	if (cause < 0 && kind == CM_GUARD_REQUESTS && place->stream.curve &&
 	    place->stream.frames - atomic_load_explicit(&place->frames, memory_order_relaxed) >
 		    FRAMES)
 		cause = CM_GUARD_PARTS;
+	if (cause < 0 && kind == CM_GUARD_TOPICS &&
+	    !may_subscribe(place, atomic_load(&place->stream.frames) - before, &limits))
+		cause = CM_GUARD_RATE;
 	if (cause < 0 && kind == CM_GUARD_REQUESTS)
 		settle(place, &limits);
 	return cause < 0 ? got : ended(place, cause);

@@ -122,6 +122,12 @@ bool cm_guard_owe(struct cm_guard_place *place);
 void cm_guard_quit(struct cm_guard_place *place);
 void cm_guard_settle(struct cm_guard_place *place, const struct cm_guard_limits *limits);
 
+/*
+ * A peer sent so many subscriptions, or ends of them, over one of its connections; with the lock held. Whether it
+ * might, where one connection may send @each at once and a sixteenth of it in a second, and all of them four times that.
+ */
+bool cm_guard_pay(const struct cm_guard_peer *peer, uint32_t topics, uint32_t each, int64_t now_s);
+
 /* What stands in place of the C library's functions in libzmq. */
 int cm_guard_accept4(int listener, struct sockaddr *address, socklen_t *length, int flags);
 int cm_guard_accept(int listener, struct sockaddr *address, socklen_t *length);

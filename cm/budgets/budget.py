@@ -149,9 +149,10 @@ class Budget(Client):
 
     def reads(self, sender: Hashable) -> bool:
         """Whether one of its connections gets more replies: it has read all but a little, or there is room."""
-        if self.leaving_bytes <= LITTLE or self._unread.get(sender, 0) <= LITTLE:
+        if self.leaving_bytes <= LITTLE or self._unread.get(sender, 0) <= LITTLE or not self._is_full(0):
             return True
-        return self.has_room() or self._unread.get(sender, 0) <= LITTLE
+        self._all.look_at_replies()
+        return not self._is_full(0) or self._unread.get(sender, 0) <= LITTLE
 
     def _is_full(self, more: int) -> bool:
         """As far as it is known. Who has little gets a short one, and a long one where its account has nothing."""

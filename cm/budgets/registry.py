@@ -15,7 +15,8 @@ from cm.budgets.names import Peer, Who, name_of, place_of
 from cm.budgets.turns import Account, VirtualTime
 from cm.messages.status import ClientStatus, LeaseStatus, StreamStatus
 
-_LOOK = 1_000_000  # nanoseconds between two looks at what all clients have read
+_LOOK = 1_000_000  # nanoseconds at least between two looks at what all clients have read,
+_REST = 10  # and so many times what the first took: of hundreds of connections, each asks
 
 
 class Message(Protocol):
@@ -58,7 +59,7 @@ class Budgets:
         self._accounts: dict[str, Account] = {}
         self._clock = VirtualTime()
         self._shares = shares
-        self._looked = 0  # when, in nanoseconds
+        self._next_look = 0  # when, in nanoseconds
         self.queued_bytes = 0  # of messages that wait for their turn
         self.leaving_bytes = 0  # of replies that are being made, or were not read
 
@@ -113,11 +114,12 @@ class Budgets:
 
     def look_at_replies(self) -> None:
         """Count those that were read, of all clients; often enough."""
-        now = monotonic_ns()
-        if now - self._looked > _LOOK:
-            self._looked = now
+        began = monotonic_ns()
+        if began >= self._next_look:
             for budget in self:
                 budget.look_at_replies()
+            ended = monotonic_ns()
+            self._next_look = ended + max(_LOOK, _REST * (ended - began))
 
     def settle(self) -> None:
         """Count connections anew, and forget who has nothing any more."""

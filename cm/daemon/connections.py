@@ -39,7 +39,7 @@ _CAUSES = {
     "protocol": "it does not speak ZMTP 3",
     "parts": f"it sent a message of more than {PARTS} parts",
     "bytes": "it sent a message that is too long, or has no end (limits.message_mib)",
-    "rate": f"it subscribed to more than {_TOPICS} topics at once",
+    "rate": f"it subscribed to more than {_TOPICS} topics at once, or four times as many over all its connections",
     "cut": "it has lost its right to be connected, or does not read its answers and goes on asking",
     "unread": "it has read nothing for longest of those that leave frames unread, which are too many (--stream-queue)",
     "slow": "others had long messages to send while it did not end one (64 KiB in a second, 10 s in all)",

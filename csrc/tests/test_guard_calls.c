@@ -34,7 +34,7 @@ static int connected_to(const struct sockaddr_un *address, socklen_t length)
 	return fd;
 }
 
-static int listening(struct sockaddr_un *address, socklen_t *length)
+static int listening(struct sockaddr_un *address, socklen_t *length, uint32_t kind)
 {
 	int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
 
@@ -44,18 +44,18 @@ static int listening(struct sockaddr_un *address, socklen_t *length)
 	CHECK(!bind(fd, (struct sockaddr *)address, *length));
 	*length = sizeof(*address);
 	CHECK(!getsockname(fd, (struct sockaddr *)address, length));
-	cm_guard_expect(CM_GUARD_REQUESTS);
+	cm_guard_expect(kind);
 	CHECK(!cm_guard_listen(fd, 16));
 	cm_guard_expect(CM_GUARD_NONE);
 	return fd;
 }
 
-static struct pair paired(const char *mechanism)
+static struct pair of_kind(const char *mechanism, uint32_t kind)
 {
 	uint8_t greeting[64] = { 0xff, [9] = 0x7f, [10] = 3 };
 	struct sockaddr_un address;
 	socklen_t length;
-	struct pair pair = { .listener = listening(&address, &length) };
+	struct pair pair = { .listener = listening(&address, &length, kind) };
 	static const uint8_t ready[] = { 4, 6, 5, 'R', 'E', 'A', 'D', 'Y' };
 	uint8_t got[64];
 
@@ -71,6 +71,11 @@ static struct pair paired(const char *mechanism)
 		CHECK(cm_guard_recv(pair.server, got, sizeof(got), 0) == sizeof(ready));
 	}
 	return pair;
+}
+
+static struct pair paired(const char *mechanism)
+{
+	return of_kind(mechanism, CM_GUARD_REQUESTS);
 }
 
 static void part(struct pair *pair)
@@ -405,6 +410,47 @@ static void what_is_taken_late_holds_nobody_else_back(void)
 	part(&pair);
 }
 
+/* Whether a subscriber that connects anew may send so many topics at once. */
+static bool subscribes(uint32_t topics)
+{
+	struct pair pair = of_kind("NULL", CM_GUARD_TOPICS);
+	uint64_t before = refused(CM_GUARD_RATE);
+	uint8_t all[24], got[24];
+	uint32_t size = topics * 3;
+
+	CHECK(size <= sizeof(all));
+	for (uint32_t at = 0; at < size; at += 3)
+		memcpy(all + at, "\0\1\1", 3);
+	CHECK(write(pair.client, all, size) == (ssize_t)size);
+	CHECK((cm_guard_recv(pair.server, got, sizeof(got), 0) == (ssize_t)size) ==
+	      (refused(CM_GUARD_RATE) == before));
+	part(&pair);
+	return refused(CM_GUARD_RATE) == before;
+}
+
+static void who_connects_again_may_subscribe_no_more_often(void)
+{
+	struct cm_guard_peer other = { .pid = 1 };
+	int64_t now = 1000;
+	int times = 0;
+
+	while (times < 1000 && subscribes(8))
+		times++;
+	CHECK(times >= 4 && times < 1000); /* each as often as one connection may */
+	for (int i = 0; i < 4; i++)
+		CHECK(cm_guard_pay(&other, 8, 8, now)); /* and another peer no less */
+	CHECK(!cm_guard_pay(&other, 1, 8, now));
+	CHECK(cm_guard_pay(&other, 4, 8, now + 2)); /* an eighth comes back in two seconds */
+	CHECK(!cm_guard_pay(&other, 1, 8, now + 2));
+	CHECK(cm_guard_pay(&other, 32, 8, now + 100));
+	for (int32_t pid = 2; pid < 500; pid++) { /* who came long ago is forgotten */
+		struct cm_guard_peer one = { .pid = pid };
+
+		CHECK(cm_guard_pay(&one, 32, 8, now + 200));
+		CHECK(!cm_guard_pay(&one, 1, 8, now + 200));
+	}
+}
+
 static void limits_that_change_count_from_then_on(void)
 {
 	struct pair pair = paired("NULL");
@@ -468,7 +514,8 @@ static void connections_come_and_go_while_others_ask_for_them(void)
 	for (int turn = 0; turn < 300; turn++) {
 		struct sockaddr_un address;
 		socklen_t length;
-		int listener = listening(&address, &length), clients[8], servers[8];
+		int listener = listening(&address, &length, CM_GUARD_REQUESTS), clients[8],
+		    servers[8];
 		static const uint8_t sent[80] = { 0xff, [9] = 0x7f, 3, [64] = 1, 1, 0, 0, 1 };
 		uint8_t got[80];
 
@@ -511,6 +558,7 @@ int main(void)
 	RUN(an_encrypted_frame_is_as_long_as_a_message_may_be);
 	RUN(short_messages_are_read_a_few_at_a_time);
 	RUN(what_is_taken_late_holds_nobody_else_back);
+	RUN(who_connects_again_may_subscribe_no_more_often);
 	RUN(limits_that_change_count_from_then_on);
 	RUN(connections_come_and_go_while_others_ask_for_them);
 	return 0;

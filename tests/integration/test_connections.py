@@ -227,6 +227,18 @@ def test_a_million_subscriptions_are_cut_off_after_some_thousand(guarded: Guarde
     assert resident_mib(guarded.pid) < before + 64
 
 
+def test_who_connects_again_and_again_may_subscribe_no_more_often(guarded: Guarded) -> None:
+    """Else each time anew to as many as one connection may, which libzmq takes apart in one go when it ends."""
+    some = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(900))
+    for _ in range(100):
+        with raw(guarded.manager.runtime / "pub", b"SUB") as peer, suppress(ConnectionError):
+            peer.sendall(some)
+            peer.recv(64)
+    hung_up(guarded, b"more than 1024 topics at once")
+    with cm.connect(f"tcp://127.0.0.1:{guarded.tcp[1]}", keys=str(guarded.keys), timeout=60) as board:
+        assert next(iter(board.watch(timeout=60))).mode == "default"  # another client, who does
+
+
 def test_a_message_as_long_as_may_be_arrives(guarded: Guarded) -> None:
     with zmq.Context() as context, context.socket(zmq.REQ) as client:
         client.linger = 0
