@@ -72,6 +72,12 @@ def _rtl() -> Iterator[Board]:
         device.Uio.open(0x4000_0000, simulator.root) as control,
         device.Uio.open(0x4001_0000, simulator.root) as left,
     ):
+
+        def decouple(cut: bool) -> None:
+            control.write(0x100, cut)
+            while control.read(0x108) & 1 != cut:
+                pass
+
         board = Board(
             root=str(simulator.root),
             to_pl="to_left",
@@ -87,11 +93,12 @@ def _rtl() -> Iterator[Board]:
             close_waits=False,
             raise_interrupt=lambda: left.write(0x14, 1),
             stall=partial(_stall, simulator),
+            decouple=decouple,
         )
         control.write(0x00C, 1)  # IRQ_ENABLE
-        control.write(0x100, 1)  # what is loaded while it is connected spoils what is connected to it
+        decouple(True)
         _load(board)
-        control.write(0x100, 0)
+        decouple(False)
         yield board
 
 
@@ -157,11 +164,14 @@ def uio(board: Board) -> Iterator[device.Uio]:
 
 @pytest.fixture
 def icap(board: Board) -> Iterator[device.Icap]:
-    """The configuration port."""
+    """The configuration port; each test leaves a good bitstream loaded."""
     if board.icap is None:
         pytest.skip("the board has no ICAP")
+    decouple = board.decouple or (lambda _: None)
     with device.Icap.open(board.icap, board.root) as opened:
+        decouple(True)
         yield opened
+        decouple(False)
 
 
 @pytest.fixture

@@ -29,3 +29,4 @@ class Board:
     close_waits: bool = True  # closing a port waits for the end of its load
     raise_interrupt: Callable[[], None] | None = None  # in place of `trigger`
     stall: Callable[[bool], None] | None = None  # lets a load stand still, and go on; elsewhere it has its own speed
+    decouple: Callable[[bool], None] | None = None  # cuts off what is loaded, which a load would spoil otherwise
