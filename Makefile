@@ -6,7 +6,6 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 LINT_STAMP := $(VENV)/.installed-lint
-BENCH_STAMP := $(VENV)/.installed-bench
 SOURCES := pyproject.toml setup.py release/backend.py cm/wire/cm.proto $(wildcard csrc/*.c csrc/*.h csrc/build_cffi.py csrc/cffi/* kmod/uapi/*.h cm/rtl/engine/*.cpp cm/rtl/engine/*.h)
 C_FILES := $(wildcard csrc/*.[ch] csrc/client/*.[ch] csrc/tests/*.[ch] kmod/uapi/*.h cm/rtl/engine/*.cpp cm/rtl/engine/*.h)
 PYTEST ?= $(BIN)/python -m pytest
@@ -42,6 +41,11 @@ $(BIN)/python: | check-system
 
 $(STAMP): $(SOURCES) | $(BIN)/python
 	$(call install)
+	@touch $@
+
+# What a suite needs beyond that: once, and without a network from then on.
+$(VENV)/.installed-%: $(STAMP)
+	$(call install,$*)
 	@touch $@
 
 $(LINT_STAMP): $(STAMP)
@@ -80,12 +84,10 @@ test-node: $(STAMP) ## the client for Node.js: built, and its tour over ipc and 
 	$(OTHER_NODE) node --version && cd clients/node && npm ci --ignore-scripts --silent && npm run --silent build && CM=cm PATH="$(abspath $(BIN)):$$PATH" npm test --silent
 	$(OTHER_NODE) $(BIN)/cm conformance -- node clients/node/dist/test/driver.js
 
-test-open: $(STAMP) ## modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
-	$(call install,rtl)
+test-open: $(VENV)/.installed-rtl ## modules by their bits, and the flow of open tools (nextpnr and Project X-Ray are fetched from Debian)
 	$(PYTEST) tests/open $(PYTEST_ARGS)
 
-test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
-	$(call install,rtl)
+test-rtl: $(VENV)/.installed-rtl ## the HDL and what is generated from it, on Verilator or Icarus with cocotb
 	$(PYTEST) tests/rtl $(PYTEST_ARGS)
 	$(PYTEST) tests/device --board=rtl $(PYTEST_ARGS)
 	$(BIN)/cm demo --rtl --out build/demo-rtl
@@ -93,8 +95,7 @@ test-rtl: $(STAMP) ## the HDL and what is generated from it, on Verilator or Ica
 test-vm: $(STAMP) ## kernel modules and the whole manager on a board in QEMU
 	@$(MAKE) --no-print-directory -C tests/vm test PYTHON="$(abspath $(BIN)/python)" TIERS="$(TIERS)" REQUIRED=$(REQUIRED)
 
-demo-fleet: $(STAMP) ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR)
-	$(call install,zenoh)
+demo-fleet: $(VENV)/.installed-zenoh ## three simulated boards over zenoh: one observes, another decides, the third acts; one is killed and comes back (OUT=DIR)
 	@$(BIN)/cm demo --fleet --out $(if $(filter demo,$(OUT)),demo-fleet,$(OUT))
 
 device-suite: $(STAMP) ## tests of the device layer: BOARD=sim, or BOARD=hw TARGET=user@host (or LAB=labgrid.yaml; BOARD_FILE, BOARD_PYTHON)
@@ -117,23 +118,17 @@ soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in 
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)
 	for seed in 1 2 3 4 5; do CM_FLIPS=1000 CM_SEED=$$seed $(PYTEST) tests/open/test_bits_flips.py $(PYTEST_ARGS) || exit 1; done
 
-fuzz: $(STAMP) ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)
-	$(call install,fuzz)
+fuzz: $(VENV)/.installed-fuzz ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)
 	nice $(BIN)/python tests/fuzz/fuzz.py $(TARGETS) --minutes $(MINUTES) --jobs $(JOBS) $(if $(filter command,$(origin SEED)),--seed $(SEED))
 
-mutation: $(STAMP) ## whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
-	$(call install,mutation)
+mutation: $(VENV)/.installed-mutation ## whether the unit tests notice defects: 100 mutants of each package, with a fixed seed (COUNT=…, SEED=…, PACKAGES=…)
 	nice $(BIN)/python tests/mutation/sample.py $(PACKAGES) --count $(COUNT) --seed $(SEED)
 
-bench: $(BENCH_STAMP) ## measure latency and throughput beside the alternatives
+bench: $(VENV)/.installed-bench ## measure latency and throughput beside the alternatives
 	$(BIN)/cm bench --json bench.json --plots bench-plots
 
-test-bench: $(BENCH_STAMP) ## every measurement in its quick form: that it runs, not how fast
+test-bench: $(VENV)/.installed-bench ## every measurement in its quick form: that it runs, not how fast
 	$(PYTEST) tests/bench $(PYTEST_ARGS)
-
-$(BENCH_STAMP): $(STAMP)
-	$(call install,bench)
-	@touch $@
 
 lint: $(LINT_STAMP) ## ruff, ruff format, mypy (strict; the client for macOS and Windows too), clang-format, licences (reuse)
 	$(BIN)/ruff check .
