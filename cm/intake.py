@@ -11,11 +11,15 @@ long as each waiting client has a message here.
 A client that does not read its answers gets no more of them: its requests wait here until there is room for answers
 again. If many bytes of a client wait here, its connections are not read until few do; the rest waits in its own
 sockets.
+
+What takes long is served in slices: after each, its client waits for its next turn, and whatever the same sender has
+asked for since waits behind it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
+from functools import partial
 from time import monotonic_ns
 from typing import Any, Protocol
 
@@ -26,17 +30,18 @@ from cm import multipart
 from cm.budgets.brakes import Brakes, Connections
 from cm.budgets.budget import LITTLE, Budget, TooMuchWaiting
 from cm.budgets.registry import Budgets
+from cm.budgets.rounds import Round
 from cm.budgets.turns import Turns
 from cm.multipart import Message
 
 _POLLIN = int(zmq.POLLIN)
 _AHEAD = 32  # messages of a socket that are read before one is served
-_QUIET = 8  # messages that are served after a round that brought nothing new
 _KEEPING = 1024  # bytes of overhead for each message that waits here
 _BLIND = 100_000  # nanoseconds of serving after which we look whether another client waits
 _MUCH = 1 << 20  # bytes that wait here; beyond it, we look whose they are
 _AGAIN = 0.005  # seconds until we look again whether answers were read
-_Serve = Callable[[Message, Budget], None]
+Rest = Iterator[None] | None  # what is left to be done, a slice with each `next`; None: nothing
+_Serve = Callable[[Message, Budget], Rest]
 _NO_MESSAGE = Message("", [], -1, 0)
 
 
@@ -51,7 +56,7 @@ class Loop(Protocol):
 
 
 class _Source:
-    """A socket, and which of its connections this round has reached."""
+    """A socket, and the round of its connections."""
 
     def __init__(
         self,
@@ -63,20 +68,7 @@ class _Source:
         self.socket, self.serve, self.refuse, self.sender = socket, serve, refuse, sender
         self.routed = socket.type == zmq.ROUTER
         self.ready: list[tuple[Any, int]] = [(socket, _POLLIN)]
-        self._seen: set[Hashable] = set()  # connections, in this round
-        self._news = False  # whether this round brought a message of a client that had none waiting
-        self.quiet = 0  # messages to be served before the next round
-
-    def came(self, connection: Hashable, news: bool) -> bool:
-        """Note a message; whether that ended a round."""
-        self._news = self._news or news
-        if connection not in self._seen:
-            self._seen.add(connection)
-            return False
-        self._seen = {connection}
-        self.quiet = 0 if self._news else _QUIET
-        self._news = False
-        return True
+        self.round = Round()
 
 
 class Intake:
@@ -88,7 +80,7 @@ class Intake:
         self._brakes = Brakes(connections)
         self._looking = False  # a timer runs, because a client does not read its answers
         self._sources: list[_Source] = []
-        self._turns: Turns[Budget, tuple[_Serve, Message, int]] = Turns()
+        self._turns: Turns[Budget, tuple[Hashable, _Serve, Message, int]] = Turns()
         self._called = False
         self._blind = 0  # nanoseconds of serving since we last looked who else waits
 
@@ -127,14 +119,16 @@ class Intake:
             self._go_on()
             return
         budget.is_alone()
-        self._serve(budget, began, source.serve, message)
+        rest = self._serve(budget, began, source.serve, message)
+        if rest is not None:
+            self._leave(rest, budget, (source, source.sender(message)), _size(message))
 
     def _others_wait(self, source: _Source) -> bool:
         """Whether there is more to read. Asking costs a tenth of serving a short request."""
         self._blind = 0
         return bool(zmq_poll(source.ready, 0))
 
-    def put(self, connection: str, key: Hashable, call: Callable[[], None]) -> None:
+    def put(self, connection: str, key: Hashable, call: Callable[[], Rest]) -> None:
         """Have other work done for the client of that connection, in its turn, and in a later turn of the loop.
 
         Work with the same `key` is done in order. Raises TooMuchWaiting.
@@ -146,7 +140,14 @@ class Intake:
         except TooMuchWaiting:
             budget.refused += 1
             raise
-        self._turns.add(budget, (None, key), (lambda _, __: call(), _NO_MESSAGE, _KEEPING))
+        key = (None, key)
+        self._turns.add(budget, key, (key, lambda _, __: call(), _NO_MESSAGE, _KEEPING))
+        self._come_back()
+
+    def _leave(self, rest: Iterator[None], budget: Budget, key: Hashable, size: int) -> None:
+        """The rest of what was served waits for its next turn; it was let in, and is not refused any more."""
+        budget.queued(1, size)
+        self._turns.again(budget, key, (key, partial(_next, rest), _NO_MESSAGE, size))
         self._come_back()
 
     def _come_back(self) -> None:
@@ -154,9 +155,9 @@ class Intake:
             self._called = True
             self._loop.call_soon(self._go_on)
 
-    def _serve(self, budget: Budget, began: int, serve: _Serve, message: Message) -> None:
+    def _serve(self, budget: Budget, began: int, serve: _Serve, message: Message) -> Rest:
         try:
-            serve(message, budget)
+            return serve(message, budget)
         finally:
             took = monotonic_ns() - began
             self._blind += took
@@ -164,7 +165,7 @@ class Intake:
 
     def _keep(self, source: _Source, message: Message, budget: Budget, began: int) -> bool:
         """Let a message wait; returns whether it ended a round of its socket's connections."""
-        size, sender = sum(map(len, message.frames)) + _KEEPING, source.sender(message)
+        size, sender = _size(message), source.sender(message)
         news = False
         try:
             budget.queue(size)
@@ -175,11 +176,12 @@ class Intake:
             elif message.source >= 0:  # the connection would not even read the refusal
                 self._brakes.cut(budget, message.source)
         else:
-            news = self._turns.add(budget, (source, sender), (source.serve, message, size))
+            key = source, sender
+            news = self._turns.add(budget, key, (key, source.serve, message, size))
         if message.source >= 0 and self._has_enough(budget, source, sender):
             self._brakes.hold(budget, message.source)
         budget.charge(monotonic_ns() - began)
-        return source.came(sender, news)
+        return source.round.came(sender, news)
 
     def _has_enough(self, budget: Budget, source: _Source, sender: Hashable) -> bool:
         """Whether a connection is not to be read for now."""
@@ -200,8 +202,7 @@ class Intake:
 
     def _take_in(self, source: _Source) -> bool:
         """Read what came meanwhile; returns whether there may be more that nothing else will report."""
-        if source.quiet:
-            source.quiet -= 1
+        if source.round.is_quiet():
             return True
         for _ in range(_AHEAD):
             if not zmq_poll(source.ready, 0):
@@ -221,7 +222,7 @@ class Intake:
             if self._turns.anyone:  # also where a socket failed
                 self._come_back()
         try:
-            budget, (serve, message, size) = self._turns.take(_may_be_served)
+            budget, (key, serve, message, size) = self._turns.take(_may_be_served)
         except IndexError:
             budget = None
         if self._turns.stopped:
@@ -233,10 +234,21 @@ class Intake:
         budget.unqueue(size)
         if not budget.waiting:  # it may have sent more
             for each in self._sources:
-                each.quiet = 0
+                each.round.quiet = 0
         if self._brakes.held and budget in self._brakes.held:
             self._brakes.release(budget)
-        self._serve(budget, monotonic_ns(), serve, message)
+        rest = self._serve(budget, monotonic_ns(), serve, message)
+        if rest is not None:
+            self._leave(rest, budget, key, size)
+
+
+def _size(message: Message) -> int:
+    return sum(map(len, message.frames)) + _KEEPING
+
+
+def _next(rest: Iterator[None], _: Message, __: Budget) -> Rest:
+    """The next slice."""
+    return rest if next(rest, rest) is None else None
 
 
 def _may_be_served(budget: Budget, key: Any) -> bool:

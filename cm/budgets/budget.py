@@ -108,7 +108,7 @@ class Budget(Client):
                 f"{self.waiting} requests of {self.name} wait, {self.queued_bytes} bytes with what it takes to keep "
                 f"them, {queued} of all (limits.waiting_mib): wait for an answer"
             )
-        self._queued(1, size)
+        self.queued(1, size)
 
     def _has_too_much_queued(self, more: int) -> bool:
         """Who has nothing waiting sends a short one, whatever others do; and a long one, where its account has none."""
@@ -119,9 +119,10 @@ class Budget(Client):
 
     def unqueue(self, size: int) -> None:
         """It is its turn."""
-        self._queued(-1, -size)
+        self.queued(-1, -size)
 
-    def _queued(self, messages: int, size: int) -> None:
+    def queued(self, messages: int, size: int) -> None:
+        """So many more wait; fewer, if negative."""
         self.waiting += messages
         self.queued_bytes += size
         self.account.queued_bytes += size

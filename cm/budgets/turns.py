@@ -165,6 +165,11 @@ class Turns(Generic[_C, _T]):
         connections[connection] = deque((item,))
         return True
 
+    def again(self, client: _C, connection: Hashable, rest: _T) -> None:
+        """What is left of something that was taken waits, before all else of its connection."""
+        if not self.add(client, connection, rest):
+            (self.stopped.get(client, {}).get(connection) or self._there[client][connection]).rotate(1)
+
     def _enter(self, client: _C) -> dict[Hashable, deque[_T]]:
         client.comes()
         self._line_up(client)

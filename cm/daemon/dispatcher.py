@@ -17,19 +17,20 @@ from cm.daemon.publisher import Publisher
 from cm.daemon.read_cache import ReadCache
 from cm.daemon.register_handlers import takes_long
 from cm.daemon.replies import Respond, refusal
+from cm.daemon.touched import Touched
 from cm.errors import Busy, CmError, InvalidRequest
-from cm.manager.access.lease_scopes import scopes_written
+from cm.intake import Rest
 from cm.manager.execution.worker import Change
 from cm.manager.manager import Manager
 from cm.messages import requests as rq
 from cm.messages.status import ErrorInfo, Reply
 from cm.multipart import Message
 from cm.rights.model import Role
-from cm.schema.model import Memory
 from cm.wire.decode import Frame, decode_request, split_text
 from cm.wire.encode import encode_reply
 from cm.wire.envelope import envelope_length, guest_named, split_envelope
-from cm.wire.topics import READ_REG
+from cm.wire.parse import LONG, in_slices
+from cm.wire.topics import READ_REG, WRITE_REG
 
 _PUBLISHED = b""  # the sender of all that is published to the manager; a connection's name is never empty
 _MOST = 256  # requests of one sender that wait
@@ -67,6 +68,7 @@ class Order:
     def __init__(self, handlers: Handlers, manager: Manager) -> None:
         self._handlers = handlers
         self._manager = manager
+        self._touched = Touched(manager)
         self.senders: dict[bytes, _Sender] = {}  # who has something under way
 
     def waits(self, sender: bytes) -> bool:
@@ -87,24 +89,9 @@ class Order:
     def _is_blocked(self, state: _Sender, request: rq.Request) -> bool:
         if state.long or isinstance(request, (rq.ChangeMode, *_STORES)):
             return bool(state.long or state.stores or state.writes)
-        if state.writes and (isinstance(request, rq.WriteReg) or self._writes_memory(request)):
+        if state.writes and (isinstance(request, rq.WriteReg) or self._touched.writes_memory(request)):
             return True
-        return isinstance(request, _WRITES) and any(self._touches(change, request) for change in state.changes)
-
-    def _touches(self, change: Change, request: rq.Request) -> bool:
-        """Whether a change writes what this request writes, or loads the region of it."""
-        config, mode = self._manager.loaded_config(), self._manager.state.mode
-        memory = self._memory(request.stream) if isinstance(request, (rq.WriteData, rq.ConfigureStream)) else None
-        return bool({"config", *scopes_written(request, config, mode, memory)} & set(change.scopes))
-
-    def _writes_memory(self, request: rq.Request) -> bool:
-        return isinstance(request, rq.WriteData) and self._memory(request.stream) is not None
-
-    def _memory(self, name: str) -> Memory | None:
-        try:
-            return self._manager.memories.find(name)
-        except CmError:  # one of another mode, or nothing is loaded: its handler says so
-            return None
+        return isinstance(request, _WRITES) and any(self._touched.touches(change, request) for change in state.changes)
 
     def _do(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
         if isinstance(request, (rq.ReadReg, rq.WriteReg)):
@@ -112,7 +99,7 @@ class Order:
                 respond = self._counted(sender, "long", respond)
         elif isinstance(request, _STORES):
             respond = self._counted(sender, "stores", respond)
-        elif self._writes_memory(request):
+        elif isinstance(request, rq.WriteData) and self._touched.writes_memory(request):
             respond = self._counted(sender, "writes", respond)
         self._handlers.handle(connection, request, respond, partial(self._began, sender))
 
@@ -185,19 +172,20 @@ class Dispatcher:
     def _ignore(self, _: Message, __: Budget, error: Busy) -> None:
         self._fire_and_forget(refusal(error))
 
-    def _answer(self, came: Message, budget: Budget) -> None:
+    def _answer(self, came: Message, budget: Budget) -> Rest:
         self.taken += 1
         frames = came.frames
         cut = 2 if len(frames) == 4 and not frames[1] else envelope_length(frames)
         if cut > 2 and (guest := guest_named(frames[:cut])):  # a bridge may ask for one
             came = came._replace(connection=self._gate.guest(came.connection, guest))
         if len(frames) == cut + 2 and frames[cut] == READ_REG and self._read_again(came, budget):
-            return
+            return None
         envelope, message = frames[:cut], split_text(frames[cut:])
         topic = bytes(message[0]) if message else b""
-        self._dispatch(bytes(frames[0]), came, message, partial(self._reply, envelope, topic, budget), budget)
+        rest = self._dispatch(bytes(frames[0]), came, message, partial(self._reply, envelope, topic, budget), budget)
         if topic == READ_REG:
             self._read_cache.learn(message)
+        return rest
 
     def _read_again(self, came: Message, budget: Budget) -> bool:
         """Answer a read of registers that was answered before; False where it was not."""
@@ -229,22 +217,30 @@ class Dispatcher:
         else:
             multipart.send(self._sockets.req, frames)
 
-    def _obey(self, came: Message, budget: Budget) -> None:
+    def _obey(self, came: Message, budget: Budget) -> Rest:
         self.taken += 1
-        self._dispatch(_PUBLISHED, came, came.frames, self._fire_and_forget, budget)
+        return self._dispatch(_PUBLISHED, came, split_text(came.frames), self._fire_and_forget, budget)
 
     def _fire_and_forget(self, reply: Reply) -> None:
         if reply.error is not None:
             self.refused[reply.error.code] += 1
             self._note_error(reply.error)
 
-    def _dispatch(self, sender: bytes, came: Message, frames: Sequence[Frame], respond: Respond, by: Budget) -> None:
+    def _dispatch(self, sender: bytes, came: Message, frames: Sequence[Frame], respond: Respond, by: Budget) -> Rest:
+        if len(frames) == 2 and len(frames[1]) > LONG and frames[0] == WRITE_REG:  # in slices
+            take = partial(self._order.take, sender, respond=respond, connection=came.connection)
+            return in_slices(frames, take, partial(_refuse, respond, by))
         try:
             request: rq.Request = decode_request(frames)
             if type(request) in _LASTING:
                 respond = by.under_way(respond, came.large)
         except (InvalidRequest, Busy) as error:
-            by.refused += 1
-            respond(refusal(error))
-            return
-        self._order.take(sender, request, respond, came.connection)
+            _refuse(respond, by, error)
+        else:
+            self._order.take(sender, request, respond, came.connection)
+        return None
+
+
+def _refuse(respond: Respond, by: Budget, error: CmError) -> None:
+    by.refused += 1
+    respond(refusal(error))

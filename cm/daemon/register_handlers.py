@@ -14,6 +14,7 @@ from cm.manager.access.register_service import RegisterService
 from cm.manager.manager import Manager
 from cm.messages import requests as rq
 from cm.messages.status import RegValues, Reply
+from cm.wire.bodies import encode_values, encoded_registers
 
 
 def takes_long(request: rq.ReadReg | rq.WriteReg, registers: RegisterService) -> bool:
@@ -58,11 +59,32 @@ class RegisterHandlers:
     ) -> None:
         """`then` is told of what was done, also where it was not all."""
 
+        encoded = _Encoded(work)
+
         def done(problem: Exception | None) -> None:
-            if work.result.values:
-                then(work.result)
+            result = encoded.result()
+            if result.values:
+                then(result)
             if problem is not None:
                 self._board.noticed(problem)
-            respond(Reply(work.result) if problem is None else refusal(problem))
+            respond(Reply(result) if problem is None else refusal(problem))
 
-        self._pieces.start(client, work, done)
+        self._pieces.start(client, encoded, done)
+
+
+class _Encoded:
+    """A work whose values are encoded as they come: of all at once, that would take longer than any piece."""
+
+    def __init__(self, work: ReadPieces | WritePieces) -> None:
+        self._work = work
+        self._parts: list[bytes] = []
+
+    def step(self) -> bool:
+        """As the work's."""
+        ended = self._work.step()
+        self._parts.append(encode_values(self._work.newest))
+        return ended
+
+    def result(self) -> RegValues:
+        """What was done."""
+        return encoded_registers(self._work.result, self._parts)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from cm.messages import status as st
@@ -220,11 +220,32 @@ def registers_to_pb(r: st.RegValues) -> pb.RegValues:
     return message
 
 
+class EncodedRegisters(st.RegValues):
+    """Values of which `encoded` are the bytes: made some at a time where they are many."""
+
+    encoded: bytes
+
+
+def encode_values(values: Sequence[st.RegValue]) -> bytes:
+    """Some of a message's values; such parts, one behind the other, are those of all."""
+    return registers_to_pb(st.RegValues(tuple(values))).SerializeToString()
+
+
+def encoded_registers(r: st.RegValues, parts: Iterable[bytes]) -> st.RegValues:
+    """The same values, of which these are the parts."""
+    made = EncodedRegisters(*r)
+    made.encoded = b"".join(parts)
+    return made
+
+
 def registers_into(message: pb.RegValues, r: st.RegValues) -> None:
     """Fill a message in place, in a third of the time that keyword arguments and a copy take."""
     message.config_name = r.config_name
     message.mode = r.mode
     message.generation = r.generation
+    if type(r) is EncodedRegisters:
+        message.MergeFromString(r.encoded)
+        return
     for value in r.values:
         entry = message.values.add()
         entry.name = value.name

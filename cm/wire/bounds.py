@@ -18,6 +18,7 @@ MESSAGE_BYTES = 128 << 10  # of the second frame, unless it holds a schema
 TEXT_BYTES = 64 << 10
 BITS = 64
 _DIGITS = {16: 16, 10: 20, 8: 22, 2: 64}  # most digits of 64 bits, by the base
+SLICE = 64  # listed things that one turn of the manager's loop reads
 _ALWAYS_FINE = 256  # bytes of a message that is too short to break any bound
 _LIMITS = {"schema": SCHEMA_BYTES, "lease": LEASES_BYTES}
 
@@ -69,6 +70,11 @@ def _check(topic: str, message: Message) -> None:
                 _check_text(topic, field.name, part)
             elif isinstance(part, Message):
                 _check(topic, part)
+
+
+def check_lease(topic: str, lease: str) -> None:
+    """Raise NameTooLong."""
+    _check_text(topic, "lease", lease)
 
 
 def check_count(topic: str, what: str, count: int, most: int = ENTRIES) -> None:

@@ -6,17 +6,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TypeVar
-
-from google.protobuf.message import DecodeError, Message
 
 from cm.errors import InvalidRequest
 from cm.messages import requests as rq
-from cm.wire import bounds, text, topics
 from cm.wire import cm_pb2 as pb
+from cm.wire import parse, text, topics
 
 Frame = bytes | memoryview
-_Message = TypeVar("_Message", bound=Message)
 _SHORT, _KEPT = 256, 256  # bytes of the longest message whose request is kept, and how many are kept
 _Decoder = Callable[[bytes, Sequence[Frame]], rq.Request]
 
@@ -54,16 +50,6 @@ def _decode(topic: bytes, message: bytes, payload: Sequence[Frame]) -> rq.Reques
     return decoder(message, payload)
 
 
-def _parse(message_type: type[_Message], topic: str, payload: bytes) -> _Message:
-    bounds.check_length(topic, payload, schema=message_type is pb.WriteConfig)
-    try:
-        message = message_type.FromString(payload)
-    except DecodeError as error:
-        raise InvalidRequest(f"{topic}: the second frame is not a {message_type.__name__} message ({error})") from error
-    bounds.check(topic, message, len(payload))
-    return message
-
-
 def _no_payload(topic: str, payload: Sequence[Frame]) -> None:
     if payload:
         raise InvalidRequest(f"{topic}: {len(payload)} payload frames where none is expected")
@@ -71,12 +57,12 @@ def _no_payload(topic: str, payload: Sequence[Frame]) -> None:
 
 def _read_status(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_status", payload)
-    return rq.ReadStatus(_parse(pb.ReadStatus, "cm_status", message).clients)
+    return rq.ReadStatus(parse.parse(pb.ReadStatus, "cm_status", message).clients)
 
 
 def _read_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_read_config", payload)
-    m = _parse(pb.ReadConfig, "cm_read_config", message)
+    m = parse.parse(pb.ReadConfig, "cm_read_config", message)
     if m.list:
         return rq.ListConfigs()
     return rq.PlanChange(m.config_name, m.plan_mode) if m.plan or m.plan_mode else rq.ReadConfig(m.config_name)
@@ -90,7 +76,7 @@ def _text_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 def _write_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     if text.is_word(message):
         return _text_config(message, payload)
-    m = _parse(pb.WriteConfig, "cm_write_config", message)
+    m = parse.parse(pb.WriteConfig, "cm_write_config", message)
     parts = [f for f in m.files if not f.upload]
     if len(parts) != len(payload):
         raise InvalidRequest(
@@ -128,23 +114,19 @@ def _remove(m: pb.WriteConfig) -> rq.RemoveConfig:
 
 def _read_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_read_reg", payload)
-    return rq.ReadReg(tuple(_parse(pb.ReadReg, "cm_read_reg", message).names))
+    return rq.ReadReg(tuple(parse.parse(pb.ReadReg, "cm_read_reg", message).names))
 
 
 def _write_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_write_reg", payload)
     if text.is_mapping(message):
         return text.parse_registers(message)
-    m = _parse(pb.WriteReg, "cm_write_reg", message)
-    if not m.writes:
-        raise InvalidRequest("cm_write_reg: no register is named; writes must hold at least one")
-    writes = tuple(rq.RegWrite(w.name, w.value, w.mask if w.HasField("mask") else None, w.named) for w in m.writes)
-    return rq.WriteReg(writes, m.lease)
+    return parse.in_one_go(parse.writes_in_slices(message))
 
 
 def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_data_config", payload)
-    m = _parse(pb.DataConfig, "cm_data_config", message)
+    m = parse.parse(pb.DataConfig, "cm_data_config", message)
     if m.HasField("address") or m.length or m.access or m.region:
         return _define_memory(m)
     request = _configure_stream(m)
@@ -177,12 +159,12 @@ def _configure_stream(m: pb.DataConfig) -> rq.ConfigureStream:
 
 def _read_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_read_data", payload)
-    m = _parse(pb.ReadData, "cm_read_data", message)
+    m = parse.parse(pb.ReadData, "cm_read_data", message)
     return rq.ReadData(m.stream, m.timeout, m.offset, m.length)
 
 
 def _write_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
-    m = _parse(pb.WriteData, "cm_write_data", message)
+    m = parse.parse(pb.WriteData, "cm_write_data", message)
     if len(payload) != (0 if m.upload else 1):
         raise InvalidRequest(
             f"cm_write_data: {len(payload)} payload frames; one frame of data is expected, or an upload"
@@ -191,7 +173,7 @@ def _write_data(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 
 
 def _upload(message: bytes, payload: Sequence[Frame]) -> rq.Request:
-    m = _parse(pb.Upload, "cm_upload", message)
+    m = parse.parse(pb.Upload, "cm_upload", message)
     if len(payload) != (0 if m.discard else 1) or not m.id:
         raise InvalidRequest(f"cm_upload: {len(payload)} payload frames, id {m.id!r}; an id and one frame are expected")
     return rq.Upload(m.id, m.length, m.offset, payload[0] if payload else b"", m.discard)
@@ -199,12 +181,12 @@ def _upload(message: bytes, payload: Sequence[Frame]) -> rq.Request:
 
 def _read_irq(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_irq", payload)
-    return rq.ReadIrq(_parse(pb.ReadIrq, "cm_irq", message).name)
+    return rq.ReadIrq(parse.parse(pb.ReadIrq, "cm_irq", message).name)
 
 
 def _lease(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_lease", payload)
-    m = _parse(pb.Lease, "cm_lease", message)
+    m = parse.parse(pb.Lease, "cm_lease", message)
     if m.release and m.number and not m.id:
         return rq.BreakLease(m.number)
     if m.release:

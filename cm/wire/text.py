@@ -8,6 +8,7 @@ names registers and values as a Python or JSON mapping.
 from __future__ import annotations
 
 import re
+from collections.abc import Generator
 
 from cm.errors import InvalidRequest
 from cm.messages.requests import ChangeMode, RegWrite, WriteReg
@@ -15,9 +16,9 @@ from cm.wire import bounds
 
 _WORD = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*(/[A-Za-z_][A-Za-z0-9_-]*)?")
 _STRING = r"""'[^'\\\n]*'|"[^"\\\n]*\""""
-_ENTRY = re.compile(rf"\s*({_STRING})\s*:\s*([A-Za-z0-9_]+)\s*(?:,|(?=\}}))")
-_KEY = re.compile(rf"\s*({_STRING}|\w+)\s*:")
-_END = re.compile(r"\s*\}")
+_BLANKS = re.compile(r"\s*")
+_ENTRY = re.compile(rf"({_STRING})\s*:\s*([A-Za-z0-9_]+)\s*(?:,|(?=\}}))")
+_KEY = re.compile(rf"({_STRING}|\w+)\s*:")
 
 
 def is_word(payload: bytes) -> bool:
@@ -54,6 +55,17 @@ def parse_registers(payload: bytes) -> WriteReg:
     Raises InvalidRequest; TooLong, TooMany, NameTooLong and NumberTooLong for what no request may hold. Read entry by
     entry, in a time proportional to the length of the text.
     """
+    slices = in_slices(payload)
+    while True:
+        try:
+            next(slices)
+        except StopIteration as ended:
+            request: WriteReg = ended.value
+            return request
+
+
+def in_slices(payload: bytes) -> Generator[None, None, WriteReg]:
+    """The same, some entries with each `next`."""
     if len(payload) > bounds.TEXT_BYTES:
         raise bounds.TooLong(f"cm_write_reg: text of {len(payload)} bytes; at most {bounds.TEXT_BYTES} are read")
     try:
@@ -63,17 +75,25 @@ def parse_registers(payload: bytes) -> WriteReg:
     if not text.startswith("{"):
         raise _no_mapping(payload)
     writes: list[RegWrite] = []
-    at = 1
-    while not (ended := _END.match(text, at)):
+    at = _after_blanks(text, 1)
+    while not text.startswith("}", at):
         entry = _ENTRY.match(text, at)
         if entry is None:
+            yield  # to find that out may have taken a while, as it does to find out what is wrong
             raise _wrong_entry(payload, text, at)
         writes.append(_write(entry[1], entry[2]))
         bounds.check_count("cm_write_reg", "writes", len(writes))
-        at = entry.end()
-    if ended.end() != len(text) or not writes:
+        if len(writes) % bounds.SLICE == 0:
+            yield
+        at = _after_blanks(text, entry.end())
+    if at + 1 != len(text) or not writes:
         raise _no_mapping(payload)
     return WriteReg(tuple(writes))
+
+
+def _after_blanks(text: str, at: int) -> int:
+    blanks = _BLANKS.match(text, at)
+    return blanks.end() if blanks else at
 
 
 def _write(quoted: str, value: str) -> RegWrite:

@@ -25,10 +25,11 @@ from cm.daemon.limits import MIB, Limits
 from cm.daemon.options import Options
 from cm.device import Root
 from cm.intake import Intake
-from cm.messages.requests import ReadStatus
+from cm.messages.requests import ReadStatus, RegWrite, WriteReg
 from cm.messages.status import Reply
 from cm.schema import load_folder
 from cm.sim import Board as SimBoard
+from cm.wire.bounds import SLICE
 from cm.wire.encode import decode_reply, encode_request
 from cm.wire.plane_packets import Open, encode_open
 
@@ -73,10 +74,10 @@ class Order:
         serve = Intake._serve
         patch.setattr("cm.intake.monotonic_ns", lambda: self._now)
 
-        def noted(intake: Intake, budget: Budget, began: int, *call: Any) -> None:
+        def noted(intake: Intake, budget: Budget, began: int, *call: Any) -> Any:
             self.served.append(budget.name)
             self._now = began + self.cost.get(budget.name, self.usual)
-            serve(intake, budget, began, *call)
+            return serve(intake, budget, began, *call)
 
         patch.setattr(Intake, "_serve", noted)
 
@@ -231,6 +232,32 @@ def test_a_client_with_slow_requests_is_served_less_often(order: Order, context:
         (now,) = [client for client in told_clients(other) if client.name == mine.name]
         assert now.requests == mine.requests + 51
         assert now.loop_seconds == pytest.approx(mine.loop_seconds + 51e-6)
+
+
+def test_a_long_request_is_read_in_slices_and_others_have_their_turns_in_between(
+    order: Order, context: zmq.Context[Any]
+) -> None:
+    """What the same sender asks for behind it waits until it has been read, also what waits for nothing else."""
+    with serving() as (server, runtime), hostile(runtime, 4, 40) as flood, context.socket(zmq.DEALER) as other:
+        other.linger = 0
+        other.connect(f"ipc://{runtime}/req")
+        with cm.connect(runtime_dir=runtime, timeout=60) as board:
+            board.load("camera", "default")
+        (mine,) = [client for client in told_clients(other) if client.name == order.served[-1]]
+        with held(server):
+            tell(flood, b"sent\n")
+            order.served.clear()
+            writes = WriteReg(tuple(RegWrite("led", number % 4) for number in range(1024)))
+            other.send_multipart([b"long", b"", *encode_request(writes)])
+            other.send_multipart([b"status", b"", b"cm_status", b""])
+        replies = [other.recv_multipart() for _ in range(2) if other.poll(60_000)]
+        assert {bytes(reply[0]) for reply in replies} == {b"long", b"status"}
+        assert [decode_reply(reply[2:]).error for reply in replies] == [None, None]
+        assert order.served.count(mine.name) == 1 + 1024 // SLICE + 1 + 1  # its arrival, its slices, an end; the status
+        between = order.between(mine.name)  # nothing, where it is the first, or nobody else's is left
+        assert between.count(0) <= 6, between
+        (now,) = [client for client in told_clients(other) if client.name == mine.name]
+        assert (now.requests, now.waiting, now.waiting_bytes) == (mine.requests + 3, 0, 0)
 
 
 def test_a_client_that_keeps_opening_streams_waits_behind_others(order: Order) -> None:

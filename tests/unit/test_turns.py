@@ -285,3 +285,30 @@ def test_connections_that_may_have_no_turn_are_stopped_and_go_on_in_order(turns:
     assert turns.go_on(may)
     assert [turns.take(may)[1] for _ in range(3)] == ["a1", "a2", "a3"]
     assert not turns.stopped
+
+
+def test_the_rest_of_something_comes_before_all_else_of_its_connection(clock: VirtualTime) -> None:
+    turns: Turns[Named, str] = Turns()
+    one = Named("one", Account("a", clock))
+    for item in ("long", "after it"):
+        turns.add(one, "first", item)
+    turns.add(one, "second", "beside it")
+    assert turns.take() == (one, "long")
+    turns.again(one, "first", "its rest")
+    assert [turns.take()[1] for _ in range(3)] == ["beside it", "its rest", "after it"]
+    turns.again(one, "first", "of what was taken last")
+    assert turns.take() == (one, "of what was taken last")
+    assert not turns
+
+
+def test_the_rest_of_something_waits_in_its_place_where_its_connection_may_not_go_on(clock: VirtualTime) -> None:
+    turns: Turns[Named, str] = Turns()
+    one = Named("one", Account("a", clock))
+    for item in ("long", "after it"):
+        turns.add(one, "first", item)
+    turns.take()
+    with pytest.raises(IndexError):
+        turns.take(lambda _, __: False)
+    turns.again(one, "first", "its rest")
+    assert turns.go_on(lambda _, __: True)
+    assert [turns.take()[1] for _ in range(2)] == ["its rest", "after it"]

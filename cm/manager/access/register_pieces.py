@@ -45,6 +45,7 @@ class ReadPieces:
         self._at = 0
         self._some = _Some()
         self._last = RegValues(())
+        self.newest: tuple[RegValue, ...] = ()  # of the last piece
 
     @property
     def result(self) -> RegValues:
@@ -55,11 +56,13 @@ class ReadPieces:
         """The next registers; whether they were the last. Raises as `RegisterService.read`."""
         some = self._names[self._at : self._at + self._some.count]
         self._at += len(some)
+        before = len(self._values)
         with self._some:
             for names in (some,) if self._strict else ((name,) for name in some):
                 with suppress(*(() if self._strict else (CmError,))):
                     self._last = self._service.read(names)
                     self._values += self._last.values
+        self.newest = tuple(self._values[before:])
         return self._at >= len(self._names)
 
 
@@ -73,15 +76,22 @@ class WritePieces:
         self._values: list[RegValue] = []
         self._at = 0
         self._some = _Some()
-        self.result = RegValues(())
+        self._last = RegValues(())
+        self.newest: tuple[RegValue, ...] = ()  # of the last piece
+
+    @property
+    def result(self) -> RegValues:
+        """What was written, as far as it was."""
+        return self._last._replace(values=tuple(self._values))
 
     def step(self) -> bool:
         """The next registers; whether they were the last. Raises as `RegisterService.write`."""
         some = self._checked[self._at : self._at + self._some.count]
+        self.newest = ()
         with self._some:
             self._service.check_again(some, self._lease)
-            done = self._service.write_checked(some)
+            self._last = self._service.write_checked(some)
         self._at += len(some)
-        self._values += done.values
-        self.result = done._replace(values=tuple(self._values))
+        self.newest = self._last.values
+        self._values += self.newest
         return self._at >= len(self._checked)

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bytes → messages that are within bounds; and long requests in slices, so that others are served in between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import TypeVar
+
+from google.protobuf.message import DecodeError, Message
+
+from cm.errors import InvalidRequest
+from cm.messages.requests import RegWrite, WriteReg
+from cm.wire import bounds, text
+from cm.wire import cm_pb2 as pb
+
+LONG = 1024  # bytes of writes of registers that take more than a moment to read
+Frame = bytes | memoryview
+_Message = TypeVar("_Message", bound=Message)
+_T = TypeVar("_T")
+
+
+def parse(message_type: type[_Message], topic: str, payload: bytes) -> _Message:
+    """A message. Raises InvalidRequest, also for what is in it and beyond `bounds`."""
+    message = _parsed(message_type, topic, payload)
+    bounds.check(topic, message, len(payload))
+    return message
+
+
+def _parsed(message_type: type[_Message], topic: str, payload: bytes) -> _Message:
+    """What is in it was not looked at."""
+    bounds.check_length(topic, payload, schema=message_type is pb.WriteConfig)
+    try:
+        return message_type.FromString(payload)
+    except DecodeError as error:
+        raise InvalidRequest(f"{topic}: the second frame is not a {message_type.__name__} message ({error})") from error
+
+
+def in_slices(
+    frames: Sequence[Frame], done: Callable[[WriteReg], None], refuse: Callable[[InvalidRequest], None]
+) -> Iterator[None]:
+    """Read a long request, some with each `next`; in the end one of the two is called."""
+    message = bytes(frames[1])
+    try:
+        request = yield from text.in_slices(message) if text.is_mapping(message) else writes_in_slices(message)
+    except InvalidRequest as error:
+        refuse(error)
+    else:
+        done(request)
+
+
+def in_one_go(slices: Generator[None, None, _T]) -> _T:
+    """What comes of slices."""
+    while True:
+        try:
+            next(slices)
+        except StopIteration as ended:
+            result: _T = ended.value
+            return result
+
+
+def writes_in_slices(message: bytes) -> Generator[None, None, WriteReg]:
+    """A WriteReg message → its request. Raises InvalidRequest."""
+    m = _parsed(pb.WriteReg, "cm_write_reg", message)
+    bounds.check_count("cm_write_reg", "writes", len(m.writes))
+    made: list[RegWrite] = []
+    for w in m.writes:
+        bounds.check("cm_write_reg", w, len(message))
+        made.append(RegWrite(w.name, w.value, w.mask if w.HasField("mask") else None, w.named))
+        if len(made) % bounds.SLICE == 0:
+            yield
+    if not made:
+        raise InvalidRequest("cm_write_reg: no register is named; writes must hold at least one")
+    bounds.check_lease("cm_write_reg", m.lease)
+    return WriteReg(tuple(made), m.lease)
