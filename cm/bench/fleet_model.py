@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a fleet of up to 100,000 boards would take: calculated and simulated from what fifty take.
+"""What a fleet of up to 100,000 boards would need, calculated and simulated from what fifty need.
 
-Reckoned: bytes and processor time that grow with the number of messages, flat, and with a router for each region of
-boards. Played through: a change of all, with the time of each board drawn from what boards took, boards that are away
-or fail with a given chance, and a client that handles one answer after the other.
+Calculated: bytes and processor time, which grow with the number of messages, for one router and for one router per
+region of boards. Simulated: a change of all, with the time of each board drawn from measured ones, boards that are away
+or fail with a given probability, and a client that handles one answer after the other.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ SIZES = (50, 1_000, 10_000, 100_000)
 REGION = 500  # boards to a router of their own
 AWAY = 1e-4  # chance that a board does not answer a change
 LINK = 125e6  # bytes a second of a gigabit
-TOKEN = 80  # bytes of a token's declaration on the way, roughly: key, ids, headers
+TOKEN = 80  # bytes of a token's declaration on the network, roughly: key, ids, headers
 # A client at one router of zenoh 1.10.2 knew all tokens after 0.027, 0.10, 0.29, 0.85 and 4.9 s where there were 1, 2,
 # 3, 5 and 10 thousand of them, all of one machine: about as the square.
 DISCOVERY = 3.5e-8  # seconds for each token squared
@@ -27,7 +27,7 @@ SOON = 2.0  # seconds in which a client should know all boards
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Of a fleet on one machine. Seconds, bytes; processor time is of one CPU."""
+    """Figures of a fleet on one machine. Seconds, bytes; processor time is of one CPU."""
 
     boards: int
     discovery: float
@@ -42,7 +42,7 @@ class Measured:
     def of(
         cls, count: int, discovery: float, percent: float, status: Mapping[str, Any], change: Mapping[str, Any]
     ) -> Measured:
-        """From the results of the bench."""
+        """From the results of `cm bench`."""
         rate = max(1e-9, float(status["statuses_per_second"]))
         median = max(1e-6, float(change["load_of_the_median_board_ms"]) / 1000)
         return cls(
@@ -63,7 +63,7 @@ class Measured:
 
 
 def reckoned(m: Measured, boards: int) -> dict[str, Any]:
-    """One size of fleet, all statuses at 1 Hz."""
+    """The figures for one size of fleet, with all statuses at 1 Hz."""
     regions = max(1, math.ceil(boards / REGION))
     played = played_through(m, boards)
     found = {
@@ -84,7 +84,7 @@ def reckoned(m: Measured, boards: int) -> dict[str, Any]:
 
 
 def _first(found: Mapping[str, Any]) -> str:
-    """What is over its bound by most."""
+    """The figure that exceeds its bound the most."""
     over = {
         "the client's processor": found["client_cpus"],
         "one router's processor": found["one_router_cpus"],
@@ -97,16 +97,16 @@ def _first(found: Mapping[str, Any]) -> str:
 
 
 def played_through(m: Measured, boards: int, rounds: int = 31, seed: int = 1) -> dict[str, float]:
-    """A change of all, several times over: seconds until the decision is told, median and 99th percentile."""
+    """Simulate a change of all several times: seconds until the decision is known, median and 99th percentile."""
     chance = random.Random(seed)
     times = sorted(_one_change(m, boards, chance) for _ in range(rounds))
     return {"median": times[len(times) // 2], "p99": times[min(len(times) - 1, int(0.99 * len(times)))]}
 
 
 def _one_change(m: Measured, boards: int, chance: random.Random) -> float:
-    """Plan, prepare, apply, told: in each the client handles all boards, and waits for the last.
+    """Plan, prepare, apply, report: in each phase the client handles all boards, and waits for the last.
 
-    A board's time is lognormal, with the measured median, and as wide as the measured slowest of so many lies.
+    A board's time is lognormal, with the measured median, and a width that gives the measured slowest.
     """
     width = math.log(m.board_spread) / max(1.0, _expected_most(m.boards))
     slowest = m.board_load * math.exp(width * _most(boards, chance))
@@ -115,12 +115,12 @@ def _one_change(m: Measured, boards: int, chance: random.Random) -> float:
 
 
 def _expected_most(count: int) -> float:
-    """About where the largest of so many normal numbers lies, in standard deviations."""
+    """Roughly the expected largest of that many normal numbers, in standard deviations."""
     return math.sqrt(2 * math.log(max(count, 2)))
 
 
 def _most(count: int, chance: random.Random) -> float:
-    """The largest of so many normal numbers, drawn as one: by the inverse of its distribution."""
+    """The largest of that many normal numbers, drawn directly, by the inverse of its distribution."""
     from statistics import NormalDist
 
     uniform = max(chance.random(), 1e-12)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client that asks for all it can, in every way at once; bounded in count, and for a manager of this machine.
+"""A client that makes as many requests as it can, in every way at once, of a manager on this machine.
 
-``python -m cm.bench.flooding RUNTIME_DIR``: says ``flooding`` once each way is under way, goes on in rounds until its
-input ends, and says then what became of its requests, as JSON.
+``python -m cm.bench.flooding RUNTIME_DIR``: prints ``flooding`` once each way is under way, goes on in rounds until
+its input ends, and then prints the outcome of its requests, as JSON.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from cm.wire.encode import decode_reply, encode_request
 
 ROUNDS = 400  # at most
 MIB = 1 << 20
-_CONNECTIONS = 100  # that ask for the status again and again
+_CONNECTIONS = 100  # that request the status again and again
 _IDLE = 100
 _TOPICS = 900
 _UNREAD = 4
 _TEXTS = (b"{" * 60_000, b"{'a':" + b"9" * 60_000 + b"}", b"\xff" * 100_000, b"{" + b"'a':1," * 10_000 + b"}")
-_PATIENCE = 60_000  # milliseconds until an answer is missed
+_PATIENCE = 60_000  # milliseconds until an answer counts as missing
 
 
 class Flood:
@@ -73,20 +73,20 @@ class Flood:
         return made
 
     def _plain(self) -> socket.socket:
-        """A connection that says nothing; it is hung up on after ten seconds, and that is all right."""
+        """A connection that sends nothing; the manager closes it after ten seconds, as it should."""
         made = self._stack.enter_context(socket.socket(socket.AF_UNIX))
         made.connect(str(self._runtime / "req"))
         return made
 
     def begin(self) -> None:
-        """What is asked once: answers that nobody reads."""
+        """Begin with the requests that are made once, whose answers are not read."""
         for dealer in self._unread:
             for request in (rq.ReadConfig(), rq.ReadData("camera"), rq.ReadStatus(clients=True)):
                 for _ in range(20):
                     dealer.send_multipart(encode_request(request))
 
     def round(self) -> None:
-        """Ask in every way, then read the answers."""
+        """Make requests in every way, then read the answers."""
         asking = [*self._leases(), *self._uploads(), *self._long(), *self._texts()]
         for frames in asking:
             self._one.send_multipart(frames)

@@ -18,7 +18,7 @@ FLAGS = ("-O2", "-Wall", "-std=gnu11")
 
 
 class CannotCompile(CmError):
-    """The compiler is there, and refuses."""
+    """There is a compiler, but it fails."""
 
     code = "cannot_compile"
 
@@ -51,7 +51,7 @@ def build(folder: Path, name: str, *flags: str) -> Path:
 
 
 class Copies:
-    """``copies.c`` at work on frames of `size` bytes; it times its trips itself."""
+    """``copies.c``, running with frames of `size` bytes; it times its trips itself."""
 
     def __init__(self, folder: Path, size: int) -> None:
         self._process = subprocess.Popen(
@@ -59,7 +59,7 @@ class Copies:
         )
 
     def batch(self, trips: int) -> tuple[float, ...]:
-        """Durations of so many trips, µs."""
+        """Durations of that many trips, µs."""
         stdin, stdout = self._process.stdin, self._process.stdout
         assert stdin is not None
         assert stdout is not None

@@ -18,8 +18,8 @@ from cm.client.stream import Stream
 from cm.client.writer import Writer
 from cm.errors import CmError
 
-# One slot each way, as the C program has it: with back-pressure no others are kept for the hardware to go on with.
-# No interrupt: the baselines only tell the other end, too.
+# One slot each way, as in the C program: with back-pressure none are kept in reserve for the hardware. No interrupt,
+# because the baselines, too, only notify the other end.
 SCHEMA = """
 config:
   name: loop
@@ -53,7 +53,7 @@ def echoed(bench: Run, size: int) -> Iterator[Batch]:
 
 @contextmanager
 def looped(bench: Run, size: int) -> Iterator[Batch]:
-    """Round trips PS–PL–PS of `size` bytes on a simulated board; after each batch the last frame is looked at."""
+    """Round trips PS–PL–PS of `size` bytes on a simulated board; after each batch the last frame is checked."""
     with ExitStack() as stack:
         board = stack.enter_context(stack.enter_context(serving(bench, size)).connect())
         settle(board)
@@ -64,7 +64,7 @@ def looped(bench: Run, size: int) -> Iterator[Batch]:
 
 @contextmanager
 def looped_over_tcp(bench: Run, size: int) -> Iterator[Batch]:
-    """The same for a client elsewhere: frames to the manager and back over ZeroMQ and TCP, as copies."""
+    """The same for a client on another machine: frames to the manager and back over ZeroMQ and TCP, as copies."""
     with ExitStack() as stack:
         served = stack.enter_context(serving(bench, size, "--listen", "tcp://127.0.0.1:0", "--insecure"))
         told = json.loads((served.runtime_dir / "endpoints.json").read_text(encoding="utf-8"))
@@ -95,7 +95,7 @@ def _checked(writer: Writer, reader: Stream, size: int) -> Batch:
 
     def trip() -> None:
         with writer.slot():
-            pass  # what lies in the slot goes again
+            pass  # the slot's content is sent again
         reader.read().release()
 
     batch = timed(trip)
@@ -111,7 +111,7 @@ def _checked(writer: Writer, reader: Stream, size: int) -> Batch:
 
 
 def _check(writer: Writer, reader: Stream, sent: np.ndarray, fill: Callable[[np.ndarray], None]) -> None:
-    """A trip that does not count: fill the slot or leave it as it is, and compare what comes back."""
+    """A trip that is not counted: fill the slot or leave it as it is, and compare what comes back."""
     with writer.slot() as slot:
         fill(slot)
     frame = reader.read()

@@ -50,7 +50,7 @@ def _processor() -> str:
 
 @contextlib.contextmanager
 def pinned() -> Iterator[int | None]:
-    """Hold this process, and what it starts, to one CPU: the last it may use. None where that cannot be.
+    """Pin this process, and those that it starts, to one CPU: the last it may use. None if that is not possible.
 
     Two ends on two CPUs are faster or slower from one start to the next, as the scheduler places them;
     on one CPU a round trip is the processor time of both ends and two switches, every time.

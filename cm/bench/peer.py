@@ -22,7 +22,7 @@ _PATIENCE = 60.0  # seconds, on a loaded machine
 
 
 class Kind(NamedTuple):
-    """A baseline: its module here, and what it needs that may not be there."""
+    """A baseline: its module here, and the package that it needs, which may be missing."""
 
     module: str
     needs: str | None = None
@@ -57,7 +57,7 @@ class Near(Protocol):
 
 
 class PeerModule(Protocol):
-    """What a baseline's module has."""
+    """The functions of a baseline's module."""
 
     def near(self, folder: Path, size: int) -> Near:
         """This end."""
@@ -124,7 +124,7 @@ class Peer:
 
 
 def _end_with_parent(parent: int) -> None:
-    """The bench may be killed: then no process is left behind."""
+    """Ends with the bench, even if that is killed, so that no process is left behind."""
     while os.getppid() == parent:
         time.sleep(1.0)
     os._exit(1)

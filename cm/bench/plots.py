@@ -23,7 +23,7 @@ def require() -> None:
 
 
 def draw(folder: Path, results: Sequence[Result]) -> list[Path]:
-    """Draw what the results have figures of; returns the files."""
+    """Draw the figures for which there are results; returns the files."""
     require()
     folder.mkdir(parents=True, exist_ok=True)
     drawn = []

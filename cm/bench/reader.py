@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A reader of the camera, a process of its own: ``python -m cm.bench.reader FOLDER SECONDS``.
 
-It says that it is ready, waits for a line, reads for so long, and prints frames per second and losses.
+It says that it is ready, waits for a line, reads for that many seconds, and prints frames per second and losses.
 """
 
 from __future__ import annotations

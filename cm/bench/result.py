@@ -27,8 +27,8 @@ class Goal:
 class Result:
     """One figure.
 
-    `ratio` is the one that the goal speaks of: how many times faster than the baseline where the goal
-    is "at least", value over baseline where it is "at most". What could not be measured is None, and
+    `ratio` is what the goal is about: how many times faster than the baseline if the goal is "at least", value
+    divided by baseline if it is "at most". What could not be measured is None, and
     `missing` says why. `details` holds what else belongs to the figure, as JSON has it.
     """
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-Batch = Callable[[int], tuple[float, ...]]  # makes so many trips; their durations in µs
+Batch = Callable[[int], tuple[float, ...]]  # makes that many trips; returns their durations in µs
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Samples:
 
 
 def timed(trip: Callable[[], object]) -> Batch:
-    """A contestant from a function that goes there and back."""
+    """A contestant made from a function that makes one trip."""
 
     def batch(count: int) -> tuple[float, ...]:
         clock = time.perf_counter_ns

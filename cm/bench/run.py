@@ -19,8 +19,8 @@ IMAGES = (8_294_400, IMAGE, 2_073_600)  # 7.91, 3.96 and 1.98 MiB
 class Run:
     """One run of the bench.
 
-    `quick` measures as little as shows that everything works. `root` is a board to use instead of a
-    simulated one, `cpus` are those that may be used where one is not enough.
+    `quick`: only as much as shows that everything works. `root` is a board to use instead of a simulated one, `cpus`
+    are the CPUs for cases that need more than one.
     """
 
     folder: Path
@@ -34,11 +34,11 @@ class Run:
         return self.folder / "bytecode"
 
     def plan(self, trips: int, rounds: int = 20, warm: int = 3) -> Plan:
-        """How often, for trips of which `trips` make a round."""
+        """How often to measure, for trips of which `trips` make a round."""
         return Plan(2, min(trips, 5), 1) if self.quick else Plan(rounds, trips, warm)
 
     def place(self, name: str) -> Path:
-        """A folder for one use, under a short path (a socket's has 107 bytes)."""
+        """A folder for one use, with a short path (a socket's may have 107 bytes)."""
         number = sum(1 for _ in self.folder.iterdir())
         path = self.folder / f"{name}{number}"
         path.mkdir()

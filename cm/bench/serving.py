@@ -58,7 +58,7 @@ def serve(run: Run, *arguments: str, sim: bool = True) -> Iterator[Served]:
 
 
 def environment(run: Run) -> dict[str, str]:
-    """Ours, with bytecode that is kept in the run's folder: an installed package comes with it."""
+    """Our environment, with bytecode kept in the run's folder, as an installed package has its own."""
     kept = {name: value for name, value in child.environment().items() if name != "PYTHONDONTWRITEBYTECODE"}
     return {**kept, "PYTHONPYCACHEPREFIX": str(run.bytecode)}
 

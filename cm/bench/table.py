@@ -13,17 +13,17 @@ from cm.errors import InvalidRequest
 
 
 class Case(NamedTuple):
-    """A module of `cm.bench.cases`, and what its results are called."""
+    """A module of `cm.bench.cases`, and the names of its results."""
 
     module: str
     names: tuple[str, ...]
 
 
 class CaseModule(Protocol):
-    """What such a module has."""
+    """The interface of such a module."""
 
     def run(self, bench: Run) -> list[Result]:
-        """Measure; a result for each name, those that cannot be had marked."""
+        """Measure; returns a result for each name, marked if it cannot be had."""
 
 
 CASES = (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is configured is what runs: frames of a 7-series device as a netlist that can be simulated."""
+"""Frames of a 7-series device as a netlist that can be simulated: what runs is what the bits configure."""
 
 from cm.bits.cells import Carry as Carry
 from cm.bits.cells import FlipFlop as FlipFlop

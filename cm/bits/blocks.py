@@ -28,7 +28,7 @@ class Half:
     pin: Callable[[str], Net]
 
     def why_not(self) -> str:
-        """What of it is not simulated; empty where all is."""
+        """Which of its features are not simulated; empty if all are."""
         if "IN_USE" not in self.features:
             return "is not in use"
         if len(self._used()) != 1:
@@ -65,7 +65,7 @@ class Half:
             words[bit // data] |= 1 << bit % data
 
     def _input(self, pin: str) -> tuple[Net, bool]:
-        """The net, and whether it counts inverted: those that can be are, unless a feature says not."""
+        """The net, and whether it is inverted: inputs that can be inverted are, unless a feature says otherwise."""
         return self.pin(pin), f"ZINV_{pin}" not in self.features
 
     def _port(self, letter: str, width: int) -> BlockPort:

@@ -122,7 +122,7 @@ class Dsp:
 
 
 def reduced(init: int, inputs: Sequence[Net], output: Net) -> Lut:
-    """A table of as many inputs as it looks at: no constants, and none whose value changes nothing.
+    """The table without inputs that are constant or do not affect the result.
 
     Half a table often holds a function of its own, whose inputs stand at the other half's pins too.
     """
@@ -155,8 +155,10 @@ Cell: TypeAlias = Lut | Mux | Carry | FlipFlop | LutMemory | BlockMemory | Dsp
 
 @dataclass(frozen=True, slots=True)
 class Netlist:
-    """Cells that outputs depend on, and the net of each output (``NAME[BIT]``). `notes`: what was met on the way that a
-    good design does not have."""
+    """Cells that outputs depend on, and the net of each output (``NAME[BIT]``).
+
+    `notes`: things found on the way that a good design does not have.
+    """
 
     cells: tuple[Cell, ...]
     outputs: Mapping[str, Net]

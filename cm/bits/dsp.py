@@ -15,7 +15,7 @@ _WIRES = (
     *("CEALUMODE", "CECARRYIN", "RSTA", "RSTB", "RSTC", "RSTD", "RSTM", "RSTP", "RSTINMODE", "RSTCTRL"),
     *("RSTALUMODE", "RSTALLCARRYIN"),
 )
-_INVERTIBLE = ("INMODE", "OPMODE", "ALUMODE", "CLK", "CARRYIN")  # inverted unless a feature says not
+_INVERTIBLE = ("INMODE", "OPMODE", "ALUMODE", "CLK", "CARRYIN")  # inverted unless a feature says otherwise
 _SINGLE = ("CREG", "DREG", "ADREG", "MREG", "PREG", "INMODEREG", "OPMODEREG", "ALUMODEREG", "CARRYINREG")
 _CASCADES, _PRODUCT = (1, 5), ("A_INPUT", "B_INPUT", "USE_SIMD")
 
@@ -29,7 +29,7 @@ class Slice48:
     pin: Callable[[str], Net]
 
     def why_not(self, pin: str) -> str:
-        """What of it is not simulated for an output; empty where all is."""
+        """Which of its features are not simulated for an output; empty if all are."""
         if pin not in OUTPUTS:
             return f"drives logic with {pin}"
         strange = [one for one in sorted(self.features) if one.startswith(_PRODUCT)]

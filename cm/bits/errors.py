@@ -7,6 +7,6 @@ from cm.errors import CmError
 
 
 class BitsError(CmError):
-    """Frames cannot be run; the text says what is configured that is not understood."""
+    """Frames cannot be simulated; the text says which configured feature is not understood."""
 
     code = "bits_error"

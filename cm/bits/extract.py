@@ -106,7 +106,7 @@ class _Extraction:
         """What drives a wire, together."""
         nets = list(dict.fromkeys(map(self._net, sources)))
         if not nets:
-            return ONE  # what nothing drives is pulled up
+            return ONE  # a wire that nothing drives is pulled up
         return nets[0] if len(nets) == 1 else self._meet(nets, where)
 
     def _net(self, source: Source) -> Net:
@@ -146,7 +146,7 @@ class _Extraction:
         return ZERO
 
     def _meet(self, nets: list[Net], where: str) -> Net:
-        """Drivers that fight: the one that pulls down wins."""
+        """The result of several drivers: one that pulls down wins."""
         self._note(f"{where} has {len(nets)} drivers")
         self._meetings += 1
         output = f"meeting.{self._meetings}.O6"
@@ -171,7 +171,7 @@ def nets_of(cell: Cell) -> tuple[Net, ...]:
 
 
 def needs(cell: Cell) -> Iterator[Net]:
-    """The nets that a cell looks at."""
+    """The nets that a cell reads."""
     if isinstance(cell, Lut):
         yield from cell.inputs
     elif isinstance(cell, Mux):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files of a design are that was built with open tools."""
+"""Where to find the files of a design that was built with open tools."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cm.build.project.load import load_project
 
 
 def collected(build: Path) -> Path:
-    """The folder that `cm build collect` has made of a build schema: BitsError where it has not."""
+    """The folder that `cm build collect` has made of a build schema. Raises BitsError if there is none."""
     project = load_project(build)
     found = project.folder / "target" / project.name
     if not (found / f"{project.name}.yaml").is_file():

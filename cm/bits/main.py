@@ -45,7 +45,7 @@ def _libraries(
 
 
 def _install(files: Path, firmware: Path) -> None:
-    """Where the manager looks for them; what is there stays."""
+    """Put bitstreams where the manager looks for them; existing files are kept."""
     firmware.mkdir(parents=True, exist_ok=True)
     for path in files.iterdir():
         if path.is_file() and not (firmware / path.name).exists():

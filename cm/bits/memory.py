@@ -15,7 +15,7 @@ from cm.bitstream.writes import frame_writes
 from cm.xray.frames import WORDS
 
 _SIZE = 4 * WORDS  # bytes
-_PADS = 2  # frames behind each row that go nowhere
+_PADS = 2  # frames after each row that belong to no column
 _IN_ROWS = (0, 1)  # block types of frames that belong to a place: logic and routing, contents of block RAM
 
 
@@ -33,7 +33,7 @@ class FrameMemory:
     def load(self, stream: bytes) -> set[int]:
         """Take a bitstream as it is in memory for DMA (``66 55 99 AA``); returns the addresses of the frames it wrote.
 
-        It is expected to be good: what the simulated port refuses does not come here.
+        It is expected to be good: the simulated port has refused all others.
         """
         image = Image(Container.BIN_SWAPPED, None, memoryview(stream)[: len(stream) // 4 * 4], 0, swapped=True)
         written: set[int] = set()
@@ -48,7 +48,7 @@ class FrameMemory:
         return written
 
     def _placed(self, far: int, frames: Sequence[int]) -> Iterator[tuple[int, int]]:
-        """Frames with their addresses, one after the other from `far` on; those behind a row go nowhere."""
+        """Frames with their addresses, one after the other from `far` on; those after the end of a row are dropped."""
         if decode_far(far, Family.SERIES7).block_type not in _IN_ROWS:
             return  # Vivado's bitstreams write some; none of the database's features lies there
         if far not in self._place:
@@ -65,7 +65,7 @@ def _number(frame: bytes) -> int:
 
 
 def _addresses(rows: Mapping[tuple[int, int], Row], family: Family) -> Iterator[int | None]:
-    """All frames in the order in which the device counts them; None for those behind a row."""
+    """All frame addresses in the order in which the device counts them; None for frames after the end of a row."""
     for block_type, row in sorted(key for key in rows if key[0] in _IN_ROWS):
         found = rows[block_type, row]
         for column in range(found.columns):

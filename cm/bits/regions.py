@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What runs in the regions of a simulated board: what the bits that were loaded configure."""
+"""The logic in the regions of a simulated board, as the loaded bits configure it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cm.sim.hardware.cells import Region
 from cm.xray import Database, Wires, decode
 
 _log = logging.getLogger(__name__)
-_NOTES = 3  # are said one by one
+_NOTES = 3  # at most are reported one by one
 _COLUMN = 7  # bits of a frame address below its column
 
 
@@ -42,7 +42,7 @@ class Place:
 
     @classmethod
     def of(cls, layout: Layout) -> Place:
-        """BitsError where a region has several clocks: bits say which line a register has, not whose clock it is."""
+        """Raises BitsError for a region with several clocks: bits say which line a register uses, not which clock."""
         region = layout.region
         clocks = tuple(region.clocks)
         if len(clocks) != 1:
@@ -78,12 +78,12 @@ class LoadedBits:
         return cls(database, FrameMemory(device), layouts(system, database), tools, watched, folder)
 
     def take(self, stream: memoryview) -> None:
-        """A bitstream went in without an error: words in memory order."""
+        """Take a bitstream that was loaded without an error: words in memory order."""
         written = {address >> _COLUMN for address in self._memory.load(bytes(stream))}
         self._filled |= {name for name, place in self._places.items() if not written.isdisjoint(place.columns)}
 
     def __call__(self, region: Region) -> Path | None:
-        """The library of what is in a region; None while it is written, and before it ever was."""
+        """The library of what is in a region; None while it is written, and before the first load."""
         if region.loading:
             self._filled.discard(region.name)
         if region.name not in self._filled:
@@ -113,7 +113,7 @@ class LoadedBits:
         return extract(self._database, self._wires, features, self._places[name].boundary)
 
     def compiled(self, name: str) -> Path:
-        """The library of what the frames configure in a region now. CmError where it cannot be made."""
+        """The library of what the frames configure in a region now. Raises CmError if it cannot be made."""
         place, frames = self._places[name], self._memory.frames
         own = {address: frame for address, frame in frames.items() if frame and address >> _COLUMN in place.columns}
         key = hashlib.sha256(repr(sorted(own.items())).encode()).hexdigest()[:16]

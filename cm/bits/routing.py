@@ -51,8 +51,10 @@ class Constant(NamedTuple):
 
 
 class _Switch(NamedTuple):
-    """A pip, and when it is on beside where its feature is: always; or while no other of its wire is, for what has
-    no bits or only such as are 0."""
+    """A pip, and when it is on even without its feature.
+
+    Either always, or, for one without bits that are 1, while no other pip of its wire is on.
+    """
 
     pip: Pip
     feature: str
@@ -64,7 +66,7 @@ Source = SitePin | BlockPin | DspPin | ClockLine | Constant
 
 
 class Routing:
-    """The pips that features switch on. What was asked once is kept."""
+    """The pips that features switch on. Answers are cached."""
 
     def __init__(self, database: Database, wires: Wires, features: Iterable[Feature]) -> None:
         self._database, self._wires = database, wires
@@ -79,7 +81,7 @@ class Routing:
         return self._on.get(tile, set())
 
     def sources(self, tile: str, wire: str) -> tuple[Source, ...]:
-        """All that drive a wire: none of an unconnected one, several where configuration makes them fight."""
+        """All drivers of a wire: none if it is unconnected, several if the configuration makes them fight."""
         found: dict[Source, None] = {}
         seen = set()
         todo = [(tile, wire)]
@@ -142,7 +144,7 @@ class Routing:
         return _Switch(pip, feature, free == "always", free == "default" or zeros)
 
     def _outputs(self, kind: str) -> Mapping[str, tuple[SitePins, str]]:
-        """By wire; of slices, and of what else makes signals."""
+        """Output pins by wire: of slices, and of other sites that make signals."""
         if kind not in self._made:
             drives = _drives(self._wires, kind)
             self._made[kind] = {

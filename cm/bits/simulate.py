@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from cm.bits.cells import Carry, FlipFlop, Lut, LutMemory, Mux, Net, Netlist
 from cm.bits.extract import needs, nets_of
 
-ROUNDS = 50  # passes over all cells until a loop without a register has settled, or never does
+ROUNDS = 50  # passes over all cells within which a loop without a register has to settle
 
 
 @dataclass
@@ -20,7 +20,7 @@ class _Memory:
 
 @dataclass
 class Simulation:
-    """A running netlist. `unsettled` counts cycles in which values went round in a circle."""
+    """A running netlist. `unsettled` counts cycles in which a combinational loop did not settle."""
 
     netlist: Netlist
     values: dict[Net, bool] = field(default_factory=dict)
@@ -36,12 +36,12 @@ class Simulation:
         self.values |= {"0": False, "1": True}
 
     def set(self, ports: Mapping[str, bool]) -> None:
-        """Give inputs new values (``NAME[BIT]``) and let them through."""
+        """Give inputs new values (``NAME[BIT]``) and propagate them."""
         self.values |= {f"port:{name}": value for name, value in ports.items()}
         self._settle()
 
     def clock(self) -> None:
-        """One cycle of all clocks: they rise, with what stood before, and fall with what has come of that."""
+        """One cycle of all clocks: a rising edge with the present values, then a falling edge with the result."""
         for level in (True, False):
             self._settle()
             value = self._value
@@ -122,7 +122,7 @@ def _shifted(state: int, data: bool, high: bool, small: bool) -> int:
 
 
 def _ordered(netlist: Netlist) -> list[Callable[[Simulation], None]]:
-    """Evaluations, those whose inputs are made by others behind them; circles as they come."""
+    """Evaluations, ordered so that inputs are computed first; loops in any order."""
     plain = [cell for cell in netlist.cells if isinstance(cell, (Lut, Mux, Carry))]
     maker = {net: index for index, cell in enumerate(plain) for net in nets_of(cell)}
     order: list[int] = []

@@ -55,7 +55,7 @@ class Slice:
         return feature in self.features
 
     def _choice(self, mux: str) -> str | None:
-        """The input that a multiplexer is set to; None where none is."""
+        """The input that a multiplexer is set to; None if it is set to none."""
         return next((one.removeprefix(f"{mux}.") for one in sorted(self.features) if one.startswith(f"{mux}.")), None)
 
     def _init(self, letter: str) -> int:

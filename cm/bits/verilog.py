@@ -31,7 +31,7 @@ _BIT = re.compile(r"port:(\w+)(?:\[(\d+)\])?")
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """Of the module that is written."""
+    """A port of the module that is written."""
 
     name: str
     width: int
@@ -39,7 +39,10 @@ class Port:
 
 
 def verilog(netlist: Netlist, module: str, ports: Sequence[Port], clocks: Mapping[int, str]) -> str:
-    """Return a module; `clocks`: the port of each clock line. Lines of others stand still, outputs of no net are 0."""
+    """Return a module; `clocks`: the port of each clock line.
+
+    Other lines do not toggle; outputs without a net are 0.
+    """
     return "\n".join(_Writer(netlist, ports, clocks).lines(module)) + "\n"
 
 

@@ -68,7 +68,7 @@ class ReportCache:
             if before == after and len(data) == before[2]:
                 break
         else:
-            return Inspected(data, inspect(data))  # a file that is being written is right once only
+            return Inspected(data, inspect(data))  # a file that is still being written is not cached
         report = inspect(data)
         self._keep(before, report)
         return Inspected(data, report)

@@ -201,7 +201,7 @@ def _open_boot_image(data: memoryview) -> Image:
 
 @contextmanager
 def named(source: Source) -> Iterator[None]:
-    """Put the file's name in front of what is refused, where `source` is a path."""
+    """Put the file's name in front of a refusal, if `source` is a path."""
     try:
         yield
     except BitstreamError as error:

@@ -25,7 +25,7 @@ def to_dma_words(source: Source | Image) -> bytes:
 
 
 def _recognisable(data: bytes, form: Container) -> bytes:
-    """Refuse words that nothing but a header tells from another container: a `.bin` has none."""
+    """Refuse words that only a header could distinguish from another container: a `.bin` has none."""
     try:
         found = open_image(data).container
     except BitstreamError as error:
@@ -38,8 +38,8 @@ def _recognisable(data: bytes, form: Container) -> bytes:
 def convert(source: Source, form: Container, header: BitHeader | None = None) -> bytes:
     """Return the bitstream in another container.
 
-    A `.bit` needs `header` where the source has none; words that a `.bin` could not be told by are refused.
-    Between `.bit`, swapped and straight `.bin` the way there and back gives the same bytes. Boot images are
+    A `.bit` needs `header` where the source has none; words that could not be recognised as a `.bin` again are
+    refused. Converting between `.bit`, swapped and straight `.bin` and back gives the same bytes. Boot images are
     read, not written.
     """
     image = open_image(source)

@@ -67,19 +67,19 @@ class WrongDevice(BitstreamError):
 
 
 class WrongStatic(BitstreamError):
-    """The bitstream was made with another static design than the one that is meant."""
+    """The bitstream was made with a static design other than the expected one."""
 
     code = "wrong_static"
 
 
 class NotPartial(BitstreamError):
-    """A full bitstream stands where a partial one is meant."""
+    """A full bitstream was given where a partial one is needed."""
 
     code = "not_partial"
 
 
 class NotFull(BitstreamError):
-    """A partial bitstream stands where a full one is meant."""
+    """A partial bitstream was given where a full one is needed."""
 
     code = "not_full"
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Footprints: which frames a bitstream writes, and whether they are those of a region.
 
-A frame address says where a run of frames begins. It goes on into the columns behind. Where it is
-public how many frames those have (`cm.bitstream.geometry`), the end is checked to the frame; else
-what is known is the widest column of a family, so that a beginning is checked exactly, and the
-length against what the region can hold at most.
+A frame address says where a run of frames begins. It continues into the columns that follow. If it is public how many
+frames these have (`cm.bitstream.geometry`), the end is checked to the frame; otherwise only the widest column of the
+family is known, so the beginning is checked exactly, and the length against what the region can hold at most.
 """
 
 from __future__ import annotations
@@ -17,12 +16,12 @@ from cm.schema.model import FrameRange
 
 
 def _widest(family: Family, block_type: int) -> int | None:
-    """Return the frames of a family's widest column; None for block types of which nothing is known."""
+    """Return the frames of a family's widest column; None for unknown block types."""
     return family.widest[block_type] if block_type < len(family.widest) else None
 
 
 def _last_column(item: Footprint, family: Family) -> int:
-    """Return the column that a run reaches, or where that is not known, reaches at least."""
+    """Return the last column that a run reaches, or if that is not known, the one that it reaches at least."""
     if item.last is not None:
         return item.last
     widest = _widest(family, item.block_type)
@@ -66,7 +65,7 @@ def _holds(item: Footprint, family: Family, allowed: Iterable[FrameRange]) -> bo
 def outside(report: Report, allowed: Sequence[FrameRange]) -> tuple[Footprint, ...]:
     """Return what a bitstream writes that `allowed` does not contain; empty if all is well.
 
-    Nothing is outside where `allowed` is empty: then nothing is known of the region.
+    Nothing is outside if `allowed` is empty: then nothing is known about the region.
     """
     family = report.family
     if not allowed or family is None:

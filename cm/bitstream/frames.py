@@ -24,7 +24,7 @@ def _frames_of(event: native.Event, family: Family) -> int:
 
 
 def _longest(events: native.Events, family: Family) -> dict[int, int]:
-    """Return for each FAR the longest run from it: partial bitstreams write regions twice."""
+    """Return the longest run from each FAR: partial bitstreams write regions twice."""
     longest: dict[int, int] = {}
     for event in events:
         longest[event.value] = max(longest.get(event.value, 0), _frames_of(event, family))

@@ -20,7 +20,7 @@ from cm.native import bitstream as native
 
 
 def _take(image: Image) -> tuple[Rules, native.Events, list[int]]:
-    """A whole stream: the rules applied to it, what writes frames, and the lengths of its fills."""
+    """Read a whole stream: the rules after its last event, the events that write frames, the lengths of its fills."""
     port, rules, writes, fills = native.PacketProcessor(), Rules(), native.Events(), []
     rules.encrypted = image.encrypted
     for event in packet_events(image, port):
@@ -98,7 +98,7 @@ def analyse(image: Image) -> Report:
     rules.problems += _check_frames(rules, writes, fills, family)
     looks_partial = not rules.registers & {Register.TIMER, Register.WBSTAR}
     partial = image.header.partial if image.header else looks_partial
-    geometry = geometry_of(device) if partial else None  # what a full image writes is no question
+    geometry = geometry_of(device) if partial else None  # a full image may write anything
     _check_addresses(rules, writes, family, geometry)
     return Report(
         container=image.container,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bitstreams of modules for the simulated board: what a module is travels in its frame data.
+"""Bitstreams of modules for the simulated board: the frame data say which module it is.
 
-The first frame begins with a mark, a digest, and the module's name and model, so that the
-simulated port knows from what was really loaded, not from a file's name, which module runs.
+The first frame begins with a mark, a digest, and the module's name and model, so that the simulated port knows which
+module runs from what was really loaded, not from a file's name.
 """
 
 from __future__ import annotations
@@ -119,14 +119,14 @@ def assemble_module(
 
 
 def _share(wanted: int, there: Sequence[int]) -> list[int]:
-    """Fill columns of so many frames from the first on, with one frame at least."""
+    """Fill columns with that many frames from the first on, at least one in the first."""
     begins = accumulate(there, initial=0)
     filled = [min(count, max(1, wanted) - begin) for begin, count in zip(begins, there, strict=False)]
     return [count for count in filled if count > 0]
 
 
 def _runs(identity: bytes, frame_bytes: int, columns: Sequence[tuple[FrameAddress, int]]) -> list[FrameRun]:
-    """One run for each column; each ends with a frame of padding that only pushes the one before it out."""
+    """One run for each column; each ends with a padding frame that only pushes the one before it out."""
     total = sum(frames for _, frames in columns) * frame_bytes
     data = memoryview(identity + hashlib.shake_128(identity).digest(total)[len(identity) :])
     runs, at = [], 0

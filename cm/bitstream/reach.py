@@ -18,7 +18,7 @@ from cm.bitstream.report import Refusal
 from cm.native import bitstream as native
 
 _IN_ROWS = (0, 1)  # block types whose frames lie in rows of the device
-_ROW_PADDING = {Family.SERIES7: 1, Family.ULTRASCALE_PLUS: 4}  # beside the one of every run
+_ROW_PADDING = {Family.SERIES7: 1, Family.ULTRASCALE_PLUS: 4}  # in addition to the one of every run
 
 
 def _runs(events: native.Events, family: Family) -> Iterator[tuple[int, FrameAddress, int]]:
@@ -31,8 +31,8 @@ def _runs(events: native.Events, family: Family) -> Iterator[tuple[int, FrameAdd
 
 
 def _last_column(row: Row, address: FrameAddress, frames: int, padding: int) -> int:
-    """Return the column of a run's last frame, or the number of columns where the row does not hold it."""
-    end = row.starts[address.column] + address.minor + frames  # one behind the last
+    """Return the column of a run's last frame, or the number of columns if it goes past the end of the row."""
+    end = row.starts[address.column] + address.minor + frames  # one past the last
     if row.starts[-1] < end <= row.starts[-1] + padding:
         end = row.starts[-1]
     last = address.column
@@ -42,7 +42,7 @@ def _last_column(row: Row, address: FrameAddress, frames: int, padding: int) -> 
 
 
 def reach(events: native.Events, family: Family, geometry: Geometry) -> dict[tuple[int, int, int], int]:
-    """Return the last column of what begins in each (block type, row, column) that the geometry knows."""
+    """Return the last column reached from each (block type, row, column) that the geometry knows."""
     found: dict[tuple[int, int, int], int] = {}
     for _, address, frames in _runs(events, family):
         row = geometry.row(address.block_type, address.row)

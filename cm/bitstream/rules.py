@@ -18,7 +18,7 @@ _NEUTRAL = {
     (Register.CMD, Command.NULL),
     (Register.CMD, Command.URAM),
     (Register.CMD, Command.BSPI_READ),
-    (Register.BSPI, 0x00B),  # how a flash is read that this bitstream does not come from: one bit wide,
+    (Register.BSPI, 0x00B),  # how a flash is read, unused when we load it: one bit wide,
     (Register.BSPI, 0x26B),  # or four; as Vivado writes it where SPI_BUSWIDTH is set
     (Register.TIMER, 0),
     (Register.WBSTAR, 0),
@@ -60,7 +60,7 @@ class Rules:
         return CrcResult.OK if self.crc_good else CrcResult.ABSENT
 
     def refuse(self, error: type[BitstreamError], message: str) -> None:
-        """Note a problem; the first of each code is what people get to read."""
+        """Note a problem; people get to read the first of each code."""
         self.problems.append(Refusal(error.code, message))
 
     def take(self, event: native.Event) -> None:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each client takes of the manager, counted, and where it gets no more. No socket, no request: numbers.
+"""How much of the manager each client uses, and its limits.
 
-Whose a connection is, `cm.rights` knows, and `cm.native.guard` what connections there are. The loop's thread.
+Only numbers: no sockets, no requests. `cm.rights` knows which client a connection belongs to, and `cm.native.guard`
+which connections there are. In the loop's thread.
 """

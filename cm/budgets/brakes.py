@@ -9,10 +9,10 @@ from cm.budgets.budget import Budget
 
 
 class Connections(Protocol):
-    """By their descriptors, each of whoever is at a place (`Budget.place`)."""
+    """Connections by their descriptors, each with the place that it comes from (`Budget.place`)."""
 
     def hold(self, fd: int, place: str) -> bool:
-        """Read nothing more of a connection; False where it is another's."""
+        """Stop reading a connection; False if it comes from another place."""
 
     def release(self, fd: int) -> None:
         """Read it again."""
@@ -22,19 +22,19 @@ class Connections(Protocol):
 
 
 class Brakes:
-    """Which connections are not read, and whose they are."""
+    """The connections that are not read, and the clients they belong to."""
 
     def __init__(self, connections: Connections) -> None:
         self._connections = connections
         self.held: dict[Budget, set[int]] = {}
 
     def hold(self, budget: Budget, fd: int) -> None:
-        """Read nothing more of one of its connections."""
+        """Stop reading one of its connections."""
         if self._connections.hold(fd, budget.place):
             self.held.setdefault(budget, set()).add(fd)
 
     def release(self, budget: Budget) -> None:
-        """Read its connections again, once little of it waits."""
+        """Read its connections again, once few of its bytes wait."""
         if budget.has_little_waiting:
             for fd in self.held.pop(budget):
                 self._connections.release(fd)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One client's: requests under way, bytes that wait for it and for the manager, the loop's time."""
+"""The budget of one client: requests under way, bytes that wait for it and for the manager, the loop's time."""
 
 from __future__ import annotations
 
@@ -13,30 +13,30 @@ from cm.budgets.turns import Account, Client
 from cm.errors import Busy
 from cm.messages.status import Reply
 
-_PROBE = 16 << 10  # bytes of replies of a connection of which one tells that those before it have left
+_PROBE = 16 << 10  # bytes of replies to a connection, after each of which one is tracked
 LITTLE = 2 * _PROBE  # bytes of replies that each connection may leave unread, whatever others do
-_REPLY = 320  # bytes that ZeroMQ takes for a reply beside its own
-_SENDERS = 1024  # connections whose replies are reckoned up
-PENDING = 64  # requests of one client that take their time: reads of data, changes, configurations that are stored
+_REPLY = 320  # bytes of overhead that ZeroMQ needs for a reply
+_SENDERS = 1024  # connections whose replies are counted one by one
+PENDING = 64  # long requests of one client at a time: reads of data, changes, configurations that are stored
 
 
 class TooMuchWaiting(Busy):
-    """A client has sent more than may wait for it; what it sent before has to be done first."""
+    """A client has sent more than may wait; its earlier requests have to be served first."""
 
     code: ClassVar[str] = "too_much_waiting"
 
 
 class RepliesUnread(Busy):
-    """A client asks for more while it leaves the answers that it got unread."""
+    """A client requests more without reading the replies that it was sent."""
 
     code: ClassVar[str] = "replies_unread"
 
 
-_Sent = tuple[Tracker, int, Hashable]  # one reply of some, bytes of all of those, and their connection
+_Sent = tuple[Tracker, int, Hashable]  # tracker of the last of several replies, their bytes, their connection
 
 
 class AllClients(Protocol):
-    """What all clients have together."""
+    """The totals of all clients."""
 
     queued_bytes: int  # of messages that wait for their turn
     leaving_bytes: int  # of replies that are being made, or were not read
@@ -50,10 +50,10 @@ class AllClients(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Of one client: bytes of requests that wait, and of replies that it does not read.
+    """Limits of one client: bytes of requests that wait, and of replies that it does not read.
 
-    All clients of an account together may have an eighth more waiting, and unread, all clients one and a half times as
-    many; beyond that only who has nothing there gets a request through.
+    All clients of an account together may have an eighth more, all clients one and a half times as many; beyond that,
+    only a client that has nothing waiting gets a request through.
     """
 
     waiting_bytes: int
@@ -74,21 +74,21 @@ class Budget(Client):
         self._all = of_all
         self.bounds = bounds
         self.connections = 0
-        self.place = ""  # where its connections come from
+        self.place = ""  # the place where its connections come from
         self.requests = 0
         self.refused = 0
-        self.pending = 0  # requests under way that take their time
+        self.pending = 0  # long requests under way
         self.waiting_bytes = 0  # of requests that wait
         self.made_bytes = 0  # of replies that are being made
-        self.leaving_bytes = 0  # these, and of those that were not read when it was last looked
+        self.leaving_bytes = 0  # these, and those of replies that were unread when we last looked
         self.upload_bytes = 0
         self._sent: deque[_Sent] = deque()
         self._unread: dict[Hashable, int] = {}  # bytes of these, by connection
-        self._untold: dict[Hashable, int] = {}  # bytes of replies to each connection since one that tells
-        self._unknown = 0  # the same of those that are not there
+        self._untold: dict[Hashable, int] = {}  # bytes of replies to each connection since the last tracked one
+        self._unknown = 0  # the same for connections that have gone
 
     def begin(self, size: int = 0) -> None:
-        """A request is under way that holds `size` bytes. Raises TooMuchWaiting; else `end` follows."""
+        """Begin a request that holds `size` bytes. Raises TooMuchWaiting; otherwise `end` must follow."""
         if self.pending >= PENDING:
             raise TooMuchWaiting(f"{PENDING} requests of {self.name} are under way; ask again when one has ended")
         most = self.bounds.waiting_bytes
@@ -101,7 +101,7 @@ class Budget(Client):
         self.waiting_bytes += size
 
     def queue(self, size: int) -> None:
-        """A message of `size` bytes waits for its turn. Raises TooMuchWaiting; else `unqueue` follows."""
+        """Count a message of `size` bytes that waits for its turn. Raises TooMuchWaiting; else `unqueue` follows."""
         if self._has_too_much_queued(size):
             queued = self._all.queued_bytes
             raise TooMuchWaiting(
@@ -111,7 +111,7 @@ class Budget(Client):
         self.queued(1, size)
 
     def _has_too_much_queued(self, more: int) -> bool:
-        """Who has nothing waiting sends a short one, whatever others do; and a long one, where its account has none."""
+        """A client that has nothing waiting may always send a short message, and a long one if its account has none."""
         own, account, most = self.queued_bytes, self.account.queued_bytes, self.bounds.waiting_bytes
         if not own and (more <= LITTLE or not account):
             return False
@@ -130,7 +130,7 @@ class Budget(Client):
 
     @property
     def has_much_waiting(self) -> bool:
-        """Of what came and was not served; so much that what is on its way has to find room yet."""
+        """Whether so much has come and not been served that messages still on their way need the remaining room."""
         return self.queued_bytes > self.bounds.waiting_bytes // 4
 
     @property
@@ -139,7 +139,7 @@ class Budget(Client):
         return self.queued_bytes < self.bounds.waiting_bytes // 8
 
     def has_room(self, reply: int = 0) -> bool:
-        """Whether so many bytes may be made for it now: whether it reads what it asked for."""
+        """Whether a reply of that many bytes may be made for it now: whether it reads what it requests."""
         if not self._is_full(reply):
             return True
         self.look_at_replies()
@@ -149,14 +149,17 @@ class Budget(Client):
         return not self._is_full(reply)
 
     def reads(self, sender: Hashable) -> bool:
-        """Whether one of its connections gets more replies: it has read all but a little, or there is room."""
+        """Whether one of its connections gets more replies: it has read nearly all of them, or there is room."""
         if self.leaving_bytes <= LITTLE or self._unread.get(sender, 0) <= LITTLE or not self._is_full(0):
             return True
         self._all.look_at_replies()
         return not self._is_full(0) or self._unread.get(sender, 0) <= LITTLE
 
     def _is_full(self, more: int) -> bool:
-        """As far as it is known. Who has little gets a short one, and a long one where its account has nothing."""
+        """Whether there is no room, as far as is known.
+
+        A client with little unread gets a short reply all the same, and a long one if its account has none.
+        """
         own, account, most = self.leaving_bytes, self.account.leaving_bytes, self.bounds.replies_bytes
         if own and own + more > most:
             return True
@@ -165,7 +168,7 @@ class Budget(Client):
         return own > LITTLE if more <= _PROBE else account > 0
 
     def check_room(self) -> None:
-        """Raise RepliesUnread where it has not read so much that it gets no more."""
+        """Raise RepliesUnread if so much is unread that it gets no more."""
         if not self.has_room(1):
             raise RepliesUnread(
                 f"{self.leaving_bytes} bytes of answers to {self.name} are under way or unread, "
@@ -173,13 +176,15 @@ class Budget(Client):
             )
 
     def make(self, size: int) -> None:
-        """A reply of so many bytes is being made (negative: it was)."""
+        """A reply of that many bytes is being made (negative: is done)."""
         self.made_bytes += size
         self._leaving(size)
 
     def replied(self, sender: Hashable, size: int) -> int:
-        """A reply of `size` bytes is to go to one of its connections. 0, or bytes that are known to have been read once
-        this reply has: then it is to be sent so that this can be told, and goes to `sent`.
+        """Count a reply of `size` bytes to one of its connections.
+
+        Returns 0, or the bytes that will be known to have been read once this reply has been: then it is to be sent
+        with a tracker, which goes to `sent`.
         """
         untold = self._untold.get(sender, self._unknown) + size + _REPLY
         if untold < _PROBE:
@@ -189,7 +194,7 @@ class Budget(Client):
         return untold
 
     def sent(self, tracker: Tracker, size: int, sender: Hashable) -> None:
-        """Replies of so many bytes were given to ZeroMQ, the last of them with a tracker."""
+        """Replies of that many bytes were passed to ZeroMQ, the last of them with a tracker."""
         self._sent.append((tracker, size, sender))
         self._unread[sender] = self._unread.get(sender, 0) + size
         self._leaving(size)
@@ -208,7 +213,7 @@ class Budget(Client):
         self._leaving(sum(self._unread.values()) + self.made_bytes - self.leaving_bytes)
 
     def forget_connections(self) -> None:
-        """There may be some that have gone; what of the others is unread is reckoned with, whatever it is."""
+        """Some connections may have gone; unread replies to the others still count."""
         if len(self._untold) > _SENDERS:
             self._untold.clear()
             self._unknown = _PROBE
@@ -220,7 +225,7 @@ class Budget(Client):
 
     @property
     def unread_bytes(self) -> int:
-        """Of replies that ZeroMQ still has, but for less than 16 KiB of each connection."""
+        """The bytes of replies that ZeroMQ still has, except for less than 16 KiB of each connection."""
         self.look_at_replies()
         return self.leaving_bytes - self.made_bytes
 
@@ -230,7 +235,7 @@ class Budget(Client):
         self.waiting_bytes -= size
 
     def under_way(self, respond: Callable[[Reply], None], size: int) -> Callable[[Reply], None]:
-        """As `begin`; what answers, and ends it."""
+        """As `begin`; returns the function that replies and ends the request."""
         self.begin(size)
 
         def answered(made: Reply) -> None:
@@ -241,10 +246,10 @@ class Budget(Client):
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is left of it."""
+        """Whether it has nothing waiting and nothing unread."""
         return not (self.connections or self.pending or self.waiting or self.upload_bytes or self.leaving_bytes)
 
 
 def _is_full(own: int, more: int, most: int, of_all: Callable[[], int]) -> bool:
-    """Whether so many more bytes are too many; never for a client that has none."""
+    """Whether that many more bytes are too many; never for a client that has none."""
     return own > 0 and (own + more > most or of_all() + more > most * 3 // 2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How clients are called, where their connections come from, and what is known of what they are sent."""
+"""The names of clients, the places of their connections, and the trackers of what they are sent."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import Protocol
 
 
 class Peer(Protocol):
-    """Who is at the other end of a connection that is there (`cm.native.guard.Peer`)."""
+    """The peer of an open connection (`cm.native.guard.Peer`)."""
 
     @property
     def pid(self) -> int:
-        """Of a process of this machine, -1 in a container of its own; 0: it is elsewhere."""
+        """The pid of a process of this machine, -1 in a container of its own; 0: it is on another machine."""
 
     @property
     def address(self) -> bytes:
-        """Then IPv6, or IPv4 mapped into it."""
+        """In that case its address: IPv6, or IPv4 mapped into it."""
 
 
 class Who(Protocol):
-    """Whom a message came from (`cm.rights.principal.Principal`)."""
+    """The sender of a message (`cm.rights.principal.Principal`)."""
 
     @property
     def pid(self) -> int | None:
-        """Of a process of this machine."""
+        """The pid of a process of this machine."""
 
     @property
     def address(self) -> str:
@@ -33,7 +33,7 @@ class Who(Protocol):
 
     @property
     def name(self) -> str:
-        """A user's, or that of a key."""
+        """The name of a user or of a key."""
 
     @property
     def key(self) -> str:
@@ -45,7 +45,7 @@ class Who(Protocol):
 
 
 class Tracker(Protocol):
-    """Of a message that was given to ZeroMQ (`zmq.MessageTracker`)."""
+    """The tracker of a message that was passed to ZeroMQ (`zmq.MessageTracker`)."""
 
     @property
     def done(self) -> bool:

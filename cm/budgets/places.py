@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Places in a queue that all clients share: who has some there leaves the last ones to others."""
+"""Places in a queue that all clients share: a client that has some leaves the last ones to others."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from collections.abc import Callable
 from cm.budgets.budget import Budget
 from cm.errors import Busy
 
-_OTHERS, _NEWCOMERS = 4, 8  # of so many places, one is left by who has some, and one by who has an account that does
+_OTHERS, _NEWCOMERS = 4, 8  # one place in 4 is for clients that have none, one in 8 for such accounts
 
 
 class Places:
-    """Who holds how many. A quarter of them is for clients that have none, half of that for other accounts."""
+    """How many places each holds. A quarter is for clients that have none, half of that for other accounts."""
 
     def __init__(self, count: int, what: str) -> None:
-        """`what`: those who wait there, for people."""
+        """`what`: what waits there, in words for messages."""
         self._count = count
         self._what = what
         self._held: Counter[Budget] = Counter()
 
     def take(self, client: Budget) -> Callable[[], None]:
-        """One for a client, and what gives it back. Raises Busy."""
+        """Take a place for a client; returns the function that gives it back. Raises Busy."""
         free = self._count - self._held.total()
         own = self._held[client]
         account = sum([held for other, held in self._held.items() if other.account is client.account])

@@ -15,8 +15,8 @@ from cm.budgets.names import Peer, Who, name_of, place_of
 from cm.budgets.turns import Account, VirtualTime
 from cm.messages.status import ClientStatus, LeaseStatus, StreamStatus
 
-_LOOK = 1_000_000  # nanoseconds at least between two looks at what all clients have read,
-_REST = 10  # and so many times what the first took: of hundreds of connections, each asks
+_LOOK = 1_000_000  # nanoseconds at least between two checks of what all clients have read,
+_REST = 10  # and that many times what the first took: with hundreds of connections, each is asked
 
 
 class Message(Protocol):
@@ -24,19 +24,19 @@ class Message(Protocol):
 
     @property
     def connection(self) -> str:
-        """Whose it is, as authentication has it."""
+        """Its connection's id, from authentication."""
 
     @property
     def source(self) -> int:
-        """Its connection's descriptor; -1 where that does not matter."""
+        """Its connection's descriptor; -1 if that does not matter."""
 
     @property
     def large(self) -> int:
-        """Bytes of its frames that are not small."""
+        """The bytes of its frames that are not small."""
 
 
 class Budgets:
-    """All clients', by their names; and which connection is whose."""
+    """The budgets of all clients, by their names, and the client of each connection."""
 
     def __init__(
         self,
@@ -46,9 +46,10 @@ class Budgets:
         peers: Callable[[], Iterable[Peer]],
         shares: Mapping[str, float] = MappingProxyType({}),
     ) -> None:
-        """`who` knows clients by the ids of their connections. `taken` is told of messages that were taken off one, by
-        its descriptor and the bytes of frames that are not small; `peers` tells what connections there are. `shares`:
-        of the loop's time, by the name of a user or a key.
+        """`who` finds clients by the ids of their connections.
+
+        `taken` is told of messages that were received, with the descriptor and the bytes of frames that are not small;
+        `peers` returns the open connections. `shares` are those of the loop's time, by the name of a user or a key.
         """
         self._bounds = bounds
         self._who = who
@@ -64,7 +65,7 @@ class Budgets:
         self.leaving_bytes = 0  # of replies that are being made, or were not read
 
     def renew(self, bounds: Bounds, shares: Mapping[str, float]) -> None:
-        """Other bounds and shares from now on; what waits stays."""
+        """Use other bounds and shares from now on; what waits is kept."""
         self._bounds, self._shares = bounds, shares
         for budget in self:
             budget.bounds = bounds
@@ -76,7 +77,7 @@ class Budgets:
         return iter(self._named.values())
 
     def came(self, message: Message) -> Budget:
-        """The budget of a message's sender; the message counts as taken off its connection."""
+        """The budget of a message's sender; the message counts as received from its connection."""
         if message.source >= 0:
             self._taken(message.source, message.large)
         found = self.known.get(message.connection) or self._admit(message.connection)
@@ -84,7 +85,7 @@ class Budgets:
         return found
 
     def of(self, connection: str) -> Budget:
-        """The budget of whose connection that is."""
+        """The budget of the client that a connection belongs to."""
         return self.known.get(connection) or self._admit(connection)
 
     def _admit(self, connection: str) -> Budget:
@@ -94,7 +95,7 @@ class Budgets:
         return found
 
     def _named_of(self, name: str, who: Who) -> Budget:
-        """A client's budget, with whatever it is connected."""
+        """A client's budget, whatever kind of connection it has."""
         account = self._accounts.get(who.account)
         if account is None:
             account = self._accounts[who.account] = Account(who.account, self._clock)
@@ -113,7 +114,7 @@ class Budgets:
         return sum([budget.waiting_bytes for budget in self])
 
     def look_at_replies(self) -> None:
-        """Count those that were read, of all clients; often enough."""
+        """Count the replies that were read, of all clients, unless that was done just now."""
         began = monotonic_ns()
         if began >= self._next_look:
             for budget in self:
@@ -122,7 +123,7 @@ class Budgets:
             self._next_look = ended + max(_LOOK, _REST * (ended - began))
 
     def settle(self) -> None:
-        """Count connections anew, and forget who has nothing any more."""
+        """Count connections anew, and forget clients that have nothing left."""
         there = Counter(map(place_of, self._peers()))
         for budget in self._named.values():
             budget.connections = there[budget.place]
@@ -134,7 +135,7 @@ class Budgets:
         self._accounts = {name: account for name, account in self._accounts.items() if name in used}
 
     def snapshot(self) -> tuple[ClientStatus, ...]:
-        """What every client takes now; leases and slots are for others to add."""
+        """What every client uses now; leases and slots are added elsewhere."""
         self.settle()
         return tuple([_told(budget) for _, budget in sorted(self._named.items())])
 

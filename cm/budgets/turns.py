@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose turn it is: time is shared out among accounts, that of an account among its clients, by what each has spent.
+"""Whose turn it is: time is divided among accounts, and that of an account among its clients, by what each has used.
 
-Who has spent least comes next (start-time fair queueing). Nobody saves time up: who comes back begins where the
-others are. Nobody loses it either: who was alone and spent a lot does, too. Of a client, connections take turns.
+The one that has used least comes next (start-time fair queueing). Nobody saves time up: a client that comes back
+
+begins where the others are; so does one that was alone and used much. A client's connections take turns.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ _S = TypeVar("_S", bound="Spender")
 
 
 class VirtualTime:
-    """Of fair queueing: what those who are served now have spent."""
+    """The virtual time of fair queueing: what those that are served now have used."""
 
     __slots__ = ("now",)
 
@@ -27,7 +28,7 @@ class VirtualTime:
 
 
 class Spender:
-    """Who spends time of `clock`'s."""
+    """An account or client that uses time, measured by `clock`."""
 
     __slots__ = ("clock", "spent")
 
@@ -36,7 +37,7 @@ class Spender:
         self.spent = clock.now
 
     def comes(self) -> None:
-        """It wants something, perhaps after it wanted nothing for a while."""
+        """It has something waiting, perhaps after it had nothing for a while."""
         self.spent = max(self.spent, self.clock.now)
 
     def goes(self) -> None:
@@ -45,7 +46,7 @@ class Spender:
 
 
 class Account(Spender):
-    """A user, a key or an address, with whatever it is connected. `share`: how much more it gets than others."""
+    """A user, a key or an address, whatever its connections. `share`: how many times as much it gets as others."""
 
     __slots__ = ("clients", "leaving_bytes", "name", "queued_bytes", "share")
 
@@ -59,7 +60,7 @@ class Account(Spender):
 
 
 class Client(Spender):
-    """A process, a key or an address, of an account."""
+    """A process, a key or an address, which belongs to an account."""
 
     __slots__ = ("account", "busy_ns", "queued_bytes", "waiting")
 
@@ -71,19 +72,19 @@ class Client(Spender):
         self.queued_bytes = 0  # of them
 
     def charge(self, nanoseconds: int) -> None:
-        """It took so much of the loop's time."""
+        """It used that much of the loop's time."""
         account = self.account
         self.busy_ns += nanoseconds
         self.spent += nanoseconds
         account.spent += nanoseconds / account.share
 
     def spend(self, nanoseconds: int) -> None:
-        """It took so much of a processor beside the loop, which others had not."""
+        """It used that much processor time outside the loop, which others could not use."""
         self.spent += nanoseconds
         self.account.spent += nanoseconds / self.account.share
 
     def is_alone(self) -> None:
-        """It comes and goes, which most do: the same in less than half the time."""
+        """As `comes` and `goes`, where nobody else waits, as mostly: the same in less than half the time."""
         account = self.account
         if account.spent > account.clock.now:
             account.clock.now = account.spent
@@ -109,11 +110,11 @@ _C = TypeVar("_C", bound=Client)
 
 
 class _Line(Generic[_S]):
-    """Those who wait at one place."""
+    """Those that wait at one level: accounts, or an account's clients."""
 
     def __init__(self) -> None:
         self._heap: list[tuple[float, int, _S]] = []
-        self._numbers = count()  # of those who have spent as much, who came first
+        self._numbers = count()  # among those that have used as much, the first to come is first
 
     def __bool__(self) -> bool:
         return bool(self._heap)
@@ -123,12 +124,12 @@ class _Line(Generic[_S]):
         heapq.heappush(self._heap, (who.spent, next(self._numbers), who))
 
     def leave(self) -> _S:
-        """Who has spent least. Raises IndexError."""
+        """Remove and return the one that has used least. Raises IndexError."""
         while True:
             spent, _, who = heapq.heappop(self._heap)
             if who.spent <= spent:
                 return who
-            self.join(who)  # it has spent more since
+            self.join(who)  # it has used more since
 
 
 class Turns(Generic[_C, _T]):
@@ -137,20 +138,20 @@ class Turns(Generic[_C, _T]):
     def __init__(self) -> None:
         self._accounts: _Line[Account] = _Line()
         self._clients: dict[Account, _Line[_C]] = {}
-        self._there: dict[_C, dict[Hashable, deque[_T]]] = {}  # by connection, whose turn it is first
+        self._there: dict[_C, dict[Hashable, deque[_T]]] = {}  # by connection, the next one first
         self._count = 0
-        self.stopped: dict[_C, dict[Hashable, deque[_T]]] = {}  # what waits of connections that get no turn now
+        self.stopped: dict[_C, dict[Hashable, deque[_T]]] = {}  # messages of connections that get no turn now
 
     def __len__(self) -> int:
         return self._count
 
     @property
     def anyone(self) -> bool:
-        """Whether it is somebody's turn."""
+        """Whether anything waits that may be served."""
         return bool(self._accounts)
 
     def add(self, client: _C, connection: Hashable, item: _T) -> bool:
-        """Something waits; whether it is the only one of its connection."""
+        """Add a message; returns whether it is the only one of its connection."""
         self._count += 1
         if self.stopped and connection in self.stopped.get(client, ()):
             self.stopped[client][connection].append(item)
@@ -184,7 +185,7 @@ class Turns(Generic[_C, _T]):
         self._clients[account].join(client)
 
     def go_on(self, may: Callable[[_C, Hashable], bool]) -> bool:
-        """Give turns again to connections that may have them; whether there were any."""
+        """Give turns again to connections that may have them; returns whether there were any."""
         found = [(client, one) for client, held in self.stopped.items() for one in held if may(client, one)]
         for client, connection in found:
             connections = self._there.get(client)
@@ -196,8 +197,9 @@ class Turns(Generic[_C, _T]):
         return bool(found)
 
     def take(self, may: Callable[[_C, Hashable], bool] = lambda _, __: True) -> tuple[_C, _T]:
-        """Whose turn it is, and what of it; connections that may have none are stopped. Raises IndexError where it is
-        nobody's.
+        """The client whose turn it is, and its message; connections that may have no turn are stopped.
+
+        Raises IndexError if nothing waits.
         """
         while True:
             account = self._accounts.leave()
@@ -212,7 +214,7 @@ class Turns(Generic[_C, _T]):
         items = connections.pop(connection)
         item = items.popleft()
         if items:
-            connections[connection] = items  # behind the others
+            connections[connection] = items  # after the others
         self._count -= 1
         self._back(account, line, client)
         return client, item
@@ -227,7 +229,7 @@ class Turns(Generic[_C, _T]):
         return None
 
     def _back(self, account: Account, line: _Line[_C], client: _C) -> None:
-        """Into line again, where more of it waits."""
+        """Put a client back into line, if more of it waits."""
         if self._there[client]:
             line.join(client)
         else:
@@ -242,5 +244,5 @@ class Turns(Generic[_C, _T]):
 
 
 def least(clients: Iterable[_C]) -> _C | None:
-    """Who of them has spent least, by account first; of equals, the first. None where there is none."""
+    """The one that has used least, by account first; of equals, the first. None if there is none."""
     return min(clients, key=lambda client: (client.account.spent, client.spent), default=None)

@@ -13,7 +13,7 @@ from cm.device.paths import Root
 
 
 def permission(path: Path) -> str:
-    """Say who may open ``path``, and how the user becomes one of them."""
+    """Say who may open ``path``, and how the user can get that permission."""
     try:
         found = path.stat()
     except OSError:

@@ -48,7 +48,7 @@ _KNOWN_CAPS = native.CAP_CYCLIC | native.CAP_VIDEO | native.CAP_RESIDUE | native
 
 @dataclass(frozen=True, slots=True)
 class DmaInfo:
-    """A channel; lengths and alignment in bytes, ``frame_length`` 0 where the hardware fixes none."""
+    """A channel; lengths and alignment in bytes, ``frame_length`` 0 if the hardware does not fix one."""
 
     name: str
     direction: Direction
@@ -150,7 +150,7 @@ class AxiDma(Device):
 
     @property
     def shim_handle(self) -> Handle:
-        """What `cm.device.data_plane` hands to C; valid as long as this object."""
+        """The handle that `cm.device.data_plane` passes to C; valid as long as this object."""
         return self._handle
 
     def allocate(self, length: int) -> DmaBuffer:

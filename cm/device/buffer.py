@@ -39,8 +39,8 @@ class DmaBuffer:
         self._path = path
         self._mappings: dict[bool, Any] = {}
         self.fd, self.handle, self.coherent, self.length, self.address = native.fields(handle)
-        # Not __del__: where buffer and device are garbage together, the device might be freed first. A
-        # weak reference's callback runs before any of that, and holds the device until it has run.
+        # Not __del__: if buffer and device become garbage together, the device might be freed first. A weak
+        # reference's callback runs before that, and keeps the device alive until it has run.
         # (mypy takes atexit, a property, for an attribute that __slots__ forbids.)
         self._forgotten = weakref.finalize(self, _give_back, free, self.handle, handle, os.getpid())
         self._forgotten.atexit = False  # type: ignore[misc]
@@ -57,7 +57,7 @@ class DmaBuffer:
 
     def array(self, offset: int = 0, length: int | None = None, writable: bool = True) -> npt.NDArray[np.uint8]:
         """Return ``length`` bytes (default: the rest) from ``offset`` as a uint8 view, not a copy."""
-        import numpy as np  # here: the manager needs no arrays until it checks a bitstream, and starts without
+        import numpy as np  # imported here, because a manager needs no arrays
 
         length = self.length - offset if length is None else length
         self.check_range(offset, length)
@@ -70,11 +70,11 @@ class DmaBuffer:
             raise DeviceInvalid(errno.EINVAL, f"cannot use a buffer of {self._path}: {text}", self._path)
 
     def sync_begin(self, write: bool) -> None:
-        """Tell that the CPU is about to read (and with ``write`` to write) the memory."""
+        """Announce that the CPU is about to read (and with ``write`` to write) the memory."""
         self._sync(True, write)
 
     def sync_end(self, write: bool) -> None:
-        """Tell that the CPU is done, with the ``write`` of `sync_begin`."""
+        """Announce that the CPU is done, with the ``write`` of `sync_begin`."""
         self._sync(False, write)
 
     def close(self) -> None:

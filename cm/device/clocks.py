@@ -22,18 +22,18 @@ _NUMBERED = re.compile(r"(?:fclk|fclk_clk|pl|pl_clk|clocking)_?([0-3])")
 class PlClock:
     """One clock.  Stateless: the kernel keeps the rate, also when we end.
 
-    Rates round as the clock's dividers do, mostly down, without an error: read back what was set.
+    Rates are rounded as the clock's dividers require, mostly down, without an error: read back what was set.
     """
 
     def __init__(self, name: str, attributes: Attributes, rate: str) -> None:
-        """Made by `PlClocks.find`; `rate` is the name of the attribute that is the rate."""
+        """Made by `PlClocks.find`; `rate` is the name of the attribute that holds the rate."""
         self.name = name
         self._attributes = attributes
         self._rate = rate
 
     @property
     def rate(self) -> int:
-        """What it runs at, in Hz."""
+        """The rate at which it runs, in Hz."""
         return self._number(self._rate)
 
     @rate.setter
@@ -41,7 +41,7 @@ class PlClock:
         self._attributes.write(self._rate, f"{hertz}\n".encode())
 
     def rounded(self, hertz: int) -> int | None:
-        """What it would run at if it were set to `hertz`; None where the driver cannot be asked without setting it."""
+        """The rate at which it would run if set to `hertz`; None if the driver cannot tell without setting it."""
         if not self._attributes.exists("round"):
             return None
         self._attributes.write("round", f"{hertz}\n".encode())
@@ -49,7 +49,7 @@ class PlClock:
 
     @property
     def enabled(self) -> bool:
-        """Whether it is held running; a driver without a gate holds it while it is bound."""
+        """Whether it is kept running; a driver without a gate keeps it running while it is bound."""
         return not self._attributes.exists("enable") or self._number("enable") != 0
 
     @enabled.setter

@@ -15,7 +15,7 @@ ECHO_DEPTH = 64  # transfers under way where there is no channel
 
 @dataclass(frozen=True, slots=True)
 class StreamSetup:
-    """How a stream runs: lengths in bytes; `lines` is 0 where a frame is not a video frame; `period_ns` 0: no limit."""
+    """How a stream runs: lengths in bytes; `lines` is 0 if a frame is not a video frame; `period_ns` 0: no limit."""
 
     write: bool
     length: int
@@ -31,7 +31,7 @@ class StreamSetup:
 class StreamCounts:
     """What happened since a stream's start; of recent frames, the times of completion and latencies (ns).
 
-    `error`: the errno of the last transfer that failed, 0 where none has.
+    `error`: the errno of the last transfer that failed, 0 if none has.
     """
 
     frames: int
@@ -129,7 +129,7 @@ class Plane:
         return native.adopt(self._handle, fd)
 
     def attach(self, client: int, stream: int, depth: int, geometry: bytes) -> bool:
-        """Make a client one of a stream's; False if it has gone. Raises DeviceError for too few slots."""
+        """Attach a client to a stream; False if it has gone. Raises DeviceError for too few slots."""
         try:
             native.attach(self._handle, client, stream, depth, geometry)
         except OSError as error:
@@ -143,11 +143,11 @@ class Plane:
         native.tell(self._handle, stream, packet)
 
     def wrote(self, generation: int) -> None:
-        """Registers were written, and hold what was: frames that begin from now on are of this generation."""
+        """Registers were written and hold the new values: frames that begin from now on have this generation."""
         native.wrote(self._handle, generation)
 
     def settle(self) -> None:
-        """Take what clients have sent by now: events tell of all who hung up before the call."""
+        """Handle what clients have sent by now: events report all that hung up before the call."""
         native.settle(self._handle)
 
     def drop(self, client: int) -> None:
@@ -158,12 +158,12 @@ class Plane:
             return
 
     def counts(self, stream: int) -> StreamCounts:
-        """What happened on a stream."""
+        """The counters of a stream."""
         raw = native.stats(self._handle, stream)
         return StreamCounts(*raw[:9], tuple(raw.at_ns), tuple(raw.latency_ns))
 
     def client_counts(self, client: int) -> ClientCounts | None:
-        """What one client got; None if it has gone."""
+        """The counters of one client; None if it has gone."""
         try:
             return ClientCounts(*native.client_stats(self._handle, client))
         except FileNotFoundError:

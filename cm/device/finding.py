@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 
 class State(enum.Enum):
-    """Whether something can be used; WRONG: it is there, but not as it has to be."""
+    """Whether something can be used; WRONG: it exists, but not as it should be."""
 
     OK = "ok"
     MISSING = "missing"
@@ -18,7 +18,7 @@ class State(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked for; ``kind`` is uio, dma, icap, overlays, fpga_manager, module or that of a check."""
+    """One thing that was looked for; ``kind`` is uio, dma, icap, overlays, fpga_manager, module or a check's own."""
 
     kind: str
     name: str

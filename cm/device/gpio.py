@@ -45,7 +45,7 @@ def _chip(root: Root, name: str) -> GpioChip | None:
 
 
 class GpioLine(Device):
-    """One line, held from `open` to `close`: no other process gets it, and what it drives stays.
+    """One line, held from `open` to `close`: no other process gets it, and the value that it drives stays.
 
     Opening changes neither its direction nor its value.
     """

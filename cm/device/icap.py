@@ -50,7 +50,7 @@ _SENTENCES = {
 class IcapInfo:
     """A port; ``clock_hz`` and ``idcode`` are 0 where the driver does not know them.
 
-    ``denied``: the platform's firmware did not give the port when the driver asked, and loads end with EACCES.
+    ``denied``: the platform's firmware refused the port when the driver asked for it, and loads end with EACCES.
     """
 
     word_bits: int

@@ -14,7 +14,7 @@ from cm.device.paths import Root
 
 FOLDER = "sys/kernel/config/device-tree/overlays"
 APPLIED = "applied"
-# dtbocfg says 0 and 1 where linux-xlnx says words, and applies when a 1 is written.
+# dtbocfg uses 0 and 1 where linux-xlnx uses words, and applies an overlay when a 1 is written.
 _WORDS = {"0": "unapplied", "1": APPLIED}
 _SWITCH_ON = b"1"
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
@@ -66,7 +66,7 @@ class Overlays:
         self._attributes.rmdir(name)
 
     def _confirm(self, name: str) -> None:
-        """Ask what became of it: configfs applies at close(), which reports nothing."""
+        """Read the result: configfs applies at close(), which reports no errors."""
         if self._attributes.text(f"{name}/status") == "0":
             self._attributes.write(f"{name}/status", _SWITCH_ON)
         word = self._word(name)

@@ -19,7 +19,7 @@ class Root:
 
     @classmethod
     def of(cls, root: str | os.PathLike[str] | Root | None) -> Root:
-        """Return ``root`` as a Root; None is ``$CM_ROOT``, else ``/``.  The only place that reads it."""
+        """Return ``root`` as a Root; None is ``$CM_ROOT``, or else ``/``. The only place that reads the variable."""
         if isinstance(root, Root):
             return root
         text = os.environ.get("CM_ROOT") or "/" if root is None else os.fspath(root)

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the board measures of itself: temperatures, voltages, currents and powers, of hwmon and IIO in sysfs.
+"""What the board measures: temperatures, voltages, currents and powers, from hwmon and IIO in sysfs.
 
 Both have their units in the kernel's documentation: Documentation/hwmon/sysfs-interface.rst (thousandths of a degree
-Celsius, of a volt and of an ampere, millionths of a watt) and Documentation/ABI/testing/sysfs-bus-iio (the same, once
-`raw` has been taken plus `offset` times `scale`). Zynq-7000's XADC and Zynq UltraScale+'s AMS are of IIO, the power
-monitors of boards (INA226, IRPS5401) of hwmon.
+Celsius, of a volt and of an ampere, millionths of a watt) and Documentation/ABI/testing/sysfs-bus-iio (the same, for
+(`raw` + `offset`) × `scale`). Zynq-7000's XADC and Zynq UltraScale+'s AMS belong to IIO, the power monitors of boards
+(INA226, IRPS5401) to hwmon.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from cm.device.paths import Root
 
 HWMON, IIO = "sys/class/hwmon", "sys/bus/iio/devices"
-_MOST = 64  # readings of a board: what is told of it stays short
+_MOST = 64  # readings of a board, so that its status stays short
 _TEXT_MAX = 64  # characters of a name
 _HWMON = re.compile(r"(temp|in|curr|power)(\d+)_input")
 _IIO = re.compile(r"in_(temp|voltage|current|power)(\d*)(?:_(\w+?))?_(raw|input)")
@@ -111,7 +111,7 @@ def _text(path: Path) -> str:
 
 
 def _number(path: Path) -> float | None:
-    """None where there is none: a channel that is switched off answers with an error."""
+    """None if there is none: a channel that is switched off gives an error."""
     try:
         value = float(_text(path))
     except ValueError:

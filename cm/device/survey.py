@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a machine has, what it lacks, and what to do about it: the facts behind ``cm doctor``.
 
-Nothing is opened: an exclusive device in use is as good as a free one, and asking must not disturb.
+Nothing is opened: an exclusive device that is in use counts as well as a free one, and the survey must not disturb it.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def survey(root: AnyRoot = None) -> Survey:
 
 
 def _node(kind: str, name: str, path: Path, detail: str, root: Root) -> Finding:
-    """Return what is to say about a device node that is listed somewhere."""
+    """Return the finding for a device node that is listed somewhere."""
     try:
         mode = path.stat().st_mode
     except OSError as error:

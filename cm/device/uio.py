@@ -55,7 +55,7 @@ def list_uio(root: AnyRoot = None) -> list[UioInfo]:
             try:
                 found.append(_info(native.describe(base.prefix, number)))
             except FileNotFoundError:
-                continue  # it went between the listing and the look
+                continue  # it went away after it was listed
     except OSError as error:
         raise device_error(error, "list", str(base.join("sys/class/uio"))) from error
     return found
@@ -207,7 +207,7 @@ class Uio(Device):
         return "the device has no interrupt: give its device-tree node one" if error.errno == errno.EIO else ""
 
     def _whole(self, length: int) -> int:
-        """`length`, unless no window is so long: no memory is taken for it then."""
+        """`length`, after a check that a window is that long, before any memory is allocated for it."""
         if not 0 <= length <= max((m.size for m in self.maps), default=0):
             raise OverflowError
         return length

@@ -2,7 +2,7 @@
 """Packages of other managers as runtime schemas: dfx-mgr (Kria) and PYNQ; and archives of our own build tool.
 
 Nothing of theirs is copied: the schemas point at the package's own files, so that it is loaded in place.
-What a package says that the runtime schema has no word for is told in `Imported.notes`.
+What a package says that the runtime schema cannot express is listed in `Imported.notes`.
 """
 
 from cm.importers.archive import Unpacked as Unpacked

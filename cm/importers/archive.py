@@ -23,11 +23,11 @@ from cm.schema.model import Config
 
 try:
     from lzma import LZMAError
-except ImportError:  # a Python without it opens no such archive
+except ImportError:  # a Python without it cannot open such archives
     LZMAError = zlib.error  # type: ignore[misc,assignment]
 
 Judge: TypeAlias = "Callable[[Path, str, Path], object]"
-MAX_BYTES = 1 << 30  # of all files together, unpacked
+MAX_BYTES = 1 << 30  # most bytes of all files together, unpacked
 MAX_FILES = 4096
 _PADDING = 16  # MiB of zeros that may follow the last file
 
@@ -44,13 +44,14 @@ class Unpacked:
 def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = None) -> Unpacked:
     """Put an archive's configuration into ``out/<config>/``, in place of what was there under its name.
 
-    The archive holds ``<config>/<file>…`` and nothing else. Schema, files and hashes are checked aside, then the
-    folder takes its place in one step: a killed import leaves the old one or the new one. The last `keep` before
-    it stay for a rollback. `judge` is asked last, with the new folder, the configuration's name and the folder
-    in force; what it raises is a refusal. Raises ImportRefused, SchemaError, FileMissing, OSError; `out` is then as
+    The archive holds ``<config>/<file>…`` and nothing else. Schema, files and hashes are checked in another folder,
+    which then takes its place in one step: a killed import leaves the old one or the new one. The last `keep`
+    versions before it are kept for a rollback. `judge` is asked last, with the new folder, the configuration's name
+    and the folder in force; what it raises is a refusal. Raises ImportRefused, SchemaError, FileMissing, OSError;
+    `out` is then as
     before.
     """
-    out = out.resolve()  # what a schema names is compared by its whole path
+    out = out.resolve()  # the files that a schema names are compared by their full paths
     with locked(out):
         aside = Path(tempfile.mkdtemp(prefix=".import-", dir=out))
         try:
@@ -67,7 +68,7 @@ def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = Non
 def back(place: Path, number: int | None = None) -> Unpacked:
     """Put an earlier version of the configuration at `place` in force, checked as an archive is.
 
-    Raises NoSuchVersion, ImportRefused, SchemaError, FileMissing, OSError; what was in force is then still.
+    Raises NoSuchVersion, ImportRefused, SchemaError, FileMissing, OSError; what was in force then still is.
     """
     place = place.parent.resolve() / place.name
     with locked(place.parent):
@@ -81,7 +82,7 @@ def back(place: Path, number: int | None = None) -> Unpacked:
 
 
 def _extract(archive: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
-    """Names and sizes are looked at before a file's first byte is written; nothing in them is believed."""
+    """Names and sizes are checked before a file's first byte is written; none of them is trusted."""
     names: list[str] = []
     top, total = "", 0
     with _opened(archive) as tar:
@@ -105,7 +106,7 @@ def _extract(archive: Path, folder: Path) -> tuple[str, tuple[str, ...]]:
 
 
 def _read_to_the_end(archive: Path, tar: tarfile.TarFile) -> None:
-    """Behind the last file stands the compression's checksum, which has not been checked yet."""
+    """The compression's checksum follows the last file, and has not been checked yet."""
     assert tar.fileobj is not None
     for _ in range(_PADDING):
         if not tar.fileobj.read(1 << 20):
@@ -118,7 +119,7 @@ def _opened(archive: Path) -> Iterator[tarfile.TarFile]:
     try:
         with tarfile.open(archive, "r:*") as tar:
             yield tar
-    except (tarfile.TarError, zlib.error, LZMAError, EOFError, ValueError) as problem:  # also in its midst
+    except (tarfile.TarError, zlib.error, LZMAError, EOFError, ValueError) as problem:  # also in the middle of a file
         raise ImportRefused(f"{archive}: no whole tar archive ({problem})") from problem
     except OSError as problem:
         if problem.errno is not None:
@@ -154,7 +155,7 @@ def _only(archive: Path, folder: Path, name: str = "") -> Config:
 
 
 def _checked(archive: Path, folder: Path, name: str = "") -> None:
-    """Every file that the schema names is there, with the hash that it names."""
+    """Check that every file that the schema names is there, with the hash that it gives."""
     config = _only(archive, folder, name)
     wanted = [(bitstream_path(config, module, folder), module.sha256) for module in config.modules.values()]
     if config.bitstream is not None:

@@ -43,7 +43,7 @@ def import_dfx_mgr(folder: Path) -> Imported:
 
 
 def _links(config: Config) -> dict[str, Path]:
-    """The overlay that loads a module must be called like the module, beside the schema."""
+    """The overlay that loads a module must have the module's name, and lie beside the schema."""
     found = {}
     for module in config.modules.values():
         if config.regions[module.region].loader.value == "overlay" and module.bitstream is not None:

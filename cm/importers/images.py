@@ -22,14 +22,14 @@ class FoundOverlay:
 
 @dataclass(frozen=True, slots=True)
 class FoundImage:
-    """A bitstream that may be loaded, as far as it alone tells."""
+    """A bitstream that may be loaded, as far as can be told from the file alone."""
 
     path: Path
     report: Report
 
 
 def _one(paths: list[Path], wanted: list[str], what: str, notes: list[str]) -> Path | None:
-    """The path whose name is wanted, or the first; a choice is noted."""
+    """The path with the expected name, or the first; a choice among several is noted."""
     if not paths:
         return None
     chosen = next((path for name in wanted for path in paths if path.name == name), paths[0])

@@ -11,7 +11,7 @@ from cm.importers.names import Names
 from cm.schema.model import Memory, Stream
 
 _WORD = 4
-_LARGEST = 1 << 30  # bytes that the schema takes
+_LARGEST = 1 << 30  # most bytes that the schema allows
 
 
 def memories(
@@ -25,7 +25,7 @@ def memories(
     """A memory for each BRAM controller; `window` is (base, size) of the region that it lies in."""
     names = Names()
     for stream in streams:
-        names.take(stream.name)  # one name leads to one of them
+        names.take(stream.name)  # a name must belong to one thing only
     found: dict[str, Memory] = {}
     base, limit = window or (0, 1 << 64)
     for item in handoff.memories(hwh):

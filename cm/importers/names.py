@@ -15,13 +15,13 @@ def to_name(text: str) -> str:
 
 
 class Names:
-    """Gives each thing a name of its own: the second `irq` becomes `irq_2`."""
+    """Gives each thing a unique name: the second `irq` becomes `irq_2`."""
 
     def __init__(self) -> None:
         self._taken: set[str] = set()
 
     def take(self, text: str) -> str:
-        """Return a name made of `text` that was not given before."""
+        """Return a name made from `text` that has not been used before."""
         name = base = to_name(text)
         count = 1
         while name in self._taken:

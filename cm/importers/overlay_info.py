@@ -42,7 +42,7 @@ def _paths(nodes: list[fdt.FdtNode]) -> list[str]:
 
 
 def _labels(tree: fdt.FdtNode) -> list[str]:
-    """Of the base tree, that fragments target; dtc lists where each is to be put in."""
+    """The labels of the base tree that fragments target; dtc lists where each is to be inserted."""
     fixups = tree.child("__fixups__")
     places = fixups.properties.items() if fixups is not None else ()
     return [label for label, raw in places if any(place.endswith(b":target:0") for place in raw.split(b"\0"))]

@@ -45,7 +45,7 @@ class Partial:
 
 @dataclass(slots=True)
 class Slot:
-    """A region while it is found out; `instance` is its module in the static design."""
+    """A region that is being identified; `instance` is its module in the static design."""
 
     name: str
     instance: str | None

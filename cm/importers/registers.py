@@ -15,7 +15,7 @@ _WIDTHS = (8, 16, 32, 64)
 
 
 class RegisterBank:
-    """Collects registers; what cannot be one is left out and noted."""
+    """Collects registers; what the schema cannot express as one is left out and noted."""
 
     def __init__(self, names: Names, notes: list[str]) -> None:
         self._names = names
@@ -74,7 +74,7 @@ def _register(name: str, base: int, width: int, info: RegisterInfo, region: str 
 
 
 def _fields(infos: Sequence[RegisterField], size: int) -> dict[str, BitField]:
-    """Fields that do not overlap; one that is the whole register says nothing."""
+    """Fields that do not overlap; one that covers the whole register is left out."""
     names, found, used = Names(), {}, 0
     for info in infos:
         mask = ((1 << info.width) - 1) << info.lsb

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an import gives, and how it is written."""
+"""The result of an import, and how it is written."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def frozen(items: Mapping[str, _T]) -> Mapping[str, _T]:
 def write(imported: Imported, folder: Path) -> list[Path]:
     """Write ``<config>.yaml`` files and links into `folder`; return the files.
 
-    Paths below the folder become relative, so that a package can be moved with its schemas. What
-    is written is read again first: a schema that would be refused is never written.
+    Paths below the folder become relative, so that a package can be moved with its schemas. Each schema is read back
+    before it is written, so that none is written that would be refused.
     """
     folder.mkdir(parents=True, exist_ok=True)
     texts = {folder / f"{config.name}.yaml": dump(_relative(config, folder.resolve())) for config in imported.configs}
@@ -92,6 +92,6 @@ def _relative(config: Config, folder: Path) -> Config:
 
 
 def static_of(uid: str | None, report: Report | None = None) -> StaticIdentity | None:
-    """What a package says of its static design: a name of its own, the USERID of the image; None where nothing does."""
+    """The identity of a package's static design: its name, or the USERID of its image; None if there is neither."""
     user_id = report.user_id if report is not None else None
     return StaticIdentity(user_id=user_id, uid=uid or None) if uid or user_id is not None else None

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The versions of an imported configuration: the one in use, and earlier ones for a rollback.
 
-``<out>/<config>/`` is in force. ``<out>/.<config>.<number>/`` are those before it, the highest number the
-youngest. One takes the other's place by an exchange of names, in one step: killed before it, the old one is in
-force, after it the new one.
+``<out>/<config>/`` is in force. ``<out>/.<config>.<number>/`` are earlier ones, the highest number the latest. One
+replaces the other by an exchange of names, in one step: if the process is killed before it, the old version is in
+force, otherwise the new one.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class NoSuchVersion(NotFound):
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """An earlier version in `folder`; a higher `number` is a younger one."""
+    """An earlier version in `folder`; a higher `number` is a later one."""
 
     number: int
     folder: Path
@@ -42,7 +42,7 @@ class Version:
 
 @contextlib.contextmanager
 def locked(out: Path) -> Iterator[None]:
-    """One import or rollback below a folder at a time; what killed ones left behind is removed."""
+    """Allow one import or rollback below a folder at a time; remove what killed ones left behind."""
     out.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(out, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
@@ -55,14 +55,14 @@ def locked(out: Path) -> Iterator[None]:
 
 
 def versions(out: Path, config: str) -> list[Version]:
-    """The earlier versions of a configuration, youngest first."""
+    """The earlier versions of a configuration, latest first."""
     pattern = re.compile(rf"\.{re.escape(config)}\.(\d+)")
     found = ((pattern.fullmatch(path.name), path) for path in out.iterdir()) if out.is_dir() else ()
     return sorted((Version(int(m[1]), path) for m, path in found if m), key=lambda v: v.number, reverse=True)
 
 
 def put_in_force(new: Path, place: Path, keep: int) -> None:
-    """Let a checked folder, synced here, take the place of what is there; the last `keep` before it are kept."""
+    """Put a checked folder in force, after syncing it to disk; the last `keep` versions before it are kept."""
     new.chmod(0o755)
     sync(new)
     if place.exists():
@@ -77,7 +77,7 @@ def put_in_force(new: Path, place: Path, keep: int) -> None:
 
 
 def roll_back(place: Path, number: int | None = None) -> Version:
-    """Put the youngest earlier version, or that of a number, in force; the one that was takes its number.
+    """Put the latest earlier version, or the one with a number, in force; the one that was in force gets its number.
 
     Raises NoSuchVersion.
     """
@@ -111,7 +111,7 @@ def _exchange(one: Path, other: Path) -> None:
 
 
 def sync(folder: Path) -> None:
-    """Have a folder's names on the disk."""
+    """Sync the names in a folder to disk."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(descriptor)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What boards of a fleet, and the bridges before them, tell each other beside what managers say, as frozen data."""
+"""What the bridges of a fleet tell each other beside their managers' own messages, as frozen data."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from cm.messages.status import ErrorInfo, Status
 
 
 class Policy(str, Enum):
-    """How many boards have to be in the new mode for the change to stay."""
+    """How many boards have to be in the new mode for the change to be kept."""
 
     ALL = "all"
     QUORUM = "quorum"
     BEST_EFFORT = "best_effort"
 
     def holds(self, members: int, there: int) -> bool:
-        """Whether `there` of `members` boards are enough."""
+        """Whether `there` boards out of `members` are enough."""
         if self is Policy.ALL:
             return there == members
         return there * 2 > members if self is Policy.QUORUM else there > 0
 
 
 class Decision(str, Enum):
-    """What becomes of a change; it is made once: what most of its seats have voted for."""
+    """The outcome of a change, decided once: what a majority of its seats has voted for."""
 
     KEEP = "keep"
     REVERT = "revert"
@@ -43,9 +43,9 @@ class ClockSync:
 
 @dataclass(frozen=True, slots=True)
 class FleetStep:
-    """A step of a change of many boards, as a coordinator asks for it; `seconds` until who heard nothing asks.
+    """A step of a change of many boards, as a coordinator requests it; a board that hears nothing for `seconds` asks.
 
-    `ballot` is that of a vote, or of a promise that is asked for; 0 is the coordinator's own.
+    `ballot` is that of a vote or of a requested promise; 0 is the coordinator's own.
     """
 
     id: str
@@ -61,9 +61,9 @@ class FleetStep:
 
 @dataclass(frozen=True, slots=True)
 class FleetRecord:
-    """What a board has written down of a change: from where, to where, how far, and what was decided.
+    """What a board has written down about a change: from where, to where, how far, and what was decided.
 
-    `promised`, `vote` and `vote_ballot` are those of a seat: it takes no vote of a ballot below the one promised.
+    `promised`, `vote` and `vote_ballot` are those of a seat: it accepts no vote with a ballot below the promised one.
     """
 
     id: str

@@ -24,7 +24,7 @@ def paragraph(text: str, strong: str = "") -> str:
 
 
 def progress(fraction: float, text: str) -> str:
-    """A bar, and what goes on."""
+    """A bar, and the present step."""
     share = min(max(fraction, 0.0), 1.0)
     return f"<progress max='1' value='{share:.3f}'></progress> {_text(text)}"
 
@@ -57,7 +57,7 @@ def plan(p: Any) -> str:
 
 
 def registers(info: Iterable[Any], values: Any) -> str:
-    """`cm.messages.status.RegisterInfo` with what they hold; those of which `values` has none show a dash."""
+    """`cm.messages.status.RegisterInfo` with their values; a dash for registers that `values` does not contain."""
     rows: list[tuple[object, ...]] = []
     for r in info:
         value = values.get(r.name)

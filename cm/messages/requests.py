@@ -38,7 +38,7 @@ class PlanChange:
 
 @dataclass(frozen=True, slots=True)
 class File:
-    """A file that comes with a schema; `data` are its bytes, `sha256` (hex) what they are to be."""
+    """A file that comes with a schema; `data` are its bytes, `sha256` (hex) is the hash that they must have."""
 
     name: str
     data: bytes | memoryview = field(repr=False)
@@ -46,7 +46,7 @@ class File:
     upload: str = ""  # the id of an `Upload` that has the bytes
 
     def uploaded(self, name: str) -> File:
-        """The same, with its bytes sent before."""
+        """The same file, with its bytes sent before by uploads."""
         import hashlib  # here: few requests have files
 
         return File(self.name, b"", self.sha256 or hashlib.sha256(self.data).hexdigest(), name)
@@ -54,11 +54,12 @@ class File:
 
 @dataclass(frozen=True, slots=True)
 class ChangeMode:
-    """Go to a mode of a configuration; of the loaded one, and to its default mode, where none is named.
+    """Go to a mode of a configuration; without names, of the loaded one, and to its default mode.
 
     `name_or_mode` carries the plain-text spelling of the paper's Listing 2, whose one word may be
     a mode, a module or a configuration; it is resolved against what is loaded. `no_wait`: reply when the change
-    is accepted. `no_queue`: refuse rather than wait for a running change. `force`: load what is loaded already.
+    is accepted. `no_queue`: refuse rather than wait for a running change. `force`: load modules even if they are
+    loaded already.
     """
 
     config_name: str = ""
@@ -77,7 +78,7 @@ class CancelChange:
 
 @dataclass(frozen=True, slots=True)
 class Provision:
-    """Store a configuration with its files; then go to it as `change` says, whose `config_name` is the schema's."""
+    """Store a configuration with its files, then go to it as `change` says (its `config_name` is the schema's)."""
 
     schema: str
     files: tuple[File, ...] = ()
@@ -120,7 +121,7 @@ class WriteReg:
 
 @dataclass(frozen=True, slots=True)
 class DescribeData:
-    """The settings and counters of a stream, or what there is to know of a memory of that name."""
+    """The settings and counters of a stream, or the description of a memory of that name."""
 
     name: str
     lease: str = ""
@@ -132,7 +133,8 @@ class ConfigureStream:
 
     `rate`: frames handed on per second at most; infinity: all that come. `stride`: bytes from line to line.
     `enable`: start or stop it for all; `automatic`: it runs while a client uses it, as it does before any `enable`.
-    `compression` changes nothing: refused unless frames can be published so. `force`: although it is in use.
+    `compression` changes nothing, but is refused unless frames can be published that way. `force`: even if it is in
+    use.
     """
 
     stream: str
@@ -155,8 +157,8 @@ class ConfigureStream:
 class DefineMemory:
     """Define a memory until the next change of configuration; `address` and `length` in bytes.
 
-    `access` is rw if empty. `region`: "static" or a region's name; empty: that of what else is named in the same
-    window.
+    `access` is rw if empty. `region`: "static" or a region's name; empty: the region of the registers and memories in
+    the same window.
     """
 
     name: str
@@ -192,7 +194,7 @@ class WriteData:
 
 @dataclass(frozen=True, slots=True)
 class Upload:
-    """A part of what is too long for one message: `data` from `offset` on, of `length` bytes in all."""
+    """A part of data that is too long for one message: `data` from `offset` on, of `length` bytes in all."""
 
     id: str
     length: int = 0
@@ -203,7 +205,7 @@ class Upload:
 
 @dataclass(frozen=True, slots=True)
 class ReadIrq:
-    """An interrupt's count and last time; of all if no name is given."""
+    """An interrupt's count and last time; those of all if no name is given."""
 
     name: str = ""
 
@@ -237,7 +239,7 @@ class ReleaseLease:
 
 @dataclass(frozen=True, slots=True)
 class BreakLease:
-    """End another's lease, by its number in the status."""
+    """End another client's lease, by its number in the status."""
 
     number: int
 

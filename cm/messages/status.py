@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the configuration manager tells: its status, events and the bodies of replies.
 
-What is made for every control request is a named tuple: a frozen dataclass takes twice as long to make.
+Objects that are made for every control request are named tuples: a frozen dataclass takes twice as long to make.
 """
 
 from __future__ import annotations
@@ -76,9 +76,9 @@ class SensorStatus:
 
 @dataclass(frozen=True, slots=True)
 class StreamClient:
-    """A client of a stream on the manager's machine: its process, and what it got since it was attached.
+    """A client of a stream on the manager's machine: its process, and what it got since it was attached. `frames`:
 
-    `frames`: lent to it, or sent by it. `dropped`: lost to it because it held all it may, or did not read.
+    lent to it, or sent by it. `dropped`: lost to it because it held all the slots it may hold, or did not read.
     """
 
     pid: int
@@ -119,20 +119,20 @@ class StreamStatus:
 
 @dataclass(frozen=True, slots=True)
 class LeaseStatus:
-    """A lease that is held, for all to see: its id is its holder's alone. `seconds` until it ends unless renewed."""
+    """A lease that is held, as all may see it: only its holder knows its id. `seconds` until it ends unless renewed."""
 
-    number: int  # by which it can be broken
+    number: int  # the number by which it can be broken
     scope: str
     exclusive: bool = True
     holder: str = ""
-    client: str = ""  # who took it, as the manager knows it
-    pid: int = 0  # of the process with which it ends
+    client: str = ""  # the client that took it, as the manager knows it
+    pid: int = 0  # the process with whose end it ends
     seconds: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class ClientStatus:
-    """What one client takes of what there is for all."""
+    """What one client uses of what all share."""
 
     name: str
     connections: int = 0
@@ -143,7 +143,7 @@ class ClientStatus:
     loop_seconds: float = 0.0
     requests: int = 0
     refused: int = 0
-    account: str = ""  # whose it is: a user, a key, or an address
+    account: str = ""  # to which it belongs: a user, a key, or an address
     waiting: int = 0  # requests that came, and wait for their turn
     memory_bytes: int = 0  # for masters in the PL
     unread_bytes: int = 0  # of `waiting_bytes`, replies that it has not read
@@ -211,7 +211,7 @@ class FieldInfo:
 
 @dataclass(frozen=True, slots=True)
 class RegisterInfo:
-    """A register as the schema describes it; `modes` is empty where all have it."""
+    """A register as the schema describes it; `modes` is empty if all modes have it."""
 
     name: str
     address: int
@@ -228,7 +228,7 @@ class RegisterInfo:
 
 @dataclass(frozen=True, slots=True)
 class MemoryInfo:
-    """A memory: `size` bytes at `address`; `modes` is empty where all have it, `defined` if it was at run time."""
+    """A memory: `size` bytes at `address`; `modes` is empty if all have it; `defined`: by a client, at run time."""
 
     name: str
     address: int
@@ -263,15 +263,15 @@ class InterruptInfo:
 
 @dataclass(frozen=True, slots=True)
 class ConfigEntry:
-    """A configuration in the list of all; `default_mode` is the one that is loaded where none is named."""
+    """A configuration in the list of all; `default_mode` is the one that is loaded if none is named."""
 
     name: str
     type: str = ""
     modes: tuple[str, ...] = ()
     default_mode: str = ""
     origin: str = ""  # "administrator" or "client"
-    owner: str = ""  # of a client's: who sent it
-    bytes: int = 0  # of a client's: all its files
+    owner: str = ""  # for a client's: who sent it
+    bytes: int = 0  # for a client's: the bytes of all its files
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,7 +326,7 @@ class ChangeInfo:
     number: int
     done: bool
     seconds: float = 0.0
-    generation: int = 0  # of the registers when it had ended
+    generation: int = 0  # of the registers when it ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,9 +351,10 @@ class UploadInfo:
 
 @dataclass(frozen=True, slots=True)
 class FrameInfo:
-    """What stands beside a payload of stream data. Times are CLOCK_MONOTONIC of the manager's machine.
+    """What accompanies a payload of stream data.
 
-    Beside that of a memory `stream` is its name, and `offset` where in it the payload begins.
+    Times are CLOCK_MONOTONIC of the manager's machine. For a payload from a memory `stream` is the memory's name, and
+    `offset` where in it the payload begins.
     """
 
     stream: str

@@ -10,5 +10,5 @@ from cm.native.call import check
 
 
 def exchange(one: str, other: str) -> None:
-    """Exchange what stands at two paths of one file system; OSError (EINVAL where it cannot)."""
+    """Exchange what stands at two paths of one file system; OSError (EINVAL if the file system cannot do this)."""
     check(lib.cm_exchange(os.fsencode(one), os.fsencode(other)))

@@ -39,7 +39,7 @@ class Peer(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """``struct cm_guard_counts``: `refused` by their cause, and who was refused last."""
+    """``struct cm_guard_counts``: `refused` by their cause, and the peer that was refused last."""
 
     connections: int
     refused: dict[str, int]
@@ -48,7 +48,7 @@ class Counts(NamedTuple):
 
 
 def install() -> bool:
-    """Lead libzmq's calls through the guard; False where that cannot be done here."""
+    """Lead libzmq's calls through the guard; False if that is not possible here."""
     return int(lib.cm_guard_install()) > 0
 
 
@@ -58,45 +58,45 @@ def limit(limits: Limits) -> None:
 
 
 def expect(kind: int) -> None:
-    """Listeners that this thread makes from now on are of that kind."""
+    """Declare that listeners which this thread makes from now on are of that kind."""
     lib.cm_guard_expect(kind)
 
 
 def peers() -> list[Peer]:
-    """Who is connected, one for each connection."""
+    """The peers that are connected, one for each connection."""
     room = ffi.new("struct cm_guard_peer[]", int(counts().connections) + 64)
     return [_peer(room[i]) for i in range(lib.cm_guard_peers(room, len(room)))]
 
 
 def peer(fd: int) -> Peer:
-    """Who is at the other end of a connection; OSError (ENOENT) where it is none."""
+    """The peer at the other end of a connection; OSError (ENOENT) if the descriptor is not one."""
     found = ffi.new("struct cm_guard_peer *")
     check(lib.cm_guard_peer(fd, found))
     return _peer(found)
 
 
 def serial(fd: int) -> int:
-    """The serial of the connection that a descriptor is; 0: it is none."""
+    """The serial number of a descriptor's connection; 0: the descriptor is not a connection."""
     return int(lib.cm_guard_serial(fd))
 
 
 def cut(fd: int) -> None:
-    """End a connection; OSError (ENOENT) where it is none."""
+    """End a connection; OSError (ENOENT) if the descriptor is not one."""
     check(lib.cm_guard_cut(fd))
 
 
 def taken(fd: int, size: int) -> None:
-    """A message was taken that has `size` bytes in frames that are not small."""
+    """Note that a message was received that has `size` bytes in frames that are not small."""
     lib.cm_guard_taken(fd, size)
 
 
 def hold(fd: int, held: bool) -> None:
-    """Read nothing more of a connection, or again; OSError (ENOENT) where it is none."""
+    """Stop or resume reading a connection; OSError (ENOENT) if the descriptor is not one."""
     check(lib.cm_guard_hold(fd, held))
 
 
 def cut_slowest(kind: int) -> bool:
-    """End the connection of a kind that has been unable to write for longest; False where none is."""
+    """End the connection of this kind that has been unable to write for longest; False if there is none."""
     return int(lib.cm_guard_cut_slowest(kind)) >= 0
 
 

@@ -106,7 +106,7 @@ def adopt(plane: Handle, fd: int) -> int:
 
 
 def attach(plane: Handle, client: int, stream: int, depth: int, packet: bytes) -> None:
-    """Make a client one of a stream's."""
+    """Attach a client to a stream."""
     check(lib.cm_plane_attach(plane, client, stream, depth, packet, len(packet)))
 
 
@@ -116,12 +116,12 @@ def tell(plane: Handle, stream: int, packet: bytes) -> None:
 
 
 def wrote(plane: Handle, generation: int) -> None:
-    """Registers were written: frames that begin from now on are of this generation."""
+    """Note that registers were written: frames that begin from now on have this generation."""
     lib.cm_plane_wrote(plane, generation)
 
 
 def settle(plane: Handle) -> None:
-    """Take what clients have sent by now: who hung up before has gone."""
+    """Handle what clients have sent by now, so that those that hung up before are gone."""
     lib.cm_plane_settle(plane)
 
 
@@ -131,7 +131,7 @@ def drop(plane: Handle, client: int) -> None:
 
 
 def stats(plane: Handle, stream: int) -> Stats:
-    """What happened on a stream."""
+    """The counters of a stream."""
     raw = ffi.new("struct cm_plane_stats *")
     check(lib.cm_plane_get_stats(plane, stream, raw))
     recent = list(raw.at_ns)[: raw.count], list(raw.latency_ns)[: raw.count]
@@ -140,7 +140,7 @@ def stats(plane: Handle, stream: int) -> Stats:
 
 
 def client_stats(plane: Handle, client: int) -> ClientStats:
-    """What one client got, and what it holds."""
+    """What one client has received, and what it holds."""
     raw = ffi.new("struct cm_plane_client_stats *")
     check(lib.cm_plane_get_client_stats(plane, client, raw))
     return ClientStats(raw.frames, raw.dropped, raw.depth, raw.held)

@@ -22,7 +22,7 @@ class Entry(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """What a channel has sent: completions, those known to be read, the next one's number, bytes moved."""
+    """What a channel has sent: completions, how many of them are known to be read, the next number, bytes moved."""
 
     sent: int
     read: int
@@ -42,7 +42,7 @@ class Lent(NamedTuple):
 
 
 class Returned(NamedTuple):
-    """A channel that was lent; `owed` is the payload of a submit that is to be answered yet."""
+    """A channel that was lent; `owed` is the payload of a submit that has yet to be answered."""
 
     counts: Counts
     queue: Sequence[Entry]
@@ -60,7 +60,7 @@ class Fifo:
 
     @property
     def running(self) -> bool:
-        """Whether it has the channels; they are to be parked even if it parked by itself."""
+        """Whether it has the channels; they have to be taken back with `park` even if it parked by itself."""
         return bool(self._lent)
 
     def fileno(self) -> int:
@@ -74,7 +74,7 @@ class Fifo:
         self._lent = lent
 
     def park(self) -> tuple[Returned, Returned]:
-        """Have them back, source and sink."""
+        """Take the channels back: source and sink."""
         lib.cm_sim_fifo_park(self._fifo)
         source, sink = (_returned(raw) for raw, _, _ in self._lent)
         self._lent = []

@@ -24,12 +24,14 @@ else:
 _IN, _OUT = 64 << 20, 192 << 20  # places of the arena
 _DECOUPLE, _IDENTITY = 0x100, 0x10C  # of the first region, in the control registers
 _TRIES = 1000  # reads until a region is out of its reset
-_PATIENCE = 120.0  # seconds without anything that the logic tells
+_PATIENCE = 120.0  # seconds in which the logic reports nothing
 
 
 class BareDesign:
-    """The engine with a design whose first region has a stream each way. A context manager; RtlError where the logic
-    refuses."""
+    """The engine with a design whose first region has a stream each way.
+
+    A context manager. Raises RtlError if the logic refuses.
+    """
 
     def __init__(self, tools: Tools, design: RtlDesign, static: Path, folder: Path, pins: bool = False) -> None:
         """`static`: the compiled static part. `folder`: for the wiring. `pins`: what leaves the device is received."""
@@ -53,7 +55,7 @@ class BareDesign:
 
     @property
     def cpu_seconds(self) -> float:
-        """That the engine has taken."""
+        """The processor time that the engine has used."""
         return float(str(self._state()["cpu_ns"])) / 1e9
 
     def write(self, address: int, value: int) -> None:
@@ -62,7 +64,7 @@ class BareDesign:
         self._ask(Op.WRITE, address, 1, 0, 15)
 
     def read(self, address: int, words: int = 1) -> int:
-        """Read a word; of several, one after the other, the first."""
+        """Read a word `count` times; returns the first."""
         self._ask(Op.READ, address, words, 0)
         return int.from_bytes(self._process.arena[:4], "little")
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The running logic: what is loaded where, and who receives the engine's events."""
+"""The running logic: what is loaded where, and the receivers of the engine's events."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class RunningDesign:
         parts.fabric.resetting = self.reset
 
     def ask(self, op: Op, a: int = 0, b: int = 0, c: int = 0, d: int = 0, text: str = "") -> Message:
-        """As `EngineProcess.ask`; what it told meanwhile is heard soon."""
+        """As `EngineProcess.ask`; events that come meanwhile are handled soon."""
         answer = self.process.ask(op, a, b, c, d, text)
         if self.process.events and not self._hears:
             self._hears = True
@@ -91,7 +91,7 @@ class RunningDesign:
                 self.ask(Op.MARK, text=text)
 
     def follow(self, region: Region) -> None:
-        """Something about a region has changed: noise while it is written, its module's library behind that."""
+        """A region has changed: it gives noise while it is written, then runs its module's library."""
         wanted: object = "loading" if region.loading else region.module
         number, before = self.design.regions.index(region.name), self._applied[region.name]
         if wanted is before:

@@ -79,7 +79,7 @@ class RtlBus:
         return cell is not None and self._faults.take("register_stuck", cell.register.name) is not None
 
     def _note_decoupling(self, window: Window, offset: int, data: bytes) -> None:
-        """What the board's state tells of regions that are cut off."""
+        """Note which regions are isolated, for the board's state."""
         for region in self._fabric.regions.values():
             decoupler = region.spec.decoupler
             if decoupler is None or not decoupler.size:

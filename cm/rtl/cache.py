@@ -22,7 +22,7 @@ def cache_folder() -> Path:
 
 
 def digest(parts: Iterable[str | bytes]) -> str:
-    """Of texts in their order; a hash that tells where each ends."""
+    """The hash of several texts, in order and with their boundaries."""
     found = hashlib.sha256()
     for part in parts:
         data = part.encode() if isinstance(part, str) else part
@@ -31,9 +31,9 @@ def digest(parts: Iterable[str | bytes]) -> str:
 
 
 def made(folder: Path, name: str, make: Callable[[Path, Path], None]) -> Path:
-    """The file of that name, made by ``make(target, scratch folder)`` where it is not there yet.
+    """The file of that name, made by ``make(target, scratch folder)`` if it does not exist.
 
-    It appears whole or not at all: whoever is killed on the way leaves a scratch folder and nothing else.
+    It appears whole or not at all: a process that is killed leaves only a scratch folder behind.
     """
     found = folder / name
     with contextlib.suppress(FileNotFoundError):
@@ -52,7 +52,7 @@ def made(folder: Path, name: str, make: Callable[[Path, Path], None]) -> Path:
 
 
 def _forget(folder: Path) -> None:
-    """Remove what has not been asked for in KEPT days; a process that has loaded it keeps it."""
+    """Remove what has not been used for KEPT days; processes that have loaded it are not affected."""
     oldest = time.time() - KEPT * 86400
     for entry in folder.iterdir():
         with contextlib.suppress(OSError):

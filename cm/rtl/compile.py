@@ -27,7 +27,7 @@ _DIRECTION = {"IN": "CM_IN", "OUT": "CM_OUT", "INOUT": "CM_INOUT"}
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """What becomes one library: a top module, its files, and text that is none."""
+    """What becomes one library: a top module, its files, and text that is not in a file."""
 
     name: str  # for messages
     top: str
@@ -39,7 +39,7 @@ class Unit:
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What libraries can do beside running, each at a price in speed."""
+    """What libraries can do beside running; each option makes them slower."""
 
     traces: bool = False  # write what signals do
     coverage: bool = False  # count which lines ran
@@ -60,7 +60,7 @@ NOTHING = Watched()
 
 
 def compile_units(tools: Tools, units: Iterable[Unit], watched: Watched = NOTHING, jobs: int = 2) -> list[Path]:
-    """The library of each, compiled or from the cache; RtlError with what Verilator says of the HDL."""
+    """The library of each unit, compiled or from the cache. Raises RtlError with what Verilator says about the HDL."""
     if watched.traces and not tools.traces:
         raise RtlError("traces need zlib's header: apt-get install zlib1g-dev")
     runtime = _runtime(tools, watched)
@@ -109,7 +109,7 @@ def _library(tools: Tools, unit: Unit, runtime: Path, watched: Watched) -> Path:
     shim = (ENGINE / "shim.cpp.in").read_text(encoding="utf-8")
     header = (ENGINE / "model.h").read_text(encoding="utf-8")
     described = [tools.identity, unit.top, watched.key, *unit.defines, *_VERILATOR, *_FLAGS, _LOCAL.pattern]
-    if watched.coverage:  # counts are told by the files' paths, which are in the library
+    if watched.coverage:  # counts are reported by the files' paths, which are in the library
         described += [str(path) for path in unit.sources if unit.made is None or unit.made not in path.parents]
     key = digest([*described, shim, header, *_texts(inputs)])
 
@@ -143,7 +143,7 @@ def _link(tools: Tools, unit: Unit, scratch: Path, runtime: Path, target: Path, 
     for path in parts:
         path.write_text(widened(path.read_text(encoding="utf-8")), encoding="utf-8")
     whole.write_text("".join(f'#include "{path}"\n' for path in parts) + shim, encoding="utf-8")
-    speed = "-O1" if watched.traces else "-O3"  # what is traced is slow anyhow, and is compiled to be looked at
+    speed = "-O1" if watched.traces else "-O3"  # a traced library is slow anyway, and is recompiled often
     command = [tools.compiler, speed, *_FLAGS, *watched.macros, *_include(tools), f"-I{folder}", f"-I{ENGINE}"]
     command += ["-shared", "-fno-gnu-unique", "-Wl,-Bsymbolic", "-o", str(target), str(whole), str(runtime)]
     _run([*command, *(["-lz"] if watched.traces else [])], unit.name)
@@ -152,9 +152,9 @@ def _link(tools: Tools, unit: Unit, scratch: Path, runtime: Path, target: Path, 
 def widened(code: str) -> str:
     """Verilator's C++ with local variables of 8 and 16 bits in words of 32.
 
-    Compilers spill them as bytes and take them up again as words, and the processor waits for each: a third of the
-    time of a simulation. Their values are as wide as the HDL's either way (Verilator masks to 32 bits of C++). What
-    has its address taken stays as it is.
+    Compilers store them as bytes and load them again as words, and the processor waits for each: a third of the time
+    of a simulation. Their values are as wide as the HDL's either way (Verilator masks to 32 bits of C++). Variables
+    whose address is taken are left as they are.
     """
     taken = set(_ADDRESS.findall(code))
     return _LOCAL.sub(lambda found: found[0] if found[2] in taken else f"    IData{found[1]}{found[2]};", code)

@@ -33,9 +33,9 @@ class Covered:
 
 
 def report(folder: Path) -> list[Covered]:
-    """Of all runs that have left their counts in a folder; writes ``coverage.info`` there.
+    """The coverage of all runs that have left their counts in a folder; writes ``coverage.info`` there.
 
-    Files that `cm` writes for the simulation alone, which are gone afterwards, are left out. RtlError where nothing
+    Files that `cm` writes only for the simulation, which are gone afterwards, are left out. Raises RtlError if nothing
     was counted.
     """
     counts = sorted(folder.glob("*.dat"))
@@ -53,7 +53,7 @@ def report(folder: Path) -> list[Covered]:
 
 
 def table(files: list[Covered]) -> str:
-    """For people: lines that ran of each file, and where the others are."""
+    """A table for people: how many lines of each file ran, and where the others are."""
     width = max(len(one.path.name) for one in files) if files else 0
     lines = [
         f"{one.path.name:{width}}  {one.ran:4} of {len(one.counts):4} lines  {_ranges(one.missed)}".rstrip()

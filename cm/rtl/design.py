@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A build schema as something to simulate: units to compile, and the wiring around them.
 
-The static part is the one that `cm build` generates, but for its regions: their pins are ports of the simulated
-part, so that the modules, libraries of their own, can come and go.
+The static part is the one that `cm build` generates, without its regions: their pins are ports of the simulated part,
+so that the modules, which are separate libraries, can be exchanged.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def simulated_static(system: System) -> Netlist:
         for pin, wire in instance.connections.items():
             direction, width = directions[pin]
             if direction is PortDirection.INOUT or wire is None:
-                continue  # goes to a pin of the device, which nothing here stands for
+                continue  # goes to a pin of the device, which is not simulated here
             net.wires[:] = [other for other in net.wires if other.name != wire]
             net.ports.append(Signal(wire, width, _IN if direction is _OUT else _OUT))
     add_engines(net, system)
@@ -163,7 +163,7 @@ def _directions(region: RegionPlan) -> dict[str, tuple[PortDirection, int]]:
 
 
 def _streams(system: System) -> Iterator[StreamEnd]:
-    """Those of DMA engines and sources from outside first: they have numbers; `drain` has none."""
+    """Streams of DMA engines and outside sources come first, as they have numbers; `drain` has none."""
     ends = [
         _stream(region.name, region.spec.clock, b)
         for region in system.regions

@@ -2,7 +2,8 @@
 """MCDMA engines in the simulated static part: what connects their channels to the streams that they share.
 
 The engine itself is not simulated. Its channels are ports, ``dma_<channel>_…``, behind the library's own join and
-split turned round: what the engine does to streams, packets of several channels one after the other, with TDEST.
+split, with their roles exchanged: they do to streams what the engine does, packets of several channels one after the
+other, with TDEST.
 """
 
 from __future__ import annotations
@@ -23,7 +24,10 @@ def prefix_of(dma: Dma) -> str:
 
 
 def add_engines(net: Netlist, system: System) -> None:
-    """Put the channels of each shared engine in front of its ports; `RtlError` where an engine has no stand-in."""
+    """Put the channels of each shared engine in front of its ports.
+
+    Raises `RtlError` for an engine without a stand-in.
+    """
     for engine in system.engines:
         if engine.kind is EngineKind.VDMA:
             raise RtlError(f"engine {engine.name} is a VDMA, which is not simulated: use connect: dma to simulate")

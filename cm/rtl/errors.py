@@ -7,7 +7,7 @@ from cm.errors import CmError
 
 
 class RtlError(CmError):
-    """The RTL cannot be compiled or run here; the text says why, with the HDL's file and line where there is one."""
+    """The RTL cannot be compiled or run here; the text says why, with the HDL's file and line if there is one."""
 
     code = "rtl_error"
 

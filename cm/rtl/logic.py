@@ -44,17 +44,17 @@ class RtlInterrupts(InterruptWiring):
             line.follow(lambda: self._level)
 
     def level(self, level: bool) -> None:
-        """The design raises or drops it."""
+        """The design raises or lowers the line."""
         self._level = level
         for line in self._wired if level else ():
             line.fire()
 
     def fire(self, name: str) -> bool:  # noqa: ARG002 - nothing but the design raises it
-        """False: there is no way to its inputs from outside."""
+        """False: its inputs cannot be driven from outside."""
         return False
 
     def of_packets(self, channel: str, region: str | None) -> list[str]:  # noqa: ARG002 - the modules do that
-        """None: what comes with a packet comes from the module."""
+        """None: interrupts with packets come from the module itself."""
         return []
 
 
@@ -75,7 +75,7 @@ class RtlLogic:
         parts.loop.add(process.fileno(), self._hear)
 
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
-        """Each channel at the stream that `cm build` gave its DMA engine."""
+        """Connect each channel to the stream that `cm build` gave its DMA engine."""
         streams = {end.channel: number for number, end in enumerate(self._design.streams) if end.channel}
         named = any(config.streams for config in self._parts.fabric.spec.configs)
         links: dict[str, Link] = {}
@@ -87,7 +87,7 @@ class RtlLogic:
         return links
 
     def configure(self, words: memoryview, failed: bool) -> memoryview:
-        """Through the design's configuration port, a word a clock; `words` as they are where it has none."""
+        """Load through the design's configuration port, a word per clock; returns `words` unchanged if it has none."""
         arena, count = self._process.arena, len(words) // 4
         target = np.frombuffer(arena, np.uint8, 4 * count)
         np.copyto(target, np.frombuffer(words, np.uint8))
@@ -110,16 +110,16 @@ class RtlLogic:
         self._running.traced = bool(folder)
 
     def cover(self) -> None:
-        """Bring the files of `--coverage` up to now."""
+        """Write the counts so far into the files of `--coverage`."""
         with contextlib.suppress(RtlError):
             self._running.ask(Op.COVER)
 
     def mark(self, text: str) -> None:
-        """As the text of the static part's signal ``cm_event``."""
+        """Show a mark as the text of the static part's signal ``cm_event``."""
         self._running.mark(text)
 
     def state(self) -> dict[str, object]:
-        """The engine's clocks, and modules that have ended themselves."""
+        """The engine's clocks, and the modules that have ended by themselves."""
         try:
             text = self._running.ask(Op.STATE).text
         except RtlError as error:

@@ -36,7 +36,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def add_rtl_arguments(parser: argparse.ArgumentParser) -> None:
-    """Those of `cm.sim` and of what runs HDL."""
+    """Add the arguments of `cm.sim`, and those for HDL."""
     add_arguments(parser)
     parser.add_argument("--build", type=Path, default=example_build(), metavar="FILE",
         help="build schema (default: the shipped camera)")  # fmt: skip
@@ -104,7 +104,7 @@ def _port_rate(design: RtlDesign) -> float:
 
 
 def _maker(design: RtlDesign, folder: Path, args: argparse.Namespace, make: MakeLibraries) -> MakeLogic:
-    """What makes the logic; the models in software where nothing here compiles HDL."""
+    """The function that makes the logic; of software models if no compiler for HDL is installed."""
     try:
         tools = find_tools()
     except ToolMissing as error:

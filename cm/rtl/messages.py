@@ -11,11 +11,11 @@ _HEAD = struct.Struct("=IIQQQQ")
 TEXT = 4096
 ANSWER = 128
 ARENA_BYTES = 1 << 32
-EXCHANGE = 32 << 20  # where in the arena bytes of memory are handed over
+EXCHANGE = 32 << 20  # the place in the arena where bytes of memory are exchanged
 
 
 class Op(IntEnum):
-    """What a message is about; requests up to `COVER`, events behind."""
+    """What a message is about; requests up to `COVER`, then events."""
 
     READ = 1
     WRITE = 2

@@ -20,7 +20,7 @@ from cm.rtl.errors import RtlError
 from cm.rtl.messages import ANSWER, ARENA_BYTES, TEXT, Message, Op
 
 FAREWELL = 2.0  # seconds for its own end
-PATIENCE = 60.0  # seconds for an answer: an access that the logic never answers is given up long before
+PATIENCE = 60.0  # seconds for an answer: an access that the logic never answers is abandoned long before
 
 Exchange = Callable[[bool, int, int], bool]  # write or read, address, bytes: by the arena; False: there is none
 
@@ -30,14 +30,11 @@ def _no_memory(write: bool, address: int, length: int) -> bool:  # noqa: ARG001 
 
 
 class EngineProcess:
-    """A running engine; its memory is `arena`.
-
-    RtlError where it ends: everything that is asked of it afterwards fails the same way.
-    """
+    """A running engine; its memory is `arena`. If it ends, this and all later requests raise RtlError."""
 
     def __init__(self, program: Path, wiring: Path) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        # Frames lie in memory that both map; through the socket go only messages about them.
+        # Frames lie in memory that both map; only messages about them go through the socket.
         memory = os.memfd_create("cm-rtl-arena", os.MFD_CLOEXEC)
         os.ftruncate(memory, ARENA_BYTES)
         self.arena = mmap.mmap(memory, ARENA_BYTES)
@@ -59,7 +56,7 @@ class EngineProcess:
 
     @property
     def ended(self) -> str:
-        """Why it is no more; empty while it runs."""
+        """Why it has ended; empty while it runs."""
         return self._ended
 
     def fileno(self) -> int:
@@ -90,7 +87,7 @@ class EngineProcess:
         return found
 
     def close(self) -> None:
-        """End it; it writes down what it has counted, if it was to."""
+        """End it; it writes its coverage counts first, if it keeps them."""
         self._socket.close()
         try:
             self._process.wait(FAREWELL)
@@ -101,7 +98,7 @@ class EngineProcess:
             self.arena.close()
 
     def _exchanged(self, message: Message) -> bool:
-        """Answer at once what the logic wants of memory: it waits."""
+        """Answer the logic's memory accesses at once, since it waits for them."""
         if message.op not in (Op.FETCH, Op.STORE):
             return False
         there = self.memory(message.op == Op.STORE, message.a, message.b)

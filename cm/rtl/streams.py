@@ -27,17 +27,17 @@ MAX_PACKET = SLOT
 
 
 class OpticalPath(Datapath):
-    """What the camera obeys: the signals to its lens, as the design drives them. Nothing else passes here."""
+    """The signals that the design drives to the camera's lens. Nothing else passes here."""
 
     running: RunningDesign
 
     @property
     def flows(self) -> bool:
-        """The logic itself says what it takes."""
+        """Always true: the logic itself controls the flow."""
         return True
 
     def register(self, name: str, default: int) -> int:
-        """The signal of that name, or the one that ends like it (``lens_focus``), where the region drives it."""
+        """The signal of that name, or one whose name ends with it (``lens_focus``), if the region drives it."""
         value = self.running.output(self._name, name)
         return default if not value or value > MAX_ZOOM else value
 
@@ -61,7 +61,7 @@ class End:
         return self._ask(Op.RECEIVE, room)
 
     def cancel(self) -> None:
-        """Whatever is under way ends here."""
+        """End the transfer that is under way."""
         self._ask(Op.CANCEL, 0)
 
     def data(self, length: int) -> Bytes:
@@ -84,7 +84,7 @@ class Intake:
         running.on_received[stream] = self._received
 
     def move(self) -> None:
-        """Give the logic room if there is some; take it back if it was taken from us."""
+        """Give the logic room if there is some; take it back if the transfer was cancelled."""
         queue = self._channel.queue
         if self._into is not None and (not queue or queue[0] is not self._into):
             self._end.cancel()
@@ -107,7 +107,7 @@ class Intake:
 
 
 class NoLink(Link):
-    """A channel that is there because no schema names one: nothing is behind it."""
+    """A channel that exists only because no schema names one: nothing is connected to it."""
 
     def _move(self) -> None:
         """Nothing moves."""
@@ -165,7 +165,7 @@ class OutletLink(Link):
 class RtlCameraLink(CameraLink):
     """A sensor at the pins of the device, and the region's stream to memory behind it.
 
-    A picture begins when there is a buffer for a frame; what the logic makes of it comes when it comes.
+    A picture begins when there is a buffer for a frame; the logic's output arrives whenever it is ready.
     """
 
     def __init__(

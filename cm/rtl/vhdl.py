@@ -17,9 +17,9 @@ _FLAGS = ("--std=08", "-fsynopsys", "-frelaxed")  # 2008 reads what is older, bu
 
 
 def as_verilog(module: ModuleSpec, work: tuple[Path, ...]) -> Path:
-    """One file, whose module is called as the entity is; `work`: the files of library ``work``.
+    """One file, whose module has the entity's name; `work`: the files of library ``work``.
 
-    ToolMissing where there is no ghdl, RtlError with what it says of the HDL.
+    Raises ToolMissing without ghdl, RtlError with what it says about the HDL.
     """
     ghdl = shutil.which(os.environ.get("CM_GHDL", "ghdl"))
     if ghdl is None:

@@ -47,12 +47,12 @@ def source(schema: bytes) -> str:
 
 
 def _exceptions(names: re.Match[str]) -> str:
-    """Classes in place of the imported ones: importing fastjsonschema takes memory that valid files need not."""
+    """Classes in place of the imported ones: importing fastjsonschema takes memory, and valid files do not need it."""
     return "".join(_EXCEPTION.format(name.strip()) for name in names[1].split(","))
 
 
 def ready(schema: bytes) -> Callable[[Any], Any] | None:
-    """The function that raises ValueError for what breaks `schema`, where it was generated from that very text."""
+    """The function that raises ValueError for what breaks `schema`, if it was generated from exactly that text."""
     try:
         module = import_module(f"cm.schema.{MODULE}")
     except ImportError:

@@ -18,14 +18,14 @@ class Owner:
     """Where registers belong: the configuration, or one of its modules or modes."""
 
     path: KeyPath
-    region: str | None  # of registers that name none
+    region: str | None  # for registers that name no region
 
 
 @dataclass(slots=True)
 class Context:
     """`report(path, code, message, hint)`; `where` has a register's path by its owner's path and its name.
 
-    A memory's path is there too, by `memory_key`: memories and registers have names of their own.
+    A memory's path is there too, by `memory_key`, since a memory and a register may have the same name.
     """
 
     report: Callable[[KeyPath, str, str, str], None]

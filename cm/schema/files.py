@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files are that a configuration names: bitstreams and overlays.
+"""Finds the files that a configuration names: bitstreams and overlays.
 
 A file is looked for beside the schema file, then in ``lib/firmware/cm/<config>/`` and
 ``lib/firmware/`` under the root; an absolute path is taken as it is.
@@ -18,12 +18,12 @@ from cm.errors import NotFound
 from cm.schema.model import Config, Module, Overlay
 from cm.schema.problems import did_you_mean
 
-_ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.EPERM)  # in a folder closed to us, too
+_ABSENT = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP, errno.EACCES, errno.EPERM)  # in a folder that we may not read, too
 BITSTREAM_SUFFIXES = (".bit", ".bin", ".bit.bin")
 
 
 class FileMissing(NotFound):
-    """A file that a configuration needs is nowhere; the sentence lists where it was looked for."""
+    """A file that a configuration needs does not exist; the sentence lists the places that were searched."""
 
     code: ClassVar[str] = "file_missing"
 
@@ -31,7 +31,7 @@ class FileMissing(NotFound):
 def find_file(config: Config, candidates: Iterable[str | Path], root: Path | str = "/") -> Path:
     """The first of `candidates` that is a file; every folder is searched for all of them in order.
 
-    Raises `FileMissing` with the places that were looked at.
+    Raises `FileMissing` with the places that were searched.
     """
     names = list(candidates)
     folders = _folders(config, Path(root))

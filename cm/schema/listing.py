@@ -6,7 +6,7 @@ Its ``modes:`` has its modes as sibling keys, so that YAML reads a map whose fir
     - modes:
       edge_detection: …
 
-and an overlay may stand among the entries of ``mmio``. Functions here return new trees, since an
+and an overlay may be among the entries of ``mmio``. Functions here return new trees, since an
 alias may have put one node in several places.
 """
 
@@ -16,9 +16,9 @@ from cm.schema.tree import Entry, Items, Node, Scalar, Table
 
 
 def fold(items: Items, names: bool) -> Node:
-    """A list of maps as one map; with `names` a name alone is a key without value.
+    """A list of maps as one map; with `names`, a bare name is a key without a value.
 
-    What is not such a list is returned as it is.
+    Anything else is returned as it is.
     """
     table = Table(items.mark)
     for item in items.items:
@@ -35,7 +35,7 @@ def fold(items: Items, names: bool) -> Node:
 
 
 def _adopt_siblings(table: Table) -> Table:
-    """`table`; where the first key has no value, the keys after it become its value."""
+    """`table`; if its first key has no value, the keys after it become its value."""
     if len(table.entries) < 2:
         return table
     (first, entry), *rest = table.entries.items()

@@ -22,7 +22,7 @@ from cm.schema.structure import SCHEMA_FILE, Structure, load_structure
 from cm.schema.tree import Mark, Node, Table, locate, plain
 
 MAX_FILE_BYTES = 1 << 20
-MAX_PROBLEMS = 100  # a file with so many is another kind of file
+MAX_PROBLEMS = 100  # a file with that many is not a schema
 _CONFIG = re.compile(rb"^[{ ]*[\"']?config[\"']?\s*:", re.MULTILINE)
 SUFFIXES = (".yaml", ".yml")
 
@@ -30,7 +30,7 @@ SUFFIXES = (".yaml", ".yml")
 def load(path: Path | str) -> Config:
     """The configuration in the file at `path`.
 
-    Raises `SchemaError` with everything that is wrong, `NotFound` where there is no such file.
+    Raises `SchemaError` with everything that is wrong, `NotFound` if there is no such file.
     """
     path = Path(path)
     data = _bytes(path)
@@ -52,7 +52,7 @@ def loads(text: str, source: Path | str | None = None) -> Config:
 def load_folder(path: Path | str) -> dict[str, Config]:
     """All configurations in the folder at `path` by name, in the order of file names.
 
-    Files ``*.yaml`` and ``*.yml`` without ``config:`` are other things and left out. Two files with
+    Files ``*.yaml`` and ``*.yml`` without ``config:`` are not schemas, and are left out. Two files with
     one name of configuration are an error that names both.
     """
     found: dict[str, Config] = {}
@@ -82,7 +82,7 @@ def schema_files(path: Path | str) -> list[Path]:
 
 
 def check(path: Path | str) -> list[Problem]:
-    """What is wrong with the file at `path`; empty where all is good."""
+    """What is wrong with the file at `path`; empty if all is well."""
     try:
         load(path)
     except SchemaError as error:
@@ -108,12 +108,12 @@ def _bytes(path: Path) -> bytes:
 
 
 def _is_schema(file: Path) -> bool:
-    """Whether `file` has a ``config:``; where it is not good YAML, whether it looks as if it was meant to."""
+    """Whether `file` has a ``config:``; if it is not valid YAML, whether it looks as if it should have one."""
     try:
         data = _bytes(file)
         tree = read(data.decode("utf-8-sig"), lambda *_: None)
     except SchemaError:
-        return True  # cannot be read: to be told
+        return True  # cannot be read: to be reported as such
     except (Refused, UnicodeDecodeError):
         return _CONFIG.search(data) is not None
     return isinstance(tree, Table) and "config" in tree.entries
@@ -125,7 +125,7 @@ def _structure() -> Structure:
 
 
 class _Loading:
-    """One text on its way to a configuration; a stage runs only when those before it found nothing wrong."""
+    """One text on its way to a configuration; a stage runs only if the earlier ones found nothing wrong."""
 
     def __init__(self, text: str, source: Path | None) -> None:
         self._text, self._source = text, source

@@ -138,7 +138,7 @@ class Memory:
 
 @dataclass(frozen=True, slots=True)
 class IsolationStep:
-    """One access of a sequence that cuts a region off, or connects it again.
+    """One access of a sequence that isolates a region, or connects it again.
 
     A register at `offset` from the decoupler's is written `cut` or `couple`, in the bits of `mask`, and read back
     if it can be (`verify`); with `poll` it is read until it has that value, for `timeout` seconds.
@@ -163,7 +163,7 @@ class GpioLine:
 
 @dataclass(frozen=True, slots=True)
 class Decoupler:
-    """What cuts a region off while it is loaded.
+    """What isolates a region while it is loaded.
 
     A bit (PG375 DFX decoupler, or an own register), a `sequence`, or a line that the processor drives (`gpio`).
     """
@@ -212,8 +212,8 @@ class Identity:
 class StaticIdentity:
     """Which static design the modules were made with, and where a board says which one it holds.
 
-    What is None is not known. `identity` is what the register at `base_address` + `offset` reads;
-    `user_id` the USERID in the headers of the bitstreams; `uid` a name that another manager gave.
+    None means not known. `identity` is what the register at `base_address` + `offset` reads; `user_id` the USERID in
+    the headers of the bitstreams; `uid` a name that another manager gave.
     """
 
     identity: int | None = None
@@ -329,7 +329,7 @@ class Config:
 
     `registers` are those of the static part, valid in every mode. A register's name is unique
     within what is visible in one mode. `regions` is never empty for a partial configuration:
-    where the file names none there is one, called ``prr0``.
+    if the file names none, there is one, called ``prr0``.
     """
 
     name: str

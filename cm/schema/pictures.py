@@ -46,7 +46,7 @@ class CameraInfo:
 
     @property
     def projection(self) -> tuple[float, ...]:
-        """P, where it was left out too."""
+        """The projection P, computed from K if it was left out."""
         k = self.k
         return self.p or (*k[0:3], 0.0, *k[3:6], 0.0, *k[6:9], 0.0)
 
@@ -88,7 +88,10 @@ def camera_file(info: CameraInfo) -> dict[str, Any]:
 
 
 def pixel_bytes(encoding: str) -> int:
-    """Bytes of one pixel. Raises KeyError for a name that ROS does not have, or whose pixels have no own bytes."""
+    """Bytes of one pixel.
+
+    Raises KeyError for a name that ROS does not have, or whose pixels have no whole number of bytes of their own.
+    """
     if encoding in _INTERLEAVED:
         return 2
     if found := _COLOURS.fullmatch(encoding):
@@ -111,7 +114,7 @@ def misfit(encoding: str, shape: tuple[int, ...] | None, item: int) -> str:
 
 
 def implied_encoding(shape: tuple[int, ...] | None, dtype: str) -> str:
-    """What frames of this shape and dtype are where nothing is said; empty where that is not a picture."""
+    """The encoding of frames of this shape and dtype if none is declared; empty if they are not pictures."""
     if shape is None or len(shape) not in (2, 3):
         return ""
     channels = shape[2] if len(shape) == 3 else 1

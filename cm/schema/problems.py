@@ -61,7 +61,7 @@ def key_path(path: Iterable[str | int]) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """The hint for a name that is not known: the nearest one, or all there are."""
+    """The hint for an unknown name: the nearest one, or the list of all."""
     names = list(known)
     near = difflib.get_close_matches(word[:_LONGEST_NAME], names, n=1, cutoff=0.6)
     if near:

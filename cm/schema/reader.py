@@ -24,7 +24,7 @@ Report = Callable[[Mark, str, str, str], None]  # mark, code, message, hint
 
 
 class Refused(Exception):
-    """Reading cannot go on; what is wrong."""
+    """Reading cannot continue, and why."""
 
     def __init__(self, mark: Mark, code: str, message: str, hint: str = "") -> None:
         super().__init__(message)
@@ -32,7 +32,7 @@ class Refused(Exception):
 
 
 def read(text: str, report: Report, loader: Any = None) -> Node:
-    """The tree of the one document in `text`; raises `Refused` where there is none.
+    """The tree of the one document in `text`; raises `Refused` if there is none.
 
     `report` is told of errors after which reading goes on. `loader` is a PyYAML loader class,
     by default the one over libyaml where PyYAML has it.
@@ -110,7 +110,7 @@ class _Builder:
             return Scalar(event.value, mark, event.value)
         if is_octal_trap(event.value):
             self._report(mark, "bad_value", f"{event.value} has a leading zero", "0x… is hexadecimal, 0o… octal")
-            return Scalar(0, mark, event.value)  # any number: it is refused, and may be too long for an int
+            return Scalar(0, mark, event.value)  # any number will do: it is refused, and may be too long for an int
         return Scalar(resolve(event.value), mark, event.value)
 
     def _refuse_tag(self, event: Any, mark: Mark) -> None:

@@ -29,7 +29,7 @@ _TOP: KeyPath = ("config",)
 
 
 def check_rules(config: Config, context: Context) -> None:
-    """Report everything about `config` that cannot be."""
+    """Report everything in `config` that breaks a rule."""
     _check_top(config, context)
     if config.static is not None:
         _check_static(config.static, context)
@@ -195,7 +195,7 @@ def _check_overlays(overlays: tuple[Overlay, ...], under: tuple[Overlay, ...], p
 def _check_streams(
     streams: Mapping[str, Stream], base: Mapping[str, Stream], config: Config, path: KeyPath, context: Context
 ) -> None:
-    """`base` holds the configuration's streams where `streams` are those of a mode; they have been checked."""
+    """`base` holds the configuration's streams, already checked, if `streams` are those of a mode."""
     channels: dict[str, str] = {}
     for name, stream in streams.items():
         other = channels.setdefault(stream.channel, name)

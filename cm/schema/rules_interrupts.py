@@ -11,7 +11,7 @@ from cm.schema.problems import KeyPath, did_you_mean
 
 
 def check_interrupts(config: Config, context: Context) -> None:
-    """Report everything about the interrupts of `config` that cannot be."""
+    """Report every interrupt of `config` that breaks a rule."""
     lines: dict[tuple[int | None, str | None], Interrupt] = {}
     for name, interrupt in config.interrupts.items():
         path: KeyPath = ("config", "interrupts", name)

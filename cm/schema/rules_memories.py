@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must be true of memories: whole words, a form that fits, a name and a place of their own."""
+"""What must be true of memories: whole words, a shape that fits, a unique name and a place that nothing else has."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cm.schema.context import Context, memory_key
 from cm.schema.model import Config, Memory, Mode, Register
 from cm.schema.problems import KeyPath, did_you_mean, key_path
 
-WORD = 4  # bytes of one access, and what places and sizes are multiples of
+WORD = 4  # bytes of one access; places and sizes are multiples of it
 _LONGEST = 8  # bytes of a register
 
 
@@ -26,7 +26,7 @@ class _Span(NamedTuple):
 
 
 def check_memories(config: Config, context: Context) -> None:
-    """Report everything about the memories of `config` that cannot be."""
+    """Report every memory of `config` that breaks a rule."""
     streams = _streams(config)
     for path, memory in _all(config, context):
         _check_place(memory, path, config, context)
@@ -83,7 +83,7 @@ def _check_form(memory: Memory, path: KeyPath, context: Context) -> None:
 
 
 class _Places:
-    """Memories have their places alone: beside registers, each other, decouplers and identity registers."""
+    """Memories must not overlap registers, each other, decouplers or identity registers."""
 
     def __init__(self, config: Config, context: Context) -> None:
         self._config, self._context = config, context
@@ -92,7 +92,7 @@ class _Places:
         self._own = sorted(self._spans(("config",), config.registers), key=_start)
 
     def check(self) -> None:
-        """Look at each mode's memories with what can be named beside them."""
+        """Check each mode's memories against everything else that is visible in it."""
         for mode in self._config.modes.values():
             self._check_mode(mode)
 
@@ -145,7 +145,7 @@ class _Places:
                     yield _Span(start, start + part.size, what, ("config", "regions", name, key))
 
     def _own_over(self, span: _Span) -> Iterator[_Span]:
-        """The configuration's registers in the place of `span`; there may be many, in order."""
+        """The configuration's registers that overlap `span`, in order; there may be many."""
         index = bisect_left(self._own, span.start - _LONGEST + 1, key=_start)
         while index < len(self._own) and self._own[index].start < span.end:
             if self._own[index].end > span.start:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must be true of registers: alignment, ranges, fields, and that no two visible ones are in one place."""
+"""What must be true of registers: alignment, ranges, fields, and that no two visible ones overlap."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LONGEST = 8  # bytes of a register
 
 
 def check_registers(config: Config, context: Context) -> None:
-    """Report everything about the registers of `config` that cannot be."""
+    """Report every register of `config` that breaks a rule."""
     for _, path, register in _all(config, context):
         _check_place(register, path, config, context)
         _check_values(register, path, context)
@@ -99,7 +99,7 @@ def _check_fields(register: Register, path: KeyPath, context: Context) -> None:
 
 
 class _Together:
-    """Of registers that are visible in one mode: one place per name, one name per place.
+    """Checks registers that are visible in one mode: one place per name, one name per place.
 
     The same name at the same place, again, is not a clash: a module or mode may give a register of the
     configuration another default. The configuration's registers are compared with each other once,
@@ -139,7 +139,7 @@ class _Together:
                 furthest = placed
 
     def _overlapping(self, register: Register) -> Iterator[_Placed]:
-        """The configuration's registers in the place of `register`; none is longer than 8 bytes."""
+        """The configuration's registers that overlap `register`; none is longer than 8 bytes."""
         index = bisect_left(self._sorted, register.address - _LONGEST + 1, key=_address)
         while index < len(self._sorted) and self._sorted[index][1].address < _end(register):
             if _end(self._sorted[index][1]) > register.address:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plain YAML scalar means: the core schema of YAML 1.2, with `0b` and `_` besides.
+"""What a plain YAML scalar means: the core schema of YAML 1.2, with `0b` and `_` in addition.
 
 YAML 1.1 would read ``7:4`` as 424, ``010`` as 8 and ``no`` as false; in a file of addresses and
 bit ranges those are traps. Here ``7:4`` and ``no`` are text, and ``010`` is refused.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a JSON Schema is made into before it is put to work: for the walk, and for fastjsonschema."""
+"""The forms into which a JSON Schema is brought before use: for the walk, and for fastjsonschema."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The JSON Schema at work: a tree in any accepted form → plain values in normal form.
+"""Applies the JSON Schema: a tree in any accepted form → plain values in normal form.
 
-`Structure` walks the tree along the schema. It brings the accepted short forms (a list of
-one-key maps, a list of names, a name alone) into the normal form, reports keys that are unknown,
+`Structure` walks the tree along the schema. It brings the accepted short forms (a list of one-key maps, a list of
+names, a single name) into the normal form, reports keys that are unknown,
 missing or written twice, and leaves types and ranges to fastjsonschema.
 """
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One producer, 1 to 8 local readers: what a reader costs the others."""
+"""One producer, 1 to 8 local readers: what each reader costs the others."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def _status(local: LocalFleet, fleet: Any, bench: Run, count: int) -> Result:
 
 
 def _bytes_of_a_status(local: LocalFleet) -> int:
-    """As it crosses the network, without zenoh's own headers."""
+    """The size of a status on the network, without zenoh's own headers."""
     from cm.fleet.network import Network, session
 
     name = next(iter(local.boards))
@@ -125,7 +125,7 @@ def _bytes_of_a_status(local: LocalFleet) -> int:
 
 
 def _change(fleet: Any, bench: Run, count: int) -> Result:
-    """To and fro; the critical path is that of the median change."""
+    """Change back and forth; the critical path is that of the median change."""
     courses, used = [], []
     for number in range(2 if bench.quick else 10):
         before = time.process_time()

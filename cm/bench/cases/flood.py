@@ -28,7 +28,7 @@ def run(bench: Run) -> list[Result]:
     """Measure `flood` and `flood_vs_quiet`."""
     plan = bench.plan(200)
     with ExitStack() as stack:
-        if bench.cpus:  # on one the flood's own work would be measured
+        if bench.cpus:  # on a single CPU the flood's own work would be measured
             stack.enter_context(unpinned(set(bench.cpus)))
         served = stack.enter_context(serve(bench))
         board = stack.enter_context(served.connect())
@@ -59,7 +59,7 @@ def _plain(samples: Samples) -> dict[str, float | int]:
 
 @contextmanager
 def _flooding(bench: Run, served: Served) -> Iterator[dict[str, Any]]:
-    """While it lasts, all is asked for; what is yielded says afterwards what became of it."""
+    """Flood the manager while the context lasts; what it yields holds the outcome afterwards."""
     words = child.command("cm.bench.flooding", str(served.runtime_dir))
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
     told: dict[str, Any] = {}

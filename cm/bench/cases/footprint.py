@@ -20,7 +20,7 @@ MEMORY = Goal(48)
 IDLE = Goal(0.5)
 RAN = (
     "cm serve --sim, camera example: from the start of the process to its first reply, on all CPUs (the simulator "
-    "starts beside it); memory and processor of the manager's process when its mode was entered, without readers"
+    "starts beside it); memory and processor use of the manager's process in its mode, without readers"
 )
 
 
@@ -61,7 +61,7 @@ def _board(bench: Run) -> Board:
 
 def _idle(pid: int, seconds: float) -> float:
     """Percent of one CPU that a process uses while it has nothing to do."""
-    time.sleep(0.5)  # what the change of mode left to do (images are held ready) ends before it counts
+    time.sleep(0.5)  # work that follows the change of mode (images are read ahead) should be over before this counts
     before, started = cpu_seconds(pid), time.monotonic()
     time.sleep(seconds)
     return 100 * (cpu_seconds(pid) - before) / (time.monotonic() - started)

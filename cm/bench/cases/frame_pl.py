@@ -19,7 +19,7 @@ GOALS = {
 }
 RAN = (
     "round trip PS–PL–PS on the simulated board: a slot of 3.96 MiB submitted to the loop's MM2S channel, the frame "
-    "that its S2MM channel gives received and given back"
+    "from its S2MM channel received and given back"
 )
 BASELINES = {
     "frame_pl_vs_zmq": "pyzmq REQ/REP echo over ipc of the same bytes",

@@ -122,7 +122,7 @@ class _Watch:
 
 
 class _Port(Icap):
-    """The port, with the times of its loads: asked for, begun, ended, heard of (ns)."""
+    """The port, with the times at which each load was requested, began, ended, and was reported (ns)."""
 
     times: list[tuple[int, int, int, int]]
 
@@ -137,7 +137,7 @@ class _Port(Icap):
 
 
 class _Devices(BoardDevices):
-    """The board's devices, its port watched."""
+    """The board's devices, with a port that notes times."""
 
     port: _Port | None = None
 
@@ -194,7 +194,7 @@ def _manager(bench: Run, folder: Path, root: Path) -> Iterator[tuple[Manager, _W
 
 
 def _change(manager: Manager, mode: str) -> tuple[int, int]:
-    """Go to a mode; when it was asked for and when it was reached, ns."""
+    """Go to a mode; returns when it was requested and when it was reached, ns."""
     done = threading.Event()
     ended: list[int] = []
 
@@ -211,7 +211,7 @@ def _change(manager: Manager, mode: str) -> tuple[int, int]:
 
 
 def _prefetched(manager: Manager) -> None:
-    """Images are read and held after a change; a short change behind it waits for that."""
+    """Images are read ahead after a change; a short change that follows waits for that."""
     manager.submit(ChangeMode(config_name="bench", mode=manager.state.mode or "")).wait()
 
 
@@ -251,7 +251,7 @@ def _result(bench: Run, splits: list[dict[str, float]], times: list[tuple[int, i
 
 
 def _trigger(bench: Run) -> dict[str, Any]:
-    """Call of the shim to the start of a transfer, at a port in C that does nothing else; µs."""
+    """µs from the call of the shim to the start of a transfer, at a port in C that does nothing else."""
     root = bench.place("p")
     try:
         with TimedPort(root), Icap.open(root=root) as icap, icap.allocate(4096) as buffer:

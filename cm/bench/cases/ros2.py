@@ -48,7 +48,7 @@ def run(bench: Run) -> list[Result]:
 
 
 def _result(name: str, found: dict[int, tuple[dict[str, Samples], dict[str, Any]]]) -> Result:
-    """Of the middle image; the others stand in the details."""
+    """The result for the middle image; the others are in the details."""
     middle = sorted(found)[len(found) // 2]
     ours, plain = found[middle][0]["ours"], found[middle][0]["plain"]
     series = [
@@ -83,7 +83,7 @@ def _one_way(bench: Run, size: int) -> tuple[dict[str, Samples], dict[str, Any]]
                 found = []
                 for _ in range(count):
                     with writer.slot():
-                        pass  # what lies in the slot goes again: the frame that comes was written just now
+                        pass  # the slot's content is sent again: the frame that arrives was written just now
                     frame = reader.read()
                     found.append(publish(frame))
                     frame.release()
@@ -158,7 +158,7 @@ def _await_ends(ends: Any) -> None:
 
 
 class _Trip:
-    """Pictures there and back; each is another, and has to come back as it was."""
+    """Pictures there and back; all differ, and each has to come back unchanged."""
 
     def __init__(self, dds: Any, size: int, writer: Any, incoming: Any) -> None:
         self._plain = dds.Plain(writer)
@@ -166,7 +166,7 @@ class _Trip:
         self._pixels = np.random.default_rng(2).integers(0, 256, size, np.uint8)
 
     def warm(self) -> None:
-        """That we are known to one side does not say that we are to the other: what is sent before is lost."""
+        """One side may know us before the other does, and what is sent before both do is lost."""
         for _ in range(60):
             if self._sent_and_taken(1.0):
                 return
@@ -183,7 +183,7 @@ class _Trip:
         return tuple(found)
 
     def _sent_and_taken(self, seconds: float) -> bool:
-        """Whether a new picture came back; those of before, which nobody waits for any more, are passed over."""
+        """Whether a new picture came back; late ones of earlier trips are skipped."""
         self._pixels[:8] = np.frombuffer(os.urandom(8), np.uint8)
         mark, until = self._pixels[:8].tobytes(), time.monotonic() + seconds
         self._plain.write(self._pixels, time.time_ns())
@@ -195,7 +195,7 @@ class _Trip:
 
 
 def _await_stream(board: Board) -> None:
-    """The bridge reads a stream from when it has seen its subscriber."""
+    """Wait for the bridge, which reads a stream only once it has seen its subscriber."""
     end = time.monotonic() + PATIENCE
     while not next(stream for stream in board.status.streams if stream.name == "from_pl").open:
         if time.monotonic() > end:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast the simulated RTL is: pictures through edge modules of a byte and of four a beat, and register accesses."""
+"""How fast the simulated RTL is: pictures through edge modules of one and four bytes per beat, and registers."""
 
 from __future__ import annotations
 

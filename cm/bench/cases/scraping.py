@@ -16,7 +16,7 @@ from cm.bench.serving import PATIENCE, Served, cpu_seconds, serve, settle
 EVERY = 0.1  # seconds; Prometheus' own default is 60
 GOAL = Goal(2.0)
 RAN = (
-    "processor time of cm serve's process in its mode with nothing to do, scraped ten times a second, less what it "
+    "processor time of the process of cm serve when it has nothing to do, scraped ten times a second, less what it "
     "uses without a scraper (but with its metrics on); percent of one CPU"
 )
 

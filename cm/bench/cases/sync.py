@@ -12,8 +12,8 @@ from cm.device import AxiDma, DeviceError, Direction, DmaBuffer, list_dma
 
 NAME = "frame_sync"
 RAN = (
-    "DMA_BUF_IOCTL_SYNC, begin and end of a read, of a buffer of 3.96 MiB on the first free S2MM channel of this "
-    "machine ($CM_ROOT); baseline: of 64 KiB"
+    "DMA_BUF_IOCTL_SYNC at the beginning and end of a read of a buffer of 3.96 MiB, on the first free S2MM channel "
+    "of this machine ($CM_ROOT); baseline: the same with 64 KiB"
 )
 SMALL = 64 << 10
 

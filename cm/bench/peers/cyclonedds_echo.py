@@ -31,7 +31,7 @@ class Frame(IdlStruct, typename="cm.bench.Frame"):
 
 class _Ends:
     def __init__(self, folder: Path, there: str, back: str) -> None:
-        prefix = re.sub(r"\W", "_", str(folder))  # all of a network's domain 0 hear of it
+        prefix = re.sub(r"\W", "_", str(folder))  # all participants in the network's domain 0 see it
         qos = Qos(Policy.Reliability.Reliable(duration(seconds=_PATIENCE)), Policy.History.KeepLast(1))
         self._participant = DomainParticipant()
         self.writer = DataWriter(self._participant, Topic(self._participant, f"{prefix}_{there}", Frame, qos=qos), qos)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """sensor_msgs/Image over cyclonedds (Python): one way to a subscriber, and there and back.
 
-The far end subscribes as a ROS node would, and says over a pipe when each picture was with it. What it is sent on the
-topic of trips it publishes back, with two copies, as a plain Python node does.
+The far end subscribes as a ROS node would, and reports over a pipe when each picture arrived. Pictures on the topic
+of trips it publishes back, with two copies, as a plain Python node does.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class Incoming:
             self.readers.append((reader, condition))
 
     def take(self, seconds: float) -> tuple[int, bytes] | None:
-        """Which topic it came on, and the sample."""
+        """The next sample, and the topic that it came on."""
         self._waitset.wait(duration(milliseconds=int(seconds * 1000)))
         for number, (reader, _) in enumerate(self.readers):
             for sample in reader.take(N=1):
@@ -117,7 +117,7 @@ class PicturesNear:
 
     @property
     def copies(self) -> int:
-        """That the bridge's publisher made of the last frame."""
+        """The number of copies that the bridge's publisher made of the last frame."""
         return self._ours.copies
 
     def ours(self, frame: Frame) -> float:

@@ -37,7 +37,7 @@ class _Ends:
         except iceoryx2.ListenerWaitError as error:
             if "InterruptSignal" not in str(error):
                 raise
-            return False  # by a signal, or the process was stopped for a while
+            return False  # interrupted by a signal, or the process was stopped for a while
 
 
 class EventsNear(_Ends):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""As `zmq_reply`, but the far end reads the register too: what is left between this and a manager is the manager."""
+"""As `zmq_reply`, but the far end reads the register too: the difference to a manager is the manager's own work."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""pyzmq REQ/REP over ipc with the frames of a control request and its reply, which stand in the folder."""
+"""pyzmq REQ/REP over ipc with the frames of a control request and its reply, taken from files in the folder."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _FRAMES = "{}.frames"  # one line of hexadecimal digits for each frame
 
 
 def put(folder: Path, request: Sequence[bytes], reply: Sequence[bytes]) -> None:
-    """Say what to send and what to answer."""
+    """Write down what to send and what to reply."""
     for name, frames in (("request", request), ("reply", reply)):
         (folder / _FRAMES.format(name)).write_text("\n".join(bytes(f).hex() for f in frames), encoding="ascii")
 
@@ -24,7 +24,7 @@ def get(folder: Path, name: str) -> list[bytes]:
 
 
 class Asking:
-    """A REQ socket that asks one thing again and again."""
+    """A REQ socket that repeats one request."""
 
     def __init__(self, address: str, request: Sequence[bytes]) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()

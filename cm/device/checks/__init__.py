@@ -12,7 +12,7 @@ from cm.device.paths import Root
 
 
 def board_checks(root: Root) -> Iterator[Finding]:
-    """All checks, where this is a board of the Zynq families; nothing on other machines, and on simulated boards."""
+    """All checks, if this is a board of the Zynq families; nothing on other machines and on simulated boards."""
     machine = Machine(root)
     if machine.family is None:
         return

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes that overlays bring: whether a driver took each, and what the DMA engines can do."""
+"""Nodes from overlays: whether a driver was bound to each, and what the DMA engines can do."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DRIVERS = {
     "fpga-region": "of_fpga_region",
 }
 _ENGINES = ("xlnx,axi-dma-1.00.a", "xlnx,axi-vdma-1.00.a", "xlnx,axi-mcdma-1.00.a")
-_DEFAULT_BITS = 23  # of the length register, to the kernel's driver, where the tree does not say
+_DEFAULT_BITS = 23  # of the length register, as the kernel's driver assumes if the tree does not say
 
 
 def checks(machine: Machine) -> Iterator[Finding]:
@@ -78,7 +78,7 @@ def _engine(device: PlatformDevice) -> Finding:
 
 
 def _channels(machine: Machine) -> Iterator[Finding]:
-    """What cm_dma says of its channels, where it says it."""
+    """What cm_dma says of its channels, in the place where it says it."""
     folder = "sys/class/cm_dma"
     for name in machine.names(folder):
         caps = machine.text(folder, name, "caps").split()

@@ -47,7 +47,7 @@ def _labels(machine: Machine) -> tuple[str, ...]:
 
 
 def _uio(machine: Machine) -> Finding:
-    """The parameter itself cannot be read back, so what it was set with is looked for."""
+    """The parameter itself cannot be read back, so we look for where it was set."""
     where = machine.root.join("sys/module", _UIO)
     if _UIO not in machine.loaded and not where.exists():
         advice = "modprobe uio_pdrv_genirq of_id=fpga-cm,uio (for good: system/modprobe.d; the service loads it)"
@@ -97,7 +97,7 @@ def _cma(machine: Machine) -> Finding:
 
 
 def _firmware(machine: Machine) -> Finding:
-    """Whether the PMU firmware lets the ICAP be selected shows only where cm_icap has asked it."""
+    """Whether the PMU firmware allows the ICAP to be selected is known only if cm_icap has asked for it."""
     ports = [d for d in machine.devices if "fpga-cm,icap-loader" in d.compatible]
     path = "/sys/firmware/zynqmp" if machine.exists("sys/firmware/zynqmp") else "/proc/device-tree/firmware"
     if not ports:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a board's kernel tells of itself in /proc and /sys; what cannot be read reads as empty."""
+"""What a board's kernel says in /proc and /sys; what cannot be read is empty."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class PlatformDevice:
             return None
 
     def cell(self, name: str) -> int | None:
-        """A property of one cell; None where there is none."""
+        """A property of one cell; None if there is none."""
         try:
             data = (self.path / "of_node" / name).read_bytes()
         except OSError:
@@ -73,7 +73,7 @@ class Machine:
 
     @cached_property
     def family(self) -> str | None:
-        """``zynq`` or ``zynqmp``; None where this is not a board of these."""
+        """``zynq`` or ``zynqmp``; None for other machines."""
         return next((FAMILIES[name] for name in self.compatible if name in FAMILIES), None)
 
     @cached_property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who else configures this PL: two that do not know of each other undo each other's work."""
+"""Other programs that configure this PL: two that do not know of each other undo each other's work."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _OTHERS = {
 
 
 def checks(machine: Machine) -> Iterator[Finding]:
-    """One finding for each, or that there is none."""
+    """One finding for each such program, or one that says that there is none."""
     found = {comm: pid for pid, comm in _processes(machine) if comm in _OTHERS}
     for comm, pid in sorted(found.items()):
         detail = f"runs (pid {pid}), and may load the PL behind the manager's back"
