@@ -25,7 +25,7 @@ MODES = ("default", "edge_detection", "colorise")
 
 def through(board: cm.Board, photo: np.ndarray) -> np.ndarray:
     """What comes back of a picture."""
-    with board.stream("camera") as results, board.writer("pictures") as writer:
+    with board.stream("camera", timeout=60) as results, board.writer("pictures", timeout=60) as writer:
         writer.write(photo)
         return np.array(results.read())
 

@@ -9,7 +9,6 @@ import os
 import random
 import select
 import signal
-import socket
 import subprocess
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,6 +19,7 @@ from manager_process import CAMERA, Manager, environment, short_folder, until
 import cm.fleet
 from cm import child
 from cm.build.collect.layout import archive
+from cm.demo.boards import free_ports
 from cm.fleet.blocking import Fleet
 from cm.sim import Board as SimBoard
 
@@ -35,17 +35,12 @@ config:
 VISION = archive("vision", {"vision.yaml": _SCHEMA.encode(), "edge.bin": EDGE})  # an archive, not signed
 
 
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        return int(server.getsockname()[1])
-
-
 class Router:
     """zenoh's router in a process, which can be killed."""
 
     def __init__(self, config: Path | None = None, listen: bool = True) -> None:
         """`listen`: at `endpoint`; else where the file says."""
-        self.endpoint = f"tcp/127.0.0.1:{free_port()}"
+        self.endpoint = f"tcp/127.0.0.1:{free_ports()}"
         self._options = [
             *(("--listen", self.endpoint) if listen else ()),
             *(("--zenoh-config", config) if config else ()),

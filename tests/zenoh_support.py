@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ import zenoh
 from ros_peer import PATIENCE, BridgeProcess, ListeningPeer
 
 from cm import child
+from cm.demo.boards import free_ports
 from cm.fleet.network import Network, session
 from cm.rmw_zenoh.attachment import Attachment
 from cm.rmw_zenoh.keys import End
@@ -27,9 +27,7 @@ class Router:
     """zenoh's, in this process."""
 
     def __init__(self) -> None:
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port = int(free.getsockname()[1])
+        self.port = free_ports()
         self.where = f"127.0.0.1:{self.port}"
         self._session = session(Network("router", (), (f"tcp/{self.where}",)))
 

@@ -15,6 +15,6 @@ def drive(board: cm.Board, picture: np.ndarray) -> np.ndarray:
     wanted = "night" if picture.mean() < DARK else "day"
     if board.mode != wanted:
         board.mode = wanted
-    with board.stream("from_vision") as back:
+    with board.stream("from_vision", timeout=30) as back:
         board.write("to_vision", picture)
         return np.array(back.read())

@@ -122,7 +122,7 @@ def test_register_writes_by_any_client_are_reported_and_so_are_interrupts(
         peer.listening("/lab/cm/registers", "cm_interfaces/msg/RegisterBank", EVENTS) as banks,
         peer.listening("/parameter_events", "rcl_interfaces/msg/ParameterEvent", EVENTS) as events,
     ):
-        number = iter(range(100))
+        number = itertools.count()
 
         def heard() -> bool:  # matched on one side is not yet heard on the other
             board.registers["focus"] = next(number) % 4 + 4

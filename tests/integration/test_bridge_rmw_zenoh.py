@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import queue
 import re
@@ -197,7 +198,7 @@ def test_registers_are_parameters_and_their_writers_are_reported(bridge: Bridge,
         return peer.call(f"/lab/cm/{name}", f"rcl_interfaces/srv/{kind}", **request)
 
     with peer.listening("/parameter_events", "rcl_interfaces/msg/ParameterEvent", EVENTS) as events:
-        value = iter(range(1000))
+        value = itertools.count()
 
         def heard() -> bool:
             good = {"name": "registers.focus", "value": {"type": 2, "integer_value": next(value) % 8 + 4}}

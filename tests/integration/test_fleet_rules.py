@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from fleet_support import FleetBoard, Router, fleet_board, free_port
+from fleet_support import FleetBoard, Router, fleet_board
 from manager_process import until
 
 import cm.fleet
+from cm.demo.boards import free_ports
 from cm.fleet.network import NoNetwork
 from cm.fleet.security.folder import KeyFolder
 from cm.fleet.security.rules import Member
@@ -26,15 +27,16 @@ class Closed:
         self.keys = keys
         self.board = board
 
-    def connected(self, name: str, caller: str = "") -> cm.fleet.Fleet:
-        found = cm.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=3.0)
+    def connected(self, name: str, caller: str = "", patience: float = 60.0) -> cm.fleet.Fleet:
+        """`patience`: seconds for an answer, all of which pass where there is none."""
+        found = cm.fleet.connect(config=self.keys.folder / f"{name}.json5", caller=caller, timeout=patience)
         until(found.boards, 60.0)
         return found
 
 
 @pytest.fixture(scope="module")
 def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Closed]:
-    keys, port = KeyFolder(tmp_path_factory.mktemp("fleet") / "keys"), free_port()
+    keys, port = KeyFolder(tmp_path_factory.mktemp("fleet") / "keys"), free_ports()
     keys.create(("127.0.0.1",), port, 30)
     for member in (
         Member("b1", "board"),
@@ -69,13 +71,14 @@ def test_an_operator_changes_modes_and_registers_under_the_name_in_its_certifica
 def test_an_observer_sees_everything_and_the_router_drops_its_commands(closed: Closed) -> None:
     with closed.connected("olga") as fleet:
         assert isinstance(fleet.status()["b1"], BoardStatus)
-        assert "rules keep us off" in error_of(fleet.write({"led": 2})).message
         with fleet.watch() as statuses:
             assert next(statuses)[0] == "b1"
+    with closed.connected("olga", patience=5.0) as fleet:
+        assert "rules keep us off" in error_of(fleet.write({"led": 2})).message
 
 
 def test_no_client_speaks_in_the_name_of_another(closed: Closed) -> None:
-    with closed.connected("olga", caller="anna") as fleet:
+    with closed.connected("olga", caller="anna", patience=5.0) as fleet:
         assert error_of(fleet.write({"led": 3})).code == "no_answer"
 
 
@@ -89,7 +92,7 @@ def test_a_client_that_may_see_one_board_asks_for_all_and_sees_that_one(closed: 
     """A query for all is dropped: rules match by inclusion. The client asks by name then."""
     with closed.connected("nina") as fleet:
         assert isinstance(fleet.status()["b1"], BoardStatus)
-    with closed.connected("omar") as fleet:
+    with closed.connected("omar", patience=5.0) as fleet:
         found = fleet.status()["b1"]
         assert isinstance(found, ErrorInfo)
         assert found.code == "no_answer"

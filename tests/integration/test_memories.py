@@ -155,7 +155,7 @@ def test_registers_are_read_while_a_long_transfer_goes_on(manager: Manager, boar
             return reads
 
     # Where the client itself is slow the transfer may be over before its second read; not each time.
-    assert any(asyncio.run(run()) > 1 for _ in range(10))
+    until(lambda: asyncio.run(run()) > 1)
 
 
 def test_values_that_a_memory_cannot_hold_are_refused(board: cm.Board) -> None:
@@ -277,8 +277,10 @@ def test_transfers_beyond_the_limit_are_asked_to_try_again(manager: Manager, boa
             reads = [peer.memories["big"].read(0, 4 * MIB) for _ in range(24)]
             return await asyncio.gather(*reads, return_exceptions=True)
 
-    found = asyncio.run(run())
-    refused = [one for one in found if isinstance(one, Exception)]
+    refused: list[Any] = []
+    while not refused:  # a slow client may ask for the last of them when the first have been served
+        found = asyncio.run(run())
+        refused = [one for one in found if isinstance(one, Exception)]
     assert {type(one) for one in refused} == {RequestBusy}
     assert "16 transfers" in str(refused[0])
     assert all(len(one) == MIB for one in found if not isinstance(one, Exception))

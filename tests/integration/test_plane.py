@@ -147,25 +147,25 @@ def test_a_frame_that_is_held_does_not_change(board: cm.Board) -> None:
 
 
 def test_a_reader_that_holds_all_its_frames_gets_a_timeout_that_says_so(board: cm.Board) -> None:
-    with board.stream("camera", depth=2, timeout=0.3) as stream:
+    with board.stream("camera", depth=2, timeout=60) as stream:
         held = [stream.read(), stream.read()]
         with pytest.raises(Timeout, match="all 2 frames"):
-            stream.read()
+            stream.read(timeout=0.3)
         first = held[0].sequence
         held.clear()
-        assert stream.read(timeout=60).sequence > first + 2
+        assert stream.read().sequence > first + 2
         assert stream.lost > 0
 
 
 def test_views_keep_the_lease(board: cm.Board) -> None:
-    with board.stream("camera", depth=1, timeout=0.2) as stream:
+    with board.stream("camera", depth=1, timeout=60) as stream:
         row = stream.read()[17]
         content = row.copy()
         with pytest.raises(Timeout):
-            stream.read()
+            stream.read(timeout=0.2)
         assert (row == content).all()
         del row
-        stream.read(timeout=60)
+        stream.read()
 
 
 def test_a_frame_that_was_given_back_cannot_be_used(board: cm.Board) -> None:
@@ -444,25 +444,25 @@ def test_the_status_says_which_client_lost_how_much(board: cm.Board) -> None:
 
 
 def test_a_failed_block_sends_nothing(loop: cm.Board) -> None:
-    with loop.stream("from_pl", timeout=0.2) as reader, loop.writer("to_pl", depth=1, timeout=60) as writer:
+    with loop.stream("from_pl", timeout=60) as reader, loop.writer("to_pl", depth=1, timeout=60) as writer:
         with pytest.raises(ZeroDivisionError), writer.slot():
             _ = 1 / 0
         with pytest.raises(Timeout):
-            reader.read()
+            reader.read(timeout=0.2)
         writer.write(np.full((480, 640), 3, np.uint8))
-        assert reader.read(timeout=60)[0, 0] == 3
+        assert reader.read()[0, 0] == 3
 
 
 def test_a_writer_waits_for_a_slot_and_says_what_is_wrong(loop: cm.Board) -> None:
-    with loop.writer("to_pl", depth=2, timeout=0.2) as writer:
+    with loop.writer("to_pl", depth=2, timeout=60) as writer:
         for _ in range(2):
             with writer.slot() as array:
                 array[...] = 1
-        with pytest.raises(Timeout, match="anything reading"), writer.slot():
+        with pytest.raises(Timeout, match="anything reading"), writer.slot(timeout=0.2):
             pass
         with loop.stream("from_pl", timeout=60) as reader:
             reader.read()
-            writer.flush(timeout=60)
+            writer.flush()
 
 
 def test_a_failed_transfer_is_reported(loop: cm.Board, shared: tuple[Manager, SimBoard]) -> None:
@@ -493,10 +493,10 @@ def test_with_backpressure_a_slow_reader_loses_nothing(loop: cm.Board) -> None:
     for name in ("from_pl", "to_pl"):
         loop.configure_stream(name, shape=(4096,), force=True)
     loop.configure_stream("from_pl", backpressure=True, force=True)
-    with loop.stream("from_pl", depth=1, timeout=60) as slow, loop.writer("to_pl", timeout=0.2) as writer:
+    with loop.stream("from_pl", depth=1, timeout=60) as slow, loop.writer("to_pl", timeout=60) as writer:
         with contextlib.suppress(Timeout):
             for number in range(100):
-                writer.write(np.full(4096, number, np.uint8))
+                writer.write(np.full(4096, number, np.uint8), timeout=0.2 if number > 3 else 60)
         assert 0 < number < 30, "nothing waited for the reader"
         assert [int(slow.read()[0]) for _ in range(4)] == [0, 1, 2, 3]
     loop.configure_stream("from_pl", backpressure=False, force=True)

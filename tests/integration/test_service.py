@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import shutil
 import signal
@@ -17,24 +16,11 @@ import pytest
 from manager_process import CAMERA, Manager, environment, short_folder, until
 
 import cm
+from cm.demo.boards import free_ports
 from cm.errors import CmError
 from cm.sim import Board as SimBoard
 
 SCHEMA = "config: {{name: {}, modules: {{a: {{}}}}, modes: {{m: {{modules: [a]}}}}}}\n"
-
-
-def three_ports() -> int:
-    """The first of three free TCP ports in a row."""
-    for _ in range(100):
-        with contextlib.ExitStack() as stack:
-            first = stack.enter_context(socket.socket())
-            first.bind(("127.0.0.1", 0))
-            port = int(first.getsockname()[1])
-            with contextlib.suppress(OSError):
-                for more in (1, 2):
-                    stack.enter_context(socket.socket()).bind(("127.0.0.1", port + more))
-                return port
-    raise AssertionError("no three free ports in a row")
 
 
 class Service:
@@ -43,7 +29,7 @@ class Service:
     def __init__(self, folder: Path, board: Path, watchdog_ms: int) -> None:
         self.folder, self.board = folder, board
         self.configs = folder / "configs"
-        self.port = three_ports()
+        self.port = free_ports(3)
         self.keys = folder / "keys"
         shutil.copytree(CAMERA, self.configs)
         self.inbox = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import asyncio
-import random
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -18,6 +17,7 @@ from manager_process import CAMERA, Manager, short_folder, until
 import cm
 import cm.aio
 from cm.cli.main import main
+from cm.demo.boards import free_ports
 from cm.sim import Board as SimBoard
 
 PATIENCE_S = 60
@@ -58,16 +58,6 @@ def asynchronous(address: str, keys: Path) -> list[str]:
     return asyncio.run(ask())
 
 
-def free_ports() -> int:
-    """The first of three in a row that nobody listens at, and that nobody is given who asks for any."""
-    for first in random.sample(range(20000, 32000, 4), 64):
-        with suppress(OSError):
-            for index in range(3):
-                socket.create_server(("127.0.0.1", first + index)).close()
-            return first
-    raise AssertionError("no three ports are free")
-
-
 @pytest.fixture
 def folder() -> Iterator[Path]:
     with short_folder() as made:
@@ -77,7 +67,7 @@ def folder() -> Iterator[Path]:
 @pytest.mark.parametrize("ask", [blocking, asynchronous])
 def test_a_client_tries_until_the_manager_is_up(folder: Path, ask: Callable[[str, Path], list[str]]) -> None:
     assert main(["keygen", str(folder / "keys"), "laptop"]) == 0
-    first = free_ports()
+    first = free_ports(3)
     listen = "--listen", f"tcp://127.0.0.1:{first}", "--keys", str(folder / "keys/server.key")
     with SimBoard([CAMERA], root=folder / "board") as sim, ThreadPoolExecutor(1) as pool:
         with closing(Forwarder(first + 2)) as forwarder:

@@ -159,16 +159,16 @@ def test_cyclic_is_switched_on_and_off_again(board_of: str, request: pytest.Fixt
             assert next(v for v in values if v == value) == value
             assert list(islice(values, 3)) == [value] * 3, "it does not repeat"
     assert board.configure_stream("to_pl", cyclic=False).cyclic is False
-    with board.stream("from_pl", timeout=0.3) as reader, board.writer("to_pl", timeout=60) as writer:
+    with board.stream("from_pl", timeout=60) as reader, board.writer("to_pl", timeout=60) as writer:
         writer.write(np.full((480, 640), 9, np.uint8))
-        assert reader.read(timeout=60)[7, 7] == 9
+        assert reader.read()[7, 7] == 9
         with pytest.raises(Timeout):
-            reader.read()
+            reader.read(timeout=0.3)
 
 
 def test_a_running_cycle_ends_when_it_is_switched_off_by_force(loop: cm.Board) -> None:
     loop.configure_stream("to_pl", cyclic=True)
-    with loop.stream("from_pl", timeout=0.3) as reader, loop.writer("to_pl", depth=2, timeout=60) as writer:
+    with loop.stream("from_pl", timeout=60) as reader, loop.writer("to_pl", depth=2, timeout=60) as writer:
         writer.write(np.full((480, 640), 4, np.uint8))
         assert [int(reader.read(timeout=60)[0, 0]) for _ in range(3)] == [4] * 3
         with pytest.raises(Busy, match="in use"):
@@ -176,7 +176,7 @@ def test_a_running_cycle_ends_when_it_is_switched_off_by_force(loop: cm.Board) -
         loop.configure_stream("to_pl", cyclic=False, force=True)
         with contextlib.suppress(Timeout):
             for _ in range(20):  # those that were on their way
-                reader.read()
+                reader.read(timeout=0.3)
             raise AssertionError("it still repeats")
         until(lambda: not writer.poll() and writer.geometry is not None and not writer.geometry.cyclic)
         writer.write(np.full((480, 640), 5, np.uint8))
@@ -293,16 +293,16 @@ def test_a_limit_is_set_and_lifted(board: cm.Board) -> None:
 
 def test_a_stream_is_run_stopped_and_left_to_its_users_again(board: cm.Board, manager: Manager) -> None:
     assert board.configure_stream("camera", enable=True).open is True
-    with board.stream("camera", timeout=0.5) as stream:
-        stream.read(timeout=60)
+    with board.stream("camera", timeout=60) as stream:
+        stream.read()
         assert board.configure_stream("camera", enable=False).open is False
         with contextlib.suppress(Timeout):
             for _ in range(20):  # those that were on their way
-                stream.read()
+                stream.read(timeout=0.5)
             raise AssertionError("it still runs")
-        with manager.connected() as other, other.stream("camera", timeout=0.5) as late:
+        with manager.connected() as other, other.stream("camera", timeout=60) as late:
             with pytest.raises(Timeout, match="it is stopped"):
-                late.read()
+                late.read(timeout=0.5)
             with pytest.raises(Busy, match="enable"):
                 other.read("camera")
             assert board.configure_stream("camera", automatic=True).open is True
