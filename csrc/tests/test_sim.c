@@ -10,7 +10,7 @@
 
 #define FRAME 100000 /* several pieces, and a rest */
 #define HANDLE 7
-#define PATIENCE_MS 10000
+#define PATIENCE_MS 60000
 
 struct end {
 	struct cm_sim_channel channel;

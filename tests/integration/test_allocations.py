@@ -47,8 +47,10 @@ def sim(quiet: tuple[Manager, SimBoard]) -> SimBoard:
 
 
 @pytest.fixture
-def board(manager: Manager) -> Iterator[cm.Board]:
+def board(manager: Manager, sim: SimBoard) -> Iterator[cm.Board]:
+    """A client, when what clients before it had has been given back."""
     with manager.connected() as connected:
+        until(lambda: memory_used(sim) == 0)
         yield connected
 
 

@@ -47,8 +47,8 @@ def loop(board: cm.Board) -> Iterator[cm.Board]:
 
 @pytest.fixture(scope="module")
 def vdma() -> Iterator[tuple[Manager, SimBoard]]:
-    """A manager whose loop is a VDMA's."""
-    with served(["--vdma", "to_pl", "--vdma", "from_pl"]) as both:
+    """A manager whose loop is a VDMA's, and that makes no buffers but those of streams."""
+    with served(["--vdma", "to_pl", "--vdma", "from_pl"], ["--prefetch", "0"]) as both:
         yield both
 
 

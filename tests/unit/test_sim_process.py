@@ -269,7 +269,7 @@ def test_a_port_that_is_closed_while_it_loads_finishes_the_load(tmp_path):
         with Icap(board.root, "dev/cm_icap0") as icap:
             icap.start(to_dma_words(board.root / "lib/firmware/cm/camera/edge.bit"))
         assert until(lambda: board.control.state()["regions"]["prr0"]["module"] == "edge")
-        assert board.control.state()["buffers"] == 0
+        assert until(lambda: board.control.state()["buffers"] == 0)
 
 
 def test_a_camera_keeps_its_rate(tmp_path):
