@@ -128,6 +128,10 @@ class Intake:
         self._blind = 0
         return bool(zmq_poll(source.ready, 0))
 
+    def client(self, connection: str) -> Budget:
+        """The budget of the client of that connection."""
+        return self._budgets.of(connection)
+
     def put(self, connection: str, key: Hashable, call: Callable[[], Rest]) -> None:
         """Have other work done for the client of that connection, in its turn, and in a later turn of the loop.
 

@@ -6,6 +6,7 @@ Over TCP without keys a client is of another account than over ipc. Counts and o
 
 from __future__ import annotations
 
+import socket
 import subprocess
 import sys
 import threading
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 import zmq
 from daemon_thread import Daemon, daemon
+from flood import running
 from manager_process import CAMERA, environment, until
 
 from cm.budgets.budget import Budget
@@ -24,6 +26,20 @@ from cm.manager.execution.worker import Change, Worker
 from cm.messages import requests as rq
 from cm.messages.status import Reply
 from cm.wire.encode import decode_reply, encode_request
+from cm.wire.plane_packets import Open, encode_open
+
+# Connects so often to the data socket, says nothing, and reports when all but so many were hung up on.
+CONNECTS = """
+import socket, sys
+made = []
+for _ in range(int(sys.argv[2])):
+    made.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+    made[-1].connect(sys.argv[1])
+for one in made[: -int(sys.argv[3])]:
+    assert one.recv(1) == b""
+print("hung up", flush=True)
+sys.stdin.read()
+"""
 
 
 @pytest.fixture
@@ -139,6 +155,17 @@ def test_settings_are_read_again_after_one_work_however_many_wait(
     read.result(60)
     assert order.index("settings") == 1
     assert hostile.codes(30) == ["ok"] * 30
+
+
+def test_who_connects_to_the_data_socket_without_end_pushes_out_nobody_else(served: Daemon) -> None:
+    path = served.folder / "run" / "data"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as ours:
+        ours.settimeout(60)
+        ours.connect(str(path))
+        with running("-c", CONNECTS, path, 400, 48, first="hung up"):
+            until(lambda: len(served.server._acceptor._newcomers) == 49)
+            ours.send(encode_open(Open("", echo=True, length=4096, depth=1)))
+            assert ours.recv(4096)
 
 
 def test_what_a_manager_has_made_when_it_is_ready_is_never_looked_through_for_garbage(tmp_path: Path) -> None:

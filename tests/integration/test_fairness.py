@@ -20,6 +20,7 @@ from manager_process import CAMERA, environment, short_folder, until
 
 import cm
 from cm.budgets.budget import Budget
+from cm.budgets.places import Places
 from cm.daemon import server as daemon
 from cm.daemon.limits import MIB, Limits
 from cm.daemon.options import Options
@@ -271,7 +272,7 @@ def test_a_client_that_keeps_opening_streams_waits_behind_others(order: Order) -
         assert board.configs == ("camera",)
         ours = order.served[-1]
         data = [opened.enter_context(data_socket(runtime)) for _ in range(20)]
-        until(lambda: len(server._acceptor._waiting) == 20)
+        until(lambda: len(server._acceptor._newcomers) == 20)
         with held(server):
             tell(flood, b"sent\n")
             order.served.clear()
@@ -287,15 +288,15 @@ def test_a_client_that_keeps_opening_streams_waits_behind_others(order: Order) -
 def test_more_than_may_wait_for_their_turn_are_refused_on_the_data_socket(monkeypatch: pytest.MonkeyPatch) -> None:
     with serving() as (server, runtime), hostile(runtime, 40) as flood, ExitStack() as opened:
         data = [opened.enter_context(data_socket(runtime)) for _ in range(20)]
-        until(lambda: len(server._acceptor._waiting) == 20)
+        until(lambda: len(server._acceptor._newcomers) == 20)
         with held(server):
             tell(flood, b"sent\n")
-            monkeypatch.setattr("cm.daemon.streams.acceptor._WAITING", 8)
+            monkeypatch.setattr(server._acceptor, "_places", Places(8, "connections that wait for their turn"))
             for connection in data:
                 connection.send(ECHO)
         answers = [connection.recv(4096) for connection in data]
         refused = [answer for answer in answers if b"wait for their turn" in answer]
-        assert len(refused) == 12
+        assert len(refused) == 14  # a quarter of the places is for others
 
 
 @contextmanager

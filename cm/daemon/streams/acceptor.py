@@ -11,18 +11,21 @@ from functools import partial
 from pathlib import Path
 from typing import Protocol
 
+from cm.budgets.budget import Budget
+from cm.budgets.places import Places
 from cm.daemon.folders import share
 from cm.daemon.loop import Loop
 from cm.daemon.streams.allocations import Allocations
 from cm.daemon.streams.echo import Echoes
+from cm.daemon.streams.newcomers import Newcomers
 from cm.daemon.streams.peer import Peer
 from cm.errors import Busy, CmError
 from cm.intake import Intake
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Open, decode_open, encode_refused
 
-_BACKLOG = 64
-_WAITING = 64  # connections that have not said yet what they want; the oldest makes room
+_BACKLOG = 256  # connections that the kernel lets wait
+_QUEUED = 64  # that have said what they want, and wait for their turn
 
 
 class ConnectionRights(Protocol):
@@ -58,10 +61,11 @@ class Acceptor:
         self._sessions = sessions
         self._intake = intake
         self._group = group
-        self._waiting: dict[int, socket.socket] = {}
-        self._queued: set[socket.socket] = set()  # have said it, and wait for their turn
+        self._places = Places(_QUEUED, "connections to this socket that wait for their turn")
+        self._queued: dict[socket.socket, Callable[[], None]] = {}  # and what gives their place back
         # Packets keep their bounds, and descriptors (SCM_RIGHTS) stay with the packet that they came in.
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
+        self._newcomers = Newcomers(loop, self._listener, self._whose, self._queue)
 
     def open(self) -> None:
         """Bind and listen; what a killed manager left is replaced (the folder is locked)."""
@@ -69,49 +73,31 @@ class Acceptor:
         self._listener.bind(str(self._path))
         share(self._path, self._group)
         self._listener.listen(_BACKLOG)
-        self._loop.add(self._listener.fileno(), self._accept)
+        self._newcomers.open()
 
-    def _accept(self) -> None:
-        try:
-            connection, _ = self._listener.accept()
-        except (BlockingIOError, ConnectionAbortedError):
-            return
-        if len(self._waiting) >= _WAITING:
-            self._forget(next(iter(self._waiting.values()))).close()
-        connection.setblocking(False)
-        self._waiting[connection.fileno()] = connection
-        self._loop.add(connection.fileno(), lambda: self._first(connection))
-
-    def _forget(self, connection: socket.socket) -> socket.socket:
-        self._loop.remove(connection.fileno())
-        return self._waiting.pop(connection.fileno())
-
-    def _first(self, connection: socket.socket) -> None:
-        self._forget(connection)
-        try:
-            packet = connection.recv(packets.PACKET_MAX)
-            if packet:
-                self._queued.add(connection)
-                self._queue(connection, packet)
-            else:
-                connection.close()
-        except OSError:
-            self._queued.discard(connection)
-            connection.close()
+    def _whose(self, connection: socket.socket) -> tuple[str, Budget]:
+        who = self._sessions.whose(connection)
+        return who, self._intake.client(who)
 
     def _queue(self, connection: socket.socket, packet: bytes) -> None:
         """Streams are opened, and memory is made, while the loop waits: by turns, as requests are served."""
         try:
-            if len(self._queued) > _WAITING:
-                raise Busy(f"{_WAITING} connections to this socket wait for their turn; try again")
-            self._intake.put(self._sessions.whose(connection), connection, partial(self._serve, connection, packet))
-        except Busy as error:
-            self._queued.discard(connection)
-            with connection:
-                connection.send(encode_refused(error.code, str(error)))
+            who, client = self._whose(connection)
+            self._queued[connection] = self._places.take(client)
+            self._intake.put(who, connection, partial(self._serve, connection, packet))
+        except (Busy, OSError) as error:
+            self._leave(connection)
+            with connection, suppress(OSError):
+                if isinstance(error, Busy):
+                    connection.send(encode_refused(error.code, str(error)))
+
+    def _leave(self, connection: socket.socket) -> None:
+        give_back = self._queued.pop(connection, None)
+        if give_back is not None:
+            give_back()
 
     def _serve(self, connection: socket.socket, packet: bytes) -> None:
-        self._queued.discard(connection)
+        self._leave(connection)
         with connection, suppress(OSError):
             try:
                 self._admit(connection, decode_open(packet))
@@ -130,14 +116,10 @@ class Acceptor:
             self._enter(connection, wanted)
 
     def close(self) -> None:
-        """Hang up on all who have not said yet what they want."""
-        self._loop.remove(self._listener.fileno())
+        """Hang up on all who have not said yet what they want, or wait for their turn."""
+        self._newcomers.close()
         self._listener.close()
         self._path.unlink(missing_ok=True)
-        for number, connection in self._waiting.items():
-            self._loop.remove(number)
-            connection.close()
-        self._waiting.clear()
         for connection in self._queued:
             connection.close()
         self._queued.clear()
