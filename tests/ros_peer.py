@@ -33,11 +33,18 @@ class BridgeProcess:
             assert piece, f"the bridge did not start: {self.log.decode()}"
             self.log += piece
 
-    def stop(self) -> tuple[int, str]:
+    def stop(self, number: int = signal.SIGINT) -> tuple[int, str]:
         """Its status, and what it said."""
-        self.process.send_signal(signal.SIGINT)
+        self.process.send_signal(number)
         _, rest = self.process.communicate(timeout=PATIENCE)
         return self.process.returncode, (self.log + rest).decode()
+
+    def end(self) -> None:
+        """However it is; twice is fine."""
+        assert self.process.stderr is not None
+        self.process.kill()
+        self.process.wait()
+        self.process.stderr.close()
 
 
 class ListeningPeer:

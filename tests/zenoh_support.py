@@ -74,6 +74,13 @@ class Peer(ListeningPeer):
                 return reply
         raise AssertionError(f"nobody answers {key}")
 
+    def send(self, name: str, kind: str, **request: Any) -> None:
+        """Call a service that was met already, and do not wait."""
+        key = self.transport._end(End.CLIENT, name, kind, SERVICES).key
+        attachment = Attachment(5, time.time_ns(), bytes(range(16))).to_bytes()
+        payload = cdr.encode(f"{kind}_Request", request)
+        self.session.get(key, lambda _: None, payload=payload, attachment=attachment, timeout=PATIENCE)
+
     def call(self, name: str, kind: str, **request: Any) -> dict[str, Any]:
         """Call a service once."""
         asked = Attachment(5, time.time_ns(), bytes(range(16)))

@@ -53,6 +53,7 @@ class Follower:
         self._sink = sink
         self._stopped = threading.Event()
         self._wake, self._ring = os.pipe()
+        self._board: Board | None = None
         self._identity = Identity("")
         self._offset = 0
         self._place: Any = None
@@ -63,9 +64,11 @@ class Follower:
             while not self._stopped.is_set():
                 try:
                     with self._connect() as board:
+                        self._board = board
                         self._follow(board)
                 except (CmError, ConnectionError) as error:
-                    self._sink.link(None, str(error))
+                    if not self._stopped.is_set():
+                        self._sink.link(None, str(error))
                 self._stopped.wait(_LOOK)
             self._sink.link(None, ENDED)
         finally:
@@ -76,8 +79,12 @@ class Follower:
         if not self._stopped.is_set():
             self._stopped.set()
             os.close(self._ring)  # makes the other end readable
+            if self._board is not None:
+                self._board.close()  # frees a call that waits for an answer
 
     def _follow(self, board: Board) -> None:
+        if self._stopped.is_set():
+            return
         subscription = board.subscribe(topics.STATUS, topics.READ_REG, topics.IRQ)
         readable = select.poll()
         for descriptor in (subscription.fileno(), self._wake):

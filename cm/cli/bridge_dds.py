@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from cm.cli.bridge_ros import add_node_options, domain_of, name_of, serve
+from cm.cli.bridge_ros import add_node_options, domain_of, end, name_of, serve
 from cm.errors import InvalidRequest
 
 
@@ -44,4 +44,4 @@ def run(args: argparse.Namespace) -> int:
         serve(args, transport, name)
     finally:
         transport.close()
-    return 0
+    end()

@@ -7,7 +7,7 @@ import argparse
 import logging
 import sys
 
-from cm.cli.bridge_ros import add_node_options, domain_of, name_of, serve
+from cm.cli.bridge_ros import add_node_options, domain_of, end, name_of, serve
 from cm.errors import InvalidRequest
 
 
@@ -48,4 +48,4 @@ def run(args: argparse.Namespace) -> int:
         serve(args, transport, name)
     finally:
         transport.close()
-    return 0
+    end()

@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 from cm.cli.common import add_connection_options
 from cm.errors import InvalidRequest
@@ -84,9 +84,20 @@ def serve(args: argparse.Namespace, transport: Transport, name: NodeName) -> Non
         _look(node, ended, following)
     finally:
         follower.stop()
+        commands.close()  # before all that waits for its threads: it frees those that wait for the manager
         following.join()
         node.close()
-        commands.close()
+
+
+def end() -> NoReturn:
+    """End the process, whatever its threads are at.
+
+    Those that answer requests may still hold what is of a middleware's library. One that is inside such a library
+    when the interpreter is taken apart aborts the process.
+    """
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
 
 
 def _look(node: BoardNode, ended: threading.Event, following: threading.Thread) -> None:

@@ -384,10 +384,11 @@ class Board(Guarded):
     def close(self) -> None:
         """Disconnect, with all streams, writers and events; any later use raises BoardClosed.
 
-        Twice is fine.
+        So do calls that wait in other threads. Twice is fine.
         """
         for user in tuple(self._users):
             user.end(closed(self._place.endpoints.req))
+        self._sockets.free()
         self._link.close()
         self._close()
 

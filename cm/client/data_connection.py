@@ -91,6 +91,10 @@ class DataConnection:
             size, ancillary, _, _ = self.socket.recvmsg_into([self._buffer], _ANCILLARY, flags | _CLOEXEC)
         except (ConnectionError, TimeoutError) as error:
             raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
+        except OSError as error:
+            if error.errno == errno.EBADF:
+                raise ConnectionLost("the data socket was closed by another thread") from None
+            raise
         if not size:
             raise ConnectionLost("the configuration manager hung up on the data socket")
         head = Descriptor._make(DESCRIPTOR.unpack_from(self._buffer))
@@ -146,12 +150,16 @@ class DataConnection:
         """Disconnect; frames that are held stay ours until they are given back. Twice is fine."""
         if self._left is not None:
             return
-        memory, held = self.memory, self.held
-        self._end_memory()
-        if memory is None or not held or not self._leave():
+        memory = self._left = self.memory  # in this order: another thread may give back its last frame just now
+        self.memory = None
+        self.granted.clear()
+        if memory is not None:
+            memory.close()
+        if memory is None or not self.held or not self._leave():
+            self._left = None
+            with suppress(OSError):
+                self.socket.shutdown(socket.SHUT_RD)  # a thread that waits there does not notice close() alone
             self.socket.close()
-            return
-        self._left, self.held = memory, held
 
     def _leave(self) -> bool:
         """Take no more frames; those that wait go back unseen. False if the manager has gone."""

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import struct
-import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, TypeVar
 
 import zmq
@@ -31,22 +31,26 @@ class Subscription:
         self._sockets = sockets
         self.socket: Socket
         self.socket, self._monitor = sockets.subscriber(topics, depth)
+        self._turn = sockets.turn()
         self._sources: list[tuple[Any, int]] = [(self.socket, _POLLIN), (self._monitor, _POLLIN)]
 
     def receive(self, timeout: float | None) -> list[bytes] | None:
         """The next message; None if there is none within `timeout` seconds. Raises BoardClosed, NotAdmitted."""
-        if self.socket.closed:
-            raise closed(self._sockets.endpoints.req)
-        ready = dict(zmq_poll(self._sources, -1 if timeout is None else _milliseconds(timeout)))
-        if self.socket in ready:
-            return self.socket.recv_multipart()
+        with self._turn:
+            if self.socket.closed or self._sockets.closed:
+                raise closed(self._sockets.endpoints.req)
+            with self._sockets.ending():
+                ready = dict(zmq_poll(self._sources, -1 if timeout is None else _milliseconds(timeout)))
+                if self.socket in ready:
+                    return self.socket.recv_multipart()
         if ready:
             raise not_subscribed(self._sockets.endpoints.pub)
         return None
 
     def fileno(self) -> int:
         """Readable when something may have come; then take all there is (zmq_getsockopt(3), ZMQ_FD)."""
-        return int(self.socket.fileno())
+        with self._sockets.ending():
+            return int(self.socket.fileno())
 
     def unsubscribe(self, topic: bytes) -> None:
         """Listen to one of the topics no more."""
@@ -54,8 +58,7 @@ class Subscription:
 
     def close(self) -> None:
         """Twice is fine."""
-        if not self.socket.closed:
-            self.socket.disable_monitor()
+        _unwatched(self.socket)
         self._sockets.end(self._monitor, self.socket)
 
 
@@ -66,7 +69,7 @@ class Link:
         self.timeout = timeout  # seconds, of what is asked with no time-out of its own
         self._sockets = sockets
         self._requests = Requests(sockets.endpoints.req, guest)
-        self._lock = threading.Lock()
+        self._turn = sockets.turn()
         self._socket: Socket
         self._open()
 
@@ -80,15 +83,21 @@ class Link:
         Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away, NotAdmitted
         if it does not let us in, BoardClosed, and what the manager refused with.
         """
-        with self._lock:
-            if self._socket.closed:
+        with self._turn:
+            if self._socket.closed or self._sockets.closed:
                 raise closed(self._requests.address)
-            number, frames = self._requests.begin(call)
-            self._look()
-            self._handshake.lost = False  # that was before
-            self._send(frames)
-            reply = self._wait(number, timeout, beside)
+            try:
+                reply = self._exchange(call, timeout, beside)
+            except zmq.ContextTerminated:  # closed by another thread
+                raise closed(self._requests.address) from None
         return result(call, reply)
+
+    def _exchange(self, call: Call[Any], timeout: float | None, beside: AskBeside | None) -> list[bytes | memoryview]:
+        number, frames = self._requests.begin(call)
+        self._look()
+        self._handshake.lost = False  # that was before
+        self._send(frames)
+        return self._wait(number, timeout, beside)
 
     def run(self, flow: Flow[_T]) -> _T:
         """Run a flow to its end. Raises what it raises."""
@@ -157,9 +166,14 @@ class Link:
 
     def close(self) -> None:
         """Disconnect; twice is fine."""
-        if not self._socket.closed:
-            self._socket.disable_monitor()
-            self._sockets.end(self._monitor, self._socket)
+        _unwatched(self._socket)
+        self._sockets.end(self._monitor, self._socket)
+
+
+def _unwatched(socket: Socket) -> None:
+    if not socket.closed:
+        with suppress(zmq.ZMQError):  # the board is being closed by another thread
+            socket.disable_monitor()
 
 
 def _milliseconds(left: float) -> int:

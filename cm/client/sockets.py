@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import threading
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import zmq
@@ -14,6 +18,7 @@ from cm.wire.topics import Endpoints
 
 Socket = zmq.Socket[bytes]
 _Socket = TypeVar("_Socket", bound="zmq.Socket[Any]")
+_LEAVES = 5.0  # seconds at most until a thread that was sent out of its socket has left it
 
 
 def prepare(socket: _Socket, keys: Keys | None, depth: int = 0) -> _Socket:
@@ -42,11 +47,43 @@ class Sockets:
         self._context = context
         self._keys = keys
         self._open: set[Any] = set()
+        self._turns: weakref.WeakSet[Any] = weakref.WeakSet()
+        self._over = False
+        self._ending: threading.Thread | None = None
 
     @property
     def closed(self) -> bool:
         """Whether the board has been closed."""
-        return bool(self._context.closed)
+        return self._over
+
+    @contextmanager
+    def ending(self) -> Iterator[None]:
+        """What another thread's `close` breaks off raises BoardClosed."""
+        try:
+            yield
+        except zmq.ZMQError:
+            if not self.closed:
+                raise
+            raise closed(self.endpoints.req) from None
+
+    def turn(self) -> Any:
+        """A lock to be held by a thread that uses sockets, so that `free` knows of it."""
+        turn = threading.RLock()  # the thread itself may close, in a signal handler
+        self._turns.add(turn)
+        return turn
+
+    def free(self) -> None:
+        """Send all other threads out of their sockets, at once, by zmq.ContextTerminated (zmq_ctx_term(3)).
+
+        What is left to do is to close.
+        """
+        self._over = True  # who gets a turn from here on sees that
+        waiting = [turn for turn in tuple(self._turns) if not _left(turn, 0.0)]
+        if waiting and self._ending is None:
+            self._ending = threading.Thread(target=self._context.term, name="end of a board", daemon=True)
+            self._ending.start()  # it waits until the last socket is closed
+        for turn in waiting:
+            _left(turn, _LEAVES)
 
     def requests(self, immediate: bool = False) -> Any:
         """A DEALER for requests, its monitor, and what follows that: a manager that went away, or lets us not in.
@@ -54,14 +91,15 @@ class Sockets:
         `immediate`: what could not be sent before a connection ended is dropped with it, and never reaches the next
         manager there. Raises BoardClosed.
         """
-        socket = self._new(zmq.DEALER)
-        socket.setsockopt(zmq.IMMEDIATE, int(immediate))
-        # A lost peer must be heard of at once on ipc, and within seconds over a dead network.
-        socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
-        socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
-        monitor = socket.get_monitor_socket(EVENTS)
-        self._open.add(monitor)
-        socket.connect(self.endpoints.req)
+        with self.ending():
+            socket = self._new(zmq.DEALER)
+            socket.setsockopt(zmq.IMMEDIATE, int(immediate))
+            # A lost peer must be heard of at once on ipc, and within seconds over a dead network.
+            socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
+            socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
+            monitor = socket.get_monitor_socket(EVENTS)
+            self._open.add(monitor)
+            socket.connect(self.endpoints.req)
         return socket, monitor, Handshake(self.endpoints.req, self._keys is not None)
 
     def subscriber(self, topics: tuple[bytes, ...], depth: int = 0) -> Any:
@@ -69,12 +107,13 @@ class Sockets:
 
         That is readable once the manager does not let us subscribe. Raises BoardClosed.
         """
-        socket = self._new(zmq.SUB, depth)
-        monitor = socket.get_monitor_socket(zmq.EVENT_HANDSHAKE_FAILED_AUTH)
-        self._open.add(monitor)
-        for topic in topics:
-            socket.setsockopt(zmq.SUBSCRIBE, topic)
-        socket.connect(self.endpoints.pub)
+        with self.ending():
+            socket = self._new(zmq.SUB, depth)
+            monitor = socket.get_monitor_socket(zmq.EVENT_HANDSHAKE_FAILED_AUTH)
+            self._open.add(monitor)
+            for topic in topics:
+                socket.setsockopt(zmq.SUBSCRIBE, topic)
+            socket.connect(self.endpoints.pub)
         return socket, monitor
 
     def _new(self, kind: int, depth: int = 0) -> Any:
@@ -92,8 +131,20 @@ class Sockets:
 
     def close(self) -> None:
         """Close all; twice is fine."""
+        self._over = True
         self.end(*self._open)
-        self._context.destroy(linger=0)
+        if self._ending is None:
+            self._context.destroy(linger=0)
+        else:
+            self._ending.join(_LEAVES)
+
+
+def _left(turn: Any, seconds: float) -> bool:
+    """Whether no other thread has the turn, or none within `seconds`."""
+    free: bool = turn.acquire(timeout=seconds)
+    if free:
+        turn.release()
+    return free
 
 
 def not_subscribed(address: str) -> NotAdmitted:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from cm.client.core.effects import DEFAULT, Deadline, Flow, Limit, seconds
 from cm.client.core.generations import FirstAfter, Written
 from cm.client.core.remote_stream import NewestReader, PublishedReader, Reader
-from cm.client.errors import BoardClosed
+from cm.client.errors import BoardClosed, ConnectionLost
 from cm.client.frame import Frame
 from cm.client.link import Link
 from cm.client.zmq_frames import Wanted
@@ -162,6 +162,8 @@ class LocalStream(Stream):
                 connection.set_timeout(deadline.left)
         except BlockingIOError:
             raise Timeout(self.nothing(limit)) from None
+        except ConnectionLost as error:
+            raise self._ended or error from None  # the board was closed by another thread
         return self._latest(connection, frame) if self._newest else frame
 
     def poll(self) -> Frame | None:

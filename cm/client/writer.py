@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from cm.client.core.effects import DEFAULT, Deadline, Limit, seconds
 from cm.client.data_connection import DataConnection
-from cm.client.errors import BoardClosed, TransferFailed
+from cm.client.errors import BoardClosed, ConnectionLost, TransferFailed
 from cm.errors import CmError, InvalidRequest, Timeout
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Descriptor, Geometry, Open
@@ -149,6 +149,8 @@ class Writer:
                 f"stream {self.name!r}: the hardware took nothing within {timeout or 0:g} s; "
                 "is anything reading the output, and is the region coupled?"
             ) from None
+        except ConnectionLost as error:
+            raise self._closed or error from None  # closed by another thread
 
     def _collect(self) -> None:
         """Take note of what is done; its slot is ours again, unless the hardware repeats it."""

@@ -6,7 +6,6 @@ from __future__ import annotations
 import logging
 import os
 import struct
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -19,6 +18,7 @@ from cm.dds.types import Raw
 from cm.errors import CmError
 from cm.ros import cdr
 from cm.ros.transport import Values
+from cm.ros.workers import Workers
 
 _LOG = logging.getLogger("cm.dds")
 _HEADER = struct.Struct("<Qq")
@@ -33,7 +33,7 @@ def mark() -> str:
 
 
 class Service:
-    """Answers requests, each in a thread of its own, `busy` of them at a time."""
+    """Answers requests."""
 
     def __init__(
         self,
@@ -41,21 +41,20 @@ class Service:
         requests: DataReader,
         replies: DdsPublisher,
         answer: Callable[[dict[str, Any]], Values],
-        busy: threading.Semaphore,
+        workers: Workers,
     ) -> None:
         self._asked, self._replied = f"{kind}_Request", f"{kind}_Response"
         self._requests, self._replies = requests, replies
         self._answer = answer
-        self._busy = busy
+        self._workers = workers
 
     def take(self, sample: Raw) -> None:
         """Take a request. Raises InvalidRequest for what is not one."""
         request = cdr.Reader(sample.data)
         header = _HEADER.pack(request.take("Q", 8), request.take("q", 8))
         values = cdr.read(self._asked, request)
-        self._busy.acquire()
-        arguments = (header, values, sample.sample_info.publication_handle)
-        threading.Thread(target=self._reply, args=arguments, name=self._asked, daemon=True).start()
+        client = sample.sample_info.publication_handle
+        self._workers.start(self._asked, lambda: self._reply(header, values, client))
 
     def _reply(self, header: bytes, values: dict[str, Any], client: int) -> None:
         try:
@@ -63,15 +62,14 @@ class Service:
             cdr.put(self._replied, sample, self._answer(values))
             if self._is_met(client):
                 self._replies.write_bytes(sample)
-        except (CmError, DDSException) as error:  # also of ends that were closed meanwhile
-            _LOG.warning("%s: %s", self._asked, error)
-        finally:
-            self._busy.release()
+        except (CmError, DDSException) as error:
+            if not self._workers.closed:  # ends that were closed meanwhile
+                _LOG.warning("%s: %s", self._asked, error)
 
     def _is_met(self, client: int) -> bool:
         """Whether a reply would reach the client: its writer may be known before its reader. False if it has gone."""
         until = time.monotonic() + _MET
-        while (asking := self._requests.get_matched_publication_data(client)) is not None:
+        while not self._workers.closed and (asking := self._requests.get_matched_publication_data(client)) is not None:
             name = _client_of(asking)
             if not name or name in self._listening():
                 return True

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -27,6 +26,7 @@ from cm.ros import cdr
 from cm.ros.node import NodeName
 from cm.ros.transport import SERVICES, Body, Qos, Values
 from cm.ros.typehash import type_hash
+from cm.ros.workers import Workers
 
 _REQUESTS = 32  # that are worked on at a time; others wait in their reader
 
@@ -43,7 +43,7 @@ class DdsTransport:
         self._library = Library.open() if one_copy else None
         self._graph = Graph(self._participant, name.name, name.namespace)
         self._requests = Dispatcher(self._participant, "services")
-        self._busy = threading.BoundedSemaphore(_REQUESTS)
+        self._workers = Workers(_REQUESTS)
         self._subscriptions: set[_Subscription] = set()
         self._publishers: set[DdsPublisher] = set()
 
@@ -93,7 +93,7 @@ class DdsTransport:
         self._graph.add(readers=(reader,), writers=(writer,))
         replies = DdsPublisher(writer, replied, None, self._closed)
         self._publishers.add(replies)
-        self._requests.add(reader, service.Service(kind, reader, replies, answer, self._busy).take)
+        self._requests.add(reader, service.Service(kind, reader, replies, answer, self._workers).take)
 
     # ---- entities -------------------------------------------------------------------------
 
@@ -112,7 +112,8 @@ class DdsTransport:
         self._graph.remove(reader)
 
     def close(self) -> None:
-        """End all; twice is fine."""
+        """End all; twice is fine. Requests that wait get no answer."""
+        self._workers.close()
         self._requests.close()
         for subscription in tuple(self._subscriptions):
             subscription.close()

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,43 +15,18 @@ from cm.rmw_zenoh.attachment import Attachment
 from cm.rmw_zenoh.keys import EndKey
 from cm.ros import cdr
 from cm.ros.transport import Values
+from cm.ros.workers import Workers
 
 _LOG = logging.getLogger("cm.rmw_zenoh")
-_LOOK = 0.1  # seconds between two checks for the end, while as many requests run as are allowed
-
-
-class Door:
-    """Lets one thread at a time into zenoh, and none once it is closed.
-
-    A thread that is inside zenoh's library when the interpreter ends aborts the whole process.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self.closed = False
-
-    def enter(self, work: Callable[[], None]) -> None:
-        """Do `work` inside, unless it is closed."""
-        with self._lock:
-            if not self.closed:
-                work()
-
-    def close(self) -> None:
-        """Let no thread in any more, and wait for the one that is inside; twice is fine."""
-        with self._lock:
-            self.closed = True
 
 
 class Service:
-    """Answers requests, each in a thread of its own, `busy` of them at a time."""
+    """Answers requests."""
 
-    def __init__(
-        self, end: EndKey, answer: Callable[[dict[str, Any]], Values], busy: threading.Semaphore, door: Door
-    ) -> None:
+    def __init__(self, end: EndKey, answer: Callable[[dict[str, Any]], Values], workers: Workers) -> None:
         self._end = end
         self._answer = answer
-        self._busy = busy
-        self._door = door
+        self._workers = workers
 
     def take(self, query: Any) -> None:
         """Take a request; if it is not a valid one, the reply says so."""
@@ -63,20 +37,14 @@ class Service:
             with query:
                 query.reply_err(f"{self._end.topic}: {error}")
             raise
-        while not self._busy.acquire(timeout=_LOOK):
-            if self._door.closed:
-                return
-        arguments = (query, attachment, values)
-        threading.Thread(target=self._reply, args=arguments, name=self._end.topic, daemon=True).start()
+        self._workers.start(self._end.topic, lambda: self._reply(query, attachment, values))
 
     def _reply(self, query: Any, asked: Attachment, values: dict[str, Any]) -> None:
         try:
             reply = cdr.encode(f"{self._end.kind}_Response", self._answer(values))
-            self._door.enter(lambda: self._send(query, asked, reply))
+            self._workers.send(lambda: self._send(query, asked, reply))
         except (CmError, zenoh.ZError) as error:
             _LOG.warning("%s: %s", self._end.topic, error)
-        finally:
-            self._busy.release()
 
     def _send(self, query: Any, asked: Attachment, reply: bytes) -> None:
         attachment = Attachment(asked.number, time.time_ns(), asked.gid)

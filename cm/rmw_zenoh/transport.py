@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import itertools
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -13,7 +12,7 @@ import zenoh
 from cm.rmw_zenoh.inbox import Inbox
 from cm.rmw_zenoh.keys import End, EndKey, NodeKey
 from cm.rmw_zenoh.publisher import ZenohPublisher
-from cm.rmw_zenoh.service import Door, Service
+from cm.rmw_zenoh.service import Service
 from cm.rmw_zenoh.session import opened
 from cm.rmw_zenoh.subscription import ZenohSubscription
 from cm.ros import cdr
@@ -21,6 +20,7 @@ from cm.ros.node import NodeName
 from cm.ros.samples import hand_on
 from cm.ros.transport import SERVICES, Body, Qos, Values
 from cm.ros.typehash import type_hash
+from cm.ros.workers import Workers
 
 _REQUESTS = 32  # that are worked on at a time
 _WAITING = 1000  # requests that wait; if there are more, the oldest get no answer
@@ -33,8 +33,7 @@ class ZenohTransport:
         self._session = opened(router)
         self._node = NodeKey(domain, str(self._session.info.zid()), name.name, name.namespace)
         self._numbers = itertools.count(self._node.number + 1)
-        self._busy = threading.BoundedSemaphore(_REQUESTS)
-        self._door = Door()
+        self._workers = Workers(_REQUESTS)
         self._requests = Inbox("services", _WAITING, lambda asked: asked[0].take(asked[1]))
         self._open: set[ZenohPublisher | ZenohSubscription] = set()
         self._tokens = [self._session.liveliness().declare_token(self._node.token)]
@@ -71,7 +70,7 @@ class ZenohTransport:
     def service(self, name: str, kind: str, answer: Callable[[dict[str, Any]], Values]) -> None:
         """Serve."""
         end = self._end(End.SERVICE, name, kind, SERVICES)
-        service = Service(end, answer, self._busy, self._door)
+        service = Service(end, answer, self._workers)
         handler: Any = zenoh.handlers.Callback(lambda query: self._requests.put((service, query)), indirect=False)
         self._queryables.append(self._session.declare_queryable(end.key, handler, complete=True))
         self._tokens.append(self._session.liveliness().declare_token(end.token))
@@ -87,7 +86,7 @@ class ZenohTransport:
             self._tokens.pop().undeclare()
         while self._queryables:
             self._queryables.pop().undeclare()
-        self._door.close()
+        self._workers.close()
         self._requests.close()
         for end in tuple(self._open):
             end.close()

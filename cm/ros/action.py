@@ -6,20 +6,23 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Iterable
 from typing import Any
 
 from cm.bridge.commands import Commands
 from cm.bridge.records import Caller
-from cm.errors import CmError
+from cm.errors import Busy, CmError
 from cm.messages.status import Progress
 from cm.ros import messages
 from cm.ros.services import refusal
 from cm.ros.transport import EVENTS, LATCHED, Publisher, Transport, Values
+from cm.ros.waiting import Waiting
 
 ACCEPTED, EXECUTING, CANCELING, SUCCEEDED, CANCELED, ABORTED = 1, 2, 3, 4, 5, 6  # action_msgs/msg/GoalStatus
 _NONE, _REJECTED, _UNKNOWN, _TERMINATED = 0, 1, 2, 3  # action_msgs/srv/CancelGoal
 _RUNNING = (ACCEPTED, EXECUTING, CANCELING)
 _KEPT = 50  # goals whose results are kept
+_AT_ONCE = 32  # goals that are not at their end; more are not accepted
 _TYPE = "cm_interfaces/action/ChangeMode"
 
 
@@ -40,8 +43,9 @@ class _Goal:
 class ChangeModeServer:
     """Serves the action at `name`."""
 
-    def __init__(self, transport: Transport, name: str, commands: Commands, guest: str = "") -> None:
+    def __init__(self, transport: Transport, name: str, commands: Commands, waiting: Waiting, guest: str = "") -> None:
         self._commands = commands
+        self._waiting = waiting
         self._guest = guest
         self._goals: OrderedDict[bytes, _Goal] = OrderedDict()
         self._lock = threading.RLock()
@@ -55,7 +59,7 @@ class ChangeModeServer:
     def _send_goal(self, request: dict[str, Any]) -> Values:
         goal = _Goal(bytes(request["goal_id"]["uuid"]), request["goal"])
         with self._lock:
-            if goal.uuid in self._goals:
+            if goal.uuid in self._goals or len(self._running(self._goals.values())) >= _AT_ONCE:
                 return {"accepted": False, "stamp": messages.time(goal.stamp_ns)}
             self._goals[goal.uuid] = goal
             self._forget()
@@ -70,8 +74,17 @@ class ChangeModeServer:
         goal = self._goals.get(bytes(request["goal_id"]["uuid"]))
         if goal is None:
             return {"status": 0, "result": refusal("not_found", "there is no such goal")}
-        goal.ended.wait()
+        try:
+            with self._waiting.one():
+                goal.ended.wait()
+        except Busy as error:
+            if not goal.ended.is_set():
+                return {"status": goal.status, "result": refusal(error.code, str(error))}
         return {"status": goal.status, "result": goal.result}
+
+    @staticmethod
+    def _running(goals: Iterable[_Goal]) -> list[_Goal]:
+        return [goal for goal in goals if goal.status in _RUNNING]
 
     def _cancel(self, request: dict[str, Any]) -> Values:
         """No id and no time: all goals; a time: all that were accepted until then; an id: that one (CancelGoal.srv)."""
@@ -82,7 +95,7 @@ class ChangeModeServer:
             meant = [g for g in self._goals.values() if every or g.uuid == uuid or (until and g.stamp_ns <= until)]
             if any(uuid) and uuid not in self._goals:
                 return {"return_code": _UNKNOWN}
-            running = [goal for goal in meant if goal.status in _RUNNING]
+            running = self._running(meant)
             if meant and not running:
                 return {"return_code": _TERMINATED}
         try:

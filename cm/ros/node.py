@@ -21,6 +21,7 @@ from cm.ros.parameters import Parameters
 from cm.ros.services import Services
 from cm.ros.streams import Streams
 from cm.ros.transport import EVENTS, LATCHED, Qos, Transport
+from cm.ros.waiting import Waiting
 
 _LOG = logging.getLogger("cm.ros")
 _LOOK = 0.25  # seconds between two checks for subscribers to streams
@@ -53,9 +54,18 @@ class BoardNode:
     """A sink of `cm.bridge.follower`. `look` is called a few times a second, by the thread that made it."""
 
     def __init__(
-        self, transport: Transport, name: NodeName, commands: Commands, guest: str = "", inputs: Qos = EVENTS
+        self,
+        transport: Transport,
+        name: NodeName,
+        commands: Commands,
+        guest: str = "",
+        inputs: Qos = EVENTS,
+        waiting: int = 24,
     ) -> None:
-        """`inputs`: for topics that are written to the hardware; publishers that offer less are not heard."""
+        """`inputs`: for topics that are written to the hardware; publishers that offer less are not heard.
+
+        `waiting`: how many requests may wait for changes of mode at a time; the transport works on more than that.
+        """
         self._transport = transport
         self._own = name.full
         self._lock = threading.Lock()
@@ -67,9 +77,10 @@ class BoardNode:
         self._parameters = Parameters(commands, self._own, guest)
         self._streams = Streams(transport, self._own, commands, Caller(guest), inputs)
         self._open_topics()
-        for base, (kind, answer) in {**Services(commands, guest).all(), **self._parameters.all()}.items():
+        waits = Waiting(waiting)
+        for base, (kind, answer) in {**Services(commands, waits, guest).all(), **self._parameters.all()}.items():
             transport.service(f"{self._own}/{base}", kind, answer)
-        ChangeModeServer(transport, f"{self._own}/change_mode", commands, guest)
+        ChangeModeServer(transport, f"{self._own}/change_mode", commands, waits, guest)
 
     def _open_topics(self) -> None:
         publisher, own, ours = self._transport.publisher, self._own, "cm_interfaces/msg/"

@@ -12,6 +12,7 @@ from cm.bridge.records import Caller
 from cm.errors import CmError
 from cm.ros import messages
 from cm.ros.transport import Values
+from cm.ros.waiting import Waiting
 
 Answer = Callable[[dict[str, Any]], Values]
 
@@ -19,8 +20,9 @@ Answer = Callable[[dict[str, Any]], Values]
 class Services:
     """Handlers by the name of the service; `guest`: in whose name the manager is asked."""
 
-    def __init__(self, commands: Commands, guest: str = "") -> None:
+    def __init__(self, commands: Commands, waiting: Waiting, guest: str = "") -> None:
         self._commands = commands
+        self._waiting = waiting
         self._guest = guest
 
     def all(self) -> Mapping[str, tuple[str, Answer]]:
@@ -41,12 +43,14 @@ class Services:
         """cm_interfaces/SetMode."""
         if not request["mode"]:
             return refusal("invalid_request", "name a mode; load_config goes to the default mode of a configuration")
-        return {"seconds": self._commands.change(self.caller(request), mode=request["mode"])}
+        with self._waiting.one():
+            return {"seconds": self._commands.change(self.caller(request), mode=request["mode"])}
 
     def load_config(self, request: dict[str, Any]) -> Values:
         """cm_interfaces/LoadConfig."""
         config, mode, force = request["config_name"], request["mode"], request["force"]
-        return {"seconds": self._commands.change(self.caller(request), config, mode, force=force)}
+        with self._waiting.one():
+            return {"seconds": self._commands.change(self.caller(request), config, mode, force=force)}
 
     def read_registers(self, request: dict[str, Any]) -> Values:
         """cm_interfaces/ReadRegisters."""

@@ -12,7 +12,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -532,6 +533,55 @@ def test_after_its_end_a_board_says_so_whatever_is_asked(reach: tuple[str, dict[
         ):
             with pytest.raises(BoardClosed, match="was closed"):
                 ask()
+
+
+@pytest.mark.parametrize("way", ["ipc", "tcp"])
+def test_a_board_that_is_closed_frees_all_threads_that_wait_in_it(way: str) -> None:
+    """None of these calls would end by itself."""
+    with served(arguments=("--listen", "tcp://127.0.0.1:0", "--insecure")) as (manager, sim):
+        board = cm.connect(timeout=60, **reached(manager, way))
+        board.load("camera", "loopback")
+        sim.control.inject("icap_hang", count=1)
+        calls = _that_wait(board, way)
+        ends: dict[str, BaseException] = {}
+
+        def wait(name: str) -> None:
+            try:
+                calls[name]()
+            except BaseException as error:  # noqa: BLE001 (which it is, is what the test is about)
+                ends[name] = error
+
+        threads = [threading.Thread(target=wait, args=(name,), daemon=True) for name in calls]
+        for thread in threads:
+            thread.start()
+        with manager.connected() as other:
+            until(lambda: other.status.fpga_busy)
+        board.close()
+        for thread in threads:
+            thread.join(timeout=60)
+        assert {name: type(ends.get(name)) for name in calls} == dict.fromkeys(calls, BoardClosed)
+
+
+def _that_wait(board: cm.Board, way: str) -> dict[str, Callable[[], Any]]:
+    frames = board.stream("from_pl", timeout=None, newest=True)
+    statuses, streams = board.watch(timeout=None), board.stream("camera", timeout=None, copy=True)
+    calls: dict[str, Callable[[], Any]] = {
+        "statuses": lambda: deque(statuses, 0),
+        "an interrupt": lambda: board.interrupts["frame_done"].wait(None),
+        "frames": lambda: deque(frames, 0),
+        "published frames": lambda: deque(streams, 0),
+        "a change": lambda: board.load("camera", "edge_detection"),
+        "its turn": lambda: board.load("camera", "edge_detection"),
+        "progress": lambda: board.load("camera", "edge_detection", progress=lambda _: None),
+    }
+    return calls | ({"a slot": lambda: _every_slot(board)} if way == "ipc" else {})
+
+
+def _every_slot(board: cm.Board) -> None:
+    """More than there are: nobody reads what they are sent through."""
+    with board.writer("to_pl", timeout=None) as writer_:
+        while True:
+            writer_.write(PICTURE)
 
 
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])

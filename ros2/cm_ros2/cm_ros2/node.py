@@ -17,7 +17,8 @@ from cm.ros.node import BoardNode, NodeName
 from cm.ros.transport import EVENTS, SENSOR_DATA, Qos
 from cm_ros2.transport import RclpyTransport
 
-_THREADS = 12  # of which some wait for changes of mode
+_THREADS = 12
+_WAITING = 8  # of them that may wait for changes of mode
 
 
 class BoardLifecycle(LifecycleNode):
@@ -48,7 +49,8 @@ class BoardLifecycle(LifecycleNode):
         self._transport = RclpyTransport(self)
         self._commands = Commands(self._connected)
         name = NodeName(self.get_name(), self.get_namespace())
-        self._board = BoardNode(self._transport, name, self._commands, self.text("guest"), self._inputs())
+        guest = self.text("guest")
+        self._board = BoardNode(self._transport, name, self._commands, guest, self._inputs(), _WAITING)
         return super().on_configure(state)
 
     def on_activate(self, state: State) -> TransitionCallbackReturn:
@@ -99,9 +101,9 @@ class BoardLifecycle(LifecycleNode):
 
     def _close(self) -> None:
         if self._board is not None and self._transport is not None and self._commands is not None:
+            self._commands.close()  # first: it frees the executor's threads that wait for the manager
             self._board.close()
             self._transport.close()
-            self._commands.close()
         self._board = self._transport = self._commands = None
 
 

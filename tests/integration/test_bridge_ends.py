@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""SIGTERM ends each bridge, whatever waits in it: for a change, for a manager that hangs or has gone, for a network."""
+
+from __future__ import annotations
+
+import os
+import queue
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from manager_process import Manager, until
+
+from cm.fleet.bundles import described, part_key
+from cm.fleet.network import Network, session
+from cm.sim import Board as SimBoard
+from cm.wire.fleet import encode_fetch
+
+pytest.importorskip("cyclonedds.domain")
+pytest.importorskip("zenoh")
+
+import dds_support
+import zenoh_support
+from fleet_support import FleetBoard, fleet_board
+from ros_peer import PATIENCE, BridgeProcess
+
+MANY = 40  # more than are worked on at a time
+ACTION, KIND = "/cm/change_mode/_action", "cm_interfaces/action/ChangeMode"
+
+
+class OverDds:
+    """The node /cm on DDS, and who asks it."""
+
+    def __init__(self, runtime: Path) -> None:
+        self.bridge: BridgeProcess = dds_support.Bridge(runtime, "--patience", "600")
+        self._peer = dds_support.Peer()
+        self._clients: dict[str, dds_support.Client] = {}
+
+    def call(self, name: str, kind: str, **request: Any) -> dict[str, Any]:
+        return self._client(name, kind).call(request)
+
+    def send(self, name: str, kind: str, **request: Any) -> None:
+        """Ask, and do not wait."""
+        self._client(name, kind).send(request)
+
+    def _client(self, name: str, kind: str) -> dds_support.Client:
+        if name not in self._clients:
+            self._clients[name] = self._peer.client(name, kind)
+        return self._clients[name]
+
+    def close(self) -> None:
+        self._peer.close()
+
+
+class OverZenoh:
+    """The same over zenoh."""
+
+    def __init__(self, runtime: Path) -> None:
+        self._router = zenoh_support.Router()
+        self.bridge: BridgeProcess = zenoh_support.Bridge(runtime, self._router.where, "--patience", "600")
+        self._peer = zenoh_support.Peer(self._router.where)
+
+    def call(self, name: str, kind: str, **request: Any) -> dict[str, Any]:
+        return self._peer.call(name, kind, **request)
+
+    def send(self, name: str, kind: str, **request: Any) -> None:
+        self._peer.send(name, kind, **request)
+
+    def close(self) -> None:
+        self._peer.close()
+        self._router.close()
+
+
+@pytest.fixture(params=[OverDds, OverZenoh], ids=["dds", "rmw-zenoh"])
+def node(request: pytest.FixtureRequest, own: tuple[Manager, SimBoard]) -> Iterator[Any]:
+    """A node with a manager of its own, on which camera is loaded."""
+    with own[0].connected() as board:
+        board.load("camera", "default")
+    made = request.param(own[0].runtime)
+    yield made
+    made.bridge.end()
+    made.close()
+
+
+def _ended_by_sigterm(bridge: BridgeProcess) -> None:
+    status, said = bridge.stop(signal.SIGTERM)
+    assert status == 0, said
+    assert "Traceback" not in said
+
+
+@contextmanager
+def _stopped(pid: int) -> Iterator[None]:
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(pid, signal.SIGCONT)
+
+
+def _until_busy(manager: Manager) -> None:
+    with manager.connected() as board:
+        until(lambda: board.status.fpga_busy, PATIENCE)
+
+
+def test_a_bridge_ends_while_many_wait_for_a_change_and_answers_others_until_then(
+    node: Any, own: tuple[Manager, SimBoard]
+) -> None:
+    manager, sim = own
+    goal = {"goal_id": {"uuid": bytes(range(16))}, "goal": {"mode": "edge_detection"}}
+    with _stopped(sim.pid):  # the change begins, and does not end
+        assert node.call(f"{ACTION}/send_goal", f"{KIND}_SendGoal", **goal)["accepted"]
+        _until_busy(manager)
+        for _ in range(MANY):
+            node.send(f"{ACTION}/get_result", f"{KIND}_GetResult", goal_id=goal["goal_id"])
+            assert node.call("/cm/list_parameters", "rcl_interfaces/srv/ListParameters")["result"]["names"]
+        refused = node.call("/cm/set_mode", "cm_interfaces/srv/SetMode", mode="colorise")
+        assert (refused["code"], "24 requests wait" in refused["message"]) == ("busy", True)
+        _ended_by_sigterm(node.bridge)
+
+
+def test_a_bridge_ends_while_many_wait_for_a_manager_that_hangs(node: Any, own: tuple[Manager, SimBoard]) -> None:
+    assert node.call("/cm/plan", "cm_interfaces/srv/Plan", mode="colorise")["success"]
+    with _stopped(own[0].process.pid):  # type: ignore[union-attr]
+        for _ in range(MANY):
+            node.send("/cm/plan", "cm_interfaces/srv/Plan", mode="colorise")
+        _ended_by_sigterm(node.bridge)
+
+
+def test_a_bridge_ends_whose_manager_has_gone_amid_a_change(node: Any, own: tuple[Manager, SimBoard]) -> None:
+    manager, sim = own
+    assert node.call("/cm/plan", "cm_interfaces/srv/Plan", mode="colorise")["success"]
+    with _stopped(sim.pid):
+        node.send("/cm/set_mode", "cm_interfaces/srv/SetMode", mode="colorise")
+        _until_busy(manager)
+        manager.kill()
+        manager.process = None
+        _ended_by_sigterm(node.bridge)
+
+
+# ---- the fleet's bridge ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def member() -> Iterator[tuple[FleetBoard, Any]]:
+    """A board of a fleet, whose bridge is started anew by each test, and a session of its network."""
+    router = zenoh_support.Router()
+    ways = ("--router", router.where, "--import-to", "/dev/null/never")
+    with fleet_board("b1", ways, guests='{"*": provision}') as board:
+        there = session(Network("client", (f"tcp/{router.where}",)))
+        yield board, there
+        there.close()
+    router.close()
+
+
+@pytest.fixture
+def met(member: tuple[FleetBoard, Any]) -> tuple[FleetBoard, Any]:
+    """The same, when the network knows of the bridge."""
+    until(lambda: [reply for reply in member[1].get("cm/b1/status", timeout=PATIENCE) if reply.ok], PATIENCE)
+    return member
+
+
+def _ask(there: Any, key: str, payload: bytes | None = None) -> None:
+    there.get(key, lambda _: None, payload=payload, timeout=PATIENCE)
+
+
+def _until_taken(there: Any) -> None:
+    """The bridge takes what is asked in its order."""
+    assert list(there.get("cm/b1/status", timeout=PATIENCE))
+
+
+def _member_ended_by_sigterm(board: FleetBoard) -> None:
+    process = board.bridge.process
+    assert process is not None
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, b"Traceback" in said, b"is away" in said) == (0, False, False), said
+
+
+def test_a_fleets_bridge_ends_while_many_wait_for_a_change(met: tuple[FleetBoard, Any]) -> None:
+    board, there = met
+    with _stopped(board.sim.pid):
+        for _ in range(MANY):
+            _ask(there, "cm/b1/do/mode/anna?format=json", b'{"mode": "edge_detection"}')
+        _until_taken(there)
+        _member_ended_by_sigterm(board)
+    board.bridge.start()
+
+
+def test_a_fleets_bridge_ends_while_many_wait_for_a_manager_that_hangs(met: tuple[FleetBoard, Any]) -> None:
+    board, there = met
+    with _stopped(board.manager.process.pid):  # type: ignore[union-attr]
+        for _ in range(MANY):
+            _ask(there, "cm/b1/reg/*")
+            _ask(there, "cm/b1/do/mode/anna?format=json", b'{"mode": "default"}')
+        _until_taken(there)
+        _member_ended_by_sigterm(board)
+    board.bridge.start()
+
+
+def test_a_fleets_bridge_ends_while_it_fetches_an_archive(met: tuple[FleetBoard, Any], tmp_path: Path) -> None:
+    board, there = met
+    held: queue.Queue[Any] = queue.Queue()
+    offer = there.declare_queryable(part_key("origin", "*", "*"), held.put)
+    archive = tmp_path / "a"
+    archive.write_bytes(bytes(2 << 20))
+    _ask(there, "cm/b1/do/bundle/anna", encode_fetch(described(archive)))
+    query = held.get(timeout=PATIENCE)  # and not answered
+    _member_ended_by_sigterm(board)
+    board.bridge.process = None
+    del query
+    offer.undeclare()
