@@ -44,4 +44,4 @@ def run(args: argparse.Namespace) -> int:
         serve(args, transport, name)
     finally:
         transport.close()
-    end()
+    return end()

@@ -48,4 +48,4 @@ def run(args: argparse.Namespace) -> int:
         serve(args, transport, name)
     finally:
         transport.close()
-    end()
+    return end()
