@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a manager is made of: everything that it is given, and what an operator may set."""
+"""What a manager is given, and what an operator may set."""
 
 from __future__ import annotations
 

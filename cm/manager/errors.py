@@ -55,13 +55,13 @@ class AccessDenied(InvalidRequest):
 
 
 class OutOfRange(InvalidRequest):
-    """A value outside what the register or field takes."""
+    """A value outside what the register or field allows."""
 
     code = "out_of_range"
 
 
 class RegionBusy(Busy):
-    """The region is being reconfigured, or stands decoupled after a failure."""
+    """The region is being reconfigured, or is still decoupled after a failure."""
 
     code = "region_busy"
 
@@ -119,7 +119,7 @@ class LoadUnsupported(CmError):
 
 
 class WrongDevice(CmError):
-    """The port belongs to another device than the one that the bitstream was built for."""
+    """The port's device is not the one that the bitstream was built for."""
 
     code = "wrong_device"
 
@@ -137,7 +137,7 @@ class VerifyFailed(CmError):
 
 
 class BadOverlay(InvalidRequest):
-    """A .dtbo that is not a device-tree overlay, or that would load another bitstream than the one that was checked."""
+    """A .dtbo that is not a device-tree overlay, or that would load a bitstream other than the one that was checked."""
 
     code = "bad_overlay"
 
@@ -149,7 +149,7 @@ class ClockRate(CmError):
 
 
 class WrongStatic(CmError):
-    """The device holds another static design than the one that the modules were made with."""
+    """The static design in the device is not the one that the modules were made with."""
 
     code = "wrong_static"  # as of a bitstream whose header says so
 
@@ -161,7 +161,7 @@ class StaticUnknown(CmError):
 
 
 class UndoFailed(CmError):
-    """A change failed and so did the way back: the regions named stay decoupled."""
+    """A change failed, and so did the rollback: the regions named stay decoupled."""
 
     code = "undo_failed"
 

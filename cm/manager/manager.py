@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The manager: configurations, the state of the board, changes one after the other, registers by name.
 
-Threads: requests come from one thread (the daemon's loop); one worker thread runs changes. What is
-known is immutable values that are swapped (`cm.manager.state.board_state`).
+Threads: requests come from one thread (the daemon's loop); one worker thread runs changes. All that is known are
+immutable values that are swapped (`cm.manager.state.board_state`).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Manager:
     """One per board. `start()` reconciles and starts the worker; `stop()` ends it between two changes."""
 
     def __init__(self, configs: Mapping[str, Config], env: Environment, leases: Leases | None = None) -> None:
-        """`leases` are those that the data plane knows too."""
+        """`leases` are shared with the data plane."""
         self._env = env
         self._state = state = ManagerState(configs, env.journal)
         self.totals, self._bus = state.totals, RegisterBus(env.devices)
@@ -60,7 +60,7 @@ class Manager:
 
     @property
     def configs(self) -> Mapping[str, Config]:
-        """All that can be loaded."""
+        """All configurations that can be loaded."""
         return self._state.configs
 
     # ---- life -------------------------------------------------------------------
@@ -82,12 +82,12 @@ class Manager:
             self.reporter.set_notice(ErrorInfo("reconciled", "; ".join(finding.notes)))
         self._repair(finding.interrupted)
         self._env.data_plane.resume(self.loaded_config(), self.state.mode, self.state.modules)
-        self.reporter.note(self._state.try_record())  # a disk that is full is no reason not to serve
+        self.reporter.note(self._state.try_record())  # a full disk is no reason not to serve
         self.reporter.changed()
         return finding.notes
 
     def _repair(self, interrupted: Pending | None) -> None:
-        """Queue what brings the board back to a whole mode, where it is not in one."""
+        """Queue a change that brings the board back to a whole mode, if it is not in one."""
         there = destination(self.state, interrupted, self.configs)
         if there is None:
             self._state.update(lambda state: replace(state, config=None, mode=None))
@@ -146,7 +146,7 @@ class Manager:
         self._env.files.forget(config.name)
         self._state.add_config(config)
         if self.state.config == config.name and self.state.mode not in config.modes:
-            self._state.update(lambda state: replace(state, mode=None))  # it is in none of the modes that there are now
+            self._state.update(lambda state: replace(state, mode=None))  # it is in none of the present modes
         if self.state.config == config.name and not self._worker.busy:
             self._env.data_plane.resume(config, self.state.mode, self.state.modules)
         self.reporter.changed()
@@ -234,7 +234,7 @@ class Manager:
 
     def tell_registers(self, result: RegValues) -> RegValues:
         """Publish what was written."""
-        self._env.data_plane.wrote(result.generation)  # before anybody knows its number
+        self._env.data_plane.wrote(result.generation)  # before any client knows its number
         self._env.observer.registers_changed(result)
         return result
 
@@ -243,6 +243,6 @@ class Manager:
         self.reporter.note(self._state.flush())
 
     def note_error(self, error: ErrorInfo) -> None:
-        """Tell an error of a request that has no reply."""
+        """Publish an error of a request that has no reply."""
         self.reporter.set_error(error)
         self.reporter.changed()

@@ -13,7 +13,7 @@ from cm.schema.model import Config, Memory, Mode, Module
 
 
 def scopes_written(request: Request, config: Config | None, mode: str | None, memory: Memory | None) -> Iterator[str]:
-    """What a request writes, as `leases_concerned` names it; `memory`: that of the name in it."""
+    """What a request writes, in the terms of `leases_concerned`; `memory`: the memory that it names, if any."""
     if isinstance(request, WriteReg):
         visible = config.visible_registers(mode) if config else {}
         for name in {write.name.partition(".")[0] for write in request.writes}:
@@ -26,7 +26,7 @@ def scopes_written(request: Request, config: Config | None, mode: str | None, me
 
 
 def check_scope_names_something(scope: str, configs: Iterable[Config], memories: Iterable[str]) -> None:
-    """Raise NotFound where no served configuration has what a scope names: such a lease would keep no client off.
+    """Raise NotFound if no served configuration has what a scope names: such a lease would keep no client off.
 
     `memories`: those that were defined at run time.
     """
@@ -43,7 +43,7 @@ def check_scope_names_something(scope: str, configs: Iterable[Config], memories:
 
 
 def _named(kind: str, config: Config) -> set[str]:
-    """What one configuration has of a kind, in whatever mode."""
+    """The things of one kind that a configuration has, in any of its modes."""
     if kind == "region":
         return set(config.regions)
     views: list[Config | Mode | Module] = [config, *config.modes.values(), *config.modules.values()]

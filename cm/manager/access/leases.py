@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Leases: a client holds the board, a configuration, a region or a register, alone or with others.
 
-A lease ends when it is given back, when its time is over, or when its holder's process dies (told by
-the part that watches processes). Scopes overlap where one contains the other.
+A lease ends when it is given back, when its time is over, or when its holder's process dies (`drop` is called by the
+part that watches processes). Scopes overlap if one contains the other.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _KINDS = ("board", "config", *NAMED)
 
 
 class TooManyLeases(Busy):
-    """A client, or all together, holds as many leases as may be held."""
+    """A client, or all together, hold as many leases as are allowed."""
 
     code = "too_many_leases"
 
 
 class UnknownLease(NotFound):
-    """The lease has ended, or never was."""
+    """The lease has ended, or never existed."""
 
     code = "unknown_lease"
 
@@ -57,7 +57,7 @@ class Leases:
         self._held: dict[str, _Lease] = {}
 
     def renew(self, most: int, each: int) -> None:
-        """Other bounds from now on; what is held stays."""
+        """Apply other bounds from now on; leases that are held stay."""
         with self._lock:
             self._most, self._each = most, each
 
@@ -101,13 +101,13 @@ class Leases:
             return lease in self._held
 
     def held(self) -> tuple[LeaseInfo, ...]:
-        """Those that have not ended, oldest first."""
+        """The leases that have not ended, oldest first."""
         with self._lock:
             self._expire()
             return tuple(lease.info for lease in self._held.values())
 
     def told(self) -> tuple[LeaseStatus, ...]:
-        """The same, as all may know them."""
+        """The same, as all clients may see them."""
         if not self._held:
             return ()
         with self._lock:
@@ -171,7 +171,7 @@ def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str
     """What a change to a mode touches, as scopes.
 
     Within a configuration: its regions, the registers that it writes or resets, and memories in its regions. To
-    another one, or with a whole image: everything. A lease on the configuration or the board covers every change.
+    another one, or with a full image: everything. A lease on the configuration or the board covers every change.
     """
     if config.name != loaded:
         return ("config",)
@@ -188,7 +188,7 @@ def leases_concerned(config: Config, mode: str, loaded: str | None) -> tuple[str
 
 
 def _checked_seconds(seconds: float) -> float:
-    """How long a lease is held; 30 s where nothing is said. Raises InvalidRequest."""
+    """How long a lease is held; 30 s by default. Raises InvalidRequest."""
     seconds = seconds or 30.0
     if not 0 < seconds <= MAX_SECONDS:
         raise InvalidRequest(f"a lease of {seconds} s: it can be held for up to {MAX_SECONDS:.0f} s, then renewed")
@@ -211,5 +211,5 @@ def _held_by(info: LeaseInfo, left: float) -> str:
 
 
 def _named(holder: str) -> str:
-    """A holder's name as it may stand in a log or on a terminal."""
+    """A holder's name, safe for a log or a terminal."""
     return "".join(c if c.isprintable() else "?" for c in holder) or "somebody"

@@ -20,7 +20,7 @@ from cm.messages.status import MemoryInfo
 from cm.schema.model import Access, Config, Memory
 
 LENGTH_MAX = 4 << 20  # bytes of one request
-PIECE = 8 << 10  # bytes for which registers and changes wait
+PIECE = 8 << 10  # bytes of a piece; registers and changes wait for one at most
 _WORD = 4
 
 
@@ -35,12 +35,15 @@ class MemoryService:
         self._modes: tuple[Config | None, Mapping[str, tuple[str, ...]]] = None, {}  # of each memory of a configuration
 
     def visible(self) -> Mapping[str, Memory]:
-        """All that can be named now: the schema's in this mode, and those defined at run time. Raises NothingLoaded."""
+        """All memories that can be named now: the schema's in this mode, and those defined at run time.
+
+        Raises NothingLoaded.
+        """
         with self._state.lock:
             return {**self._loaded().visible_memories(self._state.latest.mode), **self._state.runtime_memories}
 
     def find(self, name: str) -> Memory | None:
-        """The memory of that name; None where no memory has it. Raises UnknownMemory for one of other modes."""
+        """The memory of that name; None if there is none. Raises UnknownMemory for one of other modes."""
         state = self._state.latest
         config = self._state.configs.get(state.config or "")
         if config is None:
@@ -56,7 +59,7 @@ class MemoryService:
         return memory
 
     def _modes_with(self, config: Config) -> Mapping[str, tuple[str, ...]]:
-        """The modes in which each memory can be named; asked for with every request for a frame."""
+        """The modes in which each memory can be named; kept, since every request for a frame asks for it."""
         if self._modes[0] is not config:
             found: dict[str, tuple[str, ...]] = {}
             for mode in config.modes:
@@ -66,7 +69,7 @@ class MemoryService:
         return self._modes[1]
 
     def check_no_memory(self, name: str) -> None:
-        """Raise InvalidRequest where a memory has this name, of which only streams have settings."""
+        """Raise InvalidRequest if this is a memory's name, since only streams have settings."""
         if self.find(name) is not None:
             raise InvalidRequest(
                 f"memory {name!r} is not a stream: only one that was defined at run time can be defined anew, "
@@ -87,7 +90,7 @@ class MemoryService:
         return f"; memories are {listed(names)}" if names else ""
 
     def info(self, memory: Memory) -> MemoryInfo:
-        """What there is to know of a memory that can be named now."""
+        """The description of a memory that can be named now."""
         return memory_info(memory, defined=memory.name in self._state.runtime_memories)
 
     def defined(self) -> tuple[MemoryInfo, ...]:
@@ -106,7 +109,10 @@ class MemoryService:
         return memory
 
     def begin_read(self, name: str, offset: int, length: int) -> Transfer:
-        """A read that moves nothing yet; length 0 is the rest. Raises UnknownMemory, AccessDenied, OutOfRange, …"""
+        """Begin a read, which moves nothing yet; length 0 means the rest.
+
+        Raises UnknownMemory, AccessDenied, OutOfRange, …
+        """
         memory = self.named(name)
         if memory.access is Access.WO:
             raise AccessDenied(f"memory {name!r} is write-only")
@@ -116,7 +122,7 @@ class MemoryService:
         return Transfer(self, memory, offset, length)
 
     def begin_write(self, name: str, offset: int, data: bytes | memoryview, lease: str) -> Transfer:
-        """A write that moves nothing yet. Raises as `begin_read`, and HeldBy."""
+        """Begin a write, which moves nothing yet. Raises as `begin_read`, and HeldBy."""
         memory = self.named(name)
         if memory.access is Access.RO:
             raise AccessDenied(f"memory {name!r} is read-only")
@@ -128,7 +134,7 @@ class MemoryService:
         return Transfer(self, memory, offset, len(view), view)
 
     def move(self, transfer: Transfer, start: int, end: int) -> None:
-        """Move a piece of a transfer. Raises RegionBusy, UnknownMemory where it is not there any more, DeviceError."""
+        """Move a piece of a transfer. Raises RegionBusy, UnknownMemory if it no longer exists, DeviceError."""
         memory, place = transfer.memory, transfer.offset + start
         with self._state.lock:
             if self.named(memory.name) != memory:
@@ -143,7 +149,7 @@ class MemoryService:
                 transfer.data[start:end] = self._bus.read_block(memory, place, end - start)
 
     def holding(self, memory: Memory) -> RegionState | None:
-        """What a memory's region holds: another object after every change of it."""
+        """What a memory's region holds: a different object after each of its changes."""
         return self._state.latest.region(memory.region) if memory.region else None
 
     def _loaded(self) -> Config:
@@ -153,7 +159,7 @@ class MemoryService:
         return config
 
     def _check_covered(self, memory: Memory) -> None:
-        """A block that may be written must not cover what has rights and limits of its own, in this mode."""
+        """A writable block must not cover anything that has rights and limits of its own in this mode."""
         if memory.name in self._loaded().visible_memories(self._state.latest.mode):
             return  # the schema's: checked when it was read
         views = {
@@ -178,7 +184,7 @@ class Transfer:
         self._done = 0
 
     def step(self) -> bool:
-        """Move the next piece; whether that was the last. Raises as `MemoryService.move`."""
+        """Move the next piece; returns whether that was the last. Raises as `MemoryService.move`."""
         if not self.write and not self._done:
             self.data = memoryview(bytearray(self.length))  # not before its turn
         end = min(self._done + PIECE, self.length)
@@ -188,7 +194,7 @@ class Transfer:
 
     @property
     def form(self) -> tuple[tuple[int, ...], str]:
-        """Shape and dtype of the bytes; plain bytes where they are not whole elements."""
+        """Shape and dtype of the bytes; plain bytes if they are not whole elements."""
         memory, length = self.memory, self.length
         if self.offset % memory.item or length % memory.item:
             return (length,), "uint8"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The way to the hardware's registers and lines, and what cuts a region off by them: bits, sequences, GPIO lines."""
+"""Access to the hardware's registers and lines, and the isolation of regions by them: bits, sequences, GPIO lines."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cm.manager.ports import Devices, Window
 from cm.schema.model import Access, Decoupler, GpioLine, IsolationStep, Memory, Register
 
 _WO = Access.WO
-_BETWEEN = 0.001  # seconds between two looks at a register that is waited for
+_BETWEEN = 0.001  # seconds between two reads of a register that is waited for
 
 
 class RegisterBus:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers and fields by name: which there are, and what may be written to them. Touches nothing."""
+"""Registers and fields by name: which exist, and what may be written to them. Touches no hardware."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def checked_write(
 
 
 def _by_name(write: RegWrite, field: BitField | None) -> RegWrite:
-    """A write of a value that was named, with the value. Raises OutOfRange."""
+    """A write that names a value, with the value in numbers. Raises OutOfRange."""
     names = field.values if field is not None else {}
     if not names:
         raise OutOfRange(f"register {write.name!r} takes an integer, not {write.named!r}: its values have no names")
@@ -90,6 +90,6 @@ def _by_name(write: RegWrite, field: BitField | None) -> RegWrite:
 
 
 def in_range(name: str, value: int, low: int, high: int) -> None:
-    """Raise OutOfRange for a value that a register does not take."""
+    """Raise OutOfRange for a value that a register does not allow."""
     if not low <= value <= high:
         raise OutOfRange(f"register {name!r}: {value} ({value:#x}) is outside {low} to {high} ({low:#x} to {high:#x})")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many registers in one request, some at a time: others are served, and changes may begin, in between."""
+"""Many registers in one request, some at a time: in between, others are served and changes may begin."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from cm.manager.access.register_service import RegisterService
 from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue, RegValues
 
-AT_ONCE = 32  # registers of a request that is done in one go
+AT_ONCE = 32  # most registers of a request that is served in one go
 _SOME = 16  # in a piece of a longer one, at most
-_LONG = 200_000  # nanoseconds of a piece, beyond which the next one has fewer
+_LONG = 200_000  # nanoseconds of a piece; if it takes longer, the next one has fewer
 
 
 class _Some:
-    """How many registers a piece has: fewer where an access takes long, as on a slow bus or a simulated board."""
+    """How many registers a piece has: fewer if an access takes long, as on a slow bus or a simulated board."""
 
     def __init__(self) -> None:
         self.count = _SOME
@@ -35,7 +35,7 @@ class _Some:
 
 
 class ReadPieces:
-    """A read; of all that can be read where no name is given: what has gone meanwhile is left out then."""
+    """A read; without names, of all readable registers: those that have gone meanwhile are then left out."""
 
     def __init__(self, service: RegisterService, names: tuple[str, ...]) -> None:
         self._service = service
@@ -53,7 +53,7 @@ class ReadPieces:
         return self._last._replace(values=tuple(self._values))
 
     def step(self) -> bool:
-        """The next registers; whether they were the last. Raises as `RegisterService.read`."""
+        """Read the next registers; returns whether they were the last. Raises as `RegisterService.read`."""
         some = self._names[self._at : self._at + self._some.count]
         self._at += len(some)
         before = len(self._values)
@@ -67,7 +67,7 @@ class ReadPieces:
 
 
 class WritePieces:
-    """A write, all of which is checked before the first is done; and each piece again, for what came in between."""
+    """A write, all of which is checked before it begins; each piece is checked again, in case something has changed."""
 
     def __init__(self, service: RegisterService, writes: tuple[RegWrite, ...], lease: str) -> None:
         self._service = service
@@ -85,7 +85,7 @@ class WritePieces:
         return self._last._replace(values=tuple(self._values))
 
     def step(self) -> bool:
-        """The next registers; whether they were the last. Raises as `RegisterService.write`."""
+        """Write the next registers; returns whether they were the last. Raises as `RegisterService.write`."""
         some = self._checked[self._at : self._at + self._some.count]
         self.newest = ()
         with self._some:

@@ -17,7 +17,7 @@ from cm.messages.requests import RegWrite
 from cm.messages.status import RegValue, RegValues
 from cm.schema.model import Access, Config, Register
 
-_WO, _RW = Access.WO, Access.RW  # a look into an enum's class is not free
+_WO, _RW = Access.WO, Access.RW  # looking them up in the enum's class takes time
 
 
 def _flags(config: Config, status: str) -> int:
@@ -27,7 +27,7 @@ def _flags(config: Config, status: str) -> int:
 
 
 def value_of(register: Register, value: int) -> RegValue:
-    """A value with its fields taken apart."""
+    """A register's value, and the values of its fields."""
     if not register.fields:
         return RegValue(register.name, value)
     return RegValue(
@@ -54,7 +54,7 @@ class RegisterService:
             return RegValues(tuple([self._read(p, view) for p in places]), view.config.name, view.mode or "")
 
     def prepare(self, names: tuple[str, ...]) -> Prepared | None:
-        """What `read` of these names will do again; None where it refuses now, or reads all that there is."""
+        """Prepare repeated reads of these names; None if `read` would refuse them now, or no names are given."""
         with self._lock:
             try:
                 view = self._look()
@@ -65,35 +65,35 @@ class RegisterService:
         return Prepared(self._state, self._look, self._bus.read_address, view, places) if places and readable else None
 
     def visible_names(self) -> Collection[str]:
-        """Those of all registers of this mode; none where nothing is loaded."""
+        """The names of all registers of this mode; none if nothing is loaded."""
         try:
             return self._look().registers.keys()
         except NothingLoaded:
             return ()
 
     def readable_names(self) -> tuple[str, ...]:
-        """Those of all registers that can be read now."""
+        """The names of all registers that can be read now."""
         with self._lock:
             return tuple([place.register.name for place in self._readable(self._look())])
 
     def write(self, writes: tuple[RegWrite, ...], lease: str) -> RegValues:
-        """Check all, then write in order; what the registers then hold."""
+        """Check all, then write in order; returns what the registers then hold."""
         with self._lock:
             view = self._look()
             return self._do(view, self._check(view, writes, lease))
 
     def checked(self, writes: tuple[RegWrite, ...], lease: str) -> list[Checked]:
-        """Registers, values and masks of writes that may be done. Raises for the first that may not."""
+        """Registers, values and masks of writes, if all are allowed. Raises for the first that is not."""
         with self._lock:
             return self._check(self._look(), writes, lease)
 
     def write_checked(self, checked: list[Checked]) -> RegValues:
-        """Write in order what was checked. Raises RegionBusy where a change has begun."""
+        """Write in order what was checked. Raises RegionBusy if a change has begun."""
         with self._lock:
             return self._do(self._look(), checked)
 
     def check_again(self, checked: list[Checked], lease: str) -> None:
-        """Raise HeldBy, RegionBusy where what was checked a while ago has another holder, or is not there any more."""
+        """Raise HeldBy or RegionBusy if what was checked a while ago now has another holder, or no longer exists."""
         visible = self._look().registers
         for register in (place.register for place, _, _ in checked):
             if visible.get(register.name) is not register:
@@ -121,11 +121,11 @@ class RegisterService:
         return RegValues(values, view.config.name, view.mode or "", self._state.written())
 
     def take_flags(self, name: str, clear: int) -> int:
-        """Read a status register and acknowledge those interrupts of `clear` (bits) that stand; what was read.
+        """Read a status register, and acknowledge those interrupts of `clear` (bits) that are set; returns the value.
 
-        Leases keep clients off what others set. A flag is the hardware's: the daemon clears it while a client holds
-        the register; nor is it a value to be published or recorded. But what a change has taken away is not
-        touched, and a region that is not ready would not answer. Raises RegionBusy, UnknownRegister,
+        Leases keep clients off values that others set. A flag is set by the hardware: the daemon clears it even if a
+        client holds the register, and it is not a value to be published or recorded. But registers that a change has
+        locked are not touched, and a region that is not ready would not answer. Raises RegionBusy, UnknownRegister,
         NothingLoaded, DeviceError.
         """
         with self._lock:
@@ -142,7 +142,7 @@ class RegisterService:
             and view.locked is state.locked
             and view.configs is state.configs
         ):
-            return view  # as most often
+            return view  # the usual case
         if view is None or not view.still_holds(state):
             view = self._view = self._renewed(view)
         return view
@@ -163,7 +163,7 @@ class RegisterService:
         return place
 
     def _elsewhere(self, name: str, visible: Mapping[str, Register]) -> str:
-        """Says in which modes a register can be named, when it cannot be in this one."""
+        """Says in which modes a register can be named, if not in this one."""
         register, config = split_name(name)[0], self._state.loaded_config()
         if config is None or register in visible:
             return ""
@@ -196,7 +196,7 @@ class RegisterService:
         return value_of(register, shown)
 
     def check_region(self, region: str | None, what: str) -> None:
-        """Raise RegionBusy while `region` (None: the static part) is being changed, or stands cut off."""
+        """Raise RegionBusy while `region` (None: the static part) is being changed, or is isolated."""
         if not is_free(self._state.latest, self._state.locked, region):
             self._refuse(region, what)
 

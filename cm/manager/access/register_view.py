@@ -11,13 +11,13 @@ from cm.manager.state.table import BoardState, RegionPhase
 from cm.messages.requests import RegWrite
 from cm.schema.model import Access, BitField, Config, Register
 
-_RO, _READY = Access.RO, RegionPhase.READY  # a look into an enum's class is not free
+_RO, _READY = Access.RO, RegionPhase.READY  # looking them up in the enum's class takes time
 
 
 class Place(NamedTuple):
     """Where a name leads: a register, or one of its fields.
 
-    Values from `low` to `high` may be written: to the bits of `mask`, `lsb` up. There are none where `low` is above.
+    Values from `low` to `high` may be written, to the bits of `mask`, from `lsb` up; none if `low` is above `high`.
     """
 
     register: Register
@@ -35,7 +35,7 @@ Checked = tuple[Place, int, int]  # value and mask in the register's place
 
 
 def place_of(register: Register, field: BitField | None) -> Place:
-    """Where a name leads that was found."""
+    """The place that a name leads to."""
     bits = field.width if field is not None else register.width
     low, high, lsb, mask = 0, (1 << bits) - 1, 0, (1 << bits) - 1
     if field is not None:
@@ -49,9 +49,9 @@ def place_of(register: Register, field: BitField | None) -> Place:
 
 
 def plainly(place: Place, write: RegWrite) -> Checked | None:
-    """A write of a number that may be written; None for all others, whatever is to be said of them.
+    """A write of a number that is allowed; None for all other writes, whatever is wrong with them.
 
-    What `register_names.checked_write` says too, which takes four times as long to find it.
+    `register_names.checked_write` gives the same result in four times the time.
     """
     if write.mask is None and not write.named and place.low <= write.value <= place.high:
         return place, write.value << place.lsb, place.mask
@@ -59,9 +59,9 @@ def plainly(place: Place, write: RegWrite) -> Checked | None:
 
 
 class View:
-    """What can be named in the mode that the board is in, what was named in it before, and what is free.
+    """What can be named in the mode that the board is in, the names looked up so far, and which regions are free.
 
-    It is made anew where the board holds something else, not with each value that is written.
+    It is made anew when the board holds something else, not for each value that is written.
     """
 
     __slots__ = ("board", "config", "configs", "free", "locked", "mode", "places", "registers")
@@ -71,11 +71,11 @@ class View:
         self.config, self.mode = config, state.latest.mode
         self.registers: Mapping[str, Register] = config.visible_registers(self.mode)
         self.places: dict[str, Place] = {}
-        regions = {register.region for register in self.registers.values()}  # and None for the static part
+        regions = {register.region for register in self.registers.values()}  # with None for the static part
         self.free = {region for region in regions if is_free(state.latest, state.locked, region)}
 
     def still_holds(self, state: ManagerState) -> bool:
-        """Whether it is true of what the board holds now."""
+        """Whether it is still true of what the board holds now."""
         then, now = self.board, state.latest
         if then is not now:
             if then.regions is not now.regions or then.mode != now.mode or then.config != now.config:
@@ -92,9 +92,9 @@ def is_free(board: BoardState, locked: LockedRegions, region: str | None) -> boo
 
 
 class Prepared:
-    """Registers that are read again and again: what their names led to, for as long as the mode stays.
+    """Registers that are read repeatedly: the places that their names lead to, as long as the mode is the same.
 
-    `names` and `fields` say what belongs to the values: fields (name, lowest bit, mask) are to be taken out of them.
+    `names` and `fields` describe the values: fields (name, lowest bit, mask) are to be extracted from them.
     """
 
     __slots__ = ("_lock", "_look", "_places", "_read", "_state", "_view", "config_name", "fields", "mode", "names")
@@ -107,7 +107,7 @@ class Prepared:
         view: View,
         places: Sequence[Place],
     ) -> None:
-        """`look` has the view that is true now; `read` the value at an address, of a width."""
+        """`look` returns the view that is true now; `read` the value at an address, of a width."""
         self._state, self._lock, self._look, self._read, self._view = state, state.lock, look, read, view
         self._places = [(p.address, p.width, *((p.lsb, p.mask) if p.field else (0, -1))) for p in places]
         self.config_name, self.mode = view.config.name, view.mode or ""
@@ -115,11 +115,11 @@ class Prepared:
         self.fields = tuple([() if p.field else _fields(p.register) for p in places])
 
     def values(self) -> list[int] | None:
-        """The values in the order of the names; None where they are no longer what they were, or cannot be read now."""
+        """The values in the order of the names; None if the names lead elsewhere now, or cannot be read now."""
         view, state = self._view, self._state
         with self._lock:
             same = view.board is state.latest and view.locked is state.locked and view.configs is state.configs
-            if not same and self._look() is not view:  # it does not hold any more; else only values differ
+            if not same and self._look() is not view:  # it is no longer true; otherwise only values differ
                 return None
             read, values = self._read, []
             for address, width, lsb, mask in self._places:  # a comprehension is a call, and mostly there is one place

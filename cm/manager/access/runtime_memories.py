@@ -17,11 +17,11 @@ from cm.schema.model import ITEM_BYTES, Access, Config, Memory
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,63}")
 _ACCESS = {"": Access.RW, "rw": Access.RW, "ro": Access.RO, "wo": Access.WO}
 _WORD = 4
-_Span = tuple[int, int, str, str | None]  # first address, the one behind the last, what is there, its region
+_Span = tuple[int, int, str, str | None]  # first address, the one after the last, what is there, its region
 
 
 def requested(request: DefineMemory, config: Config) -> Memory:
-    """The memory that a request describes, its region left open. Raises InvalidRequest."""
+    """The memory that a request describes, with its region still open. Raises InvalidRequest."""
     name = request.name
     _check_name(name, config)
     if request.address is None or not request.length:
@@ -43,7 +43,10 @@ def requested(request: DefineMemory, config: Config) -> Memory:
 
 
 def placed(memory: Memory, region: str, config: Config, window: AddressRange) -> Memory:
-    """`memory` in the region that is named, or in that of what else has a name there. Raises InvalidRequest."""
+    """`memory` in the region that is named, or in that of other things with names in the same window.
+
+    Raises InvalidRequest.
+    """
     if region:
         if region != "static" and region not in config.regions:
             known = listed([*config.regions, "static"])
@@ -60,7 +63,7 @@ def placed(memory: Memory, region: str, config: Config, window: AddressRange) ->
 
 
 def check_covered(memory: Memory, config: Config, mode: str | None, others: Iterable[Memory]) -> None:
-    """Raise InvalidRequest where a memory that may be written covers something that has a name in `mode`."""
+    """Raise InvalidRequest if a writable memory covers something that has a name in `mode`."""
     if memory.access is Access.RO:
         return
     for start, end, what, _ in (*_registers(config, mode), *_memories(others), *_fixed(config)):

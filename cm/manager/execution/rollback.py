@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""After a failed step: back to the mode before, or cut off what is not whole and say so.
+"""After a failed step: go back to the mode before, or isolate what is not whole and say so.
 
 Going back is a plan from wherever the board is now, like any other change.
 """
@@ -28,7 +28,7 @@ class Failure:
     """What went wrong on the way to a configuration, at which step, and what was there before it.
 
     `values` and `found` are registers' values, by name and by place, `rates` what clocks ran at (Hz). `touched` are
-    regions whose load had begun, or that stood cut off before.
+    regions whose load had begun, or that were isolated before.
     """
 
     goal: Config
@@ -53,12 +53,12 @@ class Failure:
 
 
 def sentence(error: Exception) -> str:
-    """An error for people; one that is a defect of ours with its type."""
+    """An error as a sentence; a defect of ours with its type."""
     return str(error) if isinstance(error, (CmError, OSError)) else f"{type(error).__name__}: {error}"
 
 
 def failure_of(run: StepContext, error: Exception) -> Failure:
-    """What is known of a step that failed, for the way back."""
+    """What is known about a failed step, for the way back."""
     goal = run.plan.goal
     values, found, rates = goal.values, {**run.found, **goal.found}, {**run.rates, **goal.rates}
     return Failure(goal.config, run.step, error, values, found, rates, frozenset(run.begun | run.apart))
@@ -70,7 +70,7 @@ class Rollback:
     def __init__(
         self, tools: Tools, before: BoardState, go_to: Callable[[Goal], None], sealed: Collection[str]
     ) -> None:
-        """`go_to` plans and takes the steps to a goal, as well as that can be done; `sealed` as in StepContext."""
+        """`go_to` plans and takes the steps to a goal as far as possible; `sealed` as in StepContext."""
         self._sealed = sealed
         self._tools = tools
         self._state = tools.state
@@ -79,7 +79,7 @@ class Rollback:
         self._go_to = go_to
 
     def run(self, failure: Failure) -> CmError:
-        """Go back, or cut off; returns the error that tells how it ended."""
+        """Go back, or isolate; returns the error that says how it ended."""
         before, old = self._before, self._old
         try:
             if old is not None and before.mode is not None and before.mode in old.modes:
@@ -116,10 +116,10 @@ class Rollback:
         return tuple(m.name for m in old.modules.values() if lost.get(m.name) == m.region)
 
     def _tidy(self, failure: Failure) -> list[str]:
-        """Regions that the mode before leaves alone and that the failed change has cut off.
+        """Handle regions that the mode before leaves alone and that the failed change has isolated.
 
-        What is there still, of another configuration or of the image that the boot loader loaded, is coupled
-        again; the rest stays cut off. Returns sentences on what is not as it was.
+        Those that still hold a module of another configuration, or what the boot loader loaded, are connected again;
+        the rest stays isolated. Returns sentences about what is not as it was.
         """
         cut = [r for r in failure.goal.regions.values() if self._state.board.region(r.name).phase in _CUT]
         lost = [r for r in cut if not self._coupled_again(r, failure)]
@@ -127,7 +127,7 @@ class Rollback:
         return [*([f"regions left decoupled: {', '.join(r.name for r in lost)}"] if lost else []), *problems]
 
     def _coupled_again(self, region: Region, failure: Failure) -> bool:
-        """Connect a region that holds what it held, and was connected."""
+        """Connect a region again that was connected and still holds the same."""
         if not self._holds_still(region.name, failure) or not self._same_static():
             return False
         held = self._before.region(region.name)
@@ -146,9 +146,9 @@ class Rollback:
         return held.phase is RegionPhase.UNKNOWN and name not in failure.touched
 
     def _static_to_load(self, old: Config) -> Config | None:
-        """The full configuration to load first, where the device held one under a partial configuration.
+        """The full configuration to load first, if a partial one ran on it.
 
-        Raises StaticUnknown where the one before was the boot loader's and is gone.
+        Raises StaticUnknown if the image before was the boot loader's and is gone.
         """
         if old.type is ConfigType.FULL or self._same_static():
             return None
@@ -161,13 +161,13 @@ class Rollback:
         return static
 
     def _give_up(self, failure: Failure) -> str:
-        """Leave what is not ready cut off; says what is where."""
+        """Leave what is not ready isolated; returns a sentence on what each region holds."""
         before, same = self._before, self._same_static()
         known = [r for name, r in self._regions(failure.goal).items() if name in self._state.board.regions]
         cut = [r for r in known if self._state.board.region(r.name).phase in _CUT]
         again = {r.name for r in cut if self._coupled_again(r, failure)}
         problems = isolate(self._tools, [r for r in known if r.name not in again], self._sealed)
-        if same:  # else the rates are those of the image that is there now
+        if same:  # otherwise the rates are those of the image that is there now
             problems += self._rates_again(failure.rates)
         mode = before.mode if self._holds_as_before() else None
         self._state.update(lambda state: replace(state, config=before.config if same else None, mode=mode))
@@ -179,7 +179,7 @@ class Rollback:
         return "; ".join([self._left(), *problems])
 
     def _rates_again(self, rates: Mapping[str, int]) -> list[str]:
-        """Clocks run as they did; returns a sentence for each that does not."""
+        """Set clocks to their former rates; returns a sentence for each that cannot be."""
         problems: list[str] = []
         clocks = self._tools.devices.clocks()
         for name, rate in rates.items():
@@ -194,7 +194,7 @@ class Rollback:
         return problems
 
     def _regions(self, goal: Config) -> dict[str, Region]:
-        """Regions by name as the two configurations have them that the device may be in."""
+        """Regions by name, of both configurations that the device may be in."""
         old = self._old
         return {**(old.regions if old is not None and self._same_static() else {}), **goal.regions}
 
@@ -222,11 +222,11 @@ class Rollback:
 
 
 def isolate(tools: Tools, regions: Iterable[Region], sealed: Collection[str]) -> list[str]:
-    """After a failed way back: cut off every region that is not ready.
+    """After a failed rollback: isolate every region that is not ready.
 
-    Returns a sentence for each that could not be cut off; of those that are not known to be so already nothing is
-    claimed any more. A device that may not be configured is not
-    accessed at all: its bus would not answer, and the processor would hang.
+    Returns a sentence for each that could not be isolated; unless such a region is known to be isolated already, its
+    content then counts as unknown. A device that may not be configured is not accessed at all: its bus would not
+    answer, and the processor would hang.
     """
     problems = []
     for region in [] if tools.state.board.static_lost else regions:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A plan that is carried out: what its steps work with, how far it is, and each step recorded before it is taken.
+"""The execution of a plan: what its steps work with, how far it is, and each step recorded before it is taken.
 
 A step that fails leaves the board where the record says. Going back is another plan, made from that state
-(`cm.manager.execution.rollback`), not a list of inverses: so the way back copes with whatever was reached.
+(`cm.manager.execution.rollback`), not a list of inverses: so the way back works from whatever state was reached.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class Tools:
 
 @dataclass(slots=True)
 class StepContext:
-    """A plan that is carried out: with what, and how far it is.
+    """A plan under execution: its tools, and how far it is.
 
-    `best_effort` is for the way back, which a record that cannot be written does not keep from the mode before.
-    Whatever was touched, the last good record is of this change and says so: after a crash the board goes to
-    the same mode, by loading what that record does not say is there. Only a whole image is not begun
-    without a record: registers of a device that is half loaded must not be accessed.
+    `best_effort` is for the way back, which continues even if its record cannot be written. The last good record then
+    is of this change: after a crash the board goes to the same mode, and everything is loaded that this record does
+    not say is there. Only a full image is not begun without a record, because registers of a half-loaded device must
+    not be accessed.
     """
 
     plan: Plan
@@ -56,12 +56,12 @@ class StepContext:
     cancelled: Callable[[], bool]
     best_effort: bool = False
     at: int = -1  # index of the step that is being taken
-    port_seconds: float = 0.0  # that a port has taken for that step's image
+    port_seconds: float = 0.0  # that a port took for that step's image
     written: dict[str, int] = field(default_factory=dict)  # registers, by name
     found: dict[s.Place, int] = field(default_factory=dict)  # what registers held before, for the way back
-    sealed: set[str] = field(default_factory=set)  # regions that are cut off for certain
+    sealed: set[str] = field(default_factory=set)  # regions that are certainly isolated
     begun: set[str] = field(default_factory=set)  # regions whose load has begun
-    apart: set[str] = field(default_factory=set)  # regions of unknown content that stood cut off before
+    apart: set[str] = field(default_factory=set)  # regions of unknown content that were isolated before
     rates: dict[str, int] = field(default_factory=dict)  # what clocks ran at before, in Hz, for the way back
 
     @property
@@ -79,7 +79,7 @@ class StepContext:
         self.tools.state.update(change)
 
     def set_region(self, name: str, region: RegionState) -> None:
-        """Put a region's state in place of the one before."""
+        """Replace a region's state."""
         self.update(lambda board: board.with_region(name, region))
 
     def region_event(self, name: str, event: RegionEvent) -> None:
@@ -100,7 +100,7 @@ class StepContext:
             raise Cancelled("the change was cancelled")
 
     def tell(self, done: int) -> None:
-        """Publish the step under way, of whose image `done` bytes have gone through the port."""
+        """Publish the step under way; `done` bytes of its image have gone through the port."""
         step, goal = self.plan.steps[self.at], self.plan.goal
         fraction = min(self._fraction(done), 1.0)
         length = image_bytes(step)
@@ -114,7 +114,7 @@ class StepContext:
 
 
 def plan_to(goal: Goal, tools: Tools) -> Plan:
-    """What going there would do from here; touches nothing. Raises what is wrong with the files, and NoPort."""
+    """The plan from here to a goal; touches nothing. Raises what is wrong with the files, and NoPort."""
     state = tools.state
     mode = goal.config.modes[goal.mode]
     wanted = {goal.config.modules[name].region for name in (*mode.modules, *goal.also)}
@@ -122,7 +122,7 @@ def plan_to(goal: Goal, tools: Tools) -> Plan:
         config, choices = resolved(goal.config, wanted, tools.devices)
     except NoPort:
         plan = _plan(goal, resolved(goal.config, (), tools.devices)[0], tools)
-        if not plan.then:  # else the port may come with the overlays that it begins with
+        if not plan.then:  # otherwise the port may come with the overlays at its beginning
             raise
         return replace(plan, ports_later=True)
     state.choose(goal.config.name, choices)
@@ -139,9 +139,10 @@ Actions = Mapping[type, Callable[[StepContext, Any], None]]
 
 
 def take_steps(run: StepContext, goal: Goal, actions: Actions) -> None:
-    """Take each step by its action, once it is recorded. Raises what one raised; `run.step` is that step.
+    """Record each step, then take it by its action.
 
-    A plan that only brings the devices of the static part is followed by the one that they make possible.
+    Raises what a step raised; `run.step` is that step. A plan that only adds the devices of the static part is followed
+    by the one that they make possible.
     """
     _take_all(run, actions)
     if run.plan.then:

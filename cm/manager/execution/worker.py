@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Changes wait for their turn; a thread runs one after the other, and each ends once, whatever happens."""
+"""Changes wait for their turn; a thread runs one after the other, and each ends exactly once, whatever happens."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Change:
         return self._done.wait(timeout)
 
     def reply(self) -> Reply:
-        """What who asked is told of its end."""
+        """What the client is told at its end."""
         if self.error is not None:
             return Reply(error=self.error)
         return Reply(ChangeInfo(self.number, done=True, seconds=self.seconds, generation=self.generation))
@@ -83,11 +83,11 @@ class Change:
 class Worker:
     """The queue of changes and its thread.
 
-    A defect in one change, or in what is called at its end, must not harm the changes after it.
+    A defect in one change, or in a callback at its end, must not harm later changes.
     """
 
     def __init__(self, tools: Tools, leases: Leases, prefetches: bool) -> None:
-        """`prefetches`: between changes, images of the loaded configuration are held ready."""
+        """`prefetches`: between changes, images of the loaded configuration are read ahead."""
         self._tools = tools
         self._leases = leases
         self._prefetches = prefetches
@@ -109,7 +109,7 @@ class Worker:
             self._thread.join()
 
     def add(self, change: Change) -> Change:
-        """Let a change wait for its turn. Raises ChangeBusy where too many do."""
+        """Let a change wait for its turn. Raises ChangeBusy if too many wait."""
         try:
             self._queue.put_nowait(change)
         except queue.Full:
@@ -153,7 +153,7 @@ class Worker:
             self._tools.loaders.prefetch_modules(self._tools.state.loaded_config(), self._queue.empty)
 
     def _run(self, change: Change) -> None:
-        """Run a change and finish it; the next may be asked for before the end of this one is told."""
+        """Run a change and finish it; the next may be requested before the end of this one is published."""
         state, reporter, time = self._tools.state, self._tools.reporter, self._tools.time
         started = time.monotonic()
         self._begin(change)
@@ -223,12 +223,15 @@ class Worker:
             self._check_board()
         try:
             take_steps(run, goal, ACTIONS)
-        except Exception as error:  # defects of ours too: the board must not stay half changed for one
+        except Exception as error:  # defects of ours too: they must not leave the board half changed
             rollback = Rollback(self._tools, before, functools.partial(self._go_back, run), run.sealed)
             raise rollback.run(failure_of(run, error)) from error  # in no variable: its traceback has this frame
 
     def _check_board(self) -> None:
-        """Nothing is to be done, and nothing would notice that the board has gone. Raises what it answers with."""
+        """Ask the board for an answer when there is nothing to do, as otherwise its absence would go unnoticed.
+
+        Raises its error.
+        """
         try:
             self._tools.devices.check()
         except CmError:

@@ -38,7 +38,7 @@ class Loaders:
         return self._all[kind]
 
     def instead(self, job: Job, schema: Config, refused: Exception) -> tuple[Loader, Choice]:
-        """What loads after the ICAP has refused a load, where the schema leaves the port open. Raises `refused`."""
+        """The loader after the ICAP has refused a load, if the schema leaves the port open. Else raises `refused`."""
         region = schema.regions.get(job.region.name) if job.region else None
         chosen = job.region.loader if job.region else None
         if region is None or region.loader is not LoaderKind.AUTO or chosen is not LoaderKind.ICAP:
@@ -50,11 +50,11 @@ class Loaders:
         return other, Choice(LoaderKind.FPGA_MANAGER, f"icap: {refused}")
 
     def prefetch(self, jobs: Iterable[Job], go_on: Callable[[], bool] = lambda: True) -> None:
-        """Keep these images ready where their loader can, and no others; asks `go_on` before each."""
+        """Keep only these images ready, if their loader can; asks `go_on` before each."""
         self._icap.prefetch([j for j in jobs if j.region and j.region.loader is LoaderKind.ICAP], go_on)
 
     def prefetch_modules(self, config: Config | None, go_on: Callable[[], bool]) -> None:
-        """The same for the images of a configuration's modules. What is wrong with one shows when it is used."""
+        """The same for the images of a configuration's modules. Errors in one are reported when it is used."""
         config = resolved(config, (), self._devices)[0] if config else None
         jobs = list(self._jobs(config, go_on)) if config else []
         if config is not None and go_on():
@@ -76,9 +76,9 @@ class Loaders:
 
 
 def resolved(config: Config, wanted: Collection[str], devices: Devices) -> tuple[Config, Mapping[str, Choice]]:
-    """The configuration with a port for each region of `loader: auto`, and what was chosen, by region.
+    """The configuration with a port for each region of `loader: auto`, and the choices by region.
 
-    Raises NoPort where none of those `wanted` (regions) can be loaded; of the others, that shows when they are wanted.
+    Raises NoPort if a region in `wanted` cannot be loaded; for the others this is reported when they are needed.
     """
     open_ = [region for region in config.regions.values() if region.loader is LoaderKind.AUTO]
     choices = {region.name: _choose(region, region.name in wanted, devices) for region in open_}
@@ -107,7 +107,7 @@ def _choose(region: Region, wanted: bool, devices: Devices) -> Choice:
 
 
 def _ports(region: Region, devices: Devices) -> Iterator[tuple[LoaderKind, str]]:
-    """The ports in their order, each with what stands against it."""
+    """The ports in their order, each with what prevents its use."""
     yield LoaderKind.ICAP, _against_icap(region.loader_name, devices)
     yield LoaderKind.FPGA_MANAGER, _against_fpga_manager(region.loader_name, devices)
 

@@ -36,7 +36,7 @@ class FpgaManagerLoader:
         yield lambda on_bytes: self._load(manager, name, job, on_bytes)
 
     def _load(self, manager: KernelLoader, name: str, job: Job, on_bytes: OnBytes) -> None:
-        """The kernel reads the file itself: what was replaced meanwhile may be what it loaded."""
+        """The kernel reads the file itself: if it was replaced meanwhile, that may be what was loaded."""
         manager.load(name, partial=job.region is not None, encrypted=job.image.encrypted)
         _raise_not_operating(manager, job.image)
         self._files.check_firmware(name, job.image)

@@ -15,7 +15,7 @@ from cm.manager.errors import LoadFailed, StepTimeout, WrongDevice
 from cm.manager.loaders.job import Job, OnBytes, Start
 from cm.manager.ports import ConfigPort, Devices, Files, Image, PortBuffer, PortCompletion, TimeSource
 
-_POLL = 0.05  # seconds between two looks at how far a load is; most loads are shorter, and none is slowed by a look
+_POLL = 0.05  # seconds between two looks at a load's progress; most loads are shorter, and looking slows none
 _REVISION = 0xF0000000  # bits of an IDCODE that differ between revisions of one device
 _PAGE = 4096
 _Key = tuple[str | None, str]
@@ -41,7 +41,7 @@ class BufferCache:
         self._held: OrderedDict[_Key, Held] = OrderedDict()
 
     def get(self, job: Job, icap: ConfigPort, read: Callable[[Image], bytes]) -> tuple[Held, bool]:
-        """A buffer with the image's words, and whether it stays here (else the caller closes it)."""
+        """A buffer with the image's words, and whether it is kept here (if not, the caller closes it)."""
         key, image = _key(job), job.image
         held = self._held.get(key)
         if held is not None:
@@ -109,7 +109,7 @@ class IcapLoader:
         self._cookies = itertools.count(1)
 
     def prefetch(self, jobs: Sequence[Job], go_on: Callable[[], bool]) -> None:
-        """Have these images' words, and no others, in DMA buffers: the first ones, as many as the budget holds."""
+        """Keep only these images' words in DMA buffers: the first ones, as many as fit in the budget."""
         self._cache.keep_only(jobs)
         for job in jobs:
             if not go_on():
@@ -152,7 +152,7 @@ class IcapLoader:
         _raise_failed(self._wait(icap, cookie, image, timeout, on_bytes), image)
 
     def _dispose(self, held: Held) -> None:
-        """Close a buffer, and those that a load given up as hung still used the last time."""
+        """Close a buffer, and earlier ones that an abandoned load was still using then."""
         left = [*self._in_use, held]
         self._in_use = []
         for each in left:
@@ -162,7 +162,7 @@ class IcapLoader:
                 self._in_use.append(each)
 
     def _await_idle(self, icap: ConfigPort, image: Image, timeout: float) -> None:
-        """A load that was given up as hung may still hold the port; the driver ends it in its own time."""
+        """Wait for a load that was abandoned as hung and may still hold the port, until the driver ends it."""
         until = self._time.monotonic() + timeout
         while icap.status().loading:
             if self._time.monotonic() >= until:
@@ -172,7 +172,7 @@ class IcapLoader:
             time.sleep(_POLL)
 
     def _wait(self, icap: ConfigPort, cookie: int, image: Image, timeout: float, on_bytes: OnBytes) -> PortCompletion:
-        """The end of our load; that of an earlier one, given up as hung, is passed over."""
+        """The end of our load; that of an earlier one, abandoned as hung, is skipped."""
         until = self._time.monotonic() + timeout
         while self._time.monotonic() < until:
             try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a loader is given, and what it has to do."""
+"""What a loader is given, and its interface."""
 
 from __future__ import annotations
 
@@ -31,13 +31,14 @@ class Loader(Protocol):
     """Loads one image."""
 
     def check(self, job: Job) -> None:
-        """Raise what is known beforehand to stand against the job; touches nothing."""
+        """Raise what is known beforehand to prevent the job; touches nothing."""
 
     def prepared(self, job: Job, timeout: float) -> AbstractContextManager[Start]:
-        """All that can be done before the port is touched, and what touches it; `timeout` (seconds) is for both.
+        """On entry, all that can be done before the port is touched; gives the function that touches it. `timeout`
 
-        Entering raises what is wrong with files or memory, or StepTimeout where the port stays busy:
-        nothing was loaded then. `Start` raises LoadFailed, StepTimeout or DeviceError.
+        (seconds) is for both. Entering raises what is wrong with files or memory, or StepTimeout if the port stays
+
+        busy: then nothing was loaded. `Start` raises LoadFailed, StepTimeout or DeviceError.
         """
 
     def forget(self) -> None:

@@ -25,7 +25,7 @@ class OverlayLoader:
         self._files = files
 
     def check(self, job: Job) -> None:
-        """A whole image cannot be loaded so: the node of its region would go with it."""
+        """A full image cannot be loaded this way: the node of its region would go with it."""
         _region_of(job)
         self._files.firmware_name(job.image)
 

@@ -54,7 +54,7 @@ def mode_named(config: Config, name: str) -> str:
 
 
 def _word(word: str, configs: Mapping[str, Config], loaded: str | None) -> tuple[Config, str]:
-    """One word in plain text: a mode or module of what is loaded, else a configuration."""
+    """One word in plain text: a mode or module of the loaded configuration, or else a configuration."""
     if loaded is not None:
         try:
             return configs[loaded], mode_named(configs[loaded], word)
@@ -91,7 +91,7 @@ class Goal:
 
     `values` overrides registers' defaults: the way back restores what was written. `also` are modules
     beside the mode's, in regions that the mode leaves alone: the way back restores what they held.
-    `static` is the full configuration whose image a partial one was running in, for the way back to it.
+    `static` is the full configuration whose image a partial one ran on, for the way back to it.
     `rates` are clocks' rates in Hz that the way back restores, whatever the configuration says of them; `found`
     likewise what registers held, by physical address and width, which no name of the configuration has to reach.
     `grounded`: the configuration's own overlays are on, by a plan before this one.
@@ -109,7 +109,7 @@ class Goal:
 
     @property
     def base(self) -> Config | None:
-        """The configuration whose image has to be in the device; None where that cannot be known."""
+        """The configuration whose image has to be in the device; None if that cannot be known."""
         return self.config if self.config.type is ConfigType.FULL else self.static
 
 
@@ -118,8 +118,8 @@ class Plan:
     """Steps from one state to a goal.
 
     The devices of the static part may come with the configuration's own overlays: the port, clocks, register windows.
-    Then `steps` end with those overlays, and `then` is what follows as far as it can be told before: the plan that is
-    carried out is made when the devices are there. `ports_later`: the port is among them, and cannot be asked now.
+    Then `steps` end with those overlays, and `then` is what follows, as far as can be said beforehand: the plan that
+    is carried out is made when the devices exist. `ports_later`: the port is among them, and cannot be asked now.
     """
 
     goal: Goal
@@ -135,7 +135,7 @@ class Plan:
 
     @property
     def regions(self) -> frozenset[str]:
-        """The regions that are cut off for a while, or stand cut off."""
+        """The regions that the plan isolates, or that are isolated already."""
         return frozenset(step.region.name for step in (*self.steps, *self.then) if isinstance(step, s.Recouple))
 
     def info(self, throughput: Throughput) -> PlanInfo:

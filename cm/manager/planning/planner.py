@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From what the board holds and where it shall go to the steps in between; touches nothing.
+"""From what the board holds and a goal to the steps between them; touches nothing.
 
 The order is that of the design: validate, quiesce, decouple, load, overlays, registers, verify,
-recouple, publish — with three deviations that the hardware asks for. Overlays that go are removed
+recouple, publish — with three deviations that the hardware requires. Overlays that go are removed
 before their region is cut off (their drivers talk to it). A configuration's own overlays come first
-of all: with them come the devices that the other steps need, and the plan ends there until they are
-there. A module's own registers and its identity
+of all: they bring the devices that the other steps need, and the plan ends there until these exist. A module's own
+registers and its identity
 lie behind the decoupler (PG375), so they are written and checked after recoupling, while the streams
 are still stopped.
 """
@@ -23,7 +23,7 @@ from cm.manager.state.record import Throughput
 from cm.manager.state.table import BoardState, RegionPhase, loading_overlay
 from cm.schema.model import Config, LoaderKind, Module, Region
 
-_WHOLE = (RegionPhase.READY, RegionPhase.DECOUPLED, RegionPhase.LOADED)  # phases in which a content is known to be so
+_WHOLE = (RegionPhase.READY, RegionPhase.DECOUPLED, RegionPhase.LOADED)  # phases in which a known content is certain
 
 
 def make_plan(
@@ -136,7 +136,7 @@ class _Planner:
         if streams:
             yield s.Quiesce(streams)
         yield from (s.RemoveOverlay(name) for name in overlays.removed)
-        if static:  # it runs from the first moment: its clocks are right by then
+        if static:  # it runs from the first moment, so its clocks must be right by then
             yield from self._clocks
             yield self._load_static(static)
         if static or ground:
@@ -154,7 +154,7 @@ class _Planner:
         yield s.Publish(self._config.name, self._goal.mode)
 
     def _static_check(self) -> tuple[s.CheckStatic, ...]:
-        """Whether the modules belong to the static part that is there; of an image of ours that need not be asked."""
+        """Check that the modules belong to the present static part; not needed for an image that we loaded."""
         check = s.CheckStatic(self._config.name, self._config.static)
         return (check,) if check.known or self._goal.base is None else ()
 
@@ -185,7 +185,7 @@ class _Planner:
                 yield from (name for name, r in config.visible_registers(mode).items() if r.region == region)
 
     def _streams(self, regions: set[str], everything: bool) -> tuple[str, ...]:
-        """Streams of today that pass through a changed region, or look different afterwards."""
+        """Present streams that pass through a changed region, or look different afterwards."""
         mode = self._state.mode
         if self._old is None or mode is None or mode not in self._old.modes:
             return ()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a mode sets beside its modules: overlays, registers, clocks. What of it a change has to do."""
+"""What a mode sets beside its modules: overlays, registers, clocks; and which of these a change has to set."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def wanted_overlays(config: Config, mode: Mode, files: Files, images: Sequence[I
 def _kept(applied: Collection[OverlayState], hashes: Mapping[str, str], loading: Mapping[str, bool]) -> set[str]:
     """Names of the overlays that stay.
 
-    Overlays form a stack: one that goes takes those applied after it off with it, or the kernel
-    refuses (they may hang from its nodes). Only those by which other regions were loaded stay: each
-    targets its own region's node, and off with it would go the region's devices.
+    Overlays form a stack: to remove one, those applied after it are removed first, as they may depend on its nodes
+    and the kernel would refuse. Only those by which other regions were loaded stay: each targets its own region's
+    node, and the region's devices would go with it.
     """
     kept: set[str] = set()
     intact = True
@@ -79,7 +79,7 @@ class Writing:
     reset: Collection[str]
 
     def steps(self) -> list[SetRegister]:
-        """Where the region was reset, or where the value differs from what was written."""
+        """Writes of registers whose region was reset, or whose value differs from what was written."""
         visible = self.goal.config.visible_registers(self.goal.mode).values()
         values = [(r, self._value(r)) for r in visible if self._can_write(r)]
         return [SetRegister(r, value) for r, value in values if value is not None and self._is_due(r, value)]
@@ -115,20 +115,20 @@ class Writing:
 
 
 def place_of(register: Register) -> Place:
-    """Where a register lies, whatever it is called."""
+    """The place of a register, whatever its name."""
     return register.address, register.width
 
 
 def clock_steps(goal: Goal, state: BoardState, devices: Devices) -> tuple[SetClock, ...]:
     """The clocks that do not run as the goal wants them, or whose rate is not known.
 
-    Raises ClockRate where a clock cannot come near enough to its rate, DeviceNotFound where there is none of
-    that name beside others.
+    Raises ClockRate where a clock cannot come near enough to its rate, DeviceNotFound if the board has clocks, but
+    none of that name.
     """
     if not (goal.config.clocks or goal.rates):
         return ()
     clocks = devices.clocks()
-    if not clocks.names():  # as it always was there: what they run at is not known, which is said once
+    if not clocks.names():  # as it always was there: their rates are not known, which is said once
         unset = (SetClock(clock, 0, None, running=True) for clock in goal.config.clocks.values())
         return tuple(step for step in unset if state.clocks.get(step.clock.name) != 0)
     steps = [_step(clocks.find(name), Clock(name, rate), restores=True) for name, rate in goal.rates.items()]

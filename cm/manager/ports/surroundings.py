@@ -20,7 +20,7 @@ class DataPlane(Protocol):
         """Streams are those of this mode now, where regions hold what `held` says; start again what is listened to."""
 
     def wrote(self, generation: int) -> None:
-        """Registers were written, by requests or a change: what begins from now on is of this generation."""
+        """Registers were written, by requests or a change: frames that begin from now on have this generation."""
 
 
 class TimeSource(Protocol):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""At start: compare what the record says with what the board shows, and keep only what both say.
+"""At start: compare what the record says with what the board shows, and keep only what both agree on.
 
 Looks at the boot id, the overlays in configfs, the regions' identity registers and the step that was
 under way when the manager died. Touches nothing but leftover overlays of a step that was cut short.
@@ -76,10 +76,10 @@ def _compare(record: Record | None, configs: Mapping[str, Config], devices: Devi
 
 
 def _distrust_pending(state: BoardState, pending: Pending | None) -> BoardState:
-    """The step that was about to be taken may have been taken: what it touches is not known."""
+    """The step that was about to be taken may have been taken: what it touches becomes unknown."""
     if pending is None:
         return state
-    if pending.step == "decouple":  # its circuit is what it was, whether or not it is cut off by now
+    if pending.step == "decouple":  # its circuit is unchanged, whether or not it is isolated now
         region = state.region(pending.subject)
         return state.with_region(pending.subject, region.after(RegionEvent.DECOUPLE))
     if pending.step == "registers":
@@ -105,7 +105,7 @@ def _overlays(state: BoardState, pending: Pending | None, devices: Devices, note
 
 
 def _clocks(state: BoardState, devices: Devices, notes: list[str]) -> BoardState:
-    """Clocks that were set from elsewhere since, or that a change was setting: nothing is known of them."""
+    """Forget clocks that others have set since, or that a change was setting."""
     kept = {}
     for name, rate in state.clocks.items():
         if rate == 0 and not devices.clocks().names():

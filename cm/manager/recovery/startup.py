@@ -36,7 +36,7 @@ def take_stock(state: ManagerState, devices: Devices, registers: RegisterBus) ->
 
 
 def destination(state: BoardState, interrupted: Pending | None, configs: Mapping[str, Config]) -> Destination | None:
-    """The mode that the board is in or was in before the change that was cut short; None where there is none."""
+    """The mode that the board is in or was in before the change that was cut short; None if there is none."""
     config = configs.get(state.config or "")
     if config is not None and state.mode is not None and state.mode in config.modes:
         return Destination(config, state.mode)
@@ -46,7 +46,7 @@ def destination(state: BoardState, interrupted: Pending | None, configs: Mapping
 
 
 def _way_back(cut: Pending, configs: Mapping[str, Config]) -> Destination | None:
-    """Where the change came from; None where the image that this needs is not ours to load."""
+    """The mode that the change came from; None if it needs an image that is not ours to load."""
     config = configs.get(cut.from_config or "")
     if config is None or cut.from_mode is None or cut.from_mode not in config.modes:
         return None

@@ -15,7 +15,7 @@ from cm.messages.status import ClockStatus, ErrorInfo, PrMode, Progress, RegionS
 from cm.schema.model import Config, Stream
 
 _T = TypeVar("_T")
-_UNKNOWN = RegionState()  # of which nothing was heard
+_UNKNOWN = RegionState()  # of which nothing is known
 
 
 class Moment(NamedTuple):
@@ -34,7 +34,7 @@ class Moment(NamedTuple):
 
 
 class _Kept(Generic[_T]):
-    """What is made of the very same things as the last time is not made again."""
+    """Results that are kept as long as their inputs are the same objects."""
 
     def __init__(self, make: Callable[..., _T]) -> None:
         self._make = make
@@ -86,7 +86,7 @@ class StatusReporter:
             self._notice = None
 
     def note(self, error: ErrorInfo | None) -> None:
-        """An error beside changes; one that is already told is of more use."""
+        """Report an error beside changes, unless there is one already, which is of more use."""
         if self._error is None:
             self._error = error
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What is known: the configurations, and what the board holds, kept in memory and in the record.
 
-All of it are immutable values that are swapped. `lock` keeps register accesses of requests and the
+All values are immutable, and are swapped. `lock` keeps register accesses of requests and the
 moments at which a change takes regions away from overlapping; both threads take it.
 """
 
@@ -25,7 +25,7 @@ from cm.schema.model import Config, LoaderKind, Memory
 
 @dataclass(frozen=True, slots=True)
 class LockedRegions:
-    """What a running change has taken away from requests: regions, or the whole device."""
+    """What a running change has locked against requests: regions, or the whole device."""
 
     regions: frozenset[str] = frozenset()
     whole: bool = False
@@ -35,11 +35,11 @@ class LockedRegions:
 
 
 class ManagerState:
-    """What the manager knows, and the record of it."""
+    """What the manager knows, and its record on disk."""
 
     def __init__(self, configs: Mapping[str, Config], journal: Journal) -> None:
         self.configs: Mapping[str, Config] = MappingProxyType(dict(configs))  # all that can be loaded
-        self.latest = BoardState()  # what the board holds, but for `_written`
+        self.latest = BoardState()  # what the board holds, except for `_written`
         self.throughput = Throughput()
         self.totals = ChangeTotals()  # since this manager's start
         self.choices: Mapping[tuple[str, str], Choice] = MappingProxyType({})  # by configuration and region
@@ -73,7 +73,7 @@ class ManagerState:
             self._dirty = True
 
     def written(self) -> int:
-        """Everything that was noted is in the registers; the number of that generation of them."""
+        """All noted values are in the registers; returns the number of this generation of them."""
         with self.lock:
             self.generation += 1
             return self.generation
@@ -124,7 +124,7 @@ class ManagerState:
                 self.runtime_memories = MappingProxyType({})
 
     def lock_regions(self, regions: frozenset[str], whole: bool = False) -> None:
-        """Keep requests off these regions' registers, or off all; waits for an access under way."""
+        """Lock these regions' registers, or all, against requests; waits for an access under way."""
         with self.lock:
             self.locked = LockedRegions(regions, whole)
 
@@ -143,7 +143,7 @@ class ManagerState:
         self.totals.loaded(kind.value, length, seconds)
 
     def took(self, step: str, seconds: float, port_seconds: float) -> None:
-        """Keep how long a kind of step took: for plans without what the port did in it."""
+        """Keep how long a kind of step took, without the time of the port, for plans."""
         self.throughput = self.throughput.took(step, seconds - port_seconds)
         self.totals.took(step, seconds)
 

@@ -3,9 +3,9 @@
 
 A journal of one line per record, of which the last whole one counts. A line is a single pwrite(2), so
 a killed manager leaves whole lines and at most one torn end. The file has its full length from the
-beginning, and so has the one that will replace it (by a rename) when it is full: a disk that others
-have filled does not keep the board from changing its mode. There is no fsync: after a loss of power
-the device is empty too, and the boot id tells so.
+beginning, and so has the one that will replace it (by a rename) when it is full: a disk that others have filled does
+not prevent a change of mode. There is no fsync: after a loss of power
+the device is empty too, and the boot id shows that.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Journal:
             os.close(old)
 
     def _keep_old(self) -> bool:
-        """Give the journal a second name, so that its room is not lost to others when its first one goes."""
+        """Give the journal a second name, so that its space is not lost to others when the first name goes."""
         with contextlib.suppress(OSError):
             os.link(self._path, self._old)
             return True
@@ -122,7 +122,7 @@ class Journal:
         return record
 
     def _aside(self) -> str:
-        """Begin a new journal; says what became of the old one."""
+        """Begin a new journal; returns a sentence on what became of the old one."""
         aside = self._path.with_suffix(".corrupt")
         try:
             self._path.replace(aside)

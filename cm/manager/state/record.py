@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The record of what the hardware holds and of what steps took, as data and as a line of JSON with a CRC."""
+"""The record of what the hardware holds and how long steps took, as data and as a line of JSON with a CRC."""
 
 from __future__ import annotations
 
@@ -30,9 +30,8 @@ class Throughput:
 
     `measured` are bytes per second of the ports, by kind of loader. `steps` are seconds by kind of step
     (`cm.manager.state.steps`) beside what a port takes for an image: reading files, the kernel's drivers, the
-    record. What is expected is their median: a single one that was disturbed, as the first after a start is by
-    cold caches, says nothing of the next. Of two the quicker counts, and beside a single load the port's nominal
-    rate.
+    record. What is expected is their median: a single one that was disturbed, as the first after a start is by cold
+    caches, says nothing about the next. Of two, the quicker counts, and beside a single load the port's nominal rate.
     """
 
     measured: Mapping[LoaderKind, tuple[float, ...]] = field(default_factory=lambda: MappingProxyType({}))
@@ -67,12 +66,12 @@ class Throughput:
         return replace(self, measured=MappingProxyType({**self.measured, loader: rates}))
 
     def took(self, step: str, seconds: float) -> Throughput:
-        """With one more step, without what the port took in it."""
+        """With one more step, without the time of the port in it."""
         return replace(self, steps=MappingProxyType({**self.steps, step: _with(self.steps.get(step, ()), seconds)}))
 
 
 def _with(before: tuple[float, ...], new: float) -> tuple[float, ...]:
-    return (*before, float(f"{new:.4g}"))[-_RECENT:]  # it is recorded before every step: no digits that say nothing
+    return (*before, float(f"{new:.4g}"))[-_RECENT:]  # recorded before every step, so without digits that mean nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +109,7 @@ class OtherVersion(ValueError):
 
 
 def encode(record: Record) -> bytes:
-    """A line; it begins with a line's end, so that what was torn before it does no harm."""
+    """A line; it begins with a line end, so that a torn line before it does no harm."""
     plain = _json(_to_plain(record))
     rates = ",".join([_measured(kind.value, rates) for kind, rates in record.throughput.measured.items()])
     seconds = ",".join([_measured(kind, took) for kind, took in record.throughput.steps.items()])
@@ -120,7 +119,10 @@ def encode(record: Record) -> bytes:
 
 @lru_cache(64)
 def _measured(kind: str, values: tuple[float, ...]) -> str:
-    """Measurements of a kind. Few are new in each record, and to write all takes longer than the rest of it."""
+    """Measurements of a kind.
+
+    Cached, as few are new in each record, and formatting all would take longer than the rest of it.
+    """
     return f"{_json(kind)}:{_json(values)}"
 
 

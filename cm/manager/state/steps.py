@@ -39,7 +39,7 @@ class Validate:
 
 @dataclass(frozen=True, slots=True)
 class CheckStatic:
-    """Ask the static part who it is, before a partial bitstream is loaded into it."""
+    """Read the static part's identity, before a partial bitstream is loaded into it."""
 
     config: str
     static: StaticIdentity | None  # None, or one without a register: nothing can be asked
@@ -47,7 +47,7 @@ class CheckStatic:
 
     @property
     def known(self) -> bool:
-        """Whether the board can be asked, and what it has to say is known."""
+        """Whether the board can be asked, and the right answer is known."""
         return self.static is not None and self.static.identity is not None and self.static.base_address is not None
 
     @property
@@ -95,7 +95,7 @@ class RemoveOverlay:
 
 @dataclass(frozen=True, slots=True)
 class Decouple(_OfRegion):
-    """Cut a region off from the static part."""
+    """Isolate a region from the static part."""
 
     region: Region
     kind = "decouple"
@@ -181,7 +181,7 @@ class Recouple(_OfRegion):
 
 @dataclass(frozen=True, slots=True)
 class CheckIdentity(_OfRegion):
-    """Ask a module who it is."""
+    """Read a module's identity."""
 
     region: Region
     module: Module

@@ -19,10 +19,10 @@ class RegionPhase(str, Enum):
 
     UNKNOWN = "unknown"  # nothing is known of its content
     READY = "ready"  # holds a module and is coupled
-    DECOUPLED = "decoupled"  # cut off; content as before, or not to be trusted
-    LOADING = "loading"  # a bitstream is on its way into it
-    LOADED = "loaded"  # holds the new module, still cut off
-    FAILED = "failed"  # a change failed and so did the way back; stays cut off
+    DECOUPLED = "decoupled"  # isolated; content as before, or not to be trusted
+    LOADING = "loading"  # a bitstream is being loaded into it
+    LOADED = "loaded"  # holds the new module, still isolated
+    FAILED = "failed"  # a change failed, and so did the way back; stays isolated
 
 
 class RegionEvent(str, Enum):
@@ -67,7 +67,7 @@ TRANSITIONS: Mapping[tuple[RegionPhase, RegionEvent], RegionPhase] = MappingProx
 
 
 class IllegalTransition(RuntimeError):
-    """An event that the table has not: a defect of the manager, never of a request."""
+    """An event that is not in the table: a defect of the manager, never of a request."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,7 @@ class BoardState:
         return replace(self, regions=MappingProxyType({**self.regions, name: region}))
 
     def with_clock(self, name: str, rate: int) -> BoardState:
-        """A copy that remembers what a clock runs at."""
+        """A copy that remembers a clock's rate."""
         return replace(self, clocks=MappingProxyType({**self.clocks, name: rate}))
 
     def without_values(self, registers: set[str]) -> BoardState:

@@ -9,9 +9,9 @@ from cm.manager.state import steps as s
 
 
 def set_clock(run: StepContext, step: s.SetClock) -> None:
-    """Set a clock, hold it running, and read back what it runs at: rates round without an error.
+    """Set a clock, keep it running, and read back its rate, since rates are rounded without an error.
 
-    Raises ClockRate where that is not near enough, DeviceError.
+    Raises ClockRate if that is not near enough, DeviceError.
     """
     name = step.clock.name
     if not step.before:

@@ -20,7 +20,7 @@ def remove(run: StepContext, step: s.RemoveOverlay) -> None:
 
 
 def apply(run: StepContext, step: s.ApplyOverlay) -> None:
-    """Put an overlay on, in place of one of its name that is left over."""
+    """Put an overlay on, in place of a leftover one with its name."""
     overlays = run.tools.devices.overlays()
     if step.overlay.name in overlays.list():
         overlays.remove(step.overlay.name)

@@ -19,7 +19,7 @@ from cm.manager.state import steps as s
 from cm.manager.state.table import BoardState, OverlayState, RegionEvent, RegionPhase, all_lost, loading_overlay
 from cm.schema.model import Access, LoaderKind, Register
 
-IDENTITY_READS = 1000  # a read takes longer than a clock of the region: more than any reset lasts
+IDENTITY_READS = 1000  # each read takes longer than a clock cycle of the region, all of them longer than any reset
 
 
 def job_of(run: StepContext, step: s.Load | s.LoadStatic) -> Job:
@@ -30,7 +30,7 @@ def job_of(run: StepContext, step: s.Load | s.LoadStatic) -> Job:
 
 
 def decouple(run: StepContext, step: s.Decouple) -> None:
-    """Cut off; the state says so first: if it fails, the region may be cut off."""
+    """Isolate; the state says so first: if this fails, the region may be isolated."""
     name, decoupler = step.region.name, step.region.decoupler
     unknown = run.board.region(name).phase is RegionPhase.UNKNOWN
     if decoupler and unknown and is_cut(run.tools.registers, decoupler):
@@ -51,7 +51,7 @@ def recouple(run: StepContext, step: s.Recouple) -> None:
 
 
 def load(run: StepContext, step: s.Load) -> None:
-    """Load one region; what it held is forgotten, and that recorded, before the port is touched."""
+    """Load one region; before the port is touched, what it held is forgotten, and that is recorded."""
     run.check_cancelled()
     name = step.region.name
     with run.tools.loaders.kind(step.port_kind).prepared(job_of(run, step), step.timeout) as start:
@@ -69,7 +69,7 @@ def load(run: StepContext, step: s.Load) -> None:
 
 
 def _through(run: StepContext, step: s.Load, start: Start) -> None:
-    """Through the step's port, or the other one if that refuses before it has taken anything."""
+    """Load through the step's port, or through the other one if that refuses before it has accepted anything."""
     state, config = run.tools.state, run.plan.goal.config.name
     try:
         _timed(run, step, start)
@@ -120,7 +120,7 @@ def _timed(run: StepContext, step: s.Load | s.LoadStatic, start: Start) -> None:
 
 
 def check_static(run: StepContext, step: s.CheckStatic) -> None:
-    """The static part's identity register has to read what the modules were made with."""
+    """The static part's identity register has to match the one that the modules were made with."""
     static = step.static
     if not step.known or static is None or static.base_address is None:
         return
@@ -135,7 +135,7 @@ def check_static(run: StepContext, step: s.CheckStatic) -> None:
 def check_identity(run: StepContext, step: s.CheckIdentity) -> None:
     """The region's identity register has to read what the schema says of the module.
 
-    A region that was connected this moment is still in reset for some of its clock's cycles, and reads as 0.
+    A region that has just been connected is still in reset for some clock cycles, and reads as 0.
     """
     identity = step.region.identity
     if identity is None or step.module.identity is None:
@@ -154,7 +154,7 @@ def check_identity(run: StepContext, step: s.CheckIdentity) -> None:
 
 
 def validate(run: StepContext, _: s.Validate) -> None:
-    """The planner has read and checked every image; what is left is to ask the ports, and to keep readers off."""
+    """The planner has read and checked every image; what remains is to ask the ports, and to lock the regions."""
     plan = run.plan
     for step in (*plan.steps, *(() if plan.ports_later else plan.then)):
         if isinstance(step, s.Load | s.LoadStatic):
@@ -183,7 +183,7 @@ def set_register(run: StepContext, step: s.SetRegister) -> None:
 
 
 def _note(run: StepContext, register: Register, value: int) -> None:
-    """Until the end the names that are known are those of the configuration before, and its registers."""
+    """Note a written value; until the end of the change, names are those of the configuration before it."""
     run.written[register.name] = value
     if run.board.config in (None, run.plan.goal.config.name):
         run.tools.state.note_written(register.name, value)
@@ -192,7 +192,7 @@ def _note(run: StepContext, register: Register, value: int) -> None:
 
 
 def _names_before(run: StepContext, register: Register) -> set[str]:
-    """What the configuration before calls a register."""
+    """The name that the configuration before has for a register."""
     config = run.tools.state.loaded_config()
     if config is None:
         return set()
@@ -219,11 +219,11 @@ def _keeps_its_value(register: Register) -> bool:
 
 
 def publish(run: StepContext, step: s.Publish) -> None:
-    """The board is in the mode: record it, let readers and streams in.
+    """The board is in the mode: record it, and release registers and streams.
 
-    A record that cannot be written now undoes nothing: the one before says that this change was nearly
-    done, and after a crash the board goes back to the mode before. It is tried once more, and told, when
-    the change has ended.
+    A record that cannot be written now undoes nothing: the last one says that this change was nearly done, and after a
+    crash the board goes back to the mode before. Writing is tried once more when the change has ended, and a failure is
+    reported.
     """
     run.update(lambda state: _entered(state, run.plan.goal, run.written))
     with contextlib.suppress(RecordFailed):
@@ -233,7 +233,7 @@ def publish(run: StepContext, step: s.Publish) -> None:
 
 
 def _entered(state: BoardState, goal: Goal, written: dict[str, int]) -> BoardState:
-    """In another configuration the same names are other registers: only what was written here is known."""
+    """In another configuration the same names are other registers: only values that this change wrote are known."""
     if state.config != goal.config.name:
         state = replace(state, values=MappingProxyType(dict(written)))
     return replace(state, config=goal.config.name, mode=goal.mode)
