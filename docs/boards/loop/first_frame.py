@@ -17,7 +17,7 @@ def main() -> None:
         for mode in ("default", "edges"):
             board.mode = mode
             same = came = 0
-            with board.stream("from_pl", timeout=2) as stream, board.writer("to_pl", timeout=2) as writer:
+            with board.stream("from_pl", timeout=5) as stream, board.writer("to_pl", timeout=5) as writer:
                 for _ in range(COUNT):
                     sent = noise.integers(0, 256, SHAPE, dtype=np.uint8)
                     writer.write(sent)
