@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
-from time import monotonic_ns
+from time import monotonic_ns, thread_time_ns
 from types import MappingProxyType
 from typing import Protocol
 
@@ -115,12 +115,11 @@ class Budgets:
 
     def look_at_replies(self) -> None:
         """Count the replies that were read, of all clients, unless that was done just now."""
-        began = monotonic_ns()
-        if began >= self._next_look:
+        if monotonic_ns() >= self._next_look:
+            began = thread_time_ns()  # not the wall's: to be preempted is no cost, and would keep clients waiting
             for budget in self:
                 budget.look_at_replies()
-            ended = monotonic_ns()
-            self._next_look = ended + max(_LOOK, _REST * (ended - began))
+            self._next_look = monotonic_ns() + max(_LOOK, _REST * (thread_time_ns() - began))
 
     def settle(self) -> None:
         """Count connections anew, and forget clients that have nothing left."""

@@ -240,6 +240,26 @@ class Read:
     done = False
 
 
+class Time:
+    """That of looks at what was read."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.now = 0
+        patch.setattr("cm.budgets.registry.monotonic_ns", lambda: self.now)
+
+
+class Preempted(Read):
+    """The loop is not run for a second while it looks at this one."""
+
+    def __init__(self, time: Time) -> None:
+        self._time = time
+
+    @property
+    def done(self) -> bool:  # type: ignore[override]
+        self._time.now += 1_000_000_000
+        return False
+
+
 def test_replies_count_until_a_later_one_of_their_connection_was_read() -> None:
     budgets = Budgets(Bounds(1, 100_000), Process, lambda *_: None, tuple)
     budget, read = budgets.of("1"), Read()
@@ -253,7 +273,8 @@ def test_replies_count_until_a_later_one_of_their_connection_was_read() -> None:
     assert (budget.unread_bytes, budget.account.leaving_bytes, budgets.leaving_bytes) == (0, 0, 0)
 
 
-def test_a_client_that_does_not_read_one_connection_is_answered_over_another() -> None:
+def test_a_client_that_does_not_read_one_connection_is_answered_over_another(monkeypatch: pytest.MonkeyPatch) -> None:
+    time = Time(monkeypatch)
     budgets = Budgets(Bounds(1, 100_000), Process, lambda *_: None, tuple)
     budget, unread = budgets.of("1"), Read()
     budget.sent(unread, 101_000, b"a")
@@ -263,8 +284,24 @@ def test_a_client_that_does_not_read_one_connection_is_answered_over_another() -
     assert budgets.of("2").has_room()  # and another process
     assert not budgets.of("2").has_room(20_000)  # but no long reply: its account has enough
     unread.done = True
+    assert not budget.reads(b"a")  # it was just looked at
+    time.now += 500_000_000
     assert budget.reads(b"a")
     assert budget.reads(b"b")
+
+
+def test_to_be_preempted_while_it_looks_at_what_was_read_costs_the_loop_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    time = Time(monkeypatch)
+    budgets = Budgets(Bounds(1, 100_000), Process, lambda *_: None, tuple)
+    budget, unread = budgets.of("1"), Read()
+    budget.sent(unread, 101_000, b"a")
+    budgets.of("2").sent(Preempted(time), 1000, b"b")
+    assert not budget.reads(b"a")
+    unread.done = True
+    time.now += 500_000_000  # less than ten times what the clock went on meanwhile
+    assert budget.reads(b"a")
 
 
 def test_connections_that_may_have_no_turn_are_stopped_and_go_on_in_order(turns: Turns[Client, str]) -> None:

@@ -120,8 +120,7 @@ class Worker:
     @property
     def coming(self) -> str | None:
         """The configuration of the change that was asked for last; None where it has ended."""
-        newest = self._newest
-        return newest.config if newest is not None and not newest.done else None
+        return self._newest.config if self._newest is not None and not self._newest.done else None
 
     @property
     def busy(self) -> bool:
