@@ -23,7 +23,7 @@ class Terminal:
     def type(self, keys: str, until: Path) -> str:
         """Type, or paste, and wait until there is a file with whole lines; returns them."""
         rest = keys.encode()
-        end = time.monotonic() + 100
+        end = time.monotonic() + 240
         while not (until.exists() and until.read_text().endswith("\n")):
             assert time.monotonic() < end, self.shown
             readable, writable, _ = select.select([self._descriptor], [self._descriptor] if rest else [], [], 0.02)

@@ -34,7 +34,7 @@ def test_our_side_runs_from_top_to_bottom(tmp_path: Path) -> None:
     with served() as (manager, sim):
         env = {**environment(), "CM_RUNTIME_DIR": str(manager.runtime), "CM_ROOT": str(sim.root)}
         done = subprocess.run(
-            [sys.executable, "-W", "error", program], env=env, capture_output=True, text=True, timeout=110, check=False
+            [sys.executable, "-W", "error", program], env=env, capture_output=True, text=True, timeout=240, check=False
         )
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()

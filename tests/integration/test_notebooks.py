@@ -95,7 +95,7 @@ def test_tab_in_ipython_completes_names_of_what_runs_as_it_is_set_up_by_default(
         env={**environment(), "CM_RUNTIME_DIR": str(manager.runtime), "IPYTHONDIR": str(tmp_path)},
         capture_output=True,
         text=True,
-        timeout=100,
+        timeout=240,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -83,7 +83,8 @@ def test_a_short_message_waits_for_a_queue_that_is_full_for_a_moment() -> None:
     assert loop.sent == [[b"status"]]
 
 
-def test_a_queue_that_stays_full_is_waited_for_once() -> None:
+def test_a_queue_that_stays_full_is_waited_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cm.daemon.loop._HOPELESS", 60.0)  # seconds, of 1
     out, loop = sender(1000)
     out.send([b"one"])
     waited = len(loop.refused)
