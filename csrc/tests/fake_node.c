@@ -420,6 +420,11 @@ struct fake_node *fake_node_start(const char *root, const char *path, enum misde
 	sigset_t all, before;
 
 	CHECK(fake);
+	/* a busy machine may keep an answer waiting; one that is to come late is missed soon */
+	if (misdeed == ANSWER_LATE || misdeed == OFFER_BLOCKS_AND_ANSWER_LATE)
+		CHECK(!unsetenv("CM_SIM_TIMEOUT"));
+	else
+		CHECK(!setenv("CM_SIM_TIMEOUT", "60", 1));
 	fake->misdeed = misdeed;
 	fake->listener = listen_at(root, path);
 	CHECK(!sem_init(&fake->speak, 0, 0));

