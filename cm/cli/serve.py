@@ -127,6 +127,7 @@ def run(args: argparse.Namespace) -> int:
     settings = settings_of(args)
     _log_to(_level(args, settings), service=settings is not None)
     with ExitStack() as stack:
+        stack.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, _give_up))
         options = _options(args, settings, stack)
         from cm.daemon.server import Server
 
@@ -176,6 +177,11 @@ class Lines(logging.Formatter):
         """One record."""
         lines = super().format(record).splitlines() or [""]
         return "\n    ".join("".join(c if c.isprintable() or c == "\t" else ascii(c)[1:-1] for c in x) for x in lines)
+
+
+def _give_up(*_: object) -> None:
+    """Told to end while it starts: what was started by then, as a simulated board, ends with it."""
+    raise SystemExit(0)
 
 
 def _obey_signals(server: Server) -> None:

@@ -17,6 +17,7 @@ from manager_process import Manager, environment, until
 from manager_schemas import written
 
 import cm
+from cm import child
 from cm.client.errors import ConnectionLost, NoAnswer, RequestFailed
 from cm.daemon.host.devices import BoardDevices
 from cm.device import DeviceGone, Root
@@ -184,6 +185,16 @@ def test_a_stopped_manager_leaves_nothing_but_its_state(runtime) -> None:  # typ
     served = Manager(runtime / "run", "--sim").start()
     assert served.stop() == 0
     assert sorted(p.name for p in (runtime / "run").iterdir()) == ["lock", "state"]
+
+
+def test_a_manager_that_is_told_to_end_while_its_board_starts_takes_it_along(runtime) -> None:  # type: ignore[no-untyped-def]
+    command = child.command("cm.cli.main", "serve", "--sim", "--runtime-dir", str(runtime / "run"))
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment()) as served:
+        until((runtime / "run/board").exists)
+        served.terminate()
+        served.communicate(timeout=120)  # the board has its output open, too
+        assert served.returncode == 0
+    assert not (runtime / "run/board").exists()
 
 
 def test_what_was_learned_of_a_region_outlives_a_killed_manager(runtime) -> None:  # type: ignore[no-untyped-def]
