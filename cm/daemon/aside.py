@@ -9,9 +9,10 @@ from concurrent.futures import ThreadPoolExecutor
 from time import thread_time_ns
 from typing import Any, TypeVar
 
-from cm.budgets.budget import Budget
+from cm.budgets.budget import PENDING, Budget
 from cm.budgets.turns import least
 from cm.daemon.loop import Loop
+from cm.errors import Busy
 
 _T = TypeVar("_T")
 Result = Callable[[], _T]  # returns what the work returned, or raises what it raised
@@ -32,11 +33,13 @@ class Aside:
         self._runs = False
 
     def submit(self, client: Budget, work: Callable[[], _T], then: Callable[[Result[_T]], None]) -> None:
-        """Have something done for a client, and go on with `then` in the loop's thread."""
+        """Have something done for a client, and go on with `then` in the loop's thread. Raises Busy."""
         jobs = self._waiting.get(client)
         if jobs is None:
             client.comes()
             jobs = self._waiting[client] = deque()
+        if len(jobs) >= PENDING:
+            raise Busy(f"{PENDING} requests of {client.name} for what takes long wait already; await a reply")
         jobs.append((work, then))
         self._go_on()
 

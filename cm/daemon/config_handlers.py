@@ -1,21 +1,47 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Handlers of requests that list, send and remove configurations."""
+"""Handlers of requests that describe, list, send and remove configurations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 from cm.daemon.host.provision import Provisioner
 from cm.daemon.host.sent import Sender
+from cm.daemon.memory_transfers import MemoryTransfers
 from cm.daemon.sessions import Sessions
 from cm.manager.errors import ChangeBusy
 from cm.manager.manager import Manager
-from cm.manager.reporting.descriptions import config_list
+from cm.manager.reporting.descriptions import config_list, is_long
 from cm.messages.status import ConfigInfo
 from cm.rights.gate import check
 from cm.rights.model import Role
 from cm.rights.needs import provisioning
+from cm.wire.encode import encode_config
+
+
+class Description:
+    """What a client is told of a configuration. Of a long one that takes 0.15 s, and is done beside the loop."""
+
+    def __init__(self, manager: Manager, memories: MemoryTransfers, name: str, counts: Mapping[str, int]) -> None:
+        """`name` is empty for the loaded one; `counts` of its interrupts."""
+        self._manager = manager
+        self._memories = memories
+        self._name = name
+        self._counts = counts
+
+    @property
+    def is_long(self) -> bool:
+        """Whether it takes longer than a request may."""
+        return is_long(self._manager.configs.get(self._name or self._manager.state.config or ""))
+
+    def info(self) -> ConfigInfo:
+        """Any thread. Raises UnknownConfig, NothingLoaded."""
+        return self._memories.described(self._manager.describe(self._name, self._counts))
+
+    def encoded(self) -> bytes:
+        """The same, as it stands in the reply."""
+        return encode_config(self.info())
 
 
 class SentConfigs:

@@ -13,7 +13,7 @@ from cm.budgets.places import Places
 from cm.budgets.registry import with_holdings
 from cm.daemon.aside import Aside, Result
 from cm.daemon.board_watch import BoardWatch
-from cm.daemon.config_handlers import SentConfigs
+from cm.daemon.config_handlers import Description, SentConfigs
 from cm.daemon.connections import Connections
 from cm.daemon.data_handlers import DataHandlers
 from cm.daemon.host.provision import Provisioner
@@ -44,7 +44,7 @@ Began = Callable[[Change], Callable[[], None]]
 
 _LEASES = (rq.TakeLease, rq.RenewLease, rq.ReleaseLease, rq.BreakLease)
 _OF_CLIENTS = frozenset(
-    {rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, rq.PlanChange, *_LEASES}
+    {rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, rq.PlanChange, rq.ReadConfig, *_LEASES}
 )  # done by turns
 _STORES = frozenset({rq.Provision, rq.RemoveConfig})
 _UPLOADED = frozenset({rq.Provision, rq.WriteData})  # what they need may have been sent before them
@@ -159,9 +159,13 @@ class Handlers:
         respond(Reply(status))
         self._s.manager.reporter.was_read()
 
-    def _read_config(self, request: rq.ReadConfig, respond: Respond) -> None:
-        info = self._s.manager.describe(request.config_name, self._s.interrupts.counts)
-        respond(Reply(self._s.memories.described(info)))
+    def _read_config(self, request: rq.ReadConfig, respond: Respond, client: Budget) -> None:
+        counts = dict(self._s.interrupts.counts)
+        description = Description(self._s.manager, self._s.memories, request.config_name, counts)
+        if description.is_long:
+            self._aside(client, description.encoded, lambda made: respond(Reply(encoded=made)), respond)
+        else:
+            respond(Reply(description.info()))
 
     def _list_configs(self, _: rq.ListConfigs, respond: Respond) -> None:
         respond(Reply(self._sent.listed()))
@@ -206,7 +210,7 @@ class Handlers:
     ) -> None:
         self._s.manager.add_config(self._s.complete(config))
         if request.change is None:
-            respond(Reply(self._s.manager.describe(config.name, {})))
+            self._read_config(rq.ReadConfig(config.name), respond, self._s.connections.budgets.of(connection))
         else:
             self._change_mode(replace(request.change, config_name=config.name), respond, began, connection)
 

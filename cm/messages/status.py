@@ -396,9 +396,13 @@ Body = (
 
 
 class Reply(NamedTuple):
-    """An answer: a body, or an error; `sequence` is the status's at that time."""
+    """An answer: a body, or an error; `sequence` is the status's at that time.
+
+    `encoded`: in place of a body, its bytes as they stand in the message.
+    """
 
     body: Body = None
     error: ErrorInfo | None = None
     sequence: int = 0
     payload: tuple[bytes | memoryview, ...] = ()
+    encoded: bytes = b""

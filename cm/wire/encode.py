@@ -210,7 +210,12 @@ def encode_reply(topic: bytes, reply: st.Reply, sequence: int | None = None) -> 
     elif body is not None:
         field, to_pb, _ = _BODIES[type(body)]
         getattr(message, field).CopyFrom(to_pb(body))
-    return [topic, message.SerializeToString(), *reply.payload]
+    return [topic, message.SerializeToString() + reply.encoded, *reply.payload]
+
+
+def encode_config(info: st.ConfigInfo) -> bytes:
+    """As `st.Reply.encoded`: a long one takes more time than a request may in one go."""
+    return pb.Reply(config=bodies.config_to_pb(info)).SerializeToString()
 
 
 class RegisterReply:

@@ -17,6 +17,8 @@ from cm.messages.status import (
 )
 from cm.schema.model import Config, Memory, Register
 
+_LONG = 200  # registers
+
 
 def config_info(
     config: Config, mode: str, counts: Mapping[str, int], schema: str, held: Mapping[str, str | None]
@@ -34,6 +36,14 @@ def config_info(
         schema=schema,
         memories=_memories(config),
     )
+
+
+def is_long(config: Config | None) -> bool:
+    """Whether describing a configuration takes longer than a request may; False where there is none."""
+    if config is None:
+        return False
+    parts = [config.registers, *[m.registers for m in config.modules.values()]]
+    return sum(map(len, [*parts, *[m.registers for m in config.modes.values()]])) > _LONG
 
 
 def config_list(configs: Mapping[str, Config]) -> ConfigInfo:
