@@ -17,6 +17,7 @@ from cm.messages import requests as rq
 from cm.messages.status import UploadInfo
 
 IDLE = 60.0  # seconds after which one is forgotten whose next part, or use, does not come
+LEFT = 5.0  # the same, of a process that has no connection any more
 EACH = 256  # of one client at once
 
 
@@ -84,10 +85,16 @@ class Uploads:
     def _begin(self, key: tuple[str, str], client: Budget, part: rq.Upload) -> _Upload:
         if part.offset:
             raise UnknownUpload(f"upload {part.id!r}: there are no bytes before {part.offset}; begin with offset 0")
-        if client.upload_bytes + part.length > self._most or self._total() + part.length > self._all_most:
+        account = sum([u.length for u, other in self._there.values() if other.account is client.account])
+        if (
+            client.upload_bytes + part.length > self._most
+            or account + part.length > max(self._most, self._all_most // 4 * 3)  # the rest is for other accounts
+            or self._total() + part.length > self._all_most
+        ):
             raise TooMuchUploaded(
-                f"{client.upload_bytes} bytes of {client.name} are stored here unused, {self._total()} of all; "
-                f"{part.length} more are too many (limits.upload_mib, limits.uploads_mib)"
+                f"{client.upload_bytes} bytes of {client.name} are stored here unused, {account} of "
+                f"{client.account.name}, {self._total()} of all; {part.length} more are too many "
+                "(limits.upload_mib, limits.uploads_mib)"
             )
         if sum(1 for name, _ in self._there if name == client.name) >= EACH:
             raise TooMuchUploaded(f"{EACH} uploads of {client.name} are stored here unused")
@@ -140,8 +147,11 @@ class Uploads:
     def forget_old(self) -> None:
         """Those whose next part, or use, does not come."""
         now = time.monotonic()
-        for key in [key for key, (upload, _) in self._there.items() if upload.until < now]:
-            self._drop(key)
+        left = now + IDLE - LEFT  # connections are counted every second
+        for key, (upload, client) in list(self._there.items()):
+            has_left = not client.connections and client.place.startswith("pid ")
+            if upload.until < (left if has_left else now):
+                self._drop(key)
 
     def _drop(self, key: tuple[str, str]) -> None:
         found = self._there.pop(key, None)
