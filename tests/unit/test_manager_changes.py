@@ -346,6 +346,26 @@ def test_cancelling_stops_before_the_next_region_and_goes_back(made: Rig, sim: S
     assert made.manager.status().pr_mode.value == "idle"
 
 
+def test_what_a_client_writes_during_a_change_stays_when_that_is_cancelled(made: Rig) -> None:
+    """It was told that it is written; of what the change itself wrote, the values before come back."""
+    at(made, "duo/default")
+    write = made.manager.write_registers
+    write((RegWrite("scratch", 1), RegWrite("lamp", 2)))
+
+    loads: list[str] = []
+
+    def cancel(name: str) -> None:
+        loads.extend([name] if name == "icap.load" else [])
+        if loads == ["icap.load"] and name == "icap.load":
+            write((RegWrite("scratch", 3), RegWrite("led", 4)))
+            made.manager.cancel()
+
+    made.fault.watch = cancel
+    assert error_of(made, "duo/both") == "cancelled"
+    values = made.manager.registers.read(("scratch", "led", "lamp"))
+    assert [value.value for value in values.values] == [3, 4, 2]
+
+
 # ---- files --------------------------------------------------------------------------
 
 

@@ -28,7 +28,7 @@ class Failure:
     """What went wrong on the way to a configuration, at which step, and what was there before it.
 
     `values` and `found` are registers' values, by name and by place, `rates` what clocks ran at (Hz). `touched` are
-    regions whose load had begun, or that were isolated before.
+    regions whose load had begun, or that were isolated before; `written` the registers that the change itself wrote.
     """
 
     goal: Config
@@ -38,6 +38,7 @@ class Failure:
     found: Mapping[Place, int]
     rates: Mapping[str, int]
     touched: frozenset[str]
+    written: frozenset[str]
 
     @property
     def code(self) -> str:
@@ -61,7 +62,8 @@ def failure_of(run: StepContext, error: Exception) -> Failure:
     """What is known about a failed step, for the way back."""
     goal = run.plan.goal
     values, found, rates = goal.values, {**run.found, **goal.found}, {**run.rates, **goal.rates}
-    return Failure(goal.config, run.step, error, values, found, rates, frozenset(run.begun | run.apart))
+    touched, written = frozenset(run.begun | run.apart), frozenset(run.written)
+    return Failure(goal.config, run.step, error, values, found, rates, touched, written)
 
 
 class Rollback:
@@ -100,7 +102,8 @@ class Rollback:
 
     def _restore(self, old: Config, mode: str, failure: Failure) -> None:
         static = self._static_to_load(old)
-        values = {**failure.values, **self._before.values}
+        by_clients = self._state.board.values_since(self._before, failure.written)
+        values = {**failure.values, **self._before.values, **by_clients}
         also = self._beside(old, mode)
         self._go_to(Goal(old, mode, False, values, also, static, failure.rates, failure.found))
         self._tools.data_plane.resume(old, mode, self._state.board.modules)
@@ -225,8 +228,7 @@ def isolate(tools: Tools, regions: Iterable[Region], sealed: Collection[str]) ->
     """After a failed rollback: isolate every region that is not ready.
 
     Returns a sentence for each that could not be isolated; unless such a region is known to be isolated already, its
-    content then counts as unknown. A device that may not be configured is not accessed at all: its bus would not
-    answer, and the processor would hang.
+    content then counts as unknown. A device that may not be configured is not accessed at all: the processor would hang.
     """
     problems = []
     for region in [] if tools.state.board.static_lost else regions:

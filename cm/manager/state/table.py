@@ -7,7 +7,7 @@ diagram that `diagram()` generates.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from types import MappingProxyType
@@ -149,6 +149,12 @@ class BoardState:
     def with_clock(self, name: str, rate: int) -> BoardState:
         """A copy that remembers a clock's rate."""
         return replace(self, clocks=MappingProxyType({**self.clocks, name: rate}))
+
+    def values_since(self, before: BoardState, but: Collection[str]) -> Mapping[str, int]:
+        """Of registers that were written since then, all `but` some; the names are of the same configuration."""
+        if self.config != before.config:
+            return _empty()
+        return {n: v for n, v in self.values.items() if n not in but and before.values.get(n) != v}
 
     def without_values(self, registers: set[str]) -> BoardState:
         """A copy that has forgotten values which a load has reset."""
