@@ -228,7 +228,7 @@ def isolate(tools: Tools, regions: Iterable[Region], sealed: Collection[str]) ->
     """After a failed rollback: isolate every region that is not ready.
 
     Returns a sentence for each that could not be isolated; unless such a region is known to be isolated already, its
-    content then counts as unknown. A device that may not be configured is not accessed at all: the processor would hang.
+    content then counts as unknown. A device that may not be configured is not accessed: the processor would hang.
     """
     problems = []
     for region in [] if tools.state.board.static_lost else regions:

@@ -68,9 +68,8 @@ class Change:
 
     def reply(self) -> Reply:
         """What the client is told at its end."""
-        if self.error is not None:
-            return Reply(error=self.error)
-        return Reply(ChangeInfo(self.number, done=True, seconds=self.seconds, generation=self.generation))
+        ended = ChangeInfo(self.number, done=True, seconds=self.seconds, generation=self.generation)
+        return Reply(ended) if self.error is None else Reply(error=self.error)
 
     def finish(self, error: ErrorInfo | None, seconds: float) -> None:
         """Its end."""
@@ -170,12 +169,10 @@ class Worker:
 
     def _begin(self, change: Change) -> None:
         state, self.running = self._tools.state, change
-        board = state.board
-        whole = state.configs[change.config].type is ConfigType.FULL
+        board, whole = state.board, state.configs[change.config].type is ConfigType.FULL
         there = board.config == change.config and not change.force
-        self._tools.reporter.begun(
-            change.number, change.config, change.mode, (whole and not there) or change.static is not None
-        )
+        full = (whole and not there) or change.static is not None
+        self._tools.reporter.begun(change.number, change.config, change.mode, full)
         state.pending = Pending(
             change.number,
             change.config,
