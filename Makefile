@@ -112,7 +112,7 @@ vm: $(STAMP) ## a shell on that board, with a manager running and its ports forw
 web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
 
-soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, two regions by their bits, five thousand flipped bits; new examples for the tests that draw some
+soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions by their bits, five thousand flipped bits; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)

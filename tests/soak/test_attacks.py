@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each attack of `attacks.py` beside a client that asks and streams: it loses nothing, and all is idle afterwards."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import attacks
+import pytest
+from flood import descriptors, resident_mib, running
+from manager_process import Manager, environment, served, short_folder, until
+
+from cm.cli.main import main
+
+BESIDE = 64  # MiB
+KEPT = 90.0  # seconds in which all that an attacker began is gone: uploads stay for a minute
+
+# Writes and reads back over one connection and reads frames over another, until its input ends.
+NEIGHBOUR = """
+import json, select, sys, threading, time
+import cm
+told = {"asked": 0, "frames": 0, "slowest": 0.0, "errors": []}
+done = threading.Event()
+def stream():
+    try:
+        with cm.connect(runtime_dir=sys.argv[1], timeout=60) as board, board.stream("camera", timeout=60) as frames:
+            while not done.is_set():
+                frames.read()
+                told["frames"] += 1
+    except Exception as error:
+        told["errors"].append(repr(error))
+thread = threading.Thread(target=stream, daemon=True)
+with cm.connect(runtime_dir=sys.argv[1], timeout=60) as board:
+    thread.start()
+    print("begun", flush=True)
+    while not select.select([sys.stdin], [], [], 0)[0] or told["asked"] < 200 or not told["frames"]:
+        began = time.monotonic()
+        board.registers["scratch"] = told["asked"]
+        assert board.registers["scratch"] == told["asked"]
+        told["slowest"] = max(told["slowest"], time.monotonic() - began)
+        told["asked"] += 1
+done.set()
+thread.join()
+print(json.dumps(told))
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """A manager on ipc and on TCP with keys."""
+
+    manager: Manager
+    keys: Path
+
+    @property
+    def pid(self) -> int:
+        assert self.manager.process is not None
+        return self.manager.process.pid
+
+    @property
+    def address(self) -> str:
+        endpoints = json.loads((self.manager.runtime / "endpoints.json").read_text("ascii"))
+        return str(endpoints["tcp"][0]["req"])
+
+
+@pytest.fixture
+def guarded() -> Iterator[Served]:
+    with short_folder() as folder:
+        assert main(["keygen", str(folder), "me"]) == 0
+        arguments = ("--listen", "tcp://127.0.0.1:0", "--keys", str(folder / "server.key"))
+        with served(arguments=arguments) as (manager, _):
+            with manager.connected() as board:
+                board.load("camera", "default")
+            yield Served(manager, folder / "me.key")
+
+
+def ended(process: subprocess.Popen[str]) -> Any:
+    """What it prints when its input ends."""
+    said, _ = process.communicate(timeout=600)
+    return json.loads(said)
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("name", attacks.ATTACKS)
+def test_a_neighbour_loses_nothing(guarded: Served, name: str) -> None:
+    with running("-c", NEIGHBOUR, guarded.manager.runtime, first="begun") as client:
+        alone = ended(client)
+    before, had = resident_mib(guarded.pid), descriptors(guarded.pid)
+    words = [sys.executable, attacks.__file__, name, str(guarded.manager.runtime), "200"]
+    with running("-c", NEIGHBOUR, guarded.manager.runtime, first="begun") as client:
+        attacker = subprocess.Popen(
+            [*words, guarded.address, str(guarded.keys)], env=environment(), stdout=subprocess.PIPE, text=True
+        )
+        most = before
+        while attacker.poll() is None:
+            most = max(most, resident_mib(guarded.pid))
+            assert client.poll() is None
+        said, _ = attacker.communicate()
+        beside = ended(client)
+    print(name, said.splitlines()[-1], {"alone": alone, "beside": beside, "MiB": (before, most)})
+    assert attacker.returncode == 0
+    assert beside["errors"] == []
+    assert most < before + BESIDE
+    until(lambda: descriptors(guarded.pid) <= had + 8, KEPT)
+    assert resident_mib(guarded.pid) < before + BESIDE
+    with guarded.manager.connected() as board:
+        board.load("camera", "default", timeout=60)
+        assert board.status.leases == ()
