@@ -85,7 +85,7 @@ static int finished(int port, struct cm_icap_completion *completion)
 {
 	struct pollfd waiter = { .fd = port, .events = POLLIN };
 
-	if (poll(&waiter, 1, 5000) != 1 ||
+	if (poll(&waiter, 1, 60000) != 1 ||
 	    read(port, completion, sizeof(*completion)) != sizeof(*completion))
 		return 1;
 	return completion->status;

@@ -144,7 +144,7 @@ def test_a_manager_killed_during_dma_leaves_nothing_behind(manager: Manager, boa
 def test_a_manager_killed_during_a_load_finds_the_board(manager: Manager, board: cm.Board) -> None:
     delay = pl("icap", "delay_us")
     before = delay.read_text()
-    delay.write_text("1000000")  # half of the port's patience
+    delay.write_text("1000000")  # half of the patience of a port whose node says none
     try:
         with device.Icap.open() as port:
             board.load_async(mode="edge_detection")
