@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Whose turn it is: time is divided among accounts, and that of an account among its clients, by what each has used.
 
-The one that has used least comes next (start-time fair queueing). Nobody saves time up: a client that comes back
-
-begins where the others are; so does one that was alone and used much. A client's connections take turns.
+The one that has used least comes next (start-time fair queueing). Nobody saves time up: a client that comes back begins
+where the others are; so does one that was alone and used much. A client's connections take turns.
 """
 
 from __future__ import annotations

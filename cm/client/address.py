@@ -40,27 +40,27 @@ def default_runtime_dir() -> Path:
     if os.geteuid() == 0 or _serves(SYSTEM_DIR):
         return SYSTEM_DIR
     own = _users_dir()
-    if _serves(SYSTEM_DIR) is None and not _serves(own):  # one that is not for us: told as that
+    if _serves(SYSTEM_DIR) is None and not _serves(own):  # one that we may not use: the error says so
         return SYSTEM_DIR
     return own
 
 
 def _users_dir() -> Path:
     user = os.environ.get("XDG_RUNTIME_DIR")
-    if user or sys.platform == "win32":  # which has neither of both
+    if user or sys.platform == "win32":  # which has no such ids
         return Path(user or ".") / "cm"
     return Path(f"/tmp/cm-{os.getuid()}")
 
 
 def _is_of_another_user(folder: Path) -> bool:
-    """Whether the folder that is looked in without being named was made by somebody else."""
+    """Whether the default folder was made by another user."""
     if sys.platform == "win32":
         return False
     return folder == _users_dir() and folder.stat().st_uid not in (0, os.geteuid())
 
 
 def _serves(folder: Path) -> bool | None:
-    """Whether a manager's sockets lie in a folder; None where that is not for us to see."""
+    """Whether a folder contains a manager's sockets; None if we may not look."""
     try:
         return (folder / "req").exists()
     except PermissionError:
@@ -70,8 +70,8 @@ def _serves(folder: Path) -> bool | None:
 def resolve(endpoint: str | None, runtime_dir: str | os.PathLike[str] | None) -> Endpoints:
     """The three ZeroMQ endpoints of a manager.
 
-    `endpoint` is ``tcp://host[:port]`` or a runtime folder (``ipc://…`` too). Raises InvalidRequest,
-    and NotFound where the folder holds no manager's sockets.
+    `endpoint` is ``tcp://host[:port]`` or a runtime folder (``ipc://…`` too). Raises InvalidRequest, and NotFound if
+    the folder holds no manager's sockets.
     """
     if endpoint is not None and runtime_dir is not None:
         raise InvalidRequest("give an endpoint or a runtime folder, not both")
@@ -89,7 +89,7 @@ def resolve(endpoint: str | None, runtime_dir: str | os.PathLike[str] | None) ->
 
 
 def _not_for_us(folder: Path) -> str:
-    """Who may use the sockets of a folder, and how to become one of them."""
+    """Who may use the sockets of a folder, and how to get that permission."""
     try:
         name = _group(folder)
     except (OSError, KeyError, ImportError):

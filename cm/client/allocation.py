@@ -18,7 +18,7 @@ from cm.wire.plane_packets import Open
 
 
 class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
-    """An array, and slices of it, that a master in the PL has at `device_address`.
+    """An array, or a slice of one, that a master in the PL finds at `device_address`.
 
     The memory is freed with the last array in it, by `free`, or with this process.
     """
@@ -53,7 +53,7 @@ class DeviceArray(np.ndarray[Any, np.dtype[Any]]):
 
 
 class _Memory:
-    """A connection to the data socket that holds memory, and where that lies."""
+    """A connection to the data socket that holds memory, and the memory's address."""
 
     def __init__(self, connection: DataConnection, mappings: SlotMappings, length: int) -> None:
         self._connection = connection
@@ -88,7 +88,7 @@ def nbytes(shape: int | Sequence[int], dtype: Any) -> int:
 
 
 def allocated(folder: Path, shape: int | Sequence[int], dtype: Any, timeout: float | None) -> DeviceArray:
-    """Ask the manager that serves `folder`. Raises InvalidRequest, RequestFailed, Timeout, ConnectionLost."""
+    """Allocate from the manager that serves `folder`. Raises InvalidRequest, RequestFailed, Timeout, ConnectionLost."""
     length = nbytes(shape, dtype)
     connection = DataConnection(folder, Open("", length=length, allocate=True))
     try:

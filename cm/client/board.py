@@ -67,18 +67,20 @@ def connect(
     """Connect to a configuration manager and check that it answers.
 
     Args:
-        endpoint: ``tcp://host[:port]`` or a runtime folder; default: `$CM_CONNECT`, else the manager of this machine.
+        endpoint: ``tcp://host[:port]`` or a runtime folder; default: `$CM_CONNECT`, or else the manager of this
+        machine.
         runtime_dir: the runtime folder, spelt out.
         timeout: seconds to wait for answers to all but `load`.
         keys: a client's key file (``cm keygen``), or the keys; default over TCP: the file `$CM_KEYS`, if that is set.
-        guest: in whose name all is asked, by a bridge that may speak for it (docs/security.md, Bridges).
+        guest: the guest in whose name a bridge makes its requests, if it may speak for that guest (docs/security.md,
+        Bridges).
 
-    Raises NotFound where no manager serves, NoAnswer where none answers.
+    Raises NotFound if no manager serves, NoAnswer if none answers.
     """
     board = Board(endpoint, runtime_dir=runtime_dir, timeout=timeout, keys=keys, guest=guest)
     try:
         _ = board.status
-    except BaseException:  # Ctrl-C while nobody answers, too
+    except BaseException:  # also Ctrl-C while no manager answers
         board.close()
         raise
     return board
@@ -87,7 +89,7 @@ def connect(
 class Board(Guarded):
     """A board behind a configuration manager. Use as a context manager. Threads may share it."""
 
-    # Attributes, and no properties, into which completion does not look: board.registers["<TAB>.
+    # Attributes rather than properties, which completion does not evaluate: board.registers["<TAB>.
     registers: Registers
     """Registers and fields of the current mode by name."""
     interrupts: Interrupts
@@ -111,7 +113,7 @@ class Board(Guarded):
         self._link = Link(self._sockets, timeout, guest)
         self._leases = HeldLeases()
         self._users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
-        # Past Guarded, which refuses to set them; no properties, since each access to a register would run them.
+        # Set directly, because Guarded refuses to; not properties, since each access to a register would run them.
         object.__setattr__(self, "registers", Registers(self))
         object.__setattr__(self, "interrupts", Interrupts(self))
         object.__setattr__(self, "memories", Memories(self))
@@ -141,7 +143,7 @@ class Board(Guarded):
     def subscribe(self, *topics: bytes, depth: int = 0) -> Subscription:
         """Listen to topics; `depth` messages wait (0: ZeroMQ's own number). The caller closes it.
 
-        Raises InvalidRequest for a guest of a bridge: what is published is handed to the bridge.
+        Raises InvalidRequest for a guest of a bridge: publications go to the bridge.
         """
         self._place.check_subscription()
         return Subscription(self._sockets, topics, depth)
@@ -157,7 +159,7 @@ class Board(Guarded):
         return self.ask(calls.status())
 
     def break_lease(self, number: int) -> LeaseInfo:
-        """End somebody else's lease, by its number in `status.leases`; needs the role admin."""
+        """End another client's lease, by its number in `status.leases`; needs the role admin."""
         return self.ask(calls.lease(rq.BreakLease(number)))
 
     def clients(self) -> tuple[ClientStatus, ...]:
@@ -220,7 +222,7 @@ class Board(Guarded):
         subscription = self._changes()
         try:
             info = self.ask(calls.load(config, mode, wait=False, queue=queue, force=force, lease=lease))
-        except BaseException:  # Ctrl-C too: nobody else would close it
+        except BaseException:  # Ctrl-C too: nothing else would close it
             subscription.close()
             raise
         return ChangeHandle(self, info.number, subscription)
@@ -276,15 +278,15 @@ class Board(Guarded):
         """The frames of a stream, as a context manager and iterator; lost frames show as gaps in `sequence`.
 
         On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
-        held at a time, and go back when the last reference to them goes. `newest` skips those that wait behind
-        a newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
+        held at a time, and go back when the last reference to them goes. `newest` skips frames that are followed by a
+        newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
         package lz4 at both ends), `newest` asks for each frame when it is read, and `depth` of them (0: 4) wait
         here, beside those at the manager. `timeout` in seconds, None waits
-        for ever. `lease`: the id of one's own, where a stream with back-pressure lies in a region that is held.
-        `copy`: over ZeroMQ here too, so that frames are ours alone (docs/security.md). Guests of a bridge ask for
-        each frame (`newest`), in their own name.
+        for ever. `lease`: your lease's id, if a stream with back-pressure belongs to a region under a lease.
+        `copy`: use ZeroMQ on the manager's machine too, so that nobody else can access the frames (docs/security.md).
+        Guests of a bridge request each frame (`newest`), in their own name.
         """
-        from cm.client.stream import LocalStream, NewestStream, RemoteStream  # here: they need numpy
+        from cm.client.stream import LocalStream, NewestStream, RemoteStream  # imported here: they need numpy
         from cm.client.zmq_frames import Wanted
 
         if self._place.data is not None and not copy:
@@ -311,7 +313,7 @@ class Board(Guarded):
         """Write a stream without copies: ``with writer.slot() as array: array[...] = frame``.
 
         `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
-        `lease`: the id of one's own, where the stream's region is held.
+        `lease`: your lease's id, if the stream's region is under a lease.
         """
         wanted = Open(name, write=True, depth=depth, lease=self._leases.named(lease))
         return self._writer(self._place.data_folder("a writer"), wanted, timeout)
@@ -341,7 +343,7 @@ class Board(Guarded):
         """An array in contiguous memory, for masters in the PL: ``registers["source"] = array.device_address``.
 
         It is zero at first, and is given back with the last array in it, or with this process. On the manager's
-        machine only. Raises InvalidRequest, RequestBusy where the manager gives no more, Timeout.
+        machine only. Raises InvalidRequest, RequestBusy if the manager gives no more, Timeout.
         """
         self._check_open()
         folder = self._place.data_folder("memory for the PL")
@@ -353,7 +355,7 @@ class Board(Guarded):
         """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; others stay as they are.
 
         `cm.messages.requests.ConfigureStream` has them all. Raises RequestBusy while it is in use, without `force`,
-        and InvalidRequest for what cannot be: then nothing has changed.
+        and InvalidRequest for impossible settings; then nothing has changed.
         """
         return self.ask(calls.configure_stream(ConfigureStream(stream, **settings)))
 
@@ -371,9 +373,9 @@ class Board(Guarded):
     ) -> Memory:
         """Name `length` bytes at a physical address, until another configuration is loaded.
 
-        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; writable ones must
-        not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
-        all else that has a name in that window is in one. Raises RequestFailed.
+        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; writable ones must not
+        cover anything with a name. `region`: the region whose module answers there, or "static"; not needed if all
+        other names in that window belong to the same region. Raises RequestFailed.
         """
         request = DefineMemory(name, address, length, shape, dtype, access, region, lease)
         self.ask(calls.define_memory(request))

@@ -32,14 +32,14 @@ _DONTWAIT = int(socket.MSG_DONTWAIT)
 class DataConnection:
     """One stream of the plane, to be read or written.
 
-    `receive()` blocks as the socket's time-out says (`set_timeout`) and handles one packet.
+    `receive()` blocks for at most the socket's time-out (`set_timeout`) and handles one packet.
     """
 
     def __init__(self, folder: Path, wanted: Open) -> None:
-        """Connect and ask. Raises NotFound where no manager serves the folder's data socket."""
+        """Connect, and open the stream. Raises NotFound if no manager serves the folder's data socket."""
         self.wanted = wanted
         self.memory: SlotMappings | None = None
-        self._left: SlotMappings | None = None  # of frames that are held beyond `close`
+        self._left: SlotMappings | None = None  # of frames that are still held after `close`
         self.names = ("", "", "")
         self.generation = 0  # of the registers, under which the frames that come began; 0: not known
         self.address = 0  # of memory that was asked for, as devices see it
@@ -107,11 +107,11 @@ class DataConnection:
         return None
 
     def take(self) -> LocalFrame | None:
-        """As `receive`, of what is there already. Raises BlockingIOError where nothing is."""
+        """As `receive`, but never waits. Raises BlockingIOError if nothing is there."""
         return self.receive(_DONTWAIT)
 
     def _await_packet(self, seconds: float) -> None:
-        """SO_RCVTIMEO would spare the call, but what it takes differs between 32-bit systems with old and new time."""
+        """SO_RCVTIMEO would save this call, but its argument differs between 32-bit systems with old and new time."""
         if not self._readable.poll(math.ceil(seconds * 1000)):
             raise BlockingIOError(errno.EAGAIN, f"no packet within {seconds:g} s")
 
@@ -147,7 +147,7 @@ class DataConnection:
             raise ConnectionLost(f"the configuration manager's data socket: {error}") from error
 
     def close(self) -> None:
-        """Disconnect; frames that are held stay ours until they are given back. Twice is fine."""
+        """Disconnect; frames that are held remain valid until they are given back. Twice is fine."""
         if self._left is not None:
             return
         memory = self._left = self.memory  # in this order: another thread may give back its last frame just now

@@ -12,11 +12,11 @@ class RequestFailed(CmError):
 
     def __init__(self, error: ErrorInfo) -> None:
         super().__init__(error.message)
-        vars(self)["code"] = error.code  # that of this error, over the class's
+        vars(self)["code"] = error.code  # this error's own code, in place of the class's
 
 
 class RequestNotFound(RequestFailed, NotFound):
-    """Something was named that does not exist."""
+    """A name that does not exist was given."""
 
 
 class RequestInvalid(RequestFailed, InvalidRequest):
@@ -32,11 +32,11 @@ class RequestForbidden(RequestFailed, Forbidden):
 
 
 class RequestTimeout(RequestFailed, Timeout):
-    """The manager waited in vain."""
+    """Something that the manager waited for did not come."""
 
 
 class NotAdmitted(Forbidden):
-    """The manager, or the system, does not let us connect."""
+    """The manager, or the system, does not allow us to connect."""
 
 
 class NoAnswer(Timeout):
@@ -52,7 +52,7 @@ class ConnectionLost(CmError, ConnectionError):
 
 
 class BoardClosed(CmError):
-    """The board was closed here; nothing can be asked of it any more."""
+    """The board was closed here, and cannot be used any more."""
 
     code = "closed"
 

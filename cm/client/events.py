@@ -21,7 +21,7 @@ class EventStream(Generic[T]):
     """All events since it was made, as an iterator and a context manager. Iterating ends only by an exception."""
 
     def __init__(self, board: Board, subscription: Subscription, events: Events[T]) -> None:
-        self._board = board  # what hangs on a board holds it
+        self._board = board  # keeps the board alive
         self._subscription = subscription
         self._events = events
         try:
@@ -46,7 +46,7 @@ class EventStream(Generic[T]):
         return self._subscription.fileno()
 
     def close(self) -> None:
-        """Listen no more; twice is fine."""
+        """Stop listening; twice is fine."""
         self._subscription.close()
 
     def __iter__(self) -> EventStream[T]:

@@ -46,7 +46,7 @@ class Frame(np.ndarray[Any, np.dtype[Any]]):
         return np.array(self, order=order, copy=True, subok=False)
 
     def _repr_png_(self) -> bytes | None:
-        """For notebooks: the picture, where it is one."""
+        """For notebooks: the frame as a picture, if it is one."""
         return png(self.copy()) if has_rows(np.asarray(self)) else None
 
     def release(self) -> None:

@@ -15,7 +15,7 @@ class Guarded:
 
     _advice: dict[str, str] = {}  # noqa: RUF012 (never changed)
 
-    if not TYPE_CHECKING:  # for a type checker it would allow all
+    if not TYPE_CHECKING:  # to a type checker it would allow any name
 
         def __setattr__(self, name: str, value: Any) -> None:
             found = getattr(type(self), name, None)

@@ -36,7 +36,7 @@ class Interrupts:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Those of the loaded configuration."""
+        """The interrupts of the loaded configuration."""
         return tuple([i.name for i in self._board.config().interrupts])
 
     def __repr__(self) -> str:

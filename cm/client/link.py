@@ -53,7 +53,7 @@ class Subscription:
             return int(self.socket.fileno())
 
     def unsubscribe(self, topic: bytes) -> None:
-        """Listen to one of the topics no more."""
+        """Stop listening to one of the topics."""
         self.socket.setsockopt(zmq.UNSUBSCRIBE, topic)
 
     def close(self) -> None:
@@ -66,7 +66,7 @@ class Link:
     """One connection for requests; threads take turns."""
 
     def __init__(self, sockets: Sockets, timeout: float, guest: str = "") -> None:
-        self.timeout = timeout  # seconds, of what is asked with no time-out of its own
+        self.timeout = timeout  # seconds, for requests without a time-out of their own
         self._sockets = sockets
         self._requests = Requests(sockets.endpoints.req, guest)
         self._turn = sockets.turn()
@@ -78,10 +78,10 @@ class Link:
         self._sources: list[tuple[Any, int]] = [(self._socket, _POLLIN), (self._monitor, _POLLIN)]
 
     def ask(self, call: Call[_T], timeout: float | None, beside: AskBeside | None = None) -> _T:
-        """Make a request and wait for its reply; meanwhile what comes `beside` is taken.
+        """Make a request and wait for its reply; meanwhile messages of the subscription `beside` are handled.
 
-        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away, NotAdmitted
-        if it does not let us in, BoardClosed, and what the manager refused with.
+        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away, NotAdmitted if
+        it does not admit us, BoardClosed, and the manager's refusal.
         """
         with self._turn:
             if self._socket.closed or self._sockets.closed:
@@ -135,7 +135,7 @@ class Link:
                 beside.take(other.recv_multipart())
             if self._socket in ready:
                 frames = multipart.receive(self._socket)
-                if frames[0] == number:  # others answer requests that timed out
+                if frames[0] == number:  # other replies are to requests that timed out
                     body = self._requests.body(frames)
                     return [*map(bytes, body[:2]), *body[2:]]  # payloads stay where libzmq put them
             elif self._monitor in ready:
@@ -146,7 +146,7 @@ class Link:
                 raise self._handshake.suspected or self._requests.no_answer(timeout)
 
     def _send(self, frames: Sequence[Any]) -> None:
-        """A socket that was not let in has nowhere to send to, and would wait for ever."""
+        """Raise if it cannot be sent: a socket that was not admitted has no peer, and would wait for ever."""
         try:
             multipart.send(self._socket, frames, _NOBLOCK)
         except zmq.Again:
@@ -154,7 +154,7 @@ class Link:
             multipart.send(self._socket, frames)
 
     def _look(self) -> None:
-        """Take what the monitor tells. Raises NotAdmitted; the next request tries anew."""
+        """Handle the monitor's events. Raises NotAdmitted; the next request tries again."""
         while zmq_poll(self._sources[1:], 0):
             event, value = _TOLD.unpack(self._monitor.recv_multipart()[0])
             self._handshake.take(event, value)

@@ -36,7 +36,7 @@ class SlotMappings:
         self.strides = self._strides()
         self._maps: list[mmap.mmap] = []
         self._fds: list[int] = []  # kept where the memory needs synchronising
-        self._begun: set[int] = set()  # slots that the processor uses now, there
+        self._begun: set[int] = set()  # slots that the processor uses now, where that matters
         self._closed = False
 
     def _strides(self) -> tuple[int, ...] | None:
@@ -54,7 +54,7 @@ class SlotMappings:
         return self._maps.pop(slot)
 
     def is_begun(self, slot: int) -> bool:
-        """Whether the processor uses a slot now, as far as caches need to know."""
+        """Whether the processor uses a slot now, as far as the caches are concerned."""
         return slot in self._begun
 
     def add(self, first: int, fds: Sequence[int]) -> None:
@@ -74,7 +74,7 @@ class SlotMappings:
                 self._fds.extend(fds)
 
     def begin(self, slot: int) -> None:
-        """The processor is about to read, or write."""
+        """Announce that the processor is about to read or write."""
         if not self.geometry.coherent:
             self._sync(slot, 0)
             self._begun.add(slot)
@@ -99,7 +99,7 @@ class SlotMappings:
             except OSError as error:
                 if error.errno == errno.ENOTTY:  # ordinary memory
                     return
-                if error.errno not in (errno.EINTR, errno.EAGAIN):  # then the caller has to ask again
+                if error.errno not in (errno.EINTR, errno.EAGAIN):  # the caller has to try again
                     raise
 
     def array(self, frame: Descriptor, kind: type[Any] = np.ndarray) -> Any:
@@ -117,7 +117,7 @@ class SlotMappings:
         return array
 
     def close(self) -> None:
-        """Nothing comes any more; what is in use stays until it is given back."""
+        """No more frames come; those in use stay until they are given back."""
         self._closed = True
         self._maps.clear()
         if not self._begun:
@@ -240,8 +240,8 @@ class LocalFrame(Frame):
     def __str__(self) -> str:
         return repr(self) if self.released else str(np.ndarray.__str__(self))
 
-    # The last reference to an array is all that says it is done with: numpy has no other hook, and views of the frame
-    # keep it alive as their base.
+    # Only the end of the last reference to an array shows that it is no longer used: numpy has no other hook, and
+    # views of the frame keep it alive as their base.
     def __del__(self) -> None:
         if self._lease is not None:
             self._lease.end()

@@ -23,7 +23,7 @@ class Memory:
 
     @property
     def info(self) -> MemoryInfo:
-        """What the manager knows of it."""
+        """What the manager knows about it."""
         return self._board.ask(memory.describe(self.name))
 
     def read(self, offset: int = 0, length: int | None = None) -> Array:
@@ -37,7 +37,7 @@ class Memory:
     def write(self, data: Any, offset: int = 0, lease: str = "") -> int:
         """Write values as elements of the memory, or plain bytes; returns how many bytes were written.
 
-        `lease`: the id of one's own, where the memory or its region is held. Raises InvalidRequest for values that
+        `lease`: your lease's id, if the memory or its region is under a lease. Raises InvalidRequest for values that
         its dtype cannot hold, RequestFailed.
         """
         return self._board.run(memory.write(self.name, data, offset, lease))

@@ -20,7 +20,7 @@ _NAME = 64  # characters of a guest's name
 class Place:
     """Endpoints, keys, and the folder of the data socket, which only the manager's own machine has.
 
-    `guest`: in whose name a bridge asks; there is no data socket for one, since it is the bridge that it knows.
+    `guest`: in whose name a bridge makes requests; guests have no data socket, as it would only know the bridge.
     """
 
     endpoints: Endpoints
@@ -34,7 +34,7 @@ class Place:
         return self.endpoints.req.startswith("ipc://")
 
     def data_folder(self, what: str) -> Path:
-        """The folder of the data socket. Raises InvalidRequest where there is none."""
+        """The folder of the data socket. Raises InvalidRequest if there is none."""
         if self.guest:
             raise InvalidRequest(f"{what} needs the manager's data socket, which knows no guests of a bridge")
         if self.data is None:
@@ -42,7 +42,7 @@ class Place:
         return self.data
 
     def check_subscription(self) -> None:
-        """Raise InvalidRequest where a bridge would listen with its own rights in the name of a guest."""
+        """Raise InvalidRequest if a bridge would listen with its own rights in the name of a guest."""
         if self.guest:
             raise InvalidRequest(
                 f"what is published is handed to the bridge, not to {self.guest!r}: subscribe without a guest, "
@@ -56,7 +56,7 @@ def find(
     keys: str | os.PathLike[str] | Keys | None,
     guest: str = "",
 ) -> Place:
-    """As `connect` takes them; what is not given may stand in `$CM_CONNECT` and `$CM_KEYS`.
+    """The arguments are those of `connect`, by default from `$CM_CONNECT` and `$CM_KEYS`.
 
     Raises InvalidRequest, NotFound.
     """
@@ -67,7 +67,7 @@ def find(
     endpoints = resolve(endpoint, runtime_dir)
     folder = Path(endpoints.req.removeprefix("ipc://")).parent
     local = endpoints.req.startswith("ipc://")
-    # Elsewhere than on Linux a folder can only be that of sockets that are forwarded, and frames come over ZeroMQ.
+    # On other systems than Linux a folder can only hold forwarded sockets, and frames come over ZeroMQ.
     data = folder if local and not guest and sys.platform == "linux" and (folder / packets.SOCKET).exists() else None
     if keys is None and not local:
         keys = os.environ.get("CM_KEYS") or None

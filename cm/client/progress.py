@@ -13,11 +13,11 @@ from cm.messages import html
 from cm.messages.status import Progress
 
 OnProgress = Callable[[Progress], None]
-_AT_ONCE = 0.3  # seconds: what lasts no longer needs no bar
+_AT_ONCE = 0.3  # seconds: shorter loads need no bar
 
 
 class TextBar:
-    """A progress bar on stderr, drawn only where that is a terminal; a context manager.
+    """A progress bar on stderr, drawn only if that is a terminal; a context manager.
 
     with TextBar("loading") as bar:
         bar.update(0.5, "prr0")
@@ -30,7 +30,7 @@ class TextBar:
         self._drawn = ""
 
     def update(self, fraction: float, note: str = "") -> None:
-        """Show `fraction` (0 to 1; what lies outside is clipped) and a word about what goes on."""
+        """Show `fraction` (clipped to 0 to 1) and a word about what is being done."""
         if not self._visible:
             return
         import shutil  # half a MiB, needed only for a progress bar
@@ -64,9 +64,9 @@ def bar(label: str, fraction: float, note: str, columns: int) -> str:
 
 
 class NotebookBar(TextBar):
-    """The same in the output of a notebook's cell, from which it goes when the load has ended.
+    """The same in the output of a notebook's cell, removed when the load has ended.
 
-    A load that is over at once draws none: a loop of them would leave an empty output for each.
+    A load that is over at once draws none, because a loop of loads would leave an empty output for each.
     """
 
     def __init__(self, label: str, display: Callable[..., Any], clock: Callable[[], float] = time.monotonic) -> None:
@@ -104,7 +104,7 @@ class _Html:
 
 
 def notebook_display() -> Callable[..., Any] | None:
-    """IPython's `display` where this process is a notebook's kernel; it is imported there already."""
+    """IPython's `display` if this process is a notebook's kernel, where it is imported already."""
     ipython = sys.modules.get("IPython")
     shell = ipython.get_ipython() if ipython is not None else None
     found: Callable[..., Any] | None = ipython.display.display if ipython and hasattr(shell, "kernel") else None
@@ -112,14 +112,14 @@ def notebook_display() -> Callable[..., Any] | None:
 
 
 class Shown:
-    """What is told of a load's progress, as `load(progress=)` says: a context manager around the load.
+    """The display of a load's progress, as `load(progress=)` asks: a context manager around the load.
 
     A function is called with each `Progress`. None draws a bar in a notebook, True on a terminal too, False nowhere.
     """
 
     def __init__(self, progress: OnProgress | bool | None, config: str, mode: str) -> None:
         self._bar: TextBar | None = None
-        self.tell: OnProgress | None = None  # None: nothing is told
+        self.tell: OnProgress | None = None  # None: nothing is shown
         if callable(progress):
             self.tell = progress
         elif progress is not False:

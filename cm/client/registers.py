@@ -84,7 +84,7 @@ class Registers(MutableMapping[str, int]):
         subscription = self._board.subscribe(*RegisterEvents.topics)
         return EventStream(self._board, subscription, RegisterEvents(subscription, timeout, names))
 
-    if not TYPE_CHECKING:  # for a type checker it would allow all
+    if not TYPE_CHECKING:  # to a type checker it would allow any name
 
         def __getattr__(self, name: str) -> int:
             """``registers.focus``, for reading."""

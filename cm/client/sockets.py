@@ -37,9 +37,9 @@ def prepare(socket: _Socket, keys: Keys | None, depth: int = 0) -> _Socket:
 class Sockets:
     """Makes sockets, and holds them until they are closed.
 
-    A context waits for its sockets when it ends. Left to the garbage collector, it may end before them and
-    wait for ever, since sockets that are garbage themselves are no longer known to it; so whoever owns this
-    lets `close` be called when it is collected (`weakref.finalize`), and what is held here is not garbage.
+    A context waits for its sockets when it ends. If left to the garbage collector, it may end before them and wait
+    for ever, since it does not know sockets that are garbage themselves. So the owner of this arranges that `close`
+    is called when it is collected (`weakref.finalize`), and the sockets held here are not garbage.
     """
 
     def __init__(self, context: zmq.Context[Any], endpoints: Endpoints, keys: Keys | None) -> None:
@@ -86,7 +86,7 @@ class Sockets:
             _left(turn, _LEAVES)
 
     def requests(self, immediate: bool = False) -> Any:
-        """A DEALER for requests, its monitor, and what follows that: a manager that went away, or lets us not in.
+        """A DEALER for requests, its monitor, and the handshake, which says if the manager has gone or refuses us.
 
         `immediate`: what could not be sent before a connection ended is dropped with it, and never reaches the next
         manager there. Raises BoardClosed.
@@ -105,7 +105,7 @@ class Sockets:
     def subscriber(self, topics: tuple[bytes, ...], depth: int = 0) -> Any:
         """A SUB socket on topics, on which `depth` messages wait (0: ZeroMQ's own number), and its monitor.
 
-        That is readable once the manager does not let us subscribe. Raises BoardClosed.
+        The monitor is readable once the manager refuses our subscription. Raises BoardClosed.
         """
         with self.ending():
             socket = self._new(zmq.SUB, depth)
@@ -148,7 +148,7 @@ def _left(turn: Any, seconds: float) -> bool:
 
 
 def not_subscribed(address: str) -> NotAdmitted:
-    """What is raised where the manager does not let us subscribe."""
+    """The error if the manager does not let us subscribe."""
     return NotAdmitted(
         f"the manager at {address} refuses subscriptions, which need the right to observe everything; "
         "request what is allowed instead"
@@ -156,5 +156,5 @@ def not_subscribed(address: str) -> NotAdmitted:
 
 
 def closed(address: str) -> BoardClosed:
-    """What is raised for all that is asked of a board after its end."""
+    """The error for any use of a board after it was closed."""
     return BoardClosed(f"the board at {address} was closed: connect() again")

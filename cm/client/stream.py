@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cm.client.data_connection import DataConnection
 
 _T = TypeVar("_T")
-_ANSWER = 5.0  # seconds at least that opening a stream waits for the manager to say what there is
+_ANSWER = 5.0  # least seconds that opening a stream waits for the manager's answer
 Self = TypeVar("Self", bound="Stream")
 
 
@@ -80,9 +80,9 @@ class Stream:
 class LocalStream(Stream):
     """Frames where the hardware put them: read-only arrays, leased until the last reference is gone.
 
-    At most `depth` frames are with us at a time (held, or waiting to be read); what comes while there
-    are as many is lost to us. `newest`: what waits behind a newer frame is skipped. After a change of
-    mode the frames go on, in the new shape.
+    At most `depth` frames are lent to us at a time (held, or waiting to be read); frames that come beyond that are
+    lost to us. `newest`: frames that are followed by a newer one are skipped. After a change of mode the frames
+    continue, in the new shape.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class LocalStream(Stream):
     ) -> None:
         self._connection: DataConnection | None = None
         self._folder = folder
-        self._owner = owner  # the board: what hangs on it holds it
+        self._owner = owner  # the board, which this keeps alive
         self._wanted = wanted
         self.name = wanted.name
         self._timeout = timeout
@@ -106,7 +106,7 @@ class LocalStream(Stream):
             self.close()
 
     def end(self, because: BoardClosed) -> None:
-        """The board is closed; whatever is asked from here on raises that."""
+        """The board is closed; any later use raises BoardClosed."""
         self._ended = because
         self.close()
 
@@ -118,8 +118,8 @@ class LocalStream(Stream):
         return self._connection
 
     def _opened(self) -> DataConnection:
-        """Connect; what the manager refuses is raised here. A stream that is stopped just now comes later."""
-        from cm.client.data_connection import DataConnection  # here: other systems than Linux have no such sockets
+        """Connect; the manager's refusal is raised here. If the stream is stopped just now, its frames come later."""
+        from cm.client.data_connection import DataConnection  # imported here: only Linux has such sockets
 
         connection = DataConnection(self._folder, self._wanted)
         try:
@@ -187,7 +187,7 @@ class LocalStream(Stream):
                 frame = newer
 
     def nothing(self, limit: float | None) -> str:
-        """Why nothing may have come, for people."""
+        """Why nothing may have come, in a sentence."""
         text = f"stream {self.name!r} gave no frame within {limit or 0:g} s"
         geometry = self.geometry
         if geometry is None:
@@ -209,7 +209,7 @@ class RemoteStream(Stream):
     def __init__(self, board: Board, wanted: Wanted) -> None:
         self.name = wanted.name
         self._timeout = wanted.timeout
-        self._board = board  # what hangs on a board holds it
+        self._board = board  # keeps the board alive
         self._reader: Reader = self._made(wanted)
 
     def _made(self, wanted: Wanted) -> Reader:
@@ -240,7 +240,7 @@ class RemoteStream(Stream):
 
 
 class NewestStream(RemoteStream):
-    """The next frame from when it is asked for, over a connection of its own: others are answered meanwhile."""
+    """Requests each frame when it is read, over a connection of its own: others are answered meanwhile."""
 
     def __init__(self, board: Board, wanted: Wanted, connect: Callable[[], Link]) -> None:
         super().__init__(board, wanted)

@@ -28,7 +28,7 @@ class Writer:
     """
 
     def __init__(self, folder: Path, wanted: Open, timeout: float | None, owner: Any = None) -> None:
-        self._owner = owner  # the board: what hangs on it holds it
+        self._owner = owner  # the board, which this keeps alive
         self._closed: CmError | None = None
         self._connection = DataConnection(folder, wanted)
         self.name = wanted.name
@@ -54,7 +54,7 @@ class Writer:
 
     @property
     def free(self) -> int:
-        """Slots that can be had at once."""
+        """Slots that are available at once."""
         return len(self._connection.granted)
 
     def poll(self) -> bool:
@@ -153,7 +153,7 @@ class Writer:
             raise self._closed or error from None  # closed by another thread
 
     def _collect(self) -> None:
-        """Take note of what is done; its slot is ours again, unless the hardware repeats it."""
+        """Note which frames are done; their slots are free again, unless the hardware repeats the frame."""
         connection = self._connection
         while connection.done:
             done = connection.done.popleft()
@@ -173,7 +173,7 @@ class Writer:
             raise TransferFailed(f"stream {self.name!r}: frame {failed.sequence} was not taken: {text}")
 
     def fileno(self) -> int:
-        """Descriptor that polls readable when something was done."""
+        """Descriptor that polls readable when a frame is done."""
         return self._connection.socket.fileno()
 
     def close(self) -> None:
@@ -182,7 +182,7 @@ class Writer:
         self._connection.close()
 
     def end(self, because: BoardClosed) -> None:
-        """The board is closed; whatever is asked from here on raises that."""
+        """The board is closed; any later use raises BoardClosed."""
         self._closed = because
         self.close()
 

@@ -15,13 +15,13 @@ from cm.messages.status import FrameInfo
 from cm.wire import topics
 from cm.wire.encode import decode_event
 
-STOPPED_PAUSE = 0.05  # seconds until a stream that is stopped for a change is asked again
+STOPPED_PAUSE = 0.05  # seconds until a stream that is stopped for a change is requested again
 ASK_FOR = 5.0  # seconds that one request for the newest frame waits for it
 
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """A stream over ZeroMQ. `newest`: each read asks for the next frame; else they are subscribed to."""
+    """A stream over ZeroMQ. `newest`: each read requests the next frame; otherwise frames are subscribed to."""
 
     name: str
     timeout: float | None
@@ -30,7 +30,7 @@ class Wanted:
     depth: int = 0  # frames that wait in our socket before newer ones are lost, 0: the usual number
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be. Raises InvalidRequest, also for a package that is missing here."""
+        """Refuse impossible combinations. Raises InvalidRequest, also if a package is missing here."""
         if self.depth < 0:
             raise InvalidRequest(f"a stream of depth {self.depth}: frames that may wait are 1 or more")
         if self.compression and self.newest:
@@ -69,7 +69,7 @@ class Arrivals:
 
 
 def unpacked(info: FrameInfo, payload: Any) -> Any:
-    """The bytes of a frame, whatever they came as. Raises InvalidRequest."""
+    """The bytes of a frame, decompressed if need be. Raises InvalidRequest."""
     if not info.compression:
         return payload
     if info.compression != "lz4":
@@ -77,7 +77,7 @@ def unpacked(info: FrameInfo, payload: Any) -> Any:
     lz4 = lz4_frame()
     try:
         unpacker = lz4.LZ4FrameDecompressor()
-        data = unpacker.decompress(bytes(payload), max_length=info.length + 1)  # not more than it claims to be
+        data = unpacker.decompress(bytes(payload), max_length=info.length + 1)  # no more than it claims to have
     except (RuntimeError, EOFError, ValueError) as error:
         raise InvalidRequest(f"frame {info.sequence} of {info.stream!r} is not an lz4 frame: {error}") from error
     if len(data) != info.length:
@@ -86,7 +86,7 @@ def unpacked(info: FrameInfo, payload: Any) -> Any:
 
 
 def lz4_frame() -> Any:
-    """The module. Raises InvalidRequest where it is not installed."""
+    """The module lz4.frame. Raises InvalidRequest if it is not installed."""
     try:
         return import_module("lz4.frame")
     except ModuleNotFoundError:

@@ -44,9 +44,9 @@ def connect(
 ) -> Fleet:
     """A fleet, to be entered with ``async with``, or awaited.
 
-    `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, else who is heard on this
-    network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: who asks; with
-    certificates the name in one's own. `timeout` in seconds. Raises NoNetwork when it is entered.
+    `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, or else whoever is found on this
+    network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: the name to make
+    requests under; with certificates, the one in your own. `timeout` in seconds. Raises NoNetwork when it is entered.
     """
     routers = (router,) if isinstance(router, str) else tuple(router)
     if not routers and config is None:
@@ -56,7 +56,7 @@ def connect(
 
 
 def _caller(config: Path | None) -> str:
-    """The name in the settings that ``cm fleet keys`` wrote, else that of this user."""
+    """The name in the settings that ``cm fleet keys`` wrote, or else this user's."""
     if config is not None:
         said = settings_of(config).get_json("metadata")
         name = (json.loads(said) or {}).get("name")
@@ -66,7 +66,7 @@ def _caller(config: Path | None) -> str:
 
 
 class Fleet(Looker):
-    """Many boards. Those that are meant are named, or by glob (``line1-*``) or label (``@camera``); else all."""
+    """Many boards. Groups of them are given by name, glob (``line1-*``) or label (``@camera``); by default all."""
 
     def __init__(self, network: Network, caller: str, timeout: float) -> None:
         self.caller = names.check(caller, "caller")
@@ -102,9 +102,9 @@ class Fleet(Looker):
     async def do(
         self, verb: str, board: str, message: bytes, data: bytes | None = None, timeout: float = 0.0
     ) -> Answer:
-        """A command for one board, in this caller's name: `message` is serialised, `data` what travels beside it.
+        """A command for one board, in this caller's name: `message` is serialised, `data` is the payload beside it.
 
-        The answer's payload is a Reply; it has an error where none came within `timeout` seconds (0: the fleet's).
+        The answer's payload is a Reply; it has an error if none came within `timeout` seconds (0: the fleet's).
         """
         key = names.command_key(names.check(board, "board"), verb, self.caller)
         payload, attachment = (message, None) if data is None else (data, message)
@@ -114,7 +114,7 @@ class Fleet(Looker):
     async def write(
         self, values: Mapping[str, int | str], boards: Iterable[str] = ALL
     ) -> dict[str, RegValues | ErrorInfo]:
-        """Write registers on each board, in order; each board does all of it or nothing, and has an answer of its own.
+        """Write registers on each board, in order; each board does all of it or nothing, and answers for itself.
 
         Raises NoSuchBoard.
         """
@@ -153,13 +153,15 @@ class Fleet(Looker):
         settle: float = 0.0,
         tell: Progress = nothing,
     ) -> Course:
-        """Take all boards to a mode, or none: planned on all, prepared on all, done on all, kept or taken back.
+        """Take all boards to a mode, or none: plan on all, prepare all, change all, then keep the new mode or go back.
 
-        `policy`: ``all``, ``quorum`` or ``best_effort`` boards must be there for the change to stay. `timeout`: seconds
+        `policy`: ``all``, ``quorum`` or ``best_effort``: how many boards must succeed for the change to be kept.
+        `timeout`: seconds
         for each phase. `settle`: seconds after which a board that hears nothing asks what was decided (0: twice
         `timeout`). `tell` is called with the phase, a board, and its answer. Returns the outcome with the critical
         path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names each board that
-        differs). Cancelled or killed at any moment, the boards end it by themselves; `recover` hastens that.
+        differs). If this is cancelled or killed at any moment, the boards end the change by themselves; `recover`
+        hastens that.
         """
         rule = answers.policy(policy)
         chosen = await self.chosen(boards)
@@ -194,25 +196,26 @@ class Fleet(Looker):
         return answers.record(answer)
 
     async def _ask(self, ask: Ask) -> FleetRecord | ErrorInfo:
-        """A step of ending a change: to decide may take a load."""
+        """A step of ending a change; deciding may take as long as a load."""
         return await self._step(ask, 60.0 if ask.verb is Verb.DECIDE else self.timeout)
 
     async def recover(self, change: str = "", boards: Iterable[str] = ALL) -> dict[str, Outcome]:
-        """End changes whose coordinator is gone, by the boards' own records: each with its outcome, by its name.
+        """End changes whose coordinator is gone, by the boards' records; returns each change's outcome, by its name.
 
-        Most of the seats of a change are enough to decide it, or any board that was told. Without `change`: all that
-        are open on these boards and whose time is over; with it that one, at once. An outcome whose decision is None
-        has too few seats left: its boards are named, and wait. Raises NoSuchBoard, NotFound (no board has that change).
+        A majority of the seats of a change can decide it, or any board that knows the decision. Without `change`: all
+        that are open on these boards and whose time is over; with it that one, at once. An outcome whose decision is
+        None has too few seats left: its boards are named, and keep waiting. Raises NoSuchBoard, NotFound (no board has
+        that change).
         """
         records = open_changes(await self.status(boards), change)
         outcomes = await asyncio.gather(*(recovered(record, self._ask) for record in records.values()))
         return dict(zip(records, outcomes, strict=True))
 
     async def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
-        """Decide in place of seats that never come back: if they do, they may say else.
+        """Decide in place of seats that will never come back: if they do, they may contradict it.
 
-        The record of each board, or its error. Raises NoSuchBoard, NotFound (no board has that change),
-        InvalidRequest where the change is decided, or can be without this, and otherwise.
+        Returns the record of each board, or its error. Raises NoSuchBoard, NotFound (no board has that change),
+        InvalidRequest if the change is decided, or can be decided without this, differently.
         """
         (record,) = open_changes(await self.status(boards), change).values()
         await refuse_other(record, keep, self._ask)
@@ -226,7 +229,7 @@ class Fleet(Looker):
     ) -> dict[str, BundleState | ErrorInfo]:
         """Have boards fetch an archive of ``cm build collect`` from here and put it in force.
 
-        `timeout` in seconds, for all of it. What has come to a board stays there: the same again goes on where it was.
+        `timeout` in seconds, for all of it. Parts that have reached a board stay there: a repeated push continues.
         Raises NoSuchBoard, NotFound (no such file), OSError.
         """
         path = Path(archive)

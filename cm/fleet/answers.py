@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What boards answered, as the client gives it to its callers: data, or the error of a board."""
+"""Boards' answers in the form in which the client returns them: data, or a board's error."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def policy(said: Policy | str) -> Policy:
 
 
 def registers(answer: Answer) -> RegValues | ErrorInfo:
-    """Values that were read back, or what refused them."""
+    """Values that were read back, or the refusal."""
     if answer.error is not None:
         return answer.error
     reply = decode_reply([b"", answer.payload])
@@ -41,7 +41,7 @@ def record(answer: Answer) -> FleetRecord | ErrorInfo:
 
 
 def bundle(answer: Answer) -> BundleState | ErrorInfo:
-    """How far an archive came."""
+    """How much of an archive has arrived."""
     if answer.error is not None:
         return answer.error
     try:
@@ -52,5 +52,5 @@ def bundle(answer: Answer) -> BundleState | ErrorInfo:
 
 
 def named(board: str, error: ErrorInfo) -> ErrorInfo:
-    """The error with its board in its sentence, for where nothing else says which it was."""
+    """The error with its board in the sentence, for where nothing else names it."""
     return ErrorInfo(error.code, f"{board}: {error.message}")

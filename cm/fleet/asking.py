@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Queries over zenoh, awaited; answers and errors with the board that each is of."""
+"""Queries over zenoh, awaited; answers and errors, each with its board."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Answer:
 
 
 def absent(there: bool) -> ErrorInfo:
-    """Why a board that was asked said nothing: denied looks like absent, so what can be told apart is told."""
+    """Why a board did not answer: a denied query looks like an absent board, so this says what can be told apart."""
     if there:
         return ErrorInfo(
             ABSENT,
@@ -43,7 +43,7 @@ def absent(there: bool) -> ErrorInfo:
 async def get(
     session: Any, selector: str, payload: bytes = b"", attachment: bytes | None = None, timeout: float = 10.0
 ) -> list[Answer]:
-    """All answers to a query, once all who were asked have answered, are gone, or the time is over (seconds)."""
+    """All answers to a query, once all boards have answered or gone, or the time (seconds) is over."""
     zenoh, loop = zenoh_module(), asyncio.get_running_loop()
     found: list[Answer] = []
     over: asyncio.Future[None] = loop.create_future()
@@ -90,7 +90,7 @@ def _answer(reply: Any) -> Answer:
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """Something that was published: under which key, its message, and data beside it. No message: it is gone."""
+    """A publication: its key, its message, and data beside it. No message: the board is gone."""
 
     board: str
     key: str
@@ -102,7 +102,7 @@ class Told:
 async def listening(
     session: Any, expression: str, presence: Presence | None = None, waiting: int = 1000
 ) -> AsyncIterator[AsyncIterator[Told]]:
-    """What is published, and with `presence` boards that go. Beyond `waiting` the oldest is lost."""
+    """Publications, and with `presence` boards that go away. If more than `waiting` wait, the oldest are lost."""
     loop = asyncio.get_running_loop()
     queue: asyncio.Queue[Told] = asyncio.Queue()
 

@@ -57,9 +57,10 @@ def connect(
 ) -> Fleet:
     """A fleet, connected: ``with cm.fleet.connect("tcp/router:7447") as fleet: fleet.mode("edge_detection")``.
 
-    `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, else who is heard on this
-    network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: who asks; with
-    certificates the name in one's own, else this user. `timeout`: seconds for an answer. Raises NoNetwork,
+    `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, or else whoever is found on this
+    network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: the name to make
+    requests under; with certificates the one in your own, else this user's. `timeout`: seconds for an answer. Raises
+    NoNetwork,
     InvalidRequest for a caller's name that cannot be part of a key.
     """
     return Fleet(aio.connect(router, config=config, caller=caller, timeout=timeout))
@@ -92,28 +93,28 @@ class Fleet:
 
     @property
     def caller(self) -> str:
-        """Who asks: the manager of each board knows it as its guest ``zenoh:<name>``."""
+        """The name under which requests are made: each board's manager knows it as its guest ``zenoh:<name>``."""
         return self._fleet.caller
 
     def boards(self) -> tuple[str, ...]:
-        """Names of all boards whose bridges are there, sorted."""
+        """Names of all boards whose bridges are running, sorted."""
         return self._loop.wait_for(self._fleet.boards())
 
     def chosen(self, boards: Iterable[str] = ALL) -> tuple[str, ...]:
-        """The boards of a group, sorted: by name, glob or ``@label``. Raises NoSuchBoard for what leads to none."""
+        """The boards of a group, sorted: by name, glob or ``@label``. Raises NoSuchBoard for one that matches none."""
         return self._loop.wait_for(self._fleet.chosen(boards))
 
     def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
         """The status of each board, or why there is none (code ``no_answer``, or what its manager said).
 
-        Raises NoSuchBoard for a glob or a label that leads to none; a name that is not there has an error.
+        Raises NoSuchBoard for a glob or a label that matches none; a name that does not exist gets an error.
         """
         return self._loop.wait_for(self._fleet.status(boards))
 
     def plan(self, mode: str = "", config: str = "", boards: Iterable[str] = ALL) -> dict[str, PlanInfo | ErrorInfo]:
-        """What going there would do on each board, in steps, bytes and seconds; touches nothing.
+        """What a change would do on each board, in steps, bytes and seconds; touches nothing.
 
-        Without `mode` the default mode, without `config` that of what is loaded. Raises NoSuchBoard.
+        Without `mode` to the default mode, without `config` of the loaded configuration. Raises NoSuchBoard.
         """
         return self._loop.wait_for(self._fleet.plan(mode, config, boards))
 
@@ -122,7 +123,7 @@ class Fleet:
         return self._loop.wait_for(self._fleet.read(register, boards))
 
     def write(self, values: Mapping[str, int | str], boards: Iterable[str] = ALL) -> dict[str, RegValues | ErrorInfo]:
-        """Write registers on each board, in order; each board does all of it or nothing, and has an answer of its own.
+        """Write registers on each board, in order; each board does all of it or nothing, and answers for itself.
 
         Raises NoSuchBoard.
         """
@@ -137,7 +138,7 @@ class Fleet:
         self._loop.wait_for(self._fleet.send(board, stream, data))
 
     def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
-        """How far each board's clock may be off, ns: as it says itself, and between which bounds it is from here.
+        """How far each board's clock may be off, ns: as it says itself, and the bounds measured from here.
 
         Raises NoSuchBoard.
         """
@@ -154,9 +155,10 @@ class Fleet:
         settle: float = 0.0,
         tell: Progress = nothing,
     ) -> Course:
-        """Take all boards to a mode, or none: planned on all, prepared on all, done on all, kept or taken back.
+        """Take all boards to a mode, or none: plan on all, prepare all, change all, then keep the new mode or go back.
 
-        `policy`: ``all``, ``quorum`` or ``best_effort`` boards must be there for the change to stay. `timeout`: seconds
+        `policy`: ``all``, ``quorum`` or ``best_effort``: how many boards must succeed for the change to be kept.
+        `timeout`: seconds
         for each phase. `settle`: seconds after which a board that hears nothing asks what was decided (0: twice
         `timeout`). `tell` is called with the phase, a board, and its answer, in another thread. Returns the outcome
         with the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names
@@ -179,19 +181,20 @@ class Fleet:
         return self.load("", mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
 
     def recover(self, change: str = "", boards: Iterable[str] = ALL) -> dict[str, Outcome]:
-        """End changes whose client is gone, by the boards' own records: each with its outcome, by its name.
+        """End changes whose client is gone, by the boards' own records; returns each change's outcome, by its name.
 
-        Most of the seats of a change are enough to decide it, or any board that was told. Without `change`: all that
-        are open on these boards and whose time is over; with it that one, at once. An outcome whose decision is None
-        has too few seats left: its boards are named, and wait. Raises NoSuchBoard, NotFound (no board has that change).
+        A majority of the seats of a change can decide it, or any board that knows the decision. Without `change`: all
+        that are open on these boards and whose time is over; with it that one, at once. An outcome whose decision is
+        None has too few seats left: its boards are named, and keep waiting. Raises NoSuchBoard, NotFound (no board has
+        that change).
         """
         return self._loop.wait_for(self._fleet.recover(change, boards))
 
     def settle(self, change: str, keep: bool, boards: Iterable[str] = ALL) -> dict[str, FleetRecord | ErrorInfo]:
-        """Decide in place of seats that never come back: if they do, they may say else.
+        """Decide in place of seats that will never come back: if they do, they may contradict it.
 
-        The record of each board, or its error. Raises NoSuchBoard, NotFound (no board has that change),
-        InvalidRequest where the change is decided, or can be without this, and otherwise.
+        Returns the record of each board, or its error. Raises NoSuchBoard, NotFound (no board has that change),
+        InvalidRequest if the change is decided, or can be decided without this, differently.
         """
         return self._loop.wait_for(self._fleet.settle(change, keep, boards))
 
@@ -200,7 +203,7 @@ class Fleet:
     ) -> dict[str, BundleState | ErrorInfo]:
         """Have boards fetch an archive of ``cm build collect`` from here and put it in force.
 
-        `timeout` in seconds, for all of it. What has come to a board stays there: the same again goes on where it was.
+        `timeout` in seconds, for all of it. Parts that have reached a board stay there: a repeated push continues.
         Raises NoSuchBoard, NotFound (no such file), OSError.
         """
         return self._loop.wait_for(self._fleet.push(archive, boards, timeout=timeout))
@@ -209,8 +212,8 @@ class Fleet:
     def watch(self, boards: str = "*") -> Iterator[Iterator[tuple[str, BoardStatus | None]]]:
         """Statuses of boards as they change, and each second; None when a board has gone. One name, or ``*``.
 
-        ``with fleet.watch() as statuses: for name, status in statuses: ...``. Whoever takes them too slowly loses the
-        oldest beyond a thousand.
+        ``with fleet.watch() as statuses: for name, status in statuses: ...``. If more than a thousand wait to be
+        read, the oldest are lost.
         """
         context = self._fleet.watch(boards)
         statuses = self._loop.wait_for(context.__aenter__())

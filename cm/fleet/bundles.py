@@ -21,20 +21,20 @@ from cm.messages.fleet import FetchBundle
 
 PART = 1 << 20  # bytes
 _TIMEOUT = 20.0  # seconds for a part
-PATIENCE = 10.0  # seconds until who hands out is known to all routers
+PATIENCE = 10.0  # seconds until all routers know a sender
 _AGAIN = 0.1
 _ORIGIN = "origin"
 _AT_ONCE = 8  # parts that a cache fetches or hands out at once
 
 
 class PartMissing(CmError):
-    """Nobody hands out a part of an archive, or not what its hash says."""
+    """A part of an archive is offered by nobody, or does not match its hash."""
 
     code = "part_missing"
 
 
 def described(archive: Path, part_length: int = PART) -> FetchBundle:
-    """An archive as it is asked to be fetched. Raises NotFound, OSError."""
+    """The request to fetch an archive. Raises NotFound, OSError."""
     if not archive.is_file():
         raise NotFound(f"{archive}: there is no such file")
     whole, parts, length = hashlib.sha256(), [], 0
@@ -47,13 +47,13 @@ def described(archive: Path, part_length: int = PART) -> FetchBundle:
 
 
 def part_key(place: str, sha256: str, part: str) -> str:
-    """`place`: "origin", or a site. Parts are named by their own hash, so that they can be believed by anybody."""
+    """`place`: "origin", or a site. Parts are named by their own hash, so that anyone may serve them."""
     return f"{names.BUNDLES}/{place}/{sha256}/{part}"
 
 
 @contextmanager
 def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callable[[], int]]:
-    """Hand out the parts of an archive on request; gives a function that says how many bytes went out so far."""
+    """Serve the parts of an archive on request; gives a function that says how many bytes have been sent so far."""
     places = {part: number * bundle.part_length for number, part in enumerate(bundle.parts)}
     sent = [0]
 
@@ -75,7 +75,7 @@ def offered(session: Any, archive: Path, bundle: FetchBundle) -> Iterator[Callab
 
 
 class Cache:
-    """A site's copy of archives: parts go once over the way to it, however many of its boards ask.
+    """A site's copy of archives: each part is fetched once, however many of its boards ask.
 
     `fetched` and `handed` count bytes.
     """
@@ -111,7 +111,7 @@ class Cache:
                     self.handed += len(data)
 
     def _part(self, sha256: str, part: str) -> bytes | None:
-        """Who asks for a part that is on its way already waits for it."""
+        """A query for a part that is being fetched already waits for it."""
         parts = Parts(self._folder / sha256)
         with self._guard:
             lock = self._locks.setdefault(part, threading.Lock())
@@ -134,7 +134,7 @@ def is_sha256(text: str) -> bool:
 
 
 def asked(session: Any, key: str, sha256: str) -> bytes | None:
-    """A part from whoever has it; None where nobody answers with what its hash says."""
+    """A part from anyone who has it; None if nobody answers with one that matches the hash."""
     for reply in session.get(key, timeout=_TIMEOUT):
         data = bytes(reply.ok.payload) if reply.ok is not None else b""
         if hashlib.sha256(data).hexdigest() == sha256:
@@ -144,12 +144,12 @@ def asked(session: Any, key: str, sha256: str) -> bytes | None:
 
 @dataclass(frozen=True, slots=True)
 class Parts:
-    """Parts on disk, each checked before it has its name: what is there is right, after any end."""
+    """Parts on disk, each checked before it gets its name, so that existing ones are right even after a crash."""
 
     folder: Path
 
     def get(self, part: str) -> bytes | None:
-        """A part, if it is there and still what its name says."""
+        """A part, if it exists and still matches its name."""
         with suppress(FileNotFoundError):
             data = (self.folder / part).read_bytes()
             if hashlib.sha256(data).hexdigest() == part:
@@ -171,7 +171,7 @@ class Parts:
             raise
 
     def have(self, bundle: FetchBundle) -> int:
-        """Bytes of an archive that are there."""
+        """How many bytes of an archive are there."""
         sizes = []
         for part in bundle.parts:
             with suppress(FileNotFoundError):
@@ -179,7 +179,7 @@ class Parts:
         return sum(sizes)
 
     def joined(self, bundle: FetchBundle, path: Path) -> None:
-        """The archive as one file; its hash is compared. Raises PartMissing, OSError."""
+        """The archive as one file, after checking its hash. Raises PartMissing, OSError."""
         whole = hashlib.sha256()
         with path.open("wb") as file:
             for part in bundle.parts:
@@ -195,8 +195,8 @@ class Parts:
 def fetched(session: Any, site: str, bundle: FetchBundle, parts: Parts, patience: float = PATIENCE) -> None:
     """Get what is not there yet: from the site's cache if there is one, else from the sender.
 
-    Who hands out has just begun to, and routers hear of it one after the other: nobody there is asked again for
-    `patience` seconds. Raises PartMissing; what has come stays, and is not fetched again.
+    The sender has only just begun, and routers learn of it one after the other: an unanswered query is repeated for
+    `patience` seconds. Raises PartMissing; parts that have come are kept, and not fetched again.
     """
     places = [site, _ORIGIN] if site else [_ORIGIN]
     for part in bundle.parts:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change of many boards, carried out: what the coordinator wants asked is asked, and it is given the answers."""
+"""Carries out a change of many boards: sends the coordinator's requests, and gives it the answers."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Progress = Callable[[str, str, FleetRecord | ErrorInfo], None]  # phase, board, 
 
 
 def nothing(phase: str, board: str, answer: FleetRecord | ErrorInfo) -> None:
-    """Progress that nobody wants to see."""
+    """A receiver of progress that ignores it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One phase of a change: how long it took, and for whom it waited longest."""
+    """One phase of a change: how long it took, and which board it waited for longest."""
 
     phase: str  # prepare, apply, seat, tell
     seconds: float
@@ -45,7 +45,7 @@ class Course:
 
 
 async def carried_out(step: FleetStep, ask: Asking, tell: Progress) -> Course:
-    """Run a change to its end. Cancelled, it stops where it is: the boards end it by themselves."""
+    """Run a change to its end. If cancelled, it stops where it is: the boards end the change by themselves."""
     coordinator = Coordinator(step)
     legs: list[Leg] = []
     asks = coordinator.start()
@@ -57,11 +57,11 @@ async def carried_out(step: FleetStep, ask: Asking, tell: Progress) -> Course:
 
 
 async def _leg(coordinator: Coordinator, asks: list[Ask], ask: Asking, tell: Progress) -> tuple[list[Ask], str, float]:
-    """Until all of a phase have answered or are silent: what is asked next, and who was last."""
+    """Wait until all boards of a phase have answered or timed out; returns the next requests, and the last board."""
     phase, begun, following, last = coordinator.phase, time.monotonic(), [], ("", 0.0)
     tasks = {asyncio.ensure_future(ask(each)): each for each in asks}
     try:
-        while tasks and coordinator.phase is phase:  # of a vote, most answers are enough
+        while tasks and coordinator.phase is phase:  # a majority of the votes is enough
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
             for task in done:
                 asked, answer = tasks.pop(task), task.result()

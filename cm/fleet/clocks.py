@@ -11,10 +11,10 @@ from cm.messages.fleet import ClockSync
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A board's clock, as it says, and its offset from this machine's: between `low_ns` and `high_ns`.
+    """What a board says about its clock, and the clock's offset from this machine's: between `low_ns` and `high_ns`.
 
-    The board read its clock after it was asked and before its answer came: no more can be known from one exchange,
-    and no less, whatever the network's delays are.
+    The board read its clock after the request was sent and before the answer came: whatever the network's delays, one
+    exchange shows that, and no more.
     """
 
     clock: ClockSync
@@ -28,15 +28,15 @@ class Reading:
 
 
 def reading(clock: ClockSync, asked_ns: int, came_ns: int) -> Reading:
-    """From CLOCK_REALTIME here before and after an exchange."""
+    """A reading from CLOCK_REALTIME here before and after an exchange."""
     return Reading(clock, clock.now_ns - came_ns, clock.now_ns - asked_ns)
 
 
 def said_apart(clocks: Mapping[str, ClockSync]) -> int | None:
-    """Stamps of these boards that are of one instant differ by no more than this, ns, by their own word.
+    """How far timestamps of one instant may differ between these boards, ns, as they say themselves.
 
-    None where one of them is not synchronised, or cannot tell: then nothing is promised. What two boards may be off
-    the reference adds up; this holds only where all follow the same one.
+    None if one of them is not synchronised, or cannot tell. The errors of two boards add up; this holds only if all
+    follow the same reference.
     """
     errors = sorted((c.error_ns for c in clocks.values() if c.synchronised and c.error_ns), reverse=True)
     if len(errors) != len(clocks):
@@ -45,7 +45,7 @@ def said_apart(clocks: Mapping[str, ClockSync]) -> int | None:
 
 
 def contradictions(readings: Mapping[str, Reading], own_error_ns: int) -> dict[str, str]:
-    """Boards whose clock is measured to be further off than they say; `own_error_ns` is this machine's."""
+    """Boards whose clocks are measurably further off than they say; `own_error_ns` is this machine's error."""
     found = {}
     for name, each in readings.items():
         claimed = each.clock.error_ns + own_error_ns

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes wrong with many boards: always with the names of those that it is about."""
+"""Errors of many boards, always with the names of those concerned."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cm.messages.status import ErrorInfo
 
 
 class NoSuchBoard(NotFound):
-    """A board or a label that the fleet has not."""
+    """A board or a label that the fleet does not have."""
 
     code = "no_such_board"
 
@@ -27,7 +27,7 @@ class FleetRefused(CmError):
 
 
 class ChangeFailed(CmError):
-    """A change that the fleet went back from, or that not all boards took part in; `outcome` has each."""
+    """A change that the fleet undid, or that not all boards took part in; `outcome` has each."""
 
     code = "fleet_change_failed"
 
@@ -37,7 +37,7 @@ class ChangeFailed(CmError):
 
 
 def told(problems: Mapping[str, ErrorInfo]) -> str:
-    """Each board with what is wrong there; boards of which the same is said, together."""
+    """Each board with what is wrong there; boards with the same problem together."""
     return _together({name: error.message for name, error in problems.items()})
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be seen of a fleet: its boards, and what each says."""
+"""What can be read from a fleet: its boards, and what each says."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ALL = ("*",)
 
 
 class Looker:
-    """Boards, by name, glob (``line1-*``) or label (``@camera``); all of them where none is named."""
+    """Boards, by name, glob (``line1-*``) or label (``@camera``); all if none is named."""
 
     session: Any
     _presence: Presence
@@ -33,11 +33,11 @@ class Looker:
     # ---- who is there -----------------------------------------------------------------------
 
     async def boards(self) -> tuple[str, ...]:
-        """Names of all boards whose bridges are there, sorted."""
+        """Names of all boards whose bridges are running, sorted."""
         return self._presence.boards()
 
     async def chosen(self, wanted: Iterable[str] = ALL) -> tuple[str, ...]:
-        """The boards of a group, sorted. Raises NoSuchBoard for a part of it that leads to none."""
+        """The boards of a group, sorted. Raises NoSuchBoard for a part of it that matches none."""
         there, groups = await self.boards(), tuple(wanted) or ALL
         labels: Mapping[str, tuple[str, ...]] = {}
         if any(group.startswith("@") for group in groups):
@@ -59,7 +59,7 @@ class Looker:
     async def status(self, boards: Iterable[str] = ALL) -> dict[str, BoardStatus | ErrorInfo]:
         """The status of each board, or why there is none (code ``no_answer``, or what its manager said).
 
-        Raises NoSuchBoard for a glob or a label that leads to none; a name that is not there has an error.
+        Raises NoSuchBoard for a glob or a label that matches none; a name that does not exist gets an error.
         """
         found = await self._each("status", boards)
         return {n: a.error or wire.board_status(a.payload) for n, a in found.items()}
@@ -67,9 +67,9 @@ class Looker:
     async def plan(
         self, mode: str = "", config: str = "", boards: Iterable[str] = ALL
     ) -> dict[str, PlanInfo | ErrorInfo]:
-        """What going there would do on each board, in steps, bytes and seconds; touches nothing.
+        """What a change would do on each board, in steps, bytes and seconds; touches nothing.
 
-        Without `mode` the default mode, without `config` that of what is loaded. Raises NoSuchBoard.
+        Without `mode` to the default mode, without `config` of the loaded configuration. Raises NoSuchBoard.
         """
         words = f"config?plan={mode}" + (f";config={config}" if config else "")
         found = await self._each(words, boards, max(self.timeout, 30.0))
@@ -81,7 +81,7 @@ class Looker:
         return {n: a.error or decode_registers(a.payload) for n, a in found.items()}
 
     async def clocks(self, boards: Iterable[str] = ALL) -> dict[str, Reading | ErrorInfo]:
-        """How far each board's clock may be off, ns: as it says itself, and between which bounds it is from here.
+        """How far each board's clock may be off, ns: as it says itself, and the bounds measured from here.
 
         Raises NoSuchBoard.
         """
@@ -121,13 +121,13 @@ class Looker:
     async def listen(self, board: str, *parts: str) -> AsyncIterator[AsyncIterator[Told]]:
         """What a board publishes: ``listen("b1", "frames", "camera")``, ``listen("*", "irq", "*")``.
 
-        Beyond 64 that wait for whoever iterates, the oldest is lost.
+        If more than 64 wait to be read, the oldest are lost.
         """
         async with asking.listening(self.session, names.key(board, *parts), waiting=64) as told:
             yield told
 
     async def _each(self, rest: str, boards: Iterable[str], timeout: float = 0.0) -> dict[str, Answer]:
-        """An answer for each board; those that are there and say nothing, or are not there, have one that says so."""
+        """An answer for each board; one that is absent or does not answer gets an error that says so."""
         limit, groups = timeout or self.timeout, tuple(boards) or ALL
         if groups != ALL:
             chosen = groups if all(map(_is_name, groups)) else await self.chosen(groups)
@@ -135,7 +135,7 @@ class Looker:
         asked = asking.get(self.session, names.key("*", rest), timeout=limit)
         answers, there = await asyncio.gather(asked, self.boards())
         found = {answer.board: answer for answer in answers}
-        # Rules match by inclusion: who may ask some boards and not all of them gets nothing at all for "*".
+        # Rules match by inclusion: a caller that may query some boards but not all gets nothing at all for "*".
         left = await self._each_by_name(rest, tuple(name for name in there if name not in found), limit)
         return dict(sorted({**found, **left}.items()))
 

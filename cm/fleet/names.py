@@ -10,12 +10,12 @@ from cm.errors import InvalidRequest
 ROOT = "cm"
 BUNDLES = "cm-bundles"
 WILD = frozenset("*$?#")
-NOBODY = "nobody"  # who does not say who it is
+NOBODY = "nobody"  # a caller that gives no name
 SECTIONS = ("reg", "irq", "frames")
 
 
 def check(name: str, what: str) -> str:
-    """The name, where it can be a part of a key. Raises InvalidRequest."""
+    """The name, if it can be a part of a key. Raises InvalidRequest."""
     if not name or name.startswith("@") or not name.isprintable() or len(name.encode()) > 64:
         raise InvalidRequest(f"{what} {name!r}: 1 to 64 printable characters are wanted, the first of them no @")
     bad = sorted((WILD | {"/", " "}) & set(name))
@@ -42,14 +42,14 @@ def command_key(board: str, verb: str, caller: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What is to be done, and for whom."""
+    """What is to be done, and for which caller."""
 
     verb: str
     caller: str
 
 
 def command_of(key_expression: str) -> Command | None:
-    """The command that a query's key asks for; None if it is none. Verbs and callers have no wildcards."""
+    """The command in a query's key; None if it has none. Verbs and callers have no wildcards."""
     parts = key_expression.split("/")
     if len(parts) not in (4, 5) or parts[0] != ROOT or parts[2] != "do" or any(WILD & set(p) for p in parts[3:]):
         return None

@@ -34,7 +34,7 @@ class Network:
     connect: tuple[str, ...] = ()
     listen: tuple[str, ...] = ()
     config: Path | None = None
-    lease: float = LEASE  # seconds until a process that stopped answering is told to be gone
+    lease: float = LEASE  # seconds until a process that has stopped answering counts as gone
 
 
 def endpoint(text: str) -> str:
@@ -57,7 +57,7 @@ def from_environment() -> tuple[str, ...]:
 
 
 def zenoh_module() -> Any:
-    """The library. Raises NoNetwork where it is not installed."""
+    """The library. Raises NoNetwork if it is not installed."""
     try:
         import zenoh
     except ImportError as error:
@@ -92,7 +92,7 @@ def settings_of(path: Path) -> Any:
 
 
 def _unreachable(routers: tuple[str, ...]) -> str:
-    """zenoh says of each of these no more than that time is over."""
+    """For each of these causes, zenoh only says that time is over."""
     if not routers:
         return "nobody answers on this network: name the fleet's router (--router HOST, or $CM_FLEET)"
     what = "there is none, or one of us does not take the other's certificate" if _with_tls(routers) else "is it there?"
@@ -104,7 +104,7 @@ def _with_tls(routers: tuple[str, ...]) -> bool:
 
 
 def awaited(network: Network, over: threading.Event, say: Callable[[str], None]) -> Any:
-    """The same, tried until there is a router, which is said; None once it is over."""
+    """The same, tried until there is a router, with a message meanwhile; None once it is to end."""
     said = ""
     while not over.is_set():
         try:
@@ -122,12 +122,12 @@ def _where(network: Network) -> str:
 
 
 def _said(error: Exception) -> str:
-    """What zenoh says, without where in its sources."""
+    """zenoh's message, without the place in its sources."""
     return " ".join(str(error).split(" at ", maxsplit=1)[0].split()) or type(error).__name__
 
 
 def _settings(network: Network) -> list[tuple[str, Any]]:
-    """What is said here goes over what a file says."""
+    """The settings; those given here override those of the file."""
     found: list[tuple[str, Any]] = []
     if network.config is None:
         found += [("mode", network.mode), ("scouting/multicast/enabled", not network.connect and not network.listen)]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which boards are there: their tokens, followed from the connection's first moment to its end.
+"""Which boards are present: their tokens, followed from the connection's first moment to its end.
 
-Not asked for each time: while a session has a subscriber to tokens, and for a while after one was undeclared, a query
-for them may leave some out, or all (seen with zenoh 1.10.2, through a router). What the subscriber tells is whole.
+They are not queried each time: while a session has a subscriber to tokens, and for a while after one was undeclared, a
+query for them may leave out some, or all (seen with zenoh 1.10.2, through a router). What the subscriber gets is
+complete.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from typing import Any
 from cm.fleet import names
 from cm.fleet.network import zenoh_module
 
-_FIRST = 2.0  # seconds for the tokens that were there before
+_FIRST = 2.0  # seconds for the tokens that existed before
 Listener = Callable[[str, bool], None]  # a board, and whether it is there now
 
 
 class Presence:
-    """Of one session; made by `begin`, and never undeclared."""
+    """The presence in one session; made by `begin`, and never undeclared."""
 
     def __init__(self, session: Any) -> None:
         self._session = session
@@ -32,7 +33,7 @@ class Presence:
         self._subscriber: Any = None
 
     async def begin(self, timeout: float) -> None:
-        """Follow from now on; returns when those that are there are known."""
+        """Follow from now on; returns when the present boards are known."""
         await asyncio.to_thread(self._begin, timeout)
 
     def _begin(self, timeout: float) -> None:
@@ -57,12 +58,12 @@ class Presence:
             tell(board, there)
 
     def boards(self) -> tuple[str, ...]:
-        """Those that are there, sorted."""
+        """The boards that are present, sorted."""
         with self._lock:
             return tuple(sorted(self._boards))
 
     def listen(self, tell: Listener) -> Callable[[], None]:
-        """Be told who is there, comes and goes, in any thread; call what is returned to end."""
+        """Be told which boards are present, come and go, in any thread; call the returned function to end this."""
         with self._lock:
             self._listeners.add(tell)
             there = tuple(self._boards)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Changes that nobody ends: found by the boards' own records, decided by their seats, and told to all their members."""
+"""Abandoned changes: found by the boards' own records, decided by their seats, and told to all their members."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from cm.messages.fleet import BoardStatus, Decision, FleetRecord, FleetStep
 from cm.messages.status import ErrorInfo
 
 Asking = Callable[[Ask], Awaitable[FleetRecord | ErrorInfo]]
-_TRIES = 5  # ballots, where boards are at it too
+_TRIES = 5  # ballots, in case boards try at the same time
 
 
 def open_changes(statuses: Statuses, change: str = "") -> dict[str, FleetRecord]:
     """One record of each change that has not ended on some board and should have, by that board's clock.
 
-    Or of the one that is named, whether its time is over or not. Raises NotFound.
+    Or the record of the named one, whether its time is over or not. Raises NotFound.
     """
     there = [status for status in statuses.values() if isinstance(status, BoardStatus)]
     known = [(status, status.fleet) for status in there if status.fleet is not None]
@@ -34,7 +34,7 @@ def open_changes(statuses: Statuses, change: str = "") -> dict[str, FleetRecord]
 
 
 async def decided(record: FleetRecord, ask: Asking) -> Decision | None:
-    """What the seats say, or come to; else what any member was told. None where nobody can know."""
+    """What the seats say, or agree on; or else what any member was told. None if nobody can know."""
 
     async def ask_all(asks: Sequence[Ask]) -> dict[str, FleetRecord]:
         answers = await asyncio.gather(*map(ask, asks))
@@ -49,7 +49,7 @@ async def decided(record: FleetRecord, ask: Asking) -> Decision | None:
 
 
 async def recovered(record: FleetRecord, ask: Asking) -> Outcome:
-    """Bring a change to its end in place of whoever began it, as far as that can be."""
+    """Bring a change to its end in place of its coordinator, as far as possible."""
     decision = await decided(record, ask)
     members = record.members or record.seats
     verb = Verb.SETTLE if decision is None else Verb.DECIDE
@@ -71,7 +71,7 @@ def _apart(answer: FleetRecord | ErrorInfo) -> ErrorInfo:
 
 
 async def refuse_other(record: FleetRecord, keep: bool, ask: Asking) -> None:
-    """A decision by hand may not contradict one that the boards can have without it. Raises InvalidRequest."""
+    """A manual decision must not contradict one that the boards can reach without it. Raises InvalidRequest."""
     decision = await decided(record, ask)
     wanted = Decision.KEEP if keep else Decision.REVERT
     if decision is not None and decision is not wanted:
@@ -82,7 +82,7 @@ async def refuse_other(record: FleetRecord, keep: bool, ask: Asking) -> None:
 
 
 async def useful_seats(able: Sequence[str], there: Iterable[str], ask: Asking, change: str) -> tuple[str, ...]:
-    """Seats for a change: of members where they are enough, else with others that answer this caller."""
+    """Seats for a change: members if there are enough, otherwise also other boards that answer this caller."""
     if len(able) >= seats.SEATS or len(able) < 2:
         return seats.chosen(able)
     others = [name for name in there if name not in able][: seats.NEAR]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which boards are not where the last change of their fleet leads, by what they say of it. Pure."""
+"""Which boards are not where the last change of their fleet leads, by their own records. Pure."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def late(status: BoardStatus, record: FleetRecord) -> bool:
 
 
 def difference(status: BoardStatus) -> str:
-    """What is open here of the last change, or why the board is not where it was decided; empty where all is well."""
+    """What is open here of the last change, or why the board is not where it should be; empty if all is well."""
     record = status.fleet
     if record is None or record.state == member.OPEN:
         return ""
@@ -35,7 +35,7 @@ def difference(status: BoardStatus) -> str:
 
 
 def stands_apart(status: BoardStatus) -> bool:
-    """Whether somebody should look: the board is elsewhere than was decided, or waits for a decision after its time."""
+    """Whether someone should look: the board is not where the decision says, or waits for one after its time."""
     record = status.fleet
     if record is None or not difference(status):
         return False
@@ -52,11 +52,11 @@ def _goal(record: FleetRecord) -> tuple[str, str]:
 
 
 def disagreeing(statuses: Statuses) -> dict[str, str]:
-    """Boards that stand apart by what others say, each with the reason.
+    """Boards that differ from what others say, each with the reason.
 
-    Those whose records of one change have different decisions: it takes a decision by hand (`cm fleet settle`), or
-    seats that lost their records. And those that were asked to take part in a change which the others kept, and did
-    not: their own record says nothing of it.
+    First, those whose records of one change have different decisions, which can only come from a manual decision (`cm
+    fleet settle`), or from seats that lost their records. Second, those that were asked to take part in a change which
+    the others kept, but did not: their own records do not mention it.
     """
     records = _records(statuses)
     told: dict[str, dict[str, Decision]] = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands under ``do/``: what carries them to the manager, and the role that each takes."""
+"""Commands under ``do/``: the message that carries each to the manager, and the role that it needs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cm.wire import topics
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """A command: its message, and the topic at the manager; without a topic the bridge does it itself."""
+    """A command: its message, and its topic at the manager; without a topic the bridge carries it out itself."""
 
     message: str
     role: str

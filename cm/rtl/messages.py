@@ -30,8 +30,7 @@ class Op(IntEnum):
     TRACE = 11
     MARK = 12
     STATE = 13
-    SPIN = 14
-    COVER = 15
+    COVER = 14
     SENT = 64
     RECEIVED = 65
     INTERRUPT = 66

@@ -19,7 +19,7 @@ from cm.schema.listing import fold, lift_overlays, windows
 from cm.schema.problems import KeyPath, did_you_mean
 from cm.schema.schema_forms import follow, for_values, normal_form, without_references
 from cm.schema.tree import Entry, Items, Mark, Node, Scalar, Table, plain
-from cm.schema.values import Finding, findings
+from cm.schema.values import Finding, findings, joined, name_form
 
 SCHEMA_FILE = Path(__file__).parent / "data" / "runtime.schema.json"
 _WINDOW = "#/definitions/window"
@@ -139,7 +139,7 @@ class _Walk:
                 node = self.node(entry.node, shape["additionalProperties"], (*path, name))
                 result.add(name, Entry(entry.mark, node))
             else:
-                hint = _description(self._resolve(shape["propertyNames"]))
+                hint = joined(name_form(pattern), _description(self._resolve(shape["propertyNames"])))
                 self._report(entry.mark, (*path, name), "bad_name", f"{name[:80]!r} is not a name", hint)
         return result
 

@@ -84,18 +84,18 @@ def _finding(path: KeyPath, error: Any) -> Finding:
         choices = ", ".join(map(str, wanted))
         return Finding(path, code, f"{_found(value)} is not one of {choices}", _near(value, wanted, about))
     if rule in _RANGES:
-        return Finding(path, "value_range", f"{value} is out of range", _joined(_limit(rule, wanted), about))
+        return Finding(path, "value_range", f"{value} is out of range", joined(_limit(rule, wanted), about))
     if rule in ("minItems", "maxItems"):
         limit = f"at {'least' if rule == 'minItems' else 'most'} {wanted} items"
-        return Finding(path, "bad_value", f"{len(value)} items", _joined(limit, about))
+        return Finding(path, "bad_value", f"{len(value)} items", joined(limit, about))
     if rule == "maxProperties":
-        return Finding(path, "too_large", f"{len(value)} entries", _joined(f"at most {wanted}", about))
-    hint = _joined(about, _form(wanted)) if rule == "pattern" else about
+        return Finding(path, "too_large", f"{len(value)} entries", joined(f"at most {wanted}", about))
+    hint = joined(about, name_form(wanted)) if rule == "pattern" else about
     return Finding(path, "bad_value", f"{_found(value)} does not fit", hint)
 
 
-def _form(pattern: str) -> str:
-    """A name's pattern in words; empty for others, whose description says what they look like."""
+def name_form(pattern: str) -> str:
+    """A name's pattern in words; empty for other patterns, whose description says what they look like."""
     name = _NAME.fullmatch(pattern)
     if name is None:
         return ""
@@ -108,7 +108,8 @@ def _is_quoted_number(value: object, wanted: str | list[str]) -> bool:
     return wanted in ("integer", "number") and isinstance(value, str) and type(resolve(value)) in (int, float)
 
 
-def _joined(*parts: str) -> str:
+def joined(*parts: str) -> str:
+    """The parts of a hint, without empty ones."""
     return "; ".join(part for part in parts if part)
 
 

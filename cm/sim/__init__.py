@@ -2,8 +2,8 @@
 """The simulated board: a process that serves device nodes under ``$CM_ROOT``.
 
 `Board` starts one and stops it; `Control` injects faults and reads its state; `BoardSpec` derives
-its hardware from runtime schemas. See ``docs/simulator.md``. They are imported when they are first
-used: who only starts a board does not pay for what the board itself needs.
+its hardware from runtime schemas. See ``docs/simulator.md``. They are imported when they are first used: a program
+that only starts a board does not pay for what the board itself needs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _HOMES = {
 }
 
 
-if not TYPE_CHECKING:  # for a type checker it would allow all
+if not TYPE_CHECKING:  # to a type checker it would allow any name
 
     def __getattr__(name: str) -> Any:
         if name not in _HOMES:

@@ -11,7 +11,7 @@ from cm.errors import CmError
 
 
 class SimError(CmError):
-    """The simulated board could not be started, reached or told; the sentence says why."""
+    """The simulated board could not be started, reached or controlled; the sentence says why."""
 
     code: ClassVar[str] = "simulator"
 

@@ -41,7 +41,7 @@ class Faults:
 
     def __init__(self) -> None:
         self._waiting: list[Fault] = []
-        self.ordered: Callable[[], None] = lambda: None  # called when one is
+        self.ordered: Callable[[], None] = lambda: None  # called when one is ordered
 
     @property
     def waiting(self) -> bool:
@@ -70,7 +70,7 @@ class Faults:
         self._waiting = [f for f in self._waiting if (kind and f.kind != kind) or (target and f.target != target)]
 
     def listing(self) -> list[str]:
-        """What waits, as it was ordered."""
+        """The faults that wait, as they were ordered."""
         return [f"{f.kind} {f.target or '*'} value={f.value} left={f.left or 'until cleared'}" for f in self._waiting]
 
     def _count(self, fault: Fault) -> None:

@@ -222,7 +222,6 @@ class RegisterReply:
     """A reply that holds registers, kept to be filled in again: a third of the time that a new one takes.
 
     A client that polls a register mostly finds the same value as before; then the bytes are the same, too. `fields`
-
     are, for each name, those to extract from the register's value: name, lowest bit, mask.
     """
 

@@ -26,7 +26,7 @@ from cm.sim import Board as SimBoard
 
 ROOT = Path(cm.__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "walks.md"
-ROOMS = ("cm/manager/", "cm/daemon/")
+FOLDERS = ("cm/manager/", "cm/daemon/")
 FILES_MAX, LINES_MAX = 30, 250
 
 
@@ -41,7 +41,7 @@ class Entered:
         name = frame.f_code.co_filename
         if self.armed and event == "call" and name.startswith(str(ROOT)):
             path = str(Path(name).relative_to(ROOT))
-            if path.startswith(ROOMS):
+            if path.startswith(FOLDERS):
                 self.files.add(path)
 
 
@@ -102,7 +102,7 @@ def test_a_change_of_mode_enters_few_files_and_none_is_long(entered: set[str]) -
 
 
 def test_the_walk_of_a_change_names_the_files_that_one_enters(entered: set[str]) -> None:
-    walked = {path for path in walks()["A change of mode"] if path.startswith(ROOMS)}
+    walked = {path for path in walks()["A change of mode"] if path.startswith(FOLDERS)}
     assert entered - walked == set()
     assert walked - entered == set()
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 
 import pytest
@@ -15,8 +14,6 @@ from manager_process import Manager
 import cm
 from cm.sim import Board as SimBoard
 from cm.wire import cm_pb2 as pb
-
-LOG = logging.getLogger(__name__)
 
 
 class Peer:

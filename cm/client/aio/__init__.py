@@ -7,8 +7,8 @@
         async for frame in board.stream("camera"):
             ...
 
-What is a property there is a method here: ``await board.status()``, ``await board.mode()``. Assignment to
-properties and brackets is the blocking client's only extra; here it is ``await board.set_mode(…)`` and
+Properties of the blocking client are methods here: ``await board.status()``, ``await board.mode()``. Only the
+blocking client has assignment to properties and brackets; here it is ``await board.set_mode(…)`` and
 ``await board.registers.write({…})``.
 """
 

@@ -73,7 +73,7 @@ class Board(Guarded):
 
     _advice = {"mode": "await board.set_mode(…): an assignment cannot be awaited"}  # noqa: RUF012 (never changed)
 
-    # Attributes, and no properties, into which completion does not look: board.registers["<TAB>.
+    # Attributes rather than properties, which completion does not evaluate: board.registers["<TAB>.
     registers: Registers
     """Registers and fields of the current mode by name."""
     interrupts: Interrupts
@@ -97,7 +97,7 @@ class Board(Guarded):
         self._link = Link(self._sockets, timeout, guest)
         self._leases = HeldLeases()
         self._users: weakref.WeakSet[Any] = weakref.WeakSet()  # of the data socket: they end with the board
-        # Past Guarded, which refuses to set them; no properties, since each access to a register would run them.
+        # Set directly, because Guarded refuses to; not properties, since each access to a register would run them.
         object.__setattr__(self, "registers", Registers(self))
         object.__setattr__(self, "interrupts", Interrupts(self))
         object.__setattr__(self, "memories", Memories(self))
@@ -127,7 +127,7 @@ class Board(Guarded):
     def subscribe(self, *topics: bytes, depth: int = 0) -> Subscription:
         """Listen to topics; `depth` messages wait (0: ZeroMQ's own number). The caller closes it.
 
-        Raises InvalidRequest for a guest of a bridge: what is published is handed to the bridge.
+        Raises InvalidRequest for a guest of a bridge: publications go to the bridge.
         """
         self._place.check_subscription()
         return Subscription(self._sockets, topics, depth)
@@ -142,7 +142,7 @@ class Board(Guarded):
         return await self.ask(calls.status())
 
     async def break_lease(self, number: int) -> LeaseInfo:
-        """End somebody else's lease, by its number in `status.leases`; needs the role admin."""
+        """End another client's lease, by its number in `status.leases`; needs the role admin."""
         return await self.ask(calls.lease(rq.BreakLease(number)))
 
     async def clients(self) -> tuple[ClientStatus, ...]:
@@ -204,7 +204,7 @@ class Board(Guarded):
         subscription = self._changes()
         try:
             info = await self.ask(calls.load(config, mode, wait=False, queue=queue, force=force, lease=lease))
-        except BaseException:  # CancelledError too: nobody else would close it
+        except BaseException:  # CancelledError too: nothing else would close it
             subscription.close()
             raise
         return ChangeHandle(self, info.number, subscription)
@@ -257,13 +257,13 @@ class Board(Guarded):
         """The frames of a stream, as a context manager and iterator; lost frames show as gaps in `sequence`.
 
         On the manager's machine frames are not copied: arrays lie in DMA memory, `depth` of them (0: 4) may be
-        held at a time, and go back when the last reference to them goes. `newest` skips those that wait behind
-        a newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
+        held at a time, and go back when the last reference to them goes. `newest` skips frames that are followed by a
+        newer one. From elsewhere they come over ZeroMQ: `compression` "lz4" makes them smaller (it needs the
         package lz4 at both ends), `newest` asks for each frame when it is read, and `depth` of them (0: 4) wait
         here, beside those at the manager. `timeout` in seconds, None waits
-        for ever. `lease`: the id of one's own, where a stream with back-pressure lies in a region that is held.
-        `copy`: over ZeroMQ here too, so that frames are ours alone (docs/security.md). Guests of a bridge ask for
-        each frame (`newest`), in their own name.
+        for ever. `lease`: your lease's id, if a stream with back-pressure belongs to a region under a lease.
+        `copy`: use ZeroMQ on the manager's machine too, so that nobody else can access the frames (docs/security.md).
+        Guests of a bridge request each frame (`newest`), in their own name.
         """
         if self._place.data is not None and not copy:
             wanted = Open(name, depth=depth, lease=self._leases.named(lease))
@@ -284,7 +284,7 @@ class Board(Guarded):
         """Write a stream without copies: ``async with writer.slot() as array: array[...] = frame``.
 
         `depth` slots (0: 4) are ours. On the manager's machine only; `write` works from anywhere.
-        `lease`: the id of one's own, where the stream's region is held.
+        `lease`: your lease's id, if the stream's region is under a lease.
         """
         wanted = Open(name, write=True, depth=depth, lease=self._leases.named(lease))
         return self._using(AsyncWriter(self, self._place.data_folder("a writer"), wanted, timeout))
@@ -309,11 +309,11 @@ class Board(Guarded):
         """An array in contiguous memory, for masters in the PL: ``{"source": array.device_address}``.
 
         It is zero at first, and is given back with the last array in it, or with this process. On the manager's
-        machine only. Raises InvalidRequest, RequestBusy where the manager gives no more, Timeout.
+        machine only. Raises InvalidRequest, RequestBusy if the manager gives no more, Timeout.
         """
         self._check_open()
         folder, limit = self._place.data_folder("memory for the PL"), seconds(timeout, self.timeout)
-        from cm.client.allocation import allocated  # here: other systems than Linux have no such sockets
+        from cm.client.allocation import allocated  # imported here: only Linux has such sockets
 
         return await asyncio.get_running_loop().run_in_executor(None, allocated, folder, shape, dtype, limit)
 
@@ -321,7 +321,7 @@ class Board(Guarded):
         """Set shape, dtype, slots, rate, stride, cyclic, backpressure, enable of a stream; others stay as they are.
 
         `cm.messages.requests.ConfigureStream` has them all. Raises RequestBusy while it is in use, without `force`,
-        and InvalidRequest for what cannot be: then nothing has changed.
+        and InvalidRequest for impossible settings; then nothing has changed.
         """
         return await self.ask(calls.configure_stream(ConfigureStream(stream, **settings)))
 
@@ -339,9 +339,9 @@ class Board(Guarded):
     ) -> Memory:
         """Name `length` bytes at a physical address, until another configuration is loaded.
 
-        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; writable ones must
-        not cover what has a name. `region`: whose module answers there, or "static"; it need not be said where
-        all else that has a name in that window is in one. Raises RequestFailed.
+        They must lie in the window of a UIO device. `access`: "rw" (default), "ro" or "wo"; writable ones must not
+        cover anything with a name. `region`: the region whose module answers there, or "static"; not needed if all
+        other names in that window belong to the same region. Raises RequestFailed.
         """
         request = DefineMemory(name, address, length, shape, dtype, access, region, lease)
         await self.ask(calls.define_memory(request))

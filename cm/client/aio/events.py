@@ -18,16 +18,16 @@ T = TypeVar("T")
 
 
 class EventStream(Generic[T]):
-    """Every event from its opening on, as an async iterator and context manager, which open it."""
+    """Every event from its opening on; an async iterator and context manager, each of which opens it."""
 
     def __init__(self, board: Board, subscription: Subscription, events: Events[T]) -> None:
-        self._board = board  # what hangs on a board holds it
+        self._board = board  # keeps the board alive
         self._subscription = subscription
         self._events = events
         self._is_open = False
 
     async def open(self) -> None:
-        """From here on nothing is missed; again is fine."""
+        """Open it: from here on nothing is missed; twice is fine."""
         if self._is_open:
             return
         try:
@@ -54,7 +54,7 @@ class EventStream(Generic[T]):
         return self._subscription.fileno()
 
     async def close(self) -> None:
-        """Listen no more; twice is fine."""
+        """Stop listening; twice is fine."""
         self._subscription.close()
 
     def __aiter__(self) -> EventStream[T]:

@@ -25,7 +25,7 @@ class Interrupts:
         return Interrupt(self._board, name)
 
     async def names(self) -> tuple[str, ...]:
-        """Those of the loaded configuration."""
+        """The interrupts of the loaded configuration."""
         return tuple([i.name for i in (await self._board.config()).interrupts])
 
     def __repr__(self) -> str:

@@ -44,11 +44,11 @@ class Subscription:
         return None
 
     def fileno(self) -> int:
-        """Readable when something may have come; then take all there is (zmq_getsockopt(3), ZMQ_FD)."""
+        """A descriptor that is readable when something may have come; then take all (zmq_getsockopt(3), ZMQ_FD)."""
         return int(self.socket.fileno())
 
     def unsubscribe(self, topic: bytes) -> None:
-        """Listen to one of the topics no more."""
+        """Stop listening to one of the topics."""
         self.socket.setsockopt(zmq.UNSUBSCRIBE, topic)
 
     def close(self) -> None:
@@ -62,7 +62,7 @@ class Link:
     """One connection for requests, made by `open` in the event loop that uses it."""
 
     def __init__(self, sockets: Sockets, timeout: float, guest: str = "") -> None:
-        self.timeout = timeout  # seconds, of what is asked with no time-out of its own
+        self.timeout = timeout  # seconds, for requests without a time-out of their own
         self._sockets = sockets
         self._requests = Requests(sockets.endpoints.req, guest)
         self._pending: dict[bytes, asyncio.Future[list[bytes]]] = {}
@@ -88,7 +88,7 @@ class Link:
                 waiting.set_result(list(self._requests.body(frames)))
 
     async def _look(self) -> None:
-        """A manager that goes away, or does not let us in, is told to all who wait."""
+        """If the manager goes away, or does not admit us, raise that in all calls that wait."""
         assert self._monitor is not None
         assert self._handshake is not None
         handshake = self._handshake
@@ -118,15 +118,15 @@ class Link:
     async def ask(self, call: Call[_T], timeout: float | None) -> _T:
         """Make a request and wait for its reply.
 
-        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away, NotAdmitted
-        if it does not let us in, BoardClosed, and what the manager refused with.
+        Raises NoAnswer after `timeout` seconds (None: never), ConnectionLost if the manager goes away, NotAdmitted if
+        it does not admit us, BoardClosed, and the manager's refusal.
         """
         self.open()
         assert self._socket is not None
         number, frames = self._requests.begin(call)
         waiting: asyncio.Future[list[bytes]] = asyncio.get_running_loop().create_future()
         self._pending[number] = waiting
-        sending = asyncio.ensure_future(self._socket.send_multipart(frames))  # has no end where we are not let in
+        sending = asyncio.ensure_future(self._socket.send_multipart(frames))  # would never end if we are not admitted
         sending.add_done_callback(partial(_hand_on, waiting))
         try:
             reply = await asyncio.wait_for(waiting, timeout)
@@ -184,7 +184,7 @@ class Link:
 
 
 def _hand_on(waiting: asyncio.Future[Any], sending: asyncio.Future[Any]) -> None:
-    """What goes wrong when it is sent, to the call that waits for the reply."""
+    """Pass an error in sending to the call that waits for the reply."""
     problem = None if sending.cancelled() else sending.exception()
     if problem is not None and not waiting.done():
         waiting.set_exception(problem)

@@ -21,7 +21,7 @@ class Memory:
         self.name = name
 
     async def info(self) -> MemoryInfo:
-        """What the manager knows of it."""
+        """What the manager knows about it."""
         return await self._board.ask(memory.describe(self.name))
 
     async def read(self, offset: int = 0, length: int | None = None) -> Array:

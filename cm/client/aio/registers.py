@@ -62,7 +62,7 @@ class Registers:
         subscription = self._board.subscribe(*RegisterEvents.topics)
         return EventStream(self._board, subscription, RegisterEvents(subscription, timeout, names))
 
-    if not TYPE_CHECKING:  # for a type checker they would allow all
+    if not TYPE_CHECKING:  # to a type checker they would allow any name
 
         def __getitem__(self, name: str) -> int:
             raise TypeError(f"await board.registers.read({name!r}), or get({name!r}): brackets cannot be awaited")

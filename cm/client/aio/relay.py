@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests of others, passed on as bytes: what a bridge uses instead of a `Board`."""
+"""Requests of others, passed on as bytes; a bridge uses this instead of a `Board`."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from cm.wire.encode import encode_request
 from cm.wire.envelope import GUEST
 
 _T = TypeVar("_T")
-_CONNECTING = 2.0  # seconds that a request waits for a connection: one that waits longer would come unexpectedly
+_CONNECTING = 2.0  # seconds that a request waits for a connection: later, its effect would be unexpected
 
 
 class Relay:
-    """One connection to a manager for all who are spoken for. One event loop; made in it."""
+    """One connection to a manager for all guests. For one event loop, in which it is made."""
 
     def __init__(
         self,
@@ -71,10 +71,10 @@ class Relay:
             raise NoAnswer(f"the manager gave no answer within {timeout or 0:g} s") from None
         finally:
             self._waiting.pop(number, None)
-            sending.cancel()  # what is not sent by now is not to be
+            sending.cancel()  # what has not been sent by now must not be sent later
 
     async def ask(self, call: Call[_T], guest: str = "", timeout: float | None = 10.0) -> _T:
-        """A request of our own making. Raises what `forward` does, and what the manager refused with."""
+        """Make a request of our own. Raises what `forward` does, and the manager's refusal."""
         return result(call, await self.forward(encode_request(call.request), guest, timeout))
 
     def subscribe(self, *topics: bytes, depth: int = 0) -> Subscription:
@@ -113,7 +113,7 @@ class Relay:
                 waiting.set_result(frames[frames.index(b"", 1) + 1 :])
 
     async def _look(self) -> None:
-        """A manager that goes away is told to all who wait: nobody asks again in their place."""
+        """If the manager goes away, raise that in all calls that wait; nothing is requested again for them."""
         while self._handshake.refused is None:
             event = parse_monitor_message(await self._monitor.recv_multipart())
             self._handshake.take(int(event["event"]), int(event["value"]))

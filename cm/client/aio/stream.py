@@ -121,7 +121,7 @@ class AsyncLocalStream(Stream):
         self._stream.close()
 
     def end(self, because: BoardClosed) -> None:
-        """The board is closed; whatever is asked from here on raises that."""
+        """The board is closed; any later use raises BoardClosed."""
         self._stream.end(because)
 
 
@@ -131,7 +131,7 @@ class AsyncRemoteStream(Stream):
     def __init__(self, board: Board, wanted: Wanted) -> None:
         self.name = wanted.name
         self._timeout = wanted.timeout
-        self._board = board  # what hangs on a board holds it
+        self._board = board  # keeps the board alive
         self._reader: Reader = NewestReader(wanted) if wanted.newest else PublishedReader(wanted, self._listen)
 
     @property

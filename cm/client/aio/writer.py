@@ -27,14 +27,14 @@ class AsyncWriter:
     """Borrow slots, fill them, send them; see `Writer`. Entered with ``async with``."""
 
     def __init__(self, board: Board, folder: Path, wanted: Open, timeout: float | None) -> None:
-        self._board = board  # what hangs on a board holds it
+        self._board = board  # keeps the board alive
         self._folder, self._wanted, self._timeout = folder, wanted, timeout
         self.name = wanted.name
         self._ended: BoardClosed | None = None
         self._writer: Writer | None = None
 
     async def __aenter__(self) -> AsyncWriter:
-        from cm.client.writer import Writer  # here: other systems than Linux have no such sockets
+        from cm.client.writer import Writer  # imported here: only Linux has such sockets
 
         make = asyncio.get_running_loop().run_in_executor
         self._writer = await make(None, Writer, self._folder, self._wanted, self._timeout)
@@ -51,7 +51,7 @@ class AsyncWriter:
             self._writer.close()
 
     def end(self, because: BoardClosed) -> None:
-        """The board is closed; whatever is asked from here on raises that."""
+        """The board is closed; any later use raises BoardClosed."""
         self._ended = because
         if self._writer is not None:
             self._writer.end(because)
@@ -84,7 +84,7 @@ class AsyncWriter:
 
     @property
     def free(self) -> int:
-        """Slots that can be had at once."""
+        """Slots that are available at once."""
         return self._entered().free
 
     @property

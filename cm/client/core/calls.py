@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a client asks and what the answers mean, without sockets: shared by `board` and `aio`."""
+"""Requests of a client and what the replies mean, without sockets: shared by `board` and `aio`."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def status() -> Call[Status]:
 
 
 def clients() -> Call[tuple[ClientStatus, ...]]:
-    """What each client takes of the manager."""
+    """What each client uses of the manager."""
     return Call(rq.ReadStatus(clients=True), lambda r: _body(r, Status).clients)
 
 
@@ -73,7 +73,7 @@ def config_entries() -> Call[tuple[ConfigEntry, ...]]:
 
 
 def remove_config(name: str, lease: str) -> Call[tuple[ConfigEntry, ...]]:
-    """Remove what a client sent; what is left."""
+    """Remove what a client sent; returns what is left."""
     return Call(rq.RemoveConfig(name, lease), lambda r: _body(r, ConfigInfo).entries)
 
 
@@ -108,7 +108,7 @@ def provision(schema: Path, files: tuple[Path, ...], lease: str) -> Call[ConfigI
 
 
 def upload(part: rq.Upload) -> Call[UploadInfo]:
-    """A part of what is too long for one message."""
+    """Send a part of data that is too long for one message."""
     return Call(part, lambda r: _body(r, UploadInfo))
 
 
@@ -145,7 +145,7 @@ def read_data(stream: str, timeout: float) -> Call[Frame]:
     """The next frame of a stream."""
 
     def result(reply: Reply) -> Frame:
-        from cm.client.frame import frame_of  # here: it needs numpy
+        from cm.client.frame import frame_of  # imported here: it needs numpy
 
         info = _body(reply, FrameInfo)
         return frame_of(info, reply.payload[0] if reply.payload else b"")
@@ -166,7 +166,7 @@ def define_memory(request: rq.DefineMemory) -> Call[MemoryInfo]:
 
 
 def describe_memory(name: str) -> Call[MemoryInfo]:
-    """What there is to know of a memory."""
+    """The description of a memory."""
 
     def result(reply: Reply) -> MemoryInfo:
         if isinstance(reply.body, StreamStatus):
@@ -177,13 +177,13 @@ def describe_memory(name: str) -> Call[MemoryInfo]:
 
 
 def read_memory(name: str, offset: int, length: int) -> Call[tuple[FrameInfo, Any]]:
-    """Bytes of a memory, and what they are."""
+    """Bytes of a memory, with their shape and dtype."""
     request = rq.ReadData(name, offset=offset, length=length)
     return Call(request, lambda r: (_body(r, FrameInfo), r.payload[0] if r.payload else b""))
 
 
 def write_memory(name: str, offset: int, data: memoryview, lease: str) -> Call[FrameInfo]:
-    """Bytes for a memory; the reply comes when they are there."""
+    """Write bytes to a memory; the reply comes when they have been written."""
     return Call(rq.WriteData(name, data, lease, offset), lambda r: _body(r, FrameInfo))
 
 
@@ -198,7 +198,7 @@ def lease(request: rq.TakeLease | rq.RenewLease | rq.ReleaseLease | rq.BreakLeas
 
 
 def ended(status: Status, number: int) -> float:
-    """What a status says of a change that has ended: its seconds. Raises RequestFailed."""
+    """The seconds that an ended change took, as the status says. Raises RequestFailed."""
     if status.last_change == number:
         if status.last_error is not None:
             raise request_error(status.last_error)

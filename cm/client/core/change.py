@@ -12,7 +12,7 @@ from cm.messages.status import ChangeInfo, Progress, Status
 from cm.wire.encode import decode_event
 
 OnProgress = Callable[[Progress], None]
-_PATIENCE = 5.0  # seconds for what is published; what comes later is not told
+_PATIENCE = 5.0  # seconds to wait for publications; later ones are not passed on
 
 
 def loading(
@@ -31,7 +31,7 @@ def loading(
 
 
 class _Told:
-    """Hands the progress of published statuses on."""
+    """Passes on the progress of published statuses."""
 
     def __init__(self, progress: OnProgress) -> None:
         self._progress = progress
@@ -65,7 +65,7 @@ class ChangeWatch:
 
     @property
     def has_ended(self) -> bool:
-        """Whether it has, well or not, as far as the messages that were taken tell."""
+        """Whether it has ended, well or not, as far as the messages so far say."""
         return self._ended is not None
 
     def take(self, frames: list[bytes]) -> None:
@@ -77,7 +77,7 @@ class ChangeWatch:
                 self._ended = event
 
     def arrived(self) -> Flow[bool]:
-        """Whether it has ended by now; takes what is there, and never waits."""
+        """Whether it has ended by now; reads waiting messages, and never waits itself."""
         while self._ended is None:
             frames = yield Receive(self.subscription, 0.0)
             if frames is None:

@@ -33,13 +33,13 @@ def seconds(limit: Limit, default: float | None) -> float | None:
 
 
 class Subscription(Protocol):
-    """Topics that are listened to; neither method waits."""
+    """A subscription to topics; neither method waits."""
 
     def unsubscribe(self, topic: bytes) -> None:
-        """Listen to one of them no more."""
+        """Stop listening to one of them."""
 
     def close(self) -> None:
-        """Listen no more; twice is fine."""
+        """Stop listening; twice is fine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,12 +75,12 @@ class Pause:
     seconds: float
 
 
-Effect = Call[Any] | Ask | AskBeside | Receive | Pause  # a call alone is asked with the time-out of the board
+Effect = Call[Any] | Ask | AskBeside | Receive | Pause  # a plain call is made with the board's time-out
 Flow = Generator[Effect, Any, _T]
 
 
 class Deadline:
-    """A time-out that what comes meanwhile does not prolong. Seconds of CLOCK_MONOTONIC."""
+    """A time-out that messages in between do not prolong. Seconds of CLOCK_MONOTONIC."""
 
     def __init__(self, limit: float | None, clock: Callable[[], float] = time.monotonic) -> None:
         self.limit = limit

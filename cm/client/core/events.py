@@ -25,23 +25,23 @@ class Events(Generic[T]):
         self._timeout = timeout
 
     def opening(self) -> Flow[None]:
-        """Returns when nothing is missed any more."""
+        """Returns when no later event can be missed."""
         yield from ()
 
     def accept(self, event: Any) -> T | None:
-        """The event as it is wanted; None if it is another."""
+        """The event in the form that is wanted; None if it is not one of ours."""
         raise NotImplementedError
 
     def nothing(self, limit: float | None) -> str:
-        """What is said when none came."""
+        """The error text if none came."""
         return f"nothing came within {limit or 0:g} s"
 
     def take(self, frames: list[bytes]) -> T | None:
-        """A message → the event; None if it is another."""
+        """A message → the event; None if it is not one of ours."""
         return self.accept(decode_event(frames))
 
     def next(self, timeout: Limit = DEFAULT) -> Flow[T]:
-        """The next one. Raises Timeout; what others are told meanwhile does not prolong it."""
+        """The next one. Raises Timeout; other messages meanwhile do not prolong it."""
         deadline = Deadline(seconds(timeout, self._timeout))
         while True:
             frames = yield Receive(self.subscription, deadline.left)
@@ -52,10 +52,10 @@ class Events(Generic[T]):
                 return event
 
     def _settled(self) -> Flow[None]:
-        """Wait until the manager counts us among its listeners.
+        """Wait until the manager has our subscriptions.
 
-        It applies subscriptions in their order and answers that to its status with the current one at once, so
-        when this comes the topics subscribed to before it hold (docs/protocol.md).
+        It applies them in order, and sends the current status at once to a new subscriber to it, so when this comes,
+        the topics subscribed to before it are in effect (docs/protocol.md).
         """
         deadline = Deadline(self._timeout)
         while True:
@@ -110,7 +110,7 @@ class InterruptEvents(Events[Irq]):
     def opening(self) -> Flow[None]:
         yield from self._settled()
         latest: Irq = yield Ask(calls.interrupt(self._name))
-        self._after = latest.timestamp_ns  # counts begin anew with each configuration, time does not
+        self._after = latest.timestamp_ns  # counts start again with each configuration, time does not
 
     def accept(self, event: Any) -> Irq | None:
         new = isinstance(event, Irq) and event.name == self._name and event.timestamp_ns > self._after

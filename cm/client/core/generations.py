@@ -25,7 +25,7 @@ class Written(dict[str, int]):
 
 
 def number(write: Written | int) -> int:
-    """The generation that is meant. Raises InvalidRequest."""
+    """The generation as a number. Raises InvalidRequest."""
     generation = write.generation if isinstance(write, Written) else write
     if isinstance(generation, bool) or not isinstance(generation, int) or generation < 0:
         raise InvalidRequest(f"after {write!r}: it takes what registers.write() returned, or a generation")
@@ -33,7 +33,7 @@ def number(write: Written | int) -> int:
 
 
 class FirstAfter:
-    """Frames are read until one began after a write: iterate over what is left of the time-out, and offer each."""
+    """To read frames until one began after a write: iterate over the remaining time-outs, and offer each frame."""
 
     def __init__(self, stream: str, write: Written | int, timeout: Limit, default: float | None) -> None:
         self._generation = number(write)
@@ -49,7 +49,7 @@ class FirstAfter:
             yield left
 
     def has(self, frame: Frame) -> bool:
-        """Whether it is one; one that is not goes back."""
+        """Whether this frame is the one; others are given back."""
         if frame.generation >= self._generation:
             return True
         frame.release()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interprets the events of a socket's monitor: the manager went away, or does not admit us. No sockets."""
+"""Interprets the events of a socket's monitor: the manager has gone, or does not admit us. No sockets here."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ EVENTS = (
     | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
     | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 )
-_ATTEMPTS = 3  # handshakes that fail without a reason, until that is worth telling
+_ATTEMPTS = 3  # handshakes that fail without a reason, before that is reported
 
 
 class Handshake:
@@ -24,9 +24,9 @@ class Handshake:
         self._address = address
         self._keys = keys
         self._failures = 0
-        self.refused: NotAdmitted | None = None  # once it is known; the socket does not connect any more
-        self.suspected: NotAdmitted | None = None  # told at a time-out, for it may yet end well: the socket tries on
-        self.lost = False  # whether a connection that was there has ended, since this was set to False
+        self.refused: NotAdmitted | None = None  # the refusal, once it is certain; the socket does not connect any more
+        self.suspected: NotAdmitted | None = None  # reported at a time-out, as the socket keeps trying
+        self.lost = False  # whether an established connection has ended since this was set to False
 
     def take(self, event: int, value: int) -> None:
         """An event and its value."""
@@ -39,7 +39,7 @@ class Handshake:
             if value == zmq.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH:
                 self.refused = NotAdmitted(self._mismatch())
         elif event == zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL:
-            # another key of the manager looks so, and so does a forwarder in front of one that is not up yet
+            # this happens if the manager's key is another, or if it is not up yet behind a forwarder
             self._failures += 1
             if self._keys and self._failures >= _ATTEMPTS:
                 self.suspected = NotAdmitted(

@@ -29,11 +29,11 @@ class HeldLeases:
         self._ids = tuple([held for held in self._ids if held != lease])
 
     def named(self, lease: str) -> str:
-        """What goes along where `lease` was named: it, or all that are held."""
+        """The ids to send: `lease` if it is given, else all that are held."""
         return lease or ",".join(self._ids)
 
     def carried(self, call: Call[_T]) -> Call[_T]:
-        """The call with the leases that go along."""
+        """The call with the ids of the leases."""
         request: Any = call.request
         if not self._ids or getattr(request, "lease", None) != "":
             return call
@@ -43,12 +43,12 @@ class HeldLeases:
 def wanted(scope: str, exclusive: bool, seconds: float, holder: str, place: Place) -> TakeLease:
     """The request for a new one. On the manager's machine it ends with this process."""
     local, holder = place.local, holder or place.guest
-    pid = os.getpid() if local else 0  # a number of another machine would name another process here
+    pid = os.getpid() if local else 0  # a pid of another machine would mean another process there
     return TakeLease(scope, exclusive, seconds, holder=holder or f"pid {os.getpid()}", pid=pid)
 
 
 def renewal(lease: TakeLease, identity: str) -> RenewLease:
-    """The request that begins its time anew."""
+    """The request that restarts its time."""
     return RenewLease(identity, lease.seconds)
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Memories as numpy arrays: the requests of a read or write, for both clients.
 
-The functions here are generators: they give calls, get their results sent, and return what was wanted.
+The functions here are generators: they yield calls, are sent the results, and return the value.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ _WORD = 4
 
 
 def describe(name: str) -> Call[MemoryInfo]:
-    """What the memory of that name is."""
+    """The description of the memory of that name."""
     return calls.describe_memory(name)
 
 
 def visible(config: ConfigInfo) -> dict[str, MemoryInfo]:
-    """The memories that the mode has which the board is in."""
+    """The memories of the current mode."""
     return {m.name: m for m in config.memories if not m.modes or config.mode in m.modes}
 
 
@@ -102,7 +102,7 @@ def write(name: str, data: Any, offset: int, lease: str) -> Generator[Call[Any],
 
 
 def _converted(data: Any, info: MemoryInfo) -> Any:
-    """Values as elements of the memory. Raises InvalidRequest where a value would not be itself any more."""
+    """Values as elements of the memory. Raises InvalidRequest if a value would be changed by this."""
     dtype, given = dtype_of(info.dtype), np.asarray(data)
     if not np.can_cast(given.dtype, dtype, "same_kind") and given.dtype.kind not in "iub":
         raise InvalidRequest(f"memory {info.name!r} has {info.dtype}, not {given.dtype}: convert with astype()")
@@ -114,7 +114,7 @@ def _converted(data: Any, info: MemoryInfo) -> Any:
 
 
 def get(name: str, key: Key) -> Generator[Call[Any], Any, Any]:
-    """What ``array[key]`` would be of the whole, reading no more than is needed."""
+    """``array[key]`` of the whole memory, reading no more than is needed."""
     info: MemoryInfo = yield describe(name)
     start, count, row = _rows(info, key)
     dtype, shape = dtype_of(info.dtype), shape_of(info)
@@ -128,7 +128,7 @@ def get(name: str, key: Key) -> Generator[Call[Any], Any, Any]:
 
 
 def put(name: str, key: Key, data: Any, lease: str = "") -> Generator[Call[Any], Any, None]:
-    """What ``array[key] = data`` would do, by whole words."""
+    """Do ``array[key] = data``, by whole words."""
     info: MemoryInfo = yield describe(name)
     start, count, row = _rows(info, key)
     if start * row % _WORD or count * row % _WORD:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What answers about registers mean."""
+"""What replies about registers mean."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cm.messages.status import ConfigInfo, RegisterInfo, RegValues
 
 
 def visible(config: ConfigInfo) -> dict[str, RegisterInfo]:
-    """The registers that the mode has which the board is in."""
+    """The registers of the current mode."""
     return {r.name: r for r in config.registers if not r.modes or config.mode in r.modes}
 
 
@@ -20,7 +20,7 @@ def values(answer: RegValues) -> dict[str, int]:
 
 
 def has(info: Mapping[str, RegisterInfo], name: object) -> bool:
-    """Whether a register, or a field (``"control.enable"``), is there."""
+    """Whether a register, or a field (``"control.enable"``), exists."""
     if not isinstance(name, str):
         return False
     register, dot, field = name.partition(".")
@@ -29,12 +29,12 @@ def has(info: Mapping[str, RegisterInfo], name: object) -> bool:
 
 
 def names(info: Mapping[str, RegisterInfo]) -> list[str]:
-    """Of all registers and their fields."""
+    """The names of all registers and their fields."""
     return [name for r in info.values() for name in (r.name, *(f"{r.name}.{f.name}" for f in r.fields))]
 
 
 def not_by_attribute(name: str, value: Any) -> str:
-    """What is said to a user who writes ``registers.focus = 9``."""
+    """The error text for ``registers.focus = 9``."""
     return (
         f"registers are written by name: registers.write({{{name!r}: {value!r}}}), or registers[{name!r}] = {value!r}"
     )

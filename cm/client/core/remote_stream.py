@@ -15,7 +15,7 @@ from cm.errors import Timeout
 from cm.messages.requests import ConfigureStream
 
 STREAM_HWM = 4  # frames that wait in a slow reader's socket before newer ones are lost
-_ANSWER = 5.0  # seconds beyond a frame's own time-out until its answer is missed
+_ANSWER = 5.0  # seconds beyond a frame's own time-out until its reply counts as missing
 
 
 class Reader(Protocol):
@@ -50,7 +50,7 @@ class PublishedReader:
 
     def opening(self) -> Flow[None]:
         if self._subscription is None:
-            # raises for an unknown stream, and for what the manager cannot compress with
+            # raises for an unknown stream, and for a compression that the manager does not have
             yield Ask(calls.configure_stream(ConfigureStream(self._wanted.name, compression=self._wanted.compression)))
             self._subscription = self._subscribe(self._wanted.topic, self._wanted.depth or STREAM_HWM)
 
@@ -61,7 +61,7 @@ class PublishedReader:
             frames = yield Receive(self._subscription, deadline.left)
             if frames is None:
                 raise _nothing(self._wanted.name, deadline.limit)
-            if bytes(frames[0]) == self._wanted.topic:  # not a stream whose name begins as this one's
+            if bytes(frames[0]) == self._wanted.topic:  # not a stream whose name begins with this one's
                 return self._arrivals.frame(frames)
 
     def close(self) -> None:
@@ -71,7 +71,7 @@ class PublishedReader:
 
 
 class NewestReader:
-    """The next frame from when it is asked for: nothing waits anywhere, and nothing is sent in vain."""
+    """Requests each frame when it is read: no frame waits anywhere, and none is sent in vain."""
 
     def __init__(self, wanted: Wanted) -> None:
         self._wanted = wanted

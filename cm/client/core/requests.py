@@ -16,9 +16,9 @@ _T = TypeVar("_T")
 
 
 class Requests:
-    """Those of one connection, which never mistakes the late reply of one for that of another.
+    """The requests of one connection; a late reply to one is never taken for the reply to another.
 
-    `guest`: in whose name they are asked, by a bridge; empty for its own.
+    `guest`: in whose name a bridge makes them; empty for its own.
     """
 
     def __init__(self, address: str, guest: str = "") -> None:
@@ -33,7 +33,7 @@ class Requests:
         return number, (number, *self._between, *encode_request(call.request))
 
     def body(self, frames: Sequence[_T]) -> Sequence[_T]:
-        """What came in reply, without what came back of the request."""
+        """The reply, without the frames of the request that came back."""
         return frames[self._envelope :]
 
     def no_answer(self, limit: float | None) -> NoAnswer:
@@ -46,5 +46,5 @@ class Requests:
 
 
 def result(call: Call[_T], frames: Sequence[Any]) -> _T:
-    """The result of a reply, without its number. Raises what the manager refused with."""
+    """The result of a reply, without its number. Raises the manager's refusal."""
     return call.result(decode_reply(frames))

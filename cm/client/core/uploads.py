@@ -16,7 +16,7 @@ from cm.client.errors import RequestInvalid
 from cm.messages import requests as rq
 from cm.messages.status import ConfigInfo, FrameInfo
 
-WHOLE = 4 << 20  # bytes that still go in the message itself
+WHOLE = 4 << 20  # most bytes that are sent in the message itself
 PART = 1 << 20
 
 
@@ -44,7 +44,7 @@ def write_data(stream: str, data: Any, lease: str) -> Flow[Call[FrameInfo]]:
 
 
 def upload(data: bytes | memoryview) -> Flow[str]:
-    """Send bytes in parts; the name that they have then. Empty where a manager is too old to know of parts."""
+    """Send bytes in parts; returns the upload's name, or "" if the manager is too old to support parts."""
     name, view = os.urandom(8).hex(), memoryview(data)
     for start in range(0, max(len(view), 1), PART):
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Values are taken literally: whatever would have to be converted is refused."""
+"""Values are taken literally: whatever would need a conversion is refused."""
 
 from __future__ import annotations
 

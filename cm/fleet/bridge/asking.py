@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a board asks of others of its fleet: the seats of a change, what is decided."""
+"""What a board asks other boards of its fleet: the seats of a change, what is decided."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Network:
         self._session = session
 
     async def ask(self, asks: Sequence[Ask]) -> dict[str, FleetRecord]:
-        """Asked at once, in this board's own name; who does not answer with a record is left out."""
+        """Ask all at once, in this board's own name; those that do not answer with a record are left out."""
         answers = await asyncio.gather(*map(self._ask, asks))
         return {ask.board: record for ask, record in zip(asks, answers, strict=True) if record is not None}
 

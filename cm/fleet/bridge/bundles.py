@@ -20,8 +20,8 @@ from cm.fleet.bundles import Parts, fetched
 from cm.messages.fleet import BundleState, FetchBundle
 from cm.messages.status import ErrorInfo
 
-Import = Callable[[Path], tuple[str, str]]  # the archive → configuration, who signed it (empty: nobody)
-_NO_CONFIG = "."  # no configuration is called that: to ask whether one may remove it changes nothing
+Import = Callable[[Path], tuple[str, str]]  # the archive → configuration, its signer (empty: none)
+_NO_CONFIG = "."  # no configuration has this name, so asking whether one may remove it changes nothing
 
 
 class NoBundles(CmError):
@@ -32,7 +32,7 @@ class NoBundles(CmError):
 
 @dataclass
 class Bundles:
-    """Of one board. `take` is None where archives are not taken."""
+    """The archives of one board. `take` is None if it accepts none."""
 
     session: Any
     folder: Path
@@ -42,7 +42,10 @@ class Bundles:
     managed: ManagedBoard
 
     async def fetch(self, bundle: FetchBundle, caller: str) -> BundleState:
-        """Fetch it and put it in force; how far it came where it cannot be had now. Raises what refuses it."""
+        """Fetch an archive and put it in force; if it cannot be had now, returns how much has arrived.
+
+        Raises a refusal.
+        """
         if self.take is None:
             raise NoBundles("this board's bridge takes no archives: start it with --import-to DIR")
         await self._may(caller)

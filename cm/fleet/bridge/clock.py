@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well this machine's clock is set: what chrony or PTP says of it, else the kernel's own bound."""
+"""How well this machine's clock is set: what chrony or PTP says about it, or else the kernel's own bound."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ def now_ns() -> int:
 
 
 def read() -> ClockSync:
-    """The state now; asks chronyd or ptp4l where their tools are there."""
+    """The state now; asks chronyd or ptp4l if their tools are installed."""
     return _chrony() or _ptp() or kernel()
 
 
 def kernel() -> ClockSync:
-    """What whoever disciplines the clock told the kernel: synchronised or not, and by how much it may be off."""
+    """What the program that disciplines the clock told the kernel: synchronised or not, and how far it may be off."""
     timex = _Timex()
     libc = ctypes.CDLL(None, use_errno=True)
     if not hasattr(libc, "adjtimex") or libc.adjtimex(ctypes.byref(timex)) < 0:
         return ClockSync(now_ns=time.time_ns())
     synchronised = not timex.status & _UNSYNCHRONISED
-    error = int(timex.maxerror) * 1000 if synchronised else 0  # µs; it means nothing otherwise
+    error = int(timex.maxerror) * 1000 if synchronised else 0  # µs; meaningless otherwise
     return ClockSync("kernel", synchronised, error, "", time.time_ns())
 
 
@@ -67,7 +67,7 @@ def _chrony() -> ClockSync | None:
 def parse_chrony(text: str) -> ClockSync | None:
     """``chronyc -c tracking``: the error is at most |system time| + root dispersion + half the root delay.
 
-    That is how chrony's manual bounds it. None for what is not such a line.
+    That is how chrony's manual bounds it. None for any other line.
     """
     parts = text.strip().split(",")
     try:
@@ -86,7 +86,7 @@ def _ptp() -> ClockSync | None:
 
 
 def parse_ptp(text: str) -> ClockSync | None:
-    """``pmc 'GET TIME_STATUS_NP'``: the offset from the master last measured. None where no port answered.
+    """``pmc 'GET TIME_STATUS_NP'``: the offset from the master last measured. None if no port answered.
 
     That is of the network card's clock: phc2sys, which sets the system's by it, adds its own (under a µs).
     """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands under ``do/``: handed to the manager in the caller's name, or done here where they are the fleet's own."""
+"""Commands under ``do/``: passed to the manager in the caller's name, or done here if they are the fleet's own."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Commands:
         self._running = 0
 
     async def do(self, command: names.Command, message: bytes, payload: list[bytes]) -> bytes:
-        """Carry it out; a serialised Reply, an error's too."""
+        """Carry it out; returns a serialised Reply, also for an error."""
         caller = command.caller or names.NOBODY
         try:
             if self._running >= MANY:
@@ -63,7 +63,7 @@ class Commands:
         return wire.encode_answer(await self._step(verb, decode_step(message), caller))
 
     async def _step(self, verb: str, step: FleetStep, caller: str) -> FleetRecord:
-        if verb in ("settle", "vote"):  # whoever asks must not wait for what this board is at
+        if verb in ("settle", "vote"):  # the one who asks must not wait for this board's present work
             return self._participant.settle(step) if verb == "settle" else self._participant.vote(step)
         async with self._one:
             if verb == "prepare":
@@ -71,7 +71,7 @@ class Commands:
             return await (self._participant.apply(step) if verb == "apply" else self._participant.decide(step))
 
     async def go_on(self) -> str:
-        """What the record says is to be done; why it cannot be yet, empty where nothing hinders."""
+        """Do what the record says is to be done; returns why that is not possible yet, empty if all is done."""
         if self._one.locked():
             return ""
         async with self._one:

@@ -19,7 +19,7 @@ HOLD = 60.0  # seconds of the lease; renewed while the change is open
 
 
 class ManagedBoard:
-    """`guest`: from a caller's name to that under which the manager knows it; empty: in the bridge's own name."""
+    """`guest`: from a caller's name to the one that the manager knows; empty: in the bridge's own name."""
 
     def __init__(self, relay: Relay, records: Records, own_name: bool) -> None:
         self._relay = relay
@@ -42,7 +42,7 @@ class ManagedBoard:
         return status.config_name, status.mode
 
     async def plan(self, config: str, mode: str, caller: str) -> Planned:
-        """What it would take; all files are read and checked for it."""
+        """What the change would involve; all files are read and checked for that."""
         plan = await self._relay.ask(calls.plan(mode, config), self.guest(caller), timeout=60.0)
         return Planned(plan.config_name, plan.mode, plan.seconds, plan.bytes)
 
@@ -59,19 +59,19 @@ class ManagedBoard:
         self._records.keep_lease(record.id, lease.id)
 
     async def keep_holding(self, record: FleetRecord) -> None:
-        """Renew it in time while the change is open. Raises what the manager refuses with."""
+        """Renew it in time while the change is open. Raises the manager's refusal."""
         if time.monotonic() - self._held > HOLD / 3:
             await self.hold(record)
 
     async def _renewed(self, lease: str, caller: str) -> bool:
         try:
             await self._relay.ask(calls.lease(rq.RenewLease(lease, HOLD, 0)), self.guest(caller))
-        except RequestFailed:  # the manager was started anew since, or it ran out
+        except RequestFailed:  # the manager was restarted meanwhile, or the lease ran out
             return False
         return True
 
     async def release(self, record: FleetRecord) -> None:
-        """Give the lease back; where that cannot be, it runs out."""
+        """Give the lease back; if that is not possible, it runs out."""
         held = self._records.lease(record.id)
         if held:
             with contextlib.suppress(CmError):
@@ -79,7 +79,7 @@ class ManagedBoard:
             self._records.keep_lease(record.id, "")
 
     async def load(self, config: str, mode: str, caller: str) -> float:
-        """Go there. Raises Unsettled where the manager went away with it, and what the manager fails with."""
+        """Go there. Raises Unsettled if the manager went away during it, and the manager's errors."""
         record = self._records.last()
         lease = self._records.lease(record.id) if record else ""
         call = calls.load(config, mode, wait=True, queue=True, force=False, lease=lease)

@@ -37,7 +37,7 @@ from cm.wire import topics
 
 _LOG = logging.getLogger("cm.fleet")
 _AGAIN = 1.0  # seconds between two tries to reach a manager
-_CLOCK = 10.0  # seconds between two looks at how well the clock is set
+_CLOCK = 10.0  # seconds between two checks of how well the clock is set
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +49,10 @@ class Options:
     endpoint: str | None = None
     runtime_dir: Path | None = None
     keys: Path | None = None
-    name: str = ""  # of the board; empty: as its manager calls it
+    name: str = ""  # of the board; empty: the manager's name for it
     labels: tuple[str, ...] = ()
-    site: str = ""  # whose cache it fetches bundles from
-    own_name: bool = False  # ask in the bridge's own name, whoever asks
+    site: str = ""  # the site whose cache it fetches bundles from
+    own_name: bool = False  # make all requests in the bridge's own name
     take: Import | None = None  # puts an archive in force; None: none are taken
 
 
@@ -66,7 +66,7 @@ class Bridge:
     _clock: ClockSync = field(default_factory=ClockSync)
 
     async def run(self) -> None:
-        """Raises NotAdmitted where the manager does not let us in, Busy where the board's name is taken."""
+        """Raises NotAdmitted if the manager does not admit us, Busy if the board's name is taken."""
         relay = await self._reach()
         try:
             board = names.check(self.options.name or (await relay.ask(calls.status())).board, "board")
@@ -188,7 +188,7 @@ class Bridge:
 
 
 def _once(before: str, error: CmError) -> str:
-    """Say what hinders, but each second only when it changes."""
+    """Log the obstacle, but only when it changes, since this is called every second."""
     if str(error) != before:
         _LOG.warning("%s; it is tried again", error)
     return str(error)
@@ -199,9 +199,9 @@ def _now() -> float:
 
 
 async def _alone(board: str, network: Any, lease: float) -> None:
-    """Two bridges of one name would both do what is asked once. Raises Busy.
+    """Two bridges with one name would both carry out a request. Raises Busy.
 
-    After a loss of power the token of before stays for as long as a process may hang: `lease` seconds.
+    After a loss of power the old token stays for as long as a process may hang: `lease` seconds.
     """
     end = time.monotonic() + 1.5 * lease + 1
     while await asyncio.to_thread(_is_there, board, network):
@@ -217,7 +217,7 @@ def _is_there(board: str, network: Any) -> bool:
 
 
 def default_state() -> Path:
-    """That of the service (`$STATE_DIRECTORY`), else `$XDG_STATE_HOME`/cm/fleet, for root /var/lib/cm/fleet."""
+    """The service's folder (`$STATE_DIRECTORY`), or else `$XDG_STATE_HOME`/cm/fleet, for root /var/lib/cm/fleet."""
     if service := os.environ.get("STATE_DIRECTORY"):
         return Path(service) / "fleet"
     with suppress(AttributeError):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a manager tells → publications, while somebody listens: status, registers, interrupts, frames."""
+"""What a manager publishes → publications in the fleet, while anyone listens: status, registers, interrupts, frames."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from cm.fleet import names
 from cm.wire import fleet as wire
 from cm.wire import topics
 
-BEAT = 1.0  # seconds after which a status that has not changed is told again
-_WAITING = 4  # frames that wait here for a slow network; what comes then is lost
+BEAT = 1.0  # seconds after which a status that has not changed is published again
+_WAITING = 4  # frames that wait here for a slow network; further ones are lost
 
 
 def encoding(kind: str) -> str:
-    """What a payload is, as zenoh says it."""
+    """The kind of a payload, in zenoh's terms."""
     return f"application/protobuf;cm.{kind}"
 
 
 class Publications:
-    """Of one board; `session` is zenoh's."""
+    """The publications of one board; `session` is zenoh's."""
 
     def __init__(self, board: str, session: Any, relay: Relay, status: Callable[[], bytes]) -> None:
         self._board = board
@@ -43,7 +43,7 @@ class Publications:
         self._told = time.monotonic()
 
     def beat(self) -> None:
-        """Once in a while: a status that did not change, so that who listens knows that it still holds."""
+        """Publish an unchanged status now and then, so that listeners know that it still holds."""
         if time.monotonic() - self._told >= BEAT * 0.9:
             self.tell_status()
 
@@ -65,7 +65,7 @@ class Publications:
             publisher.put(message(), encoding=encoding(kind))
 
     def offer_streams(self, wanted: tuple[str, ...]) -> None:
-        """Those of the mode; each runs while somebody listens."""
+        """Offer the streams of the mode; each runs while anyone listens."""
         for name in set(self._streams) - set(wanted):
             self._streams.pop(name).end()
         for name in wanted:
@@ -79,7 +79,7 @@ class Publications:
 
 
 class Stream:
-    """A stream of the board, which is subscribed to at the manager while it is subscribed to here."""
+    """A stream of the board, subscribed to at the manager as long as anyone subscribes to it here."""
 
     def __init__(self, name: str, publisher: Any, relay: Relay) -> None:
         self._topic = topics.STREAM_PREFIX + name.encode()

@@ -92,7 +92,7 @@ class Queries:
             if parts[2] in named:
                 return [await named[parts[2]](parts[3])]
         found = await self._reader.answers(lambda key: bool(expression.intersects(self._expression(key))), words)
-        if not found and not names.WILD & set(wanted):  # nothing at all would look like a board that is not there
+        if not found and not names.WILD & set(wanted):  # no answer at all would look like an absent board
             raise NotFound(f"there is nothing under {wanted}")
         return found
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is read of a board: a query's key → requests to the manager → samples under the board's own keys."""
+"""What can be read from a board: a query's key → requests to the manager → samples under the board's own keys."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TIMEOUT = 30.0  # seconds; a plan reads and checks files
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A message under a key; of a frame the payload is its bytes, and the message stands beside it."""
+    """A message under a key; for a frame the payload is its bytes, and the message accompanies it."""
 
     key: str
     kind: str
@@ -30,7 +30,7 @@ class Sample:
 
 
 class Reader:
-    """Answers what is asked of one board. Raises CmError, of which the caller makes an error reply."""
+    """Answers queries for one board. Raises CmError, which the caller turns into an error reply."""
 
     def __init__(self, board: str, relay: Relay, status: Callable[[], Awaitable[bytes]]) -> None:
         self._board = board
@@ -38,7 +38,7 @@ class Reader:
         self._status = status
 
     async def answers(self, intersects: Callable[[str], bool], words: Mapping[str, str]) -> list[Sample]:
-        """Of all keys of this board that the query's expression meets; `words` are the selector's parameters."""
+        """The answers for all keys of this board that match the query; `words` are the selector's parameters."""
         found: list[Sample] = []
         if intersects(names.key(self._board, "status")):
             found.append(Sample(names.key(self._board, "status"), "Status", await self._status()))
@@ -70,7 +70,7 @@ class Reader:
         return Sample(names.key(self._board, "config"), *await self._asked(request))
 
     async def _registers(self, intersects: Callable[[str], bool]) -> list[Sample]:
-        """All that can be read, in one request; those whose key is asked for go out."""
+        """All readable registers, in one request; those whose keys match are returned."""
         _, values = await self._asked(rq.ReadReg(()))
         each = wire.each_register(values)
         return [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records of changes on disk: a file for each, replaced in one step and synced before anything follows from it."""
+"""Records of changes on disk: a file for each, replaced in one step and synced before anything relies on it."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from cm.fleet.change import member
 from cm.messages.fleet import FleetRecord
 from cm.wire.fleet_records import decode_record, encode_record
 
-KEPT = 1000  # records that stay, for boards that were away for long and ask what was decided
+KEPT = 1000  # records that are kept, for boards that were away for long and ask what was decided
 _LAST = "last"
 
 
 class Records:
-    """Those of one board, in a folder that is its own."""
+    """The records of one board, in a folder of its own."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -25,20 +25,20 @@ class Records:
         self._last = self._read_last()
 
     def read(self, change: str) -> FleetRecord | None:
-        """The record of a change; None where there is none, or it is not whole."""
+        """The record of a change; None if there is none, or it is damaged."""
         try:
             return decode_record(self._path(change).read_bytes())
         except (FileNotFoundError, InvalidRequest):
             return None
 
     def last(self) -> FleetRecord | None:
-        """Of the last change that the board took part in."""
+        """The record of the last change that the board took part in."""
         return self._last
 
     def write(self, record: FleetRecord) -> None:
         """Returns when it is on the disk. Raises OSError; then the old one is still whole."""
         own = record.state != member.OPEN
-        if own and (self._last is None or self._last.id != record.id):  # first: a record that nobody finds is lost
+        if own and (self._last is None or self._last.id != record.id):  # first: a record that cannot be found is lost
             self._put(_LAST, record.id.encode())
         if not self._path(record.id).exists():
             self._forget(record.id if own or self._last is None else self._last.id)
@@ -54,7 +54,7 @@ class Records:
             return ""
 
     def keep_lease(self, change: str, lease: str) -> None:
-        """So that the next process can give it back, or use it again."""
+        """Keep the lease, so that the next process can give it back or use it again."""
         if lease:
             self._put(f"{change}.lease", lease.encode())
         else:
@@ -87,7 +87,7 @@ class Records:
         return self._folder / f"{change}.record"
 
     def _forget(self, last: str) -> None:
-        """The oldest beyond those that stay; never the last that the board takes part in."""
+        """Delete the oldest beyond those that are kept; never that of the last change the board takes part in."""
         files = sorted(self._folder.glob("*.record"), key=lambda path: path.stat().st_mtime_ns)
         for path in files[:-KEPT]:
             if path != self._path(last):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a board is asked in the course of a change, by whoever asks."""
+"""The requests to boards in the course of a change."""
 
 from __future__ import annotations
 

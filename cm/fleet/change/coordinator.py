@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one who asks: from what boards answer to what they are asked next, and to the outcome. Pure.
+"""The coordinator: from boards' answers to the next requests, and to the outcome. Pure.
 
 plan on all → prepare → apply → the decision, which most seats vote for → told to all
 
-Until most seats have voted to keep it nobody stays in the new mode; afterwards everybody who can, does. Who hears
-nothing asks the seats (`cm.fleet.change.seats`). So it does not matter when the coordinator ends.
+Until most seats have voted to keep it, no board stays in the new mode for good; afterwards every board that can does.
+Boards that hear nothing ask the seats (`cm.fleet.change.seats`), so it does not matter when the coordinator ends.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Phase(str, Enum):
 class Outcome:
     """How a change ended.
 
-    `decision` is None where nobody knows: too many seats went away while they voted. `records` are the boards' own
-    words, `silent` why nothing is known of the others.
+    `decision` is None if nobody knows: too many seats went away while they voted. `records` are the boards' own,
+    `silent` says why nothing is known of the others.
     """
 
     id: str
@@ -46,7 +46,7 @@ class Outcome:
 
     @property
     def differing(self) -> dict[str, str]:
-        """Boards that are not where the decision says, or of which nobody knows, each with the reason."""
+        """Boards that are not where the decision says, or may not be, each with the reason."""
         found = {name: _reason(record) for name, record in self.records.items() if member.differs(record)}
         return found | {name: error.message for name, error in self.silent.items()}
 
@@ -59,7 +59,7 @@ def _reason(record: FleetRecord) -> str:
 
 @dataclass
 class Coordinator:
-    """One change. Give it answers and silences; what it returns is to be asked."""
+    """One change. Give it answers and missing ones; it returns the next requests."""
 
     step: FleetStep  # of preparing; its members are asked, its seats vote
     phase: Phase = Phase.PREPARE
@@ -72,7 +72,7 @@ class Coordinator:
     _votes: dict[str, FleetRecord] = field(default_factory=dict)
 
     def start(self) -> list[Ask]:
-        """All are asked to prepare."""
+        """Ask all to prepare."""
         return self._ask(self.step.members, Verb.PREPARE)
 
     def answered(self, ask: Ask, answer: FleetRecord | ErrorInfo) -> list[Ask]:
@@ -81,7 +81,7 @@ class Coordinator:
         if self._waiting.get(board) != ask:
             return []
         if isinstance(answer, ErrorInfo):
-            if self.phase is not Phase.SEAT:  # a seat that takes no vote is at work for somebody else
+            if self.phase is not Phase.SEAT:  # a seat that refuses to vote works for another coordinator
                 self.refused[board] = answer
         else:
             self._take(board, answer)
@@ -105,13 +105,13 @@ class Coordinator:
 
     @property
     def waiting(self) -> frozenset[str]:
-        """Of whom an answer is awaited."""
+        """The boards whose answers are awaited."""
         return frozenset(self._waiting)
 
     def outcome(self) -> Outcome:
-        """As far as it is known now."""
+        """The outcome as far as it is known now."""
         silent = {**self.silent, **{n: e for n, e in self.refused.items() if n not in self.records}}
-        if self.decision is Decision.REVERT:  # who refused to prepare did nothing, and is where it was
+        if self.decision is Decision.REVERT:  # a board that refused to prepare did nothing, and is where it was
             silent = {n: e for n, e in silent.items() if n not in self.refused or n in self.silent}
         known = {n: r for n, r in self.records.items() if n not in silent}
         return Outcome(self.step.id, self.decision, known, silent, self.step.seats, dict(self.causes))
@@ -155,7 +155,7 @@ class Coordinator:
     def _decide(self, decision: Decision) -> list[Ask]:
         failed = {n: r.error for n, r in self.records.items() if r.error is not None}
         self.causes = {**failed, **self.refused, **self.silent}
-        if decision is Decision.REVERT:  # nothing else can come of it: nobody but us would ask for votes to keep it
+        if decision is Decision.REVERT:  # certain already: nobody but us would ask for votes to keep it
             return self._tell(decision)
         self.phase = Phase.SEAT
         return self._ask(self.step.seats, Verb.VOTE, keep=True)
@@ -175,7 +175,7 @@ class Coordinator:
         return self._ask(asked, Verb.DECIDE, keep=decision is Decision.KEEP) or self._all_told()
 
     def _untouched(self) -> set[str]:
-        """Who refused to prepare has no part in it."""
+        """Boards that refused to prepare have no part in the change."""
         return {name for name in self.refused if name not in self.records}
 
     def _all_told(self) -> list[Ask]:
@@ -185,7 +185,7 @@ class Coordinator:
 
 
 def _short(step: FleetStep, keep: bool) -> FleetStep:
-    """What is asked for later names the change; the board has the rest."""
+    """Later requests only name the change; the board knows the rest."""
     return FleetStep(step.id, seats=step.seats, seconds=step.seconds, keep=keep)
 
 

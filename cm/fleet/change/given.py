@@ -13,14 +13,14 @@ from cm.messages.fleet import FleetRecord
 
 
 class Unsettled(CmError):
-    """What became of a load is not known yet: the manager went away, or is still at it."""
+    """The result of a load is not known yet: the manager went away, or is still loading."""
 
     code = "unsettled"
 
 
 @dataclass(frozen=True, slots=True)
 class Planned:
-    """Where a change would lead, and what it would take."""
+    """Where a change would lead, and what it would involve."""
 
     config_name: str
     mode: str
@@ -37,7 +37,7 @@ class Store(Protocol):
 
 
 class OwnBoard(Protocol):
-    """The manager, asked in somebody's name. All raise CmError; `load` and `where` raise Unsettled."""
+    """The manager, asked in a caller's name. All raise CmError; `load` and `where` raise Unsettled."""
 
     async def where(self) -> tuple[str, str]: ...
     async def plan(self, config: str, mode: str, caller: str) -> Planned: ...

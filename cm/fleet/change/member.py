@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A board's part in a change of many: a table of states, and what is to be done in each. Pure.
 
-A record is written down before what it tells of is done. So whoever finds one, after any end, knows what may have
-happened, and what is to be done next: `todo` says so from the record alone.
+A record is written before the work that it describes is done. So after any crash it tells what may have happened, and
+what is to be done next: `todo` says so from the record alone.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Event(str, Enum):
     APPLY = "apply"  # the coordinator asks for it
     LOADED = "loaded"  # the board is where the record wanted it
     LOAD_FAILED = "load_failed"
-    LOST = "lost"  # it is not known what became of the load, and the board is where it was
+    LOST = "lost"  # the result of the load is unknown, and the board is where it was
 
 
 class NotNow(CmError):
@@ -34,7 +34,7 @@ class NotNow(CmError):
     code = "fleet_state"
 
 
-# (state, event) → state; what is not here cannot happen
+# (state, event) → state; other combinations cannot happen
 _NEXT = {
     (PREPARED, Event.APPLY): APPLYING,
     (APPLYING, Event.APPLY): APPLYING,
@@ -50,17 +50,17 @@ _NEXT = {
 
 # (state, decision) → state, once the decision is known
 _DECIDED = {
-    (PREPARED, Decision.KEEP): APPLYING,  # a laggard: the fleet went on without it
+    (PREPARED, Decision.KEEP): APPLYING,  # a laggard: the fleet changed without it
     (APPLIED, Decision.KEEP): NEW,
     (PREPARED, Decision.REVERT): OLD,
     (APPLIED, Decision.REVERT): REVERTING,
-    (FAILED, Decision.REVERT): REVERTING,  # nothing to load where the manager went back by itself
+    (FAILED, Decision.REVERT): REVERTING,  # nothing to load if the manager went back by itself
 }
 _ENDED = {(NEW, Decision.KEEP), (FAILED, Decision.KEEP), (OLD, Decision.REVERT), (STUCK, Decision.REVERT)}
 
 
 class Todo(str, Enum):
-    """What the one who holds the record does next."""
+    """What the owner of the record does next."""
 
     NOTHING = "nothing"
     LOAD_NEW = "load_new"
@@ -89,12 +89,12 @@ def _normal(record: FleetRecord) -> FleetRecord:
 
 
 def ended(record: FleetRecord) -> bool:
-    """Whether nothing is left to do, so that the board is free for another change."""
+    """Whether nothing remains to be done, so that the board is free for another change."""
     return record.decision is not None and (record.state == OPEN or (record.state, record.decision) in _ENDED)
 
 
 def differs(record: FleetRecord) -> bool:
-    """Whether the board is elsewhere than what was decided, or may be."""
+    """Whether the board is not where the decision says, or may not be."""
     if record.decision is None:
         return True
     return record.state != (NEW if record.decision is Decision.KEEP else OLD)

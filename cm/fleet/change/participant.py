@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a board's part in changes of its fleet is kept and carried out: records on one side, the manager on the other.
+"""A board's part in changes of its fleet: it keeps records on one side, and drives the manager on the other.
 
-Both are given, so that every order of ends can be tried. Nothing is kept here between two calls but what the store
-has: whoever reads it after an end goes on from there.
+Both are passed in, so that a crash at every point can be tested. All state between two calls is in the store: the next
+process continues from there.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cm.messages.status import ErrorInfo
 
 
 class Participant:
-    """One board's. The caller sees to it that no two of prepare, apply, decide and go_on run at a time."""
+    """One board's part. The caller ensures that no two of prepare, apply, decide and go_on run at a time."""
 
     def __init__(self, name: str, store: Store, board: OwnBoard, others: Others, now: WallClock) -> None:
         self._name = name
@@ -32,15 +32,15 @@ class Participant:
 
     @property
     def record(self) -> FleetRecord | None:
-        """Of the last change that this board took part in."""
+        """The record of the last change that this board took part in."""
         return self._store.last()
 
     # ---- what the coordinator asks for ----------------------------------------------------
 
     async def prepare(self, step: FleetStep, caller: str) -> FleetRecord:
-        """Plan the change, which validates all its files, keep others off, and write down where the board is.
+        """Plan the change, which validates all its files, take a lease, and record where the board is.
 
-        Raises Busy for a second change, and what the manager refuses with; then nothing was touched.
+        Raises Busy for a second change, and the manager's refusal; then nothing was touched.
         """
         known = self._given_up(step.id)
         if known is not None:
@@ -69,7 +69,7 @@ class Participant:
         )
         await self._board.hold(record)
         try:
-            self._given_up(step.id)  # meanwhile, by somebody who asked this board as a seat
+            self._given_up(step.id)  # meanwhile, by another that asked this board as a seat
         except NotNow:
             await self._board.release(record)
             raise
@@ -77,7 +77,7 @@ class Participant:
         return record
 
     def _given_up(self, change: str) -> FleetRecord | None:
-        """The record of a change that was prepared here before. Raises NotNow where the others ended it already."""
+        """The record of a change that was prepared here before. Raises NotNow if the others have ended it already."""
         known = self._store.read(change)
         if known is not None and known.decision is not None:
             raise NotNow(f"change {change} was decided already: {known.decision.value}")
@@ -86,7 +86,7 @@ class Participant:
         return known
 
     def _deadline(self, step: FleetStep) -> float:
-        """When this board asks the seats; those that are none later, so that few are at it at a time."""
+        """When this board asks the seats; boards that are no seats ask later, so that few do so at a time."""
         return self._now() + step.seconds * (1.0 if self._name in step.seats else 1.5)
 
     def _refuse_while_another(self) -> None:
@@ -106,7 +106,7 @@ class Participant:
         return await self._work(record, begun=before == member.PREPARED)
 
     async def decide(self, step: FleetStep) -> FleetRecord:
-        """What was decided, to be written down and done. Raises NotNow."""
+        """Record the decision, and carry it out. Raises NotNow."""
         known = self._store.read(step.id)
         record = seats.told(known, step, self._name)
         before = known.state if known else record.state
@@ -114,7 +114,7 @@ class Participant:
         return await self._work(record, begun=before not in (member.APPLYING, member.REVERTING))
 
     def settle(self, step: FleetStep) -> FleetRecord:
-        """What is known here of a change; as a seat, the promise of a ballot. It never waits. Raises NotNow."""
+        """What is known here about a change; as a seat, the promise of a ballot. It never waits. Raises NotNow."""
         known = self._store.read(step.id)
         return self._kept(known, seats.promised(known, step.id, step.ballot), bool(step.ballot))
 
@@ -137,11 +137,11 @@ class Participant:
     # ---- what it does by itself -----------------------------------------------------------
 
     async def go_on(self) -> None:
-        """At the start, and from time to time: whatever the record says is to be done. Raises Unsettled."""
+        """Do whatever the record says is to be done; called at the start, and from time to time. Raises Unsettled."""
         record = self._store.last()
         if record is None:
             return
-        if member.ended(record):  # as the seat it may have ended without waiting, or somebody before us was killed
+        if member.ended(record):  # a seat may have ended it without waiting, or the process before us was killed
             await self._board.release(record)
             return
         if member.todo(record, self._now()) is Todo.ASK_SEATS:
@@ -155,7 +155,7 @@ class Participant:
         return self._known(record.id) if decision is None else self._changed(record.id, decision=decision)
 
     async def _ask(self, asks: Sequence[Ask]) -> dict[str, FleetRecord]:
-        """Other seats, and this board where it is one."""
+        """The other seats, and this board if it is one."""
         answers = await self._others.ask([ask for ask in asks if ask.board != self._name])
         for ask in asks:
             if ask.board == self._name:
@@ -164,7 +164,7 @@ class Participant:
         return answers
 
     async def _work(self, record: FleetRecord, begun: bool) -> FleetRecord:
-        """Load as long as the record wants it. `begun`: no load can have been asked for before."""
+        """Load as long as the record wants it. `begun`: no load can have been requested before."""
         while True:
             step = member.todo(record, 0.0)
             if step not in (Todo.LOAD_NEW, Todo.LOAD_OLD):
@@ -177,7 +177,7 @@ class Participant:
 
     async def _load(self, record: FleetRecord, new: bool, begun: bool) -> FleetRecord:
         goal = (record.config_name, record.mode) if new else (record.old_config_name, record.old_mode)
-        if not begun:  # somebody before us was at it
+        if not begun:  # the process before us may have begun it
             if await self._board.where() == goal:
                 return self._changed(record.id, Event.LOADED)
             record = self._changed(record.id, Event.LOST)
@@ -200,7 +200,7 @@ class Participant:
         seconds: float = 0.0,
         decision: Decision | None = None,
     ) -> FleetRecord:
-        """The record as it is by now, with what has happened: the seat may have decided meanwhile."""
+        """The record as it is by now, after an event: as a seat this board may have decided meanwhile."""
         record = self._known(change)
         if decision is not None:
             record = member.decided(record, decision)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The decision of a change, agreed on by its seats: Paxos for one value (Lamport, "Paxos Made Simple", 2001). Pure.
 
-Seats vote in ballots, and write down what they have voted for and promised before they say so. What most of them have
-voted for in one ballot is the decision, and nothing else can become it. Ballot 0 is the coordinator's, who alone may
-want to keep the new mode. Whoever waits for it in vain takes a higher one: most seats promise to take no vote of a
-lower one, and say what they voted for last; that is voted for again, since it may be the decision already, and where
-there is nothing, to go back. So the decision outlives whoever made it, and any minority of the seats.
+Seats vote in ballots, and record votes and promises before they answer. What a majority has voted for in one ballot
+is the decision, and nothing else can become it. Ballot 0 belongs to the coordinator, which alone may propose to keep
+the new mode. A board that waits for it in vain takes a higher ballot: a majority of the seats promise to accept no
+vote in a lower one, and say what they last voted for; that is proposed again, since it may be the decision already,
+or else to go back. So the decision survives its maker, and any minority of the seats.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from cm.fleet.change.member import OPEN, NotNow, decided
 from cm.messages.fleet import Decision, FleetRecord, FleetStep
 
 SEATS = 3  # one of them may be gone for good
-NEAR = 8  # boards that are asked at a time whether they know, where too few seats answer
+NEAR = 8  # boards that are asked at a time whether they know the decision, if too few seats answer
 
 
 def chosen(members: Iterable[str], others: Iterable[str] = ()) -> tuple[str, ...]:
-    """Seats of a change: three of its members, and of other boards where those are two.
+    """Seats of a change: three of its members, or other boards too if those are two.
 
-    One where there are no three, for two would be worse: either of them would have to answer. One, too, for a change
-    of one board, which nobody else waits for.
+    One if there are not three boards, because two would be worse: both would have to answer. One also for a change of a
+    single board, which nobody else waits for.
     """
     own = list(dict.fromkeys(members))
     able = list(dict.fromkeys((*own, *others))) if len(own) > 1 else own
@@ -43,7 +43,7 @@ def most(seats: tuple[str, ...]) -> int:
 def promised(record: FleetRecord | None, change: str, ballot: int) -> FleetRecord:
     """The seat's record when it is asked to promise; ballot 0 asks only what it knows. Raises NotNow.
 
-    A ballot is promised to one who asks: the same number once more is refused, whoever it comes from.
+    Each ballot is promised once: the same number is refused the next time, whoever asks.
     """
     record = record or FleetRecord(change, OPEN)
     if ballot == 0 or record.decision is not None:
@@ -54,7 +54,7 @@ def promised(record: FleetRecord | None, change: str, ballot: int) -> FleetRecor
 
 
 def voted(record: FleetRecord | None, step: FleetStep) -> FleetRecord:
-    """The seat's record once it has voted as the step wants. Raises NotNow where a higher ballot is promised."""
+    """The seat's record once it has voted as the step wants. Raises NotNow if a higher ballot is promised."""
     record = record or FleetRecord(step.id, OPEN, seats=step.seats)
     if record.decision is not None:
         return record
@@ -68,7 +68,7 @@ def voted(record: FleetRecord | None, step: FleetStep) -> FleetRecord:
 
 
 def known(answers: Mapping[str, FleetRecord]) -> Decision | None:
-    """The decision, where one of them was told it."""
+    """The decision, if one of them was told it."""
     return next((record.decision for record in answers.values() if record.decision is not None), None)
 
 
@@ -79,7 +79,7 @@ def counted(votes: Iterable[FleetRecord], seats: tuple[str, ...], ballot: int) -
 
 
 async def agreed(change: str, seats: tuple[str, ...], ask: AskAll, tries: int = 1) -> Decision | None:
-    """Bring the seats to a decision. None where too few answer; or somebody else was at it, whenever we tried."""
+    """Bring the seats to a decision. None if too few answer, or another board interfered with each try."""
     for _ in range(tries):
         answers = await ask(_to_each(seats, Verb.SETTLE, FleetStep(change, seats=seats)))
         if known(answers) is not None or len(answers) < most(seats):
@@ -100,13 +100,13 @@ async def _ballot(change: str, seats: tuple[str, ...], ask: AskAll, ballot: int)
 
 
 def last_vote(records: Iterable[FleetRecord]) -> Decision | None:
-    """Of the highest ballot that any of them voted in: it may be the decision already."""
+    """The vote in the highest ballot that any of them voted in: it may be the decision already."""
     cast = [(record.vote_ballot, record.vote) for record in records if record.vote is not None]
     return max(cast, key=lambda pair: pair[0])[1] if cast else None
 
 
 def who_may_know(record: FleetRecord, board: str) -> list[Ask]:
-    """A few of the other members, those after this one by name: so what one knows comes to all, whoever is away."""
+    """A few of the other members, those after this one by name: what one knows so reaches all, whoever is away."""
     names = sorted({*record.members} - {*record.seats} | {board})
     after = names[names.index(board) + 1 :] + names[: names.index(board)]
     return _to_each(after[:NEAR], Verb.SETTLE, FleetStep(record.id))
@@ -117,7 +117,7 @@ def _to_each(boards: Iterable[str], verb: Verb, step: FleetStep) -> list[Ask]:
 
 
 def told(record: FleetRecord | None, step: FleetStep, name: str) -> FleetRecord:
-    """A board's record once it is told the decision. Raises NotNow where it has no part in the change."""
+    """A board's record once it is told the decision. Raises NotNow if it has no part in the change."""
     if record is None:
         if name not in step.seats:
             raise NotNow(f"{name} took no part in change {step.id}")

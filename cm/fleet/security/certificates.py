@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
     from cryptography.x509 import CertificateBuilder, Name
 
-_EARLIER = datetime.timedelta(hours=24)  # clocks of boards may be behind
+_EARLIER = datetime.timedelta(hours=24)  # because clocks of boards may be behind
 AUTHORITY_DAYS = 3653
 
 
@@ -56,7 +56,7 @@ def authority(name: str) -> Identity:
 
 
 def issued(by: Identity, name: str, days: int, hosts: Iterable[str] = ()) -> Identity:
-    """A certificate for `name`, for both ends of a connection; `hosts`: by which others reach it."""
+    """A certificate for `name`, for both ends of a connection; `hosts`: the names by which others reach it."""
     x509, _, serialization, _ = _parts()
     ca_key = serialization.load_pem_private_key(by.key, None)
     ca = x509.load_pem_x509_certificate(by.certificate)

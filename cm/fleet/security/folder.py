@@ -33,9 +33,9 @@ class KeyFolder:
     # ---- what it is asked for ---------------------------------------------------------------
 
     def create(self, hosts: tuple[str, ...], port: int, days: int) -> Path:
-        """A new fleet: its authority, and the router's file. `hosts`: by which the router is reached.
+        """Make a new fleet: its authority, and the router's file. `hosts`: the names by which the router is reached.
 
-        Raises Busy where there is one already.
+        Raises Busy if there is one already.
         """
         if (self.folder / _MEMBERS).exists():
             raise Busy(f"{self.folder} has the keys of a fleet already")
@@ -67,7 +67,7 @@ class KeyFolder:
         return path
 
     def remove(self, name: str) -> None:
-        """Take a member's rights: the router knows nobody by its certificate then. Raises NotFound."""
+        """Remove a member's rights: its certificate then means nothing to the router. Raises NotFound."""
         endpoint, members = self._load()
         left = tuple(member for member in members if member.name != name)
         if len(left) == len(members):
@@ -77,7 +77,7 @@ class KeyFolder:
         (self.folder / f"{name}.json5").unlink(missing_ok=True)
 
     def members(self) -> tuple[Member, ...]:
-        """Who has a certificate. Raises NotFound."""
+        """The members that have a certificate. Raises NotFound."""
         return self._load()[1]
 
     # ---- files ------------------------------------------------------------------------------
@@ -115,7 +115,7 @@ class KeyFolder:
     def _rewrite_router(self) -> None:
         path = self.folder / f"{ROUTER}.json5"
         settings = json.loads(path.read_bytes())
-        nobody = Member(names.NOBODY, "client", boards=(names.NOBODY,))  # rules are in force before there are members
+        nobody = Member(names.NOBODY, "client", boards=(names.NOBODY,))  # gives rules before there are members
         settings["access_control"] = access_control(self._load()[1] or (nobody,))
         _write(path, _json(settings), 0o600)
 
@@ -148,7 +148,7 @@ def _json(settings: dict[str, Any]) -> bytes:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """In one step; never readable for more than `mode` says."""
+    """Write a file in one step; it is never readable by more users than `mode` allows."""
     aside = path.with_name(f".{path.name}.new")
     aside.unlink(missing_ok=True)
     handle = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)

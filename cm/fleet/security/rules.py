@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Who may send and get what, as zenoh's access control has it. Pure.
 
-What has to be known of it (zenoh 1.10): a rule matches a key expression that it *includes*, so that ``cm/a/**`` lets
-no query for ``cm/*/status`` through, and that silently; every message is looked at on its way in and on its way out;
-reads and commands on one key cannot be told apart, so that commands have keys of their own, which end with the
-caller's name; a change of the rules takes a restart of the router.
+What has to be known of it (zenoh 1.10): a rule matches a key expression that it *includes*, so ``cm/a/**`` silently
+blocks a query for ``cm/*/status``; every message is checked on its way in and on its way out; reads and commands on
+one key cannot be distinguished, so commands have keys of their own, which end with the caller's name; a change of the
+rules needs a restart of the router.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ ALL_BOARDS = ("*",)
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """Somebody with a certificate: `kind` is board, client, cache or router.
+    """The holder of a certificate: `kind` is board, client, cache or router.
 
-    `role` and `boards` are a client's; a cache is called as its site is.
+    `role` and `boards` are a client's; a cache has the name of its site.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Member:
 
 
 def verbs_of(role: str) -> tuple[str, ...]:
-    """Commands that a role may ask for. Raises InvalidRequest."""
+    """Commands that a role may send. Raises InvalidRequest."""
     if role not in ROLES:
         raise InvalidRequest(
             f"role {role!r}: one of {', '.join(ROLES)} is wanted; an admin's work is done on the board"
@@ -45,7 +45,7 @@ def verbs_of(role: str) -> tuple[str, ...]:
 
 
 def access_control(members: Iterable[Member]) -> dict[str, Any]:
-    """The part `access_control` of the router's settings: what is not allowed to somebody here is dropped."""
+    """The part `access_control` of the router's settings: what is not allowed here is dropped."""
     rules: list[dict[str, Any]] = []
     subjects: list[dict[str, Any]] = []
     policies: list[dict[str, Any]] = []
@@ -71,7 +71,7 @@ def _rule(flow: str, messages: Iterable[str], keys: Iterable[str]) -> dict[str, 
 
 
 def _board(member: Member) -> list[dict[str, Any]]:
-    """It is what its name says and nothing else; what others ask for it reaches it, whatever the expression."""
+    """Rules for a board: it may speak only under its own name; any query of others for it reaches it."""
     own, settle = f"cm/{member.name}/**", [f"cm/*/do/{verb}/{member.name}" for verb in ("settle", "vote")]
     return [
         _rule("ingress", ("put", "declare_queryable", "reply", "liveliness_token"), [own]),
@@ -88,7 +88,7 @@ def _client(member: Member) -> list[dict[str, Any]]:
     commands = [f"cm/{b}/do/{verb}/{member.name}" for b in member.boards for verb in verbs_of(member.role)]
     alive = [f"cm/{board}/alive" for board in member.boards]
     seen = [f"cm/{board}/**" for board in member.boards]
-    # Tokens are asked for with one expression, which has to be allowed as a whole; they tell names and nothing more.
+    # Tokens are queried with one expression, which has to be allowed as a whole; they reveal only names.
     found = [
         _rule("ingress", ("query",), [*read, *commands]),
         _rule("ingress", ("declare_subscriber",), read),

@@ -34,11 +34,10 @@ class Loader(Protocol):
         """Raise what is known beforehand to prevent the job; touches nothing."""
 
     def prepared(self, job: Job, timeout: float) -> AbstractContextManager[Start]:
-        """On entry, all that can be done before the port is touched; gives the function that touches it. `timeout`
+        """On entry, all that can be done before the port is touched; gives the function that touches it.
 
-        (seconds) is for both. Entering raises what is wrong with files or memory, or StepTimeout if the port stays
-
-        busy: then nothing was loaded. `Start` raises LoadFailed, StepTimeout or DeviceError.
+        `timeout` (seconds) is for both. Entering raises what is wrong with files or memory, or StepTimeout if the port
+        stays busy: then nothing was loaded. `Start` raises LoadFailed, StepTimeout or DeviceError.
         """
 
     def forget(self) -> None:

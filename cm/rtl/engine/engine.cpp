@@ -175,9 +175,6 @@ void Engine::handle(const cm_message &message, const std::string &text)
 	case CM_STATE:
 		reply = state();
 		break;
-	case CM_SPIN:
-		run(message.b);
-		break;
 	default:
 		status = ENOSYS;
 	}

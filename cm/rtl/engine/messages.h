@@ -26,7 +26,6 @@ enum cm_op : uint32_t {
 	CM_TRACE,     // text: a folder, or empty to end it
 	CM_MARK,      // text: what to show in the trace
 	CM_STATE,     // answer's text: JSON
-	CM_SPIN,      // b: clock cycles to run, at full speed: for measurements
 	CM_COVER,     // write what was counted
 	// what the engine tells; the board answers the last two
 	CM_SENT = 64, // a: stream

@@ -55,7 +55,7 @@ class BoardSpec:
     windows: tuple[WindowSpec, ...]
     channels: Mapping[str, ChannelSpec]
     interrupts: Mapping[str, Interrupt]
-    registers: tuple[Register, ...]  # all, with `region` saying who answers
+    registers: tuple[Register, ...]  # all, with `region` saying which region answers
     configs: tuple[Config, ...] = ()
     memories: tuple[Memory, ...] = ()  # as `registers`
 
@@ -87,7 +87,7 @@ class BoardSpec:
         )
 
     def with_static(self, identity: int) -> BoardSpec:
-        """The same board with another static part, which answers `identity`; SimError where it cannot say so."""
+        """The same board with a static part whose identity is `identity`; SimError if it has no register for it."""
         places = [register for register in self.registers if register.name.startswith(_STATIC)]
         if not places:
             raise SimError("no configuration says in which register the static part has its identity")
@@ -186,7 +186,7 @@ def _registers(configs: Iterable[Config]) -> Iterator[Register]:
 
 
 def _static_identities(configs: Iterable[Config]) -> Iterator[Register]:
-    """Where the static part says which one it is: that of the first configuration which says so of a register."""
+    """The static part's identity register: that of the first configuration which names one."""
     places = set()
     for static in (config.static for config in configs):
         if static is None or static.base_address is None or static.identity is None:

@@ -37,8 +37,8 @@ class Bus:
     def read(self, window: Window, offset: int, width: int) -> int:
         """The value at an offset.
 
-        All ones while the region is loaded or decoupled, 0xDEADBEEF where no module is loaded,
-        0 from a write-only register.
+        All ones while the region is loaded or decoupled, 0xDEADBEEF if no module is loaded, 0 from a write-only
+        register.
         """
         length = check_access(window, offset, width)
         value = 0
@@ -47,7 +47,7 @@ class Bus:
         return value
 
     def write(self, window: Window, offset: int, width: int, value: int) -> None:
-        """Write at an offset; lost where the register is read-only or no module answers."""
+        """Write at an offset; lost if the register is read-only or no module answers."""
         length = check_access(window, offset, width)
         for at, part in _pieces(window, offset, length):
             bits = value >> 8 * (at - offset) & ((1 << 8 * part) - 1)
@@ -91,7 +91,7 @@ class Bus:
 
 
 class _DecouplerBit:
-    """Watches what cuts a region off: a bit, or all registers that a sequence writes."""
+    """Watches what isolates a region: a bit, or all registers that a sequence writes."""
 
     def __init__(self, fabric: Fabric, region: Region) -> None:
         decoupler = region.spec.decoupler
@@ -101,7 +101,7 @@ class _DecouplerBit:
         self._cells = list(self._watched(decoupler)) if self._window else []
 
     def _watched(self, decoupler: Decoupler) -> Iterator[tuple[int, int, int, int]]:
-        """Offset in the window, bytes, mask, and the bits that stand while the region is cut off."""
+        """Offset in the window, bytes, mask, and the bits that are set while the region is isolated."""
         assert self._window is not None
         at, length = decoupler.base_address + decoupler.offset - self._window.spec.address, decoupler.width // 8
         bit = 1 << decoupler.bit
@@ -122,7 +122,7 @@ class _DecouplerBit:
 
 
 def check_access(window: Window, offset: int, width: int) -> int:
-    """Bytes of an access of `width` bits; NodeError (EINVAL) where no bus makes it."""
+    """Bytes of an access of `width` bits; NodeError (EINVAL) if no bus can make it."""
     if width not in _WIDTHS:
         raise NodeError(errno.EINVAL, f"width {width} is none of 8, 16, 32, 64")
     if offset % (width // 8) or offset + width // 8 > window.spec.size:
@@ -137,7 +137,7 @@ def check_block(window: Window, offset: int, length: int) -> None:
 
 
 def _alike(window: Window, offset: int, length: int) -> tuple[bool, Area | None]:
-    """Whether one thing has all these bytes, and the memory that it is (None: bytes without a name)."""
+    """Whether one thing covers all these bytes, and the memory if it is one (None: bytes without a name)."""
     over = [area for area in window.areas if area.offset < offset + length and offset < area.end]
     if len(over) > 1 or any(offset <= byte < offset + length for byte in window.cells):
         return False, None

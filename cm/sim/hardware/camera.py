@@ -89,14 +89,14 @@ def zoom_in(photo: Photo, zoom: int) -> Photo:
 def frame(photo: Photo, shape: tuple[int, int] = SHAPE, focus: int = 1, zoom: int = 1) -> Photo:
     """What leaves the sensor: resized to `shape`, blurred by |focus - 1| pixels, then zoomed in.
 
-    `focus` is cut to 0…16 and `zoom` to 1…16, as the lens is.
+    `focus` is limited to 0…16 and `zoom` to 1…16, as by the lens.
     """
     radius = min(abs(focus - 1), MAX_RADIUS)
     return zoom_in(blur(resize(photo, shape), radius), min(max(zoom, 1), MAX_ZOOM))
 
 
 class PhotoReel:
-    """Which photo is before the lens: each for `hold` frames, 0 for ever the first."""
+    """The photo in front of the lens: each for `hold` frames; 0: always the first."""
 
     def __init__(self, photos: Sequence[Photo] | None, hold: int) -> None:
         """`photos` None: those of the package, read when the first is taken."""
@@ -111,7 +111,7 @@ class PhotoReel:
 
     @property
     def index(self) -> int:
-        """Of the photo that the next frame shows."""
+        """Index of the photo that the next frame shows."""
         return self.taken // self._hold % len(self._photos) if self._hold and self.taken else 0
 
     def take(self, shape: tuple[int, int], focus: int, zoom: int) -> Photo:

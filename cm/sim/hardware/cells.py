@@ -14,7 +14,7 @@ from cm.sim.transport.mirror import Mirror
 
 
 class Region:
-    """A region: the module that runs in it, if one does, and whether it is cut off."""
+    """A region: the module that runs in it, if any, and whether it is isolated."""
 
     def __init__(self, spec: RegionSpec) -> None:
         self.spec = spec
@@ -30,7 +30,7 @@ class Region:
 
 
 class Cell:
-    """A register at its place in a window: who answers for it, and its raw value."""
+    """A register at its place in a window: the region that answers for it, and its raw value."""
 
     __slots__ = ("memory", "offset", "region", "register", "width")
 
@@ -74,7 +74,7 @@ class Window:
         self.areas: list[Area] = []
 
     def add(self, cell: Cell) -> None:
-        """Put a cell over its bytes; several modules of one region may share them."""
+        """Put a cell at its bytes; several modules of one region may share them."""
         for byte in range(cell.offset, cell.offset + cell.width):
             self.cells.setdefault(byte, []).append(cell)
 
@@ -127,5 +127,5 @@ def answers(place: Cell | Area) -> bool:
 
 
 def same_place(one: Register | None, other: Register) -> bool:
-    """Whether two registers are the same bits, whatever they are called."""
+    """Whether two registers are the same bits, whatever their names."""
     return one is not None and one.address == other.address and one.width == other.width

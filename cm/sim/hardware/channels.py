@@ -35,12 +35,12 @@ class ChannelSpec:
     rate: float
     partner: str | None = None
     vdma: bool = False  # moves lines only
-    simple: int = 0  # bits of the length register of an engine without scatter/gather; 0: it has that
+    simple: int = 0  # bits of the length register of an engine without scatter/gather; 0: it has scatter/gather
     blind: bool = False  # its driver cannot tell how much arrived
 
     @property
     def frame_length(self) -> int:
-        """Bytes of one frame, or 0 where the schema gives no shape."""
+        """Bytes of one frame, or 0 if the schema gives no shape."""
         return math.prod(self.shape) * np.dtype(self.dtype).itemsize if self.shape else 0
 
     @property
@@ -69,7 +69,7 @@ def _channel(stream: Stream) -> ChannelSpec:
 
 
 def _pair(found: dict[str, ChannelSpec], region: str | None) -> None:
-    """Pair in the order of the file; a channel called camera… is a camera as long as others are there."""
+    """Pair in the order of the file; a channel called camera… is a camera as long as there are others."""
     here: Mapping[str, ChannelSpec] = {n: s for n, s in found.items() if s.region == region}
     sources = [n for n, s in here.items() if s.direction is Direction.MM2S]
     sinks = [n for n, s in here.items() if s.direction is Direction.S2MM]

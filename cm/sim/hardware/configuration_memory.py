@@ -38,7 +38,7 @@ class ConfigMemory:
     """Follows one load at a time."""
 
     def __init__(self, fabric: Fabric, known: Mapping[str, ModuleSpec]) -> None:
-        """`known` are modules by the `digest` of their bitstreams, for those that others have built."""
+        """`known` are modules by the `digest` of their bitstreams, for bitstreams of other tools."""
         self._fabric = fabric
         self._known = known
         self._touched: dict[str, _Touched] = {}
@@ -60,7 +60,7 @@ class ConfigMemory:
                 self._fabric.start_load(region)
 
     def settle(self, ok: bool, stream: memoryview) -> None:
-        """The load is over: regions that it covered run their module if it went well, others nothing."""
+        """The load is over: regions that it covered run their module if it went well, or else nothing."""
         if ok:
             self._fabric.configured(stream)
         for name, touched in self._touched.items():
@@ -86,7 +86,7 @@ class ConfigMemory:
 
 
 def module_named(spec: BoardSpec, identity: ModuleIdentity, region: str) -> ModuleSpec:
-    """The module as the schemas know it, or one without registers where they do not."""
+    """The module as the schemas know it, or one without registers if they do not."""
     for module in spec.modules:
         if module.name == identity.name and module.region == region:
             return module
@@ -94,7 +94,7 @@ def module_named(spec: BoardSpec, identity: ModuleIdentity, region: str) -> Modu
 
 
 def digest(words: bytes | memoryview) -> str:
-    """Of a configuration stream in memory order, from its sync word on, without padding behind it."""
+    """The hash of a configuration stream in memory order, from its sync word on, without padding after it."""
     data = bytes(words)
     start, end = max(0, data.find(_SYNC)), len(data)
     while end - start >= 4 and data[end - 4 : end] in (_NOP, bytes(4)):
@@ -122,6 +122,6 @@ def _covered(region: RegionSpec, addresses: list[FrameAddress]) -> bool:
 
 
 def _begun(region: RegionSpec, addresses: list[FrameAddress]) -> bool:
-    """Whether something was written in every range; other tools' runs go on over columns."""
+    """Whether something was written in every range; runs of other tools continue over several columns."""
     own = (frames for frames in region.footprint if frames.block_type < _SHARED)
     return all(any(_inside(address, frames) for address in addresses) for frames in own)

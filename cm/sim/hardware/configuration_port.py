@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 Bytes: TypeAlias = "NDArray[np.uint8]"
-Through = Callable[[memoryview, bool], memoryview]  # words on their way, and whether the port shows an error
+Through = Callable[[memoryview, bool], memoryview]  # words on their way, and whether the port signals an error
 _STEP = 0.001  # seconds of simulated time between two looks at the port
 
 
@@ -71,8 +71,9 @@ class Engine:
     ) -> None:
         """Load `data`, words as in memory (little-endian bus); `finished` is called at the end (EBUSY).
 
-        `data` is read as it goes. `asked_ns` is when the request was there (now): what we do before the first
-        word is our own affair, a DMA engine begins at once. `through`: what the words pass before they arrive.
+        `data` is read as it goes. `asked_ns` is when the request arrived (default: now): our own work before the
+        first word does not count, since a DMA engine begins at once. `through`: a function that the words pass
+        through before they arrive.
         """
         if self._run is not None:
             raise NodeError(errno.EBUSY, "a load is running")
@@ -101,7 +102,7 @@ class Engine:
             self._finish(*self._verdict())
 
     def _feed(self, run: _Run, most: int) -> None:
-        """Work on the words that are due before the next look: a port does that while the clock ticks."""
+        """Work on the words that are due before the next step, as a port does while the clock runs."""
         target = min(run.bytes_at(time.monotonic() + _STEP), most // 4 * 4)
         if target > run.fed:
             words = run.data[run.fed : target]
@@ -112,7 +113,7 @@ class Engine:
             self._memory.apply(writes, run.full)
 
     def _wait(self, run: _Run) -> None:
-        """Until the next look; the loop's own clock ticks in milliseconds, which is too coarse for the last."""
+        """Wait until the next step; the loop's own clock has milliseconds, which is too coarse for the last step."""
         left = run.seconds_left
         if left < _STEP:
             time.sleep(max(left, 0.0))

@@ -3,8 +3,8 @@
 
 CRC-32C takes in 37 bits for each word: the word, then the five bits of the register's address, all
 least significant first (UG470). One word turns the CRC c into ``step(c ^ word) ^ five(register)``,
-and `step` is linear over bits. So what words do can be computed for each by itself and folded in
-pairs: the left half goes through `step` once for each word that follows it.
+and `step` is linear over bits. So the effect of words can be computed for each by itself, and folded in pairs: the
+left half goes through `step` once for each word that follows it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     Words: TypeAlias = NDArray[np.uint32]
 
 _POLYNOMIAL = 0x82F63B78
-_FEW = 8  # words that are taken one by one: folding begins to pay from here on, and so does remembering
+_FEW = 8  # words that are taken one by one: beyond that, folding and remembering pay off
 
 
 def _shift(value: int, bits: int) -> int:
@@ -77,7 +77,7 @@ def run(crc: int, register: int, words: Words) -> int:
         return crc
     values = words.astype(np.uint32)
     values[0] ^= np.uint32(crc)
-    # Zeros in front change nothing: what they would become is zero too.
+    # Zeros in front change nothing, as their contribution is zero.
     parts = _apply(_tables(0), values) ^ np.uint32(_FIVE[register])
     size = 1 << (len(parts) - 1).bit_length()
     parts = np.concatenate((np.zeros(size - len(parts), dtype=np.uint32), parts))
@@ -89,10 +89,10 @@ def run(crc: int, register: int, words: Words) -> int:
 
 
 class Known:
-    """`run`, which remembers what long data did: a board is loaded with the same few bitstreams again and again.
+    """`run`, which remembers results for long data: a board is loaded with the same few bitstreams again and again.
 
-    Data is known by Python's own hash, whose key is new in each process: a digest that withstands attackers takes four
-    times as long, and a simulated board has none.
+    Data is identified by Python's own hash, whose key is new in each process: a digest that withstands attackers takes
+    four times as long, and a simulated board has no attackers.
     """
 
     def __init__(self, limit: int = 4096) -> None:

@@ -36,7 +36,7 @@ class Datapath:
     ) -> None:
         self._fabric, self._models, self._running = fabric, models, running
         self._name = region if region in fabric.regions else None
-        self._failed: ModuleSpec | None = None  # said once
+        self._failed: ModuleSpec | None = None  # reported once
         self._region: Region | None = fabric.regions.get(region) if region else None
         self._width = shape[-1] if shape and len(shape) == 1 else math.prod(shape[1:]) if shape else 0
 
@@ -47,7 +47,7 @@ class Datapath:
 
     @property
     def plain(self) -> bool:
-        """Whether data leaves as it enters, and nothing is to be kept of it."""
+        """Whether data leaves as it enters, and none of it has to be kept."""
         if self._fabric.cell("frame_count", self._name) is not None:
             return False
         if self._region is None:
@@ -56,18 +56,18 @@ class Datapath:
         return self._region.running and module is not None and self._models.get(module.model) is default
 
     def register(self, name: str, default: int) -> int:
-        """A register that the source itself obeys, or `default` where the schema has none."""
+        """A register that the source itself obeys, or `default` if the schema has none."""
         cell = self._fabric.cell(name, self._name)
         return default if cell is None else cell.value
 
     def count_frame(self) -> None:
-        """Keep the register `frame_count`, where there is one."""
+        """Count in the register `frame_count`, if there is one."""
         cell = self._fabric.cell("frame_count", self._name)
         if cell is not None:
             cell.value += 1
 
     def frame(self, data: Bytes) -> Bytes:
-        """Bytes as lines of the stream's width; as one line where they are not a whole number of lines."""
+        """Bytes as lines of the stream's width; as one line if they are not a whole number of lines."""
         whole = self._width and len(data) % self._width == 0
         return data.reshape(-1, self._width) if whole else data.reshape(1, -1)
 
@@ -76,7 +76,7 @@ class Datapath:
         return self._running.fills(self._name, stream)
 
     def consume(self, frame: Bytes, stream: str) -> None:
-        """A frame enters the region on a stream that nothing leaves by: for models with a state."""
+        """A frame enters the region on a stream without an output: for models with a state."""
         if self._running.of(self._name) is not None:
             self.process(frame, stream)
 

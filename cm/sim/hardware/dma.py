@@ -37,7 +37,7 @@ class Transfer:
     def __init__(
         self, buffer: Buffer, view: Bytes, cookie: int, period: int = 0, at: tuple[int, int] | None = None
     ) -> None:
-        """`at` is where the client said that it is: handle and offset."""
+        """`at` is the place that the client gave: handle and offset."""
         self.buffer = buffer
         self.handle, self.offset = at or (0, 0)
         self.view = view  # one dimension, or (lines, bytes of a line)
@@ -53,13 +53,13 @@ class Transfer:
         return self.handle > 0 and self.view.ndim == 1 and not self.cyclic
 
     def data(self) -> Bytes:
-        """The bytes to send; copied only where lines are apart."""
+        """The bytes to send; copied only if there are gaps between lines."""
         if self.view.ndim > 1:
             return np.ascontiguousarray(self.view).reshape(-1)
         return self.view[self.position : self.position + self.period]
 
     def store(self, data: Bytes) -> int:
-        """Put what arrived into memory; the bytes that fit."""
+        """Put what arrived into memory; returns how many bytes fit."""
         length = min(len(data), self.period)
         if self.view.ndim > 1:
             _store_lines(self.view, data[:length])
@@ -68,7 +68,7 @@ class Transfer:
         return length
 
     def advance(self) -> None:
-        """On to the next period, round and round."""
+        """Go on to the next period, cyclically."""
         self.position = (self.position + self.period) % self.length
 
 
@@ -113,7 +113,7 @@ class Completions:
 
 
 class Channel:
-    """The hardware of a channel: what is queued, who has it open."""
+    """The hardware of a channel: what is queued, and the file that has it open."""
 
     def __init__(self, spec: ChannelSpec) -> None:
         self.spec = spec
@@ -137,7 +137,7 @@ class Channel:
 
     @property
     def coherent(self) -> bool:
-        """Whether the processor sees its buffers without further ado."""
+        """Whether the processor's caches see its buffers without synchronisation."""
         return self._buffers is None or all(buffer.counters is None for _, buffer in self._buffers)
 
     def release(self) -> None:

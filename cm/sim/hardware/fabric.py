@@ -33,11 +33,11 @@ class Fabric:
         self.regions = {name: Region(region) for name, region in spec.regions.items()}
         self.windows = [Window(window) for window in spec.windows]
         self.lines = Lines(spec)
-        self.changed: Callable[[], None] = lambda: None  # called when data may flow that did not
-        self.answering: Callable[[Region], None] = lambda _: None  # called when a region answers, or does not any more
-        self.loaded: Callable[[Region], None] = lambda _: None  # called when another module runs, or none any more
-        self.configured: Callable[[memoryview], None] = lambda _: None  # called with each bitstream that went in well
-        self.resetting: Callable[[], None] = lambda: None  # called when all is about to be as after power-up
+        self.changed: Callable[[], None] = lambda: None  # called when data may flow that could not before
+        self.answering: Callable[[Region], None] = lambda _: None  # called when a region begins or ceases to answer
+        self.loaded: Callable[[Region], None] = lambda _: None  # called when another module runs, or none
+        self.configured: Callable[[memoryview], None] = lambda _: None  # called with each bitstream that loaded well
+        self.resetting: Callable[[], None] = lambda: None  # called before everything is reset as after power-up
         self._by_name: dict[str, list[Cell]] = {}
         self._seed = seed
         self._noise_at = 0
@@ -67,7 +67,7 @@ class Fabric:
         return None
 
     def registers(self, region: str | None) -> Mapping[str, int]:
-        """What a model in `region` sees of its registers."""
+        """The registers as a model in `region` sees them."""
         if region not in self._views:
             self._views[region] = self._view(region)
         return self._views[region]
@@ -97,7 +97,7 @@ class Fabric:
         self.changed()
 
     def reset(self) -> None:
-        """As after power-up or a full image: no modules, decoupled by GPIO lines at most, registers at reset."""
+        """Reset as after power-up or a full image: no modules, decoupled only by GPIO lines, registers at reset."""
         self.resetting()
         self._views.clear()
         for region in self.regions.values():
@@ -126,7 +126,7 @@ class Fabric:
         return self._noise[start : start + length]
 
     def set_decoupled(self, region: Region, decoupled: bool) -> None:
-        """Cut the region off, or connect it again."""
+        """Isolate the region, or connect it again."""
         if region.decoupled != decoupled:
             region.decoupled = decoupled
             self.answering(region)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Two channels that only pass on data, lent to a thread in C (``csrc/sim_fifo.h``) and taken back.
 
-While they are lent, this process does not know what is queued: code that is about to look at the channels, or to
-change what happens to their data, takes them back first.
+While they are lent, this process does not know what is queued: code that looks at the channels, or changes what
+happens to their data, takes them back first.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class FastPath:
         self.lent = 0  # times
 
     def lend(self) -> bool:
-        """Lend both channels, if they are open and all that is queued is plain."""
+        """Lend both channels, if they are open and everything queued is plain."""
         if not all(_lendable(channel) for channel in self._channels):
             return False
         if self._fifo is None:
@@ -37,7 +37,7 @@ class FastPath:
         return True
 
     def take_back(self) -> None:
-        """Have the channels; harmless when we have."""
+        """Take the channels back; harmless if they are not lent."""
         if self._fifo is None or not self._fifo.running:
             return
         for channel, returned in zip(self._channels, self._fifo.park(), strict=True):

@@ -32,11 +32,11 @@ class Line:
         self._listeners: list[Events] = []
 
     def add_level(self, stands: Callable[[], bool]) -> None:
-        """What holds the line up as long as it says so."""
+        """Add a function that holds the line up as long as it returns true."""
         self._levels.append(stands)
 
     def follow(self, stands: Callable[[], bool]) -> None:
-        """Nothing but this holds the line up."""
+        """Let nothing but this function hold the line up."""
         self._levels = [stands]
 
     def listen(self, events: Events) -> None:
@@ -64,7 +64,7 @@ class Line:
             events.send(_COUNT.pack(self.count))
 
     def control(self, word: int) -> None:
-        """What was written to the device file: 1 unmasks, 0 masks."""
+        """Handle what was written to the device file: 1 unmasks, 0 masks."""
         self._masked = word == 0
         if self._masked:
             return
@@ -95,7 +95,7 @@ class InterruptWiring:
             self._wire(name, interrupt)
 
     def fire(self, name: str) -> bool:
-        """Raise an interrupt by name; False where the board has none of that name."""
+        """Raise an interrupt by name; False if the board has none of that name."""
         wired = self._wiring.get(name)
         if wired is None:
             return False

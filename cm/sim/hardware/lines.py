@@ -16,7 +16,7 @@ PROCESSOR: Mapping[str, tuple[str, int]] = MappingProxyType(
     {"7series": ("zynq_gpio", 118), "ultrascale+": ("zynqmp_gpio", 174)}
 )
 _NAME = re.compile(r"gpiochip\d+")
-_FEWEST = 32  # lines of a chip that is there because a schema names it
+_FEWEST = 32  # lines of a chip that exists only because a schema names it
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +29,7 @@ class Chip:
 
 
 class Lines:
-    """All chips of a board, and what their lines carry. The PL's own resets leave them as they are."""
+    """All chips of a board, and the values of their lines. Resets of the PL do not change them."""
 
     def __init__(self, spec: BoardSpec) -> None:
         decouplers = [region.decoupler for region in spec.regions.values() if region.decoupler]
@@ -48,7 +48,7 @@ class Lines:
         change((chip.name, line))
 
     def cuts(self, decoupler: Decoupler | None) -> bool:
-        """Whether a region is cut off by its line."""
+        """Whether a region is isolated by its line."""
         if decoupler is None or decoupler.gpio is None:
             return False
         return (self._place(decoupler.gpio) in self._high) == decoupler.active_high
@@ -58,7 +58,7 @@ class Lines:
 
 
 def _chips(family: str, asked: Iterable[GpioLine]) -> Iterable[Chip]:
-    """The processing system's, which is the first; others where a schema names others."""
+    """The processing system's chip, which is the first, and others that schemas name."""
     label, lines = PROCESSOR[family]
     most: dict[str, int] = {label: lines, "gpiochip0": lines}
     for line in asked:

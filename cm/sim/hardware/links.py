@@ -32,10 +32,10 @@ class Link:
         self._soon = False
         self._timer: Timer | None = None
         self._due = 0.0
-        self._sent: deque[tuple[str, Bytes]] = deque()  # by a model, by itself
+        self._sent: deque[tuple[str, Bytes]] = deque()  # by a model, on its own initiative
 
     def offer(self, name: str, data: Bytes) -> bool:
-        """Let a packet leave on a channel when it has room; False where it is lost."""
+        """Let a packet leave on a channel when it has room; False if it is lost."""
         if len(self._sent) >= _WAITING:
             return False
         self._sent.append((name, data.copy()))
@@ -47,7 +47,7 @@ class Link:
             self._deliver(sink, self._sent.popleft()[1])
 
     def kick(self) -> None:
-        """Something changed: look again before the next wait."""
+        """Something changed: look again before the loop waits."""
         if not self._soon:
             self._soon = True
             self._loop.call_soon(self._wake)
@@ -58,7 +58,7 @@ class Link:
         return 0
 
     def take_back(self) -> None:
-        """Have the channels here; they may be lent to a faster server."""
+        """Take the channels back, if they are lent to a faster server."""
 
     def close(self) -> None:
         """End what runs beside us."""
@@ -74,7 +74,7 @@ class Link:
         return self._faults.take("hang", channel.spec.name) is not None
 
     def _pace(self, rate: float) -> bool:
-        """Whether it is time for the next frame; else it comes back when it is."""
+        """Whether it is time for the next frame; if not, it calls again when it is."""
         if rate <= 0:
             return True
         now = time.monotonic()
@@ -82,7 +82,7 @@ class Link:
             if self._timer is None:
                 self._timer = self._loop.call_at(self._due, self._tick)
             return False
-        late = now - self._due > 1 / rate  # then the rhythm begins anew
+        late = now - self._due > 1 / rate  # in that case the rhythm starts anew
         self._due = (now if late else self._due) + 1 / rate
         return True
 
@@ -115,10 +115,10 @@ class LoopLink(Link):
         self._source, self._sink = source, sink
         self._inside: Bytes | None = None
         self._fast = FastPath(loop, source, sink, self._returned)
-        self._slow = False  # something waits that only we can serve
+        self._slow = False  # something waits that only this process can serve
 
     def kick(self) -> None:
-        """Something changed: look again before the next wait, at channels that are ours by then."""
+        """Something changed: look again before the loop waits, after taking the channels back."""
         self._slow = False
         self.take_back()
         super().kick()
@@ -159,7 +159,7 @@ class LoopLink(Link):
         if self._plain and self._fast.lend():
             return
         self._send(sink)
-        fills = self._path.fills(sink.spec.name)  # then what comes in need not leave
+        fills = self._path.fills(sink.spec.name)  # in that case what comes in need not leave
         if not source.queue or not (sink.queue or fills) or not self._path.flows:
             return
         if self._hangs(source) or self._hangs(sink):

@@ -54,7 +54,7 @@ class InterruptLines(Protocol):
         """One for each window."""
 
     def fire(self, name: str) -> bool:
-        """Raise an interrupt by name; False where none of that name can be raised from here."""
+        """Raise an interrupt by name; False if none of that name can be raised from here."""
 
 
 class Logic(Protocol):
@@ -69,22 +69,22 @@ class Logic(Protocol):
         """The lines to the processor."""
 
     def links(self, channels: Mapping[str, Channel]) -> dict[str, Link]:
-        """What lies at the stream side of each channel; called once."""
+        """The other end of each channel's stream; called once."""
 
     def configure(self, words: memoryview, failed: bool) -> memoryview:
-        """The words that reach the configuration logic when these are given to ICAP, which shows an error or none."""
+        """The words that reach the configuration logic when ICAP gets these; the flag: whether it signals an error."""
 
     def trace(self, folder: str) -> None:
-        """Write what happens to files there, or to none any more if it is empty. `NodeError` where that cannot be."""
+        """Write traces to files in a folder; an empty name ends that. `NodeError` if it is not possible."""
 
     def cover(self) -> None:
-        """Write down which lines of the HDL have run, where that is counted."""
+        """Write which lines of the HDL have run, if that is counted."""
 
     def mark(self, text: str) -> None:
         """Show a text in the trace that is written, if one is."""
 
     def state(self) -> dict[str, object]:
-        """What there is to tell besides what every board tells."""
+        """State in addition to that of every board."""
 
     def close(self) -> None:
         """End what runs beside us."""
@@ -135,7 +135,7 @@ class SoftwareLogic:
         return links
 
     def configure(self, words: memoryview, failed: bool) -> memoryview:  # noqa: ARG002 - nothing here shows it
-        """The same: there is nothing in between."""
+        """The same words: nothing is in between."""
         return words
 
     def cover(self) -> None:

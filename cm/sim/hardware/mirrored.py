@@ -17,7 +17,7 @@ class _Block:
 
     def __init__(self, window: Window, area: Area) -> None:
         self._window, self._area = window, area
-        # Where other things have the same bytes, in other modes, the bus says which it is.
+        # If other things have the same bytes in other modes, the bus decides which it is.
         self._shared = any(area.offset <= byte < area.end for byte in window.cells) or any(
             other.offset < area.end and area.offset < other.end for other in window.areas if other is not area
         )
@@ -39,14 +39,14 @@ class _Run:
     cells: Sequence[Cell]
 
     def show(self) -> None:
-        """The bus knows what a mirror cannot: that nothing answers, or what is not to be read."""
+        """Show the value, or send the client to the bus if nothing answers, or the register must not be read."""
         cell = self.window.cell_at(self.start)
         direct = cell is None or (answers(cell) and cell.register.access is not Access.WO)
         self.window.mirror.ask(self.start, self.length, not direct)
 
 
 class Show:
-    """Follows the regions of a fabric."""
+    """Keeps the mirrors in step with the regions of a fabric."""
 
     def __init__(self, fabric: Fabric) -> None:
         self._runs: dict[Region, list[_Run | _Block]] = defaultdict(list)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class Registers(MutableMapping[str, int]):
-    """The registers of a module by name: what is written here is read on the bus, and the other way round."""
+    """The registers of a module by name: what is written here is read on the bus, and vice versa."""
 
     def __init__(self, cells: Mapping[str, Any]) -> None:
         self._cells = cells
@@ -42,7 +42,7 @@ class Surroundings(Protocol):
         """Bytes of main memory as a master in the PL has them. Raises SimError where none was allocated."""
 
     def send(self, stream: str, data: Any) -> bool:
-        """Let a packet leave on a stream to memory; False where so many wait already that it is lost."""
+        """Let a packet leave on a stream to memory; False if too many wait already, and it is lost."""
 
     def after(self, seconds: float, call: Callable[[], object]) -> None:
         """Do something later, unless another module has been loaded by then."""
@@ -52,7 +52,7 @@ class Model:
     """Base of models with a state. It is made when its module has been loaded, and forgotten with it.
 
     `registers` are those of the module, the configuration and the static part; `memories` are numpy arrays of the
-    form that the schema gives, over the bytes that the bus sees. `outputs` names the streams to memory that the
+    shape that the schema gives, over the bytes that the bus sees. `outputs` names the streams to memory that the
     model fills itself, by `board.send`: nothing else comes on them.
     """
 
@@ -71,7 +71,10 @@ class Model:
         """The bus has written a register; `value` is what it holds now."""
 
     def frame(self, stream: str, frame: NDArray[Any]) -> NDArray[Any] | None:
-        """A packet came in on the channel `stream`: (height, width) bytes, read-only. What leaves; None: nothing."""
+        """A packet came in on the channel `stream`: (height, width) bytes, read-only.
+
+        Returns what leaves; None: nothing.
+        """
         del stream
         return frame
 

@@ -38,7 +38,7 @@ AnyModel = Model | type[StatefulModel]
 
 ENTRY_POINTS = "cm.sim.models"
 _log = logging.getLogger(__name__)
-_LINES = 64  # of a picture worked on at a time, so that what is in between stays in the cache
+_LINES = 64  # of a picture worked on at a time, so that intermediate results stay in the cache
 
 
 def default(frame: Frame, registers: Registers) -> Frame:  # noqa: ARG001 - a model's signature
@@ -128,7 +128,7 @@ class Models:
         self._added[name] = model
 
     def check(self, configs: Iterable[Config]) -> None:
-        """Raise SimError for a module whose `model` is not there."""
+        """Raise SimError for a module whose `model` does not exist."""
         for config in configs:
             for module in config.modules.values():
                 if module.model is not None and module.model not in self._all:
@@ -139,7 +139,7 @@ class Models:
                     )
 
     def load(self, source: str) -> None:
-        """Add those of a Python file or importable module: what its mapping ``MODELS`` holds.
+        """Add the models of a Python file or importable module: those in its mapping ``MODELS``.
 
         Raises:
             SimError: there is no such module, or no ``MODELS`` in it.

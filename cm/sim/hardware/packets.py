@@ -3,7 +3,7 @@
 
 It shares no code with `cm.bitstream`, which says beforehand whether a bitstream is good: a mistake in
 one of them shows where they differ. It does what a device does: follows sync, packets, frames and CRC as
-words come, and keeps the error bits of STAT; it does not judge what no device would mind.
+words come, and keeps the error bits of STAT; it does not object to what no device would object to.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class PortError(Flag):
 
 @dataclass(frozen=True, slots=True)
 class FrameWrite:
-    """Frames that arrived: where, how many words, and whose, where they begin with the mark of our assembler."""
+    """Frames that arrived: where, how many words, and of which module, if they begin with our assembler's mark."""
 
     address: FrameAddress
     words: int
@@ -75,7 +75,7 @@ class ConfigPort:
 
     def reset(self) -> None:
         """Forget everything, as after power-on."""
-        self._due: list[NDArray[np.uint32]] = []  # data whose CRC is not reckoned yet
+        self._due: list[NDArray[np.uint32]] = []  # data whose CRC is not computed yet
         self._rest = b""
         self._state = _State.UNSYNCED
         self._register = self._left = self._crc = self._far = self._count = 0
@@ -169,7 +169,7 @@ class ConfigPort:
                 self._frames()
 
     def _take_in(self, whole: bool) -> None:
-        """The CRC over what came, in blocks that begin at the same words however the data is cut on its way here."""
+        """Update the CRC, in blocks that begin at the same words however the data was divided on its way here."""
         import numpy as np
 
         there = sum(map(len, self._due))

@@ -30,11 +30,11 @@ class Outlet(Protocol):
     """The stream side of a channel."""
 
     def offer(self, name: str, data: NDArray[np.uint8]) -> bool:
-        """Let a packet leave when it has room; False where it is lost."""
+        """Let a packet leave when there is room; False if it is lost."""
 
 
 class RunningModels:
-    """One for each region that holds a module with such a model. A defect of a model is logged, and ends it."""
+    """The models of all regions whose modules have such a model. A defect of a model is logged, and ends it."""
 
     def __init__(
         self, loop: Loop, fabric: Fabric, models: Models, interrupts: InterruptWiring, memory: DmaMemory
@@ -46,7 +46,7 @@ class RunningModels:
         fabric.loaded = self._loaded
 
     def of(self, region: str | None) -> Model | None:
-        """The one that runs in a region."""
+        """The model that runs in a region."""
         return self._running.get(region) if region else None
 
     def fills(self, region: str | None, stream: str) -> bool:
@@ -55,7 +55,7 @@ class RunningModels:
         return model is not None and stream in model.outputs
 
     def written(self, window: Window, offset: int, length: int) -> None:
-        """The bus wrote these bytes: the models whose registers they are hear of it."""
+        """The bus wrote these bytes: tell the models whose registers they are."""
         if not self._running:
             return
         seen = {id(cell): cell for at in range(offset, offset + length) if (cell := window.cell_at(at)) is not None}
@@ -68,7 +68,7 @@ class RunningModels:
         return list(self._running.values()) if region is None else ()
 
     def guarded(self, model: Model, call: Callable[..., Any], *arguments: Any) -> Any:
-        """What the model answers; one that fails runs no more, and the board goes on."""
+        """The model's result; a model that fails is stopped, and the board goes on."""
         try:
             return call(*arguments)
         except Exception:  # noqa: BLE001 - a user's model must not end the board
@@ -94,7 +94,7 @@ class RunningModels:
         place.model = self._running[region.name] = model
 
     def later(self, place: _Place, seconds: float, call: Callable[[], object]) -> None:
-        """Call what a model asked for, if it runs yet."""
+        """Make a call that a model asked for, if it still runs."""
 
         def due() -> None:
             model = place.model
@@ -109,7 +109,7 @@ class RunningModels:
             raise SimError(f"no interrupt is called {name!r}; there are {', '.join(self._fabric.spec.interrupts)}")
 
     def main_memory(self, address: int, length: int) -> NDArray[np.uint8]:
-        """As a master in the PL has it."""
+        """Main memory as a master in the PL sees it."""
         return self._memory.view(address, length)
 
 

@@ -21,7 +21,7 @@ class CameraLink(Link):
     ) -> None:  # fmt: skip
         super().__init__(loop, faults, interrupts, path)
         self._sink, self._reel, self._rate = sink, reel, rate
-        self._credit: int | None = None  # frames that may still come; None: without end
+        self._credit: int | None = None  # frames that may still come; None: no limit
 
     @property
     def frames(self) -> int:
@@ -38,7 +38,7 @@ class CameraLink(Link):
         self._credit = 0
 
     def step(self, frames: int) -> None:
-        """Let so many more come, then pause."""
+        """Let that many more come, then pause."""
         self._credit = (self._credit or 0) + frames
         self.kick()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Attributes of sysfs and configfs as nodes: a file that a simulator must notice being written."""
+"""Attributes of sysfs and configfs as nodes: files for which the simulator must notice that they are written."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator's own attribute ``sim/control``: orders are JSON, and so is what is read."""
+"""The simulator's own attribute ``sim/control``: commands are JSON, and so is what is read."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Owner(Protocol):
 
 
 class Controlled(Protocol):
-    """What of the board takes orders."""
+    """What the control node needs of the board."""
 
     logic: Logic
     fabric: Fabric
@@ -43,10 +43,10 @@ class Controlled(Protocol):
 
     @property
     def parent(self) -> Owner | None:
-        """None: it was started by hand."""
+        """None: it was started manually."""
 
     def kick(self) -> None:
-        """Look whether data can move."""
+        """Check whether data can move."""
 
     def state(self) -> dict[str, object]:
         """What the board holds now."""

@@ -22,7 +22,7 @@ class GpioChipNode:
 
     def __init__(self, chip: Chip, fabric: Fabric, faults: Faults, server: Server) -> None:
         self.chip, self.fabric, self.faults, self.server = chip, fabric, faults, server
-        self.held: dict[int, str] = {}  # by whom
+        self.held: dict[int, str] = {}  # by which client
 
     def open(self, events: Events) -> GpioChipSession:  # noqa: ARG002 (there are none)
         """A new open file."""
@@ -62,7 +62,7 @@ class GpioChipSession:
 
 
 class _Line:
-    """What stands behind the descriptor of a line: it is open from the start, once."""
+    """The node behind a line's descriptor, which is open from the start, once."""
 
     def __init__(self, node: GpioChipNode, line: int) -> None:
         self._node, self._line = node, line
@@ -72,7 +72,7 @@ class _Line:
 
 
 class _LineSession:
-    """One line that is held; at first it is as it was, whatever its direction."""
+    """One line that is held; at first its direction and value are unchanged."""
 
     def __init__(self, node: GpioChipNode, line: int) -> None:
         self._node, self._line = node, line
@@ -96,7 +96,7 @@ class _LineSession:
         self._node.held.pop(self._line, None)
 
     def _configure(self, payload: bytes) -> None:
-        """As an output with a value; nothing else of a line's configuration is here."""
+        """Make it an output with a value; other parts of a line's configuration are not simulated."""
         _sized(protocol.GPIO_LINE_CONFIG, payload)
         flags, count, attribute, values, mask = protocol.GPIO_LINE_CONFIG.unpack(payload)
         wanted = (protocol.GPIO_FLAG_OUTPUT, 1, protocol.GPIO_ATTR_OUTPUT_VALUES, 1)

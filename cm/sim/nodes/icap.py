@@ -63,7 +63,7 @@ class IcapSession:
         """Nothing can be written to the port's file."""
 
     def close(self) -> None:
-        """The file was closed; a load that runs goes on to its end, unheard."""
+        """The file was closed; a load that runs continues to its end, without being reported."""
         self._events = None
         self.buffers.close()
         self._node.sessions.discard(self)

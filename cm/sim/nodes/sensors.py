@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the board measures of itself, in sysfs as the kernel's drivers have it; the values stay as they are.
+"""What the board measures, in sysfs as the kernel's drivers have it; the values do not change.
 
 An XADC (drivers/iio/adc/xilinx-xadc-core.c, 12 bits) or an AMS (xilinx-ams.c) by the device's family, and a power
 monitor of the board (drivers/hwmon/ina2xx.c). They are plain files: write to them for other values.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The options of ``cm sim``, apart from what they need when it runs."""
+"""The options of ``cm sim``, without the imports that running it needs."""
 
 from __future__ import annotations
 

@@ -28,8 +28,8 @@ class Board:
 
     `configs` are schema files or folders of them. Without `root` a folder in memory is made, and
     removed at the end whatever happened to the process. If this process dies, the board ends by
-    itself when no client has used it for five seconds. `program` is the module that is run: what lies
-    behind the nodes may be another's (`cm.rtl`).
+    itself when no client has used it for five seconds. `program` is the module that is run, since others can serve
+    the same nodes (`cm.rtl`).
     """
 
     def __init__(
@@ -62,8 +62,8 @@ class Board:
     def start(self) -> Board:
         """Start the process and wait until its nodes are there.
 
-        If one serves the root whose owner has died, started with the same arguments, it is taken over
-        with all that it holds; one with other arguments is stopped first.
+        If a simulator whose owner has died serves the root already, it is taken over with all its state if it was
+        started with the same arguments, otherwise stopped first.
 
         Raises:
             SimError: it ended instead, with what it said, or did not become ready in time.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A client of the simulator's own control: faults by name, camera steps, what the board holds."""
+"""A client of the simulator's own control: faults by name, camera steps, the board's state."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Control:
         self._order("pause", channel=channel)
 
     def step(self, channel: str, frames: int = 1) -> None:
-        """Let a camera that is held give so many more frames."""
+        """Let a paused camera give that many more frames."""
         self._order("step", channel=channel, frames=frames)
 
     def resume(self, channel: str) -> None:
@@ -57,7 +57,7 @@ class Control:
         self._order("reset")
 
     def trace(self, folder: Path | str | None) -> None:
-        """Have the signals of the RTL written to files in a folder; None ends that.
+        """Write the signals of the RTL to files in a folder; None ends that.
 
         Raises:
             SimError: the logic has no signals, or was compiled without traces (``python -m cm.rtl --traces``).
@@ -69,7 +69,7 @@ class Control:
         self._order("mark", text=text)
 
     def cover(self) -> None:
-        """Have the counts of ``--coverage`` written that there are by now."""
+        """Write the counts of ``--coverage`` so far."""
         self._order("cover")
 
     def adopt(self) -> None:

@@ -19,9 +19,9 @@ from cm.sim.hardware.configuration_memory import digest
 from cm.sim.transport.root import Root
 
 _log = logging.getLogger(__name__)
-_COLUMN_BYTES = 16 * 1024  # about a column of frames
+_COLUMN_BYTES = 16 * 1024  # roughly a column of frames
 _STATIC_FRAMES = 256
-_STATIC_ROW = 31  # where no region of ours lies
+_STATIC_ROW = 31  # contains no region of ours
 
 
 class Firmware:
@@ -32,7 +32,7 @@ class Firmware:
         self._root, self._spec, self._size = root, spec, size
 
     def install(self) -> dict[str, ModuleSpec]:
-        """Write what is missing; what is there already is returned by `digest`, for the port to know."""
+        """Write what is missing; existing bitstreams are returned by `digest`, so that the port recognises them."""
         known: dict[str, ModuleSpec] = {}
         for config in self._spec.configs:
             for module in config.modules.values():
@@ -46,7 +46,7 @@ class Firmware:
         return known
 
     def _module(self, config: Config, module: Module) -> Path | None:
-        """Where the module's bitstream is; None where there was none and it was made."""
+        """The path of the module's bitstream; None if there was none and it was made."""
         try:
             found = bitstream_path(config, module, self._root.path)
         except FileMissing:

@@ -110,7 +110,7 @@ class Machine:
         ControlNode(self).serve(self.server, self.root)
 
     def kick(self) -> None:
-        """Have every link look whether data can move."""
+        """Let every link check whether data can move."""
         for link in self.links.values():
             link.kick()
 
@@ -123,7 +123,7 @@ class Machine:
 
     def state(self) -> dict[str, object]:
         """What the board holds now, for tests and people."""
-        self.kick()  # nothing is lent while we look
+        self.kick()  # nothing is lent while we read the state
         return {
             "pid": os.getpid(),
             "arguments": sys.argv[1:],
@@ -155,7 +155,7 @@ class Machine:
         return channels + sum(len(session.buffers) for session in self.icap_node.sessions)
 
     def _syncs(self) -> dict[str, dict[str, int]]:
-        """What was synchronised, where it has to be."""
+        """The counts of synchronisations, if they are needed."""
         if self.memory.coherent:
             return {}
         channels = {name: node.syncs.totals() for name, node in self.dma_nodes.items()}
@@ -215,7 +215,7 @@ def _with_engines(spec: BoardSpec, options: Options) -> dict[str, ChannelSpec]:
 
 
 def _clock_names(spec: BoardSpec) -> set[str]:
-    """Of the processing system there are four; those that schemas name otherwise are beside them."""
+    """The processing system's four clocks, and others that schemas name."""
     named = {name for config in spec.configs for name in config.clocks}
     numbered = "fclk{}" if spec.device.family.label == "7series" else "pl{}"
     return named | {numbered.format(index) for index in range(4)}

@@ -38,7 +38,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def run(args: argparse.Namespace, make: MakeLogic = SoftwareLogic) -> int:
-    """Serve until a signal or the linger time ends it; `make`: what lies behind the nodes."""
+    """Serve until a signal or the linger time ends it; `make` makes the logic behind the nodes."""
     parent = Parent() if args.linger is not None else None
     try:
         configs, models = _configs(args.config), _models(args.models)

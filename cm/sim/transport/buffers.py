@@ -24,7 +24,7 @@ else:
 
 PAGE = mmap.PAGESIZE
 BASE = 0x1000_0000  # of the memory that is allocated, for masters in the PL
-_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW  # further ones are up to those that share it: the manager, for clients
+_SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW  # the manager may add others for its clients
 _F_SEAL_FUTURE_WRITE = 0x0010  # linux/fcntl.h; the module has it from Python 3.13 on
 
 
@@ -36,13 +36,13 @@ class Buffer:
     def __init__(
         self, fd: int, length: int, allocated: bool, writable: bool = True, counters: Counters | None = None
     ) -> None:
-        """With `counters` (``syncs.py``) the device's view lies behind the processor's."""
+        """With `counters` (``syncs.py``) the device's view follows the processor's."""
         protection = mmap.PROT_READ | (mmap.PROT_WRITE if writable else 0)
         flags, offset = mmap.MAP_SHARED | mmap.MAP_POPULATE, length if counters else 0
         self._mapping = mmap.mmap(fd, length, flags, protection, offset=offset)
         self._array: NDArray[np.uint8] | None = None
         self.length = length
-        self.address = 0  # where devices see it, of memory that was allocated here
+        self.address = 0  # the address that devices see, for memory that was allocated here
         self.allocated = allocated
         self.writable = writable
         self.inflight = 0
@@ -50,7 +50,7 @@ class Buffer:
 
     @property
     def bytes(self) -> NDArray[np.uint8]:
-        """The content; numpy is not there before the board moves its first bytes."""
+        """The content as bytes, without numpy, which is not imported before the board moves its first bytes."""
         if self._array is None:
             self._array = np.frombuffer(self._mapping, np.uint8)
         return self._array
@@ -205,7 +205,7 @@ def _memfd(name: str, length: int) -> int:
 
 
 def _map_foreign(fd: int) -> Buffer:
-    """Map a client's memfd. It must not shrink under us, so it gets the seal, or has it."""
+    """Map a client's memfd. It must not shrink while we use it, so it is sealed, unless it is already."""
     try:
         seals = fcntl.fcntl(fd, fcntl.F_GET_SEALS)
         if not seals & fcntl.F_SEAL_SHRINK:

@@ -69,7 +69,7 @@ class NodeConnection:
         return self._take_back is None and self._events is not None and self._unsent is None
 
     def lend(self, take_back: Callable[[], None]) -> tuple[int, int]:
-        """Serve nothing until `take_back` was called (before we do anything); its descriptors: requests, events."""
+        """Serve nothing until `take_back` (called before we do anything); returns descriptors: requests, events."""
         assert self._events is not None
         self._take_back = take_back
         self._loop.pause(self._sock.fileno())

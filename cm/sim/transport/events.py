@@ -22,7 +22,7 @@ class Line(Protocol):
         """Whether it is open, and nothing waits to be sent."""
 
     def lend(self, take_back: Callable[[], None]) -> tuple[int, int]:
-        """Serve nothing until `take_back` was called (before we do anything); its descriptors: requests, events."""
+        """Serve nothing until `take_back` (called before we do anything); returns descriptors: requests, events."""
 
     def returned(self, op: int, owed: bytes | None) -> None:
         """Serve it again; `owed` is the payload of a reply that was not sent yet."""
@@ -38,7 +38,7 @@ class Events:
         self.sent = 0
 
     def send(self, packet: bytes) -> bool:
-        """Send one packet; False where the client's queue is full or it has gone."""
+        """Send one packet; False if the client's queue is full or it has gone."""
         try:
             self._socket.send(packet)
         except OSError:
@@ -47,7 +47,7 @@ class Events:
         return True
 
     def unread(self) -> int:
-        """Packets sent and not yet read by the client, where they are about 48 bytes long."""
+        """Packets sent and not yet read by the client, if they are about 48 bytes long."""
         try:
             return _queued(self._socket) // self.cost
         except (OSError, ValueError):

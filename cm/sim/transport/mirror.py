@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A window's memory, in a form that clients can map: ``struct cm_node_mirror`` of ``cm_node.h``.
 
-A client reads a register there by a load instruction, as it does on a real board. Where that would not be
-what the bus answers, a flag beside the byte sends it to the bus.
+A client reads a register there by a load instruction, as it does on a real board. If that would differ from the bus's
+answer, a flag beside the byte sends the client to the bus.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _SEALS = fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_GROW
 class Mirror:
     """Values of a window, and for each byte whether the bus has to be asked for it.
 
-    Pages come into being when they are written: a window may be large and hold two registers.
+    Pages are allocated when they are written, since a window may be large and hold two registers.
     """
 
     def __init__(self, name: str, size: int) -> None:
@@ -32,7 +32,7 @@ class Mirror:
         self._flags = mmap.mmap(self._fd, self.size, offset=self.size)
 
     def ask(self, offset: int, length: int, ask: bool) -> None:
-        """Say whether the bus has to be asked for some bytes."""
+        """Set whether the bus has to be asked for some bytes."""
         self._flags[offset : offset + length] = (b"\1" if ask else b"\0") * length
 
     def clear(self) -> None:
@@ -40,7 +40,7 @@ class Mirror:
         self.values.madvise(mmap.MADV_REMOVE)
 
     def descriptor(self) -> int:
-        """A descriptor to pass on, the caller's. Raises NodeError where there are no more."""
+        """A descriptor to pass on, the caller's. Raises NodeError if there are no more."""
         try:
             return os.dup(self._fd)
         except OSError as error:

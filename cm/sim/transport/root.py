@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The folder that a simulated board serves: lock, plain files, sockets, and their removal.
 
-A lock file says who is alive. What was made is written into a manifest beside it, so that a
+A lock file shows whether a simulator is alive. Whatever is made is listed in a manifest beside it, so that a
 simulator that starts where another was killed removes what that one left, and nothing else.
 """
 
@@ -41,7 +41,7 @@ def fresh_folder(prefix: str) -> Path:
 
 
 def remove(folder: Path) -> None:
-    """A folder with all that is in it, as far as that is allowed."""
+    """Remove a folder with its content, as far as that is allowed."""
     import shutil
 
     shutil.rmtree(folder, ignore_errors=True)
@@ -131,7 +131,7 @@ class Root:
         os.close(self._lock)
         os.close(self._dir)
         if self._fresh:
-            remove(self.path)  # ours alone: what clients wrote goes too
+            remove(self.path)  # the folder is ours alone, so what clients wrote goes too
         elif self._own:
             _remove(self.path)
 

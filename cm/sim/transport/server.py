@@ -89,7 +89,7 @@ class Server:
             self._connections.add(connection)
 
     def _rest(self, listener: socket.socket, error: OSError) -> None:
-        """Out of descriptors or memory: the client waits, and we do not spin."""
+        """Out of descriptors or memory: let the client wait, without a busy loop."""
         _log.warning("a client could not be served at once: %s", error)
         self.loop.pause(listener.fileno())
         self.loop.call_later(_REST, lambda: self._resume(listener))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory that is not coherent: the processor's view of a buffer beside the device's, and who brought them together.
+"""Memory that is not coherent: the processor's and the device's view of a buffer, and counts of what joined them.
 
 A buffer's memfd holds the processor's view, then the device's, then a page of counters. What stands for
-``DMA_BUF_IOCTL_SYNC`` (``csrc/tests/sim_dma_buf.c``) copies between the views and counts: so who forgets a
-call reads old bytes, or sends them.
+``DMA_BUF_IOCTL_SYNC`` (``csrc/tests/sim_dma_buf.c``) copies between the views and counts: so code that forgets a call
+reads or sends old bytes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Counters:
 
     @property
     def holders(self) -> int:
-        """Starts that no end has followed yet."""
+        """Starts without an end so far."""
         return int(_COUNTERS.unpack_from(self._page)[1])
 
     def counts(self) -> tuple[int, ...]:
@@ -41,14 +41,14 @@ class Syncs:
     def __init__(self) -> None:
         self._live: list[Counters] = []
         self._before = (0,) * len(_KEYS)
-        self.early = 0  # transfers into or out of a buffer that the processor had not given up
+        self.early = 0  # transfers into or out of a buffer that the processor was still using
 
     def add(self, counters: Counters) -> None:
         """A new buffer."""
         self._live.append(counters)
 
     def submitted(self, counters: Counters) -> None:
-        """The device gets a buffer."""
+        """The device is given a buffer."""
         self.early += counters.holders > 0
 
     def forget(self, counters: Counters) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 from cm import fdt
 
 PLATFORM = Path("/sys/bus/platform/devices")
-TREE = Path("/proc/device-tree")
 # compatible string → the kernel's driver; the first two are linux-xlnx's alone
 MAINLINE_HAS_NONE = ("xlnx,zynq-afi-fpga", "xlnx,afi-fpga")
 DRIVERS = {
