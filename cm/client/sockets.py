@@ -94,7 +94,7 @@ class Sockets:
         with self.ending():
             socket = self._new(zmq.DEALER)
             socket.setsockopt(zmq.IMMEDIATE, int(immediate))
-            # A lost peer must be heard of at once on ipc, and within seconds over a dead network.
+            # The loss of a peer must be noticed at once on ipc, and within seconds over a dead network.
             socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
             socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
             monitor = socket.get_monitor_socket(EVENTS)

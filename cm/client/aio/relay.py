@@ -82,7 +82,7 @@ class Relay:
         return Subscription(self._sockets, topics, depth)
 
     async def close(self) -> None:
-        """Disconnect; who waits gets ConnectionLost. Of the manager nothing is told any more."""
+        """Disconnect; calls that wait get ConnectionLost. Of the manager nothing is told any more."""
         self._changed = lambda _: None
         for task in self._tasks:
             task.cancel()

@@ -80,10 +80,7 @@ class Change:
 
 
 class Worker:
-    """The queue of changes and its thread.
-
-    A defect in one change, or in a callback at its end, must not harm later changes.
-    """
+    """The queue of changes and its thread. A defect in one change, or at its end, must not harm later ones."""
 
     def __init__(self, tools: Tools, leases: Leases, prefetches: bool) -> None:
         """`prefetches`: between changes, images of the loaded configuration are read ahead."""
