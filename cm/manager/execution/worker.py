@@ -221,10 +221,7 @@ class Worker:
             raise rollback.run(failure_of(run, error)) from error  # in no variable: its traceback has this frame
 
     def _check_board(self) -> None:
-        """Ask the board for an answer when there is nothing to do, as otherwise its absence would go unnoticed.
-
-        Raises its error.
-        """
+        """Ask the board for anything: nobody would notice its absence if nothing is to be done. Raises its error."""
         try:
             self._tools.devices.check()
         except CmError:
