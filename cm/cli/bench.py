@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
         results: list[Result] = []
         for case in cases:
             results += _measure(case, bench, args.names)
-            if args.json:  # what was measured is kept if a later case is cut off
+            if args.json:  # so that results are kept if a later case is interrupted
                 report.write(args.json, results, {**found, "load_after": list(os.getloadavg())})
     print_table(report.rows(results), report.HEADERS)
     if args.plots:

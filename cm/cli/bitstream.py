@@ -107,7 +107,7 @@ def run_convert(args: argparse.Namespace) -> int:
 
 
 def _refuse_loss(source: Path, output: Path, form: Container) -> None:
-    """In place, what the output cannot hold would be gone for good."""
+    """Refuse to overwrite the input if the output cannot hold all of it: the rest would be lost."""
     image = open_image(source)
     if not output.exists() or not output.samefile(source):
         return
@@ -119,7 +119,7 @@ def _refuse_loss(source: Path, output: Path, form: Container) -> None:
 
 
 def _write(output: Path, data: bytes) -> None:
-    """Whole or not at all, where the output is a file: it may be what was read."""
+    """Write whole or not at all, if the output is a file, since it may be the input."""
     if output.exists() and not output.is_file():
         output.write_bytes(data)
         return

@@ -43,14 +43,14 @@ def add_node_options(parser: argparse.ArgumentParser) -> None:
 
 
 def name_of(args: argparse.Namespace) -> NodeName:
-    """The node's name. Raises InvalidRequest for what is none."""
+    """The node's name. Raises InvalidRequest for an invalid one."""
     from cm.ros.node import NodeName
 
     return NodeName(args.name, args.namespace)
 
 
 def domain_of(args: argparse.Namespace) -> int:
-    """The domain that was named, or ROS_DOMAIN_ID. Raises InvalidRequest for what is none."""
+    """The domain that was named, or ROS_DOMAIN_ID. Raises InvalidRequest for an invalid one."""
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if args.domain is None and not text.isdecimal():
         raise InvalidRequest(f"ROS_DOMAIN_ID is {text!r}; a number from 0 to {_MOST} is wanted")
@@ -84,16 +84,16 @@ def serve(args: argparse.Namespace, transport: Transport, name: NodeName) -> Non
         _look(node, ended, following)
     finally:
         follower.stop()
-        commands.close()  # before all that waits for its threads: it frees those that wait for the manager
+        commands.close()  # before anything that waits for its threads, since it frees those that wait for the manager
         following.join()
         node.close()
 
 
 def end() -> NoReturn:
-    """End the process, whatever its threads are at.
+    """End the process, whatever its threads are doing.
 
-    Those that answer requests may still hold what is of a middleware's library. One that is inside such a library
-    when the interpreter is taken apart aborts the process.
+    Those that answer requests may still use objects of a middleware's library, and a thread inside such a library
+    aborts the process when the interpreter shuts down.
     """
     sys.stdout.flush()
     sys.stderr.flush()

@@ -67,7 +67,7 @@ def _parameter(text: str) -> tuple[str, str]:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what was found; 0 also where something could not be told."""
+    """Print what was found; 0 even if something could not be determined."""
     modules, problems = _modules(args)
     stated = load_component_xml(args.ipxact) if args.ipxact else None
     differences = {

@@ -32,7 +32,7 @@ def add_tools_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
 
 
 def run_tools(args: argparse.Namespace) -> int:
-    """Fetch if asked, and say what is there."""
+    """Fetch if asked to, and say what is installed."""
     found = fetch_tools(args.tools, args.mirror) if args.fetch else find_tools(args.tools)
     if args.json:
         print_json(_dict(found))

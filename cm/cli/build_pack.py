@@ -66,7 +66,7 @@ def run_pack(args: argparse.Namespace) -> int:
 
 
 def _folders(project: Project, modules: list[str]) -> list[Path]:
-    """What steps read as a whole: include folders, and those of IP."""
+    """Folders that steps read as a whole: include folders, and those of IP."""
     found = [] if modules else list(project.static.include_dirs)
     for module in project.modules.values():
         names = {module.name, *(f"{module.name}_{region}" for region in module.regions)}

@@ -69,7 +69,7 @@ def run_run(args: argparse.Namespace) -> int:
 
 
 def _stale(schema: Path, out: Path) -> str:
-    """A sentence where the generated files are not those of the build schema and the HDL as they are now."""
+    """A sentence if the generated files are not those of the present build schema and HDL."""
     try:
         names = behind(load_design(schema), out)
     except (

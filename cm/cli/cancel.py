@@ -14,7 +14,7 @@ from cm.messages.status import Status
 if TYPE_CHECKING:
     from cm.client.board import Board
 
-_PATIENCE = 5.0  # seconds without a word from the manager, until it is asked
+_PATIENCE = 5.0  # seconds without a message from the manager, after which it is asked
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

@@ -24,7 +24,7 @@ EXIT_INTERRUPTED = 130
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Those of the command, but for the stream."""
+    """Add the command's arguments, except the stream."""
     parser.add_argument(
         "file", metavar="FILE", help="NAME.npy, NAME.png (numbered if several), NAME.raw, or - for standard output"
     )
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run_capture(args: argparse.Namespace) -> int:
-    """Write frames; the exit status. What came before a failure, or Ctrl-C, is in the files."""
+    """Write frames; the exit status. Frames that came before a failure or Ctrl-C are in the files."""
     to = sink(args.file, args.format, args.count == 1, sys.stdout.buffer)
     capture = _Capture(to)
     try:

@@ -83,7 +83,7 @@ def _check_file(path: Path) -> Checked:
 
 
 def _check_settings(path: Path) -> Checked:
-    """A settings file; what the files in it are for is not looked at here."""
+    """Check a settings file, but not the files that it names."""
     try:
         good = parse_settings(sys.stdin.read(), path) if path == _STDIN else load_settings(path)
     except SettingsError as error:
@@ -103,7 +103,7 @@ def _check_folder(folder: Path) -> list[Checked]:
 
 
 def _apart(result: Checked, found: dict[str, Path]) -> Checked:
-    """`result`, with a problem more where its configuration has the name of one before it."""
+    """`result`, with a further problem if an earlier configuration has the same name."""
     if result.config is None:
         return result
     first = found.setdefault(result.config.name, result.path)

@@ -21,7 +21,7 @@ class Command(NamedTuple):
 
 
 class CommandModule(Protocol):
-    """What a command's module has. `add_parser` adds a parser with ``set_defaults(run=run)``."""
+    """The interface of a command's module. `add_parser` adds a parser with ``set_defaults(run=run)``."""
 
     def add_parser(self, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None: ...
 
@@ -80,7 +80,7 @@ def find_command(name: str) -> Command | None:
 
 
 def add_command(command: Command, subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Import `command` and add its parser; raises `CommandMissing` where it, or what it needs, is not there."""
+    """Import `command` and add its parser; raises `CommandMissing` if it, or a package that it needs, is missing."""
     if command.linux and sys.platform != "linux":
         raise CommandMissing(
             f"`cm {command.name}` is for the board, or another machine with Linux. What talks to a board works here: "

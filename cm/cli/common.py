@@ -41,13 +41,13 @@ def add_json_option(parser: argparse.ArgumentParser) -> None:
 
 
 def print_json(value: Any, lines: bool = False) -> None:
-    """Print `value` as JSON; with `lines` on one line, for output that goes on (JSON Lines)."""
+    """Print `value` as JSON; with `lines` on one line, for continuing output (JSON Lines)."""
     text = json.dumps(value, default=_plain, ensure_ascii=False, indent=None if lines else 2)
     print(text, flush=lines)
 
 
 def _plain(value: object) -> Any:
-    """What JSON has no word for: mappings that are not a dict, and paths."""
+    """Values that JSON does not know: mappings that are not a dict, and paths."""
     if hasattr(value, "keys") and hasattr(value, "__getitem__"):
         return {key: value[key] for key in value.keys()}  # noqa: SIM118 - a mapping proxy, or the like
     return str(value)
@@ -64,7 +64,7 @@ def print_table(rows: Iterable[Sequence[object]], headers: Sequence[str]) -> Non
 
 
 def _harmless(text: str) -> str:
-    """Names that others chose, without what a terminal would obey."""
+    """Names that others chose, without control characters for the terminal."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 

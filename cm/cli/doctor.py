@@ -139,7 +139,7 @@ def _verdict(found: Survey, findings: list[dict[str, str]]) -> list[str]:
 
 
 def _expected(found: Survey) -> bool:
-    """Whether this is meant to be a board: its root was named, or it shows any FPGA device of ours.
+    """Whether this should be a board: its root was named, or it has any FPGA device of ours.
 
     Overlays and modules do not count, nor UIO: other machines have them too.
     """

@@ -117,7 +117,7 @@ def run_recover(args: argparse.Namespace) -> int:
 
 
 def _still_open(statuses: Mapping[str, BoardStatus | ErrorInfo]) -> str:
-    """Changes that somebody may be at."""
+    """Changes that are still open."""
     from cm.fleet.change import member
     from cm.messages.status import ErrorInfo
 

@@ -108,7 +108,7 @@ def clock_words(status: BoardStatus) -> str:
 
 
 def clocks_line(found: Mapping[str, Any]) -> str:
-    """How far stamps of these boards agree."""
+    """How closely timestamps of these boards agree."""
     from cm.fleet.clocks import said_apart
     from cm.messages.status import ErrorInfo
 

@@ -55,7 +55,7 @@ def network_of(args: argparse.Namespace, **more: object) -> Network:
 
 
 def add_fleet_options(parser: argparse.ArgumentParser, boards: bool = True) -> None:
-    """Add which boards, and what `add_network_options` adds, with who asks and for how long it waits."""
+    """Add the boards, the options of `add_network_options`, the caller's name, and the time-out."""
     if boards:
         parser.add_argument(
             "boards", nargs="*", default=[], metavar="BOARD", help="a name, a glob or @LABEL (default: all)"

@@ -19,10 +19,9 @@ _PATIENCE = 3.0  # seconds for its answer
 
 
 def followed(board: Board, events: EventStream[_T]) -> Iterator[_T]:
-    """Each event. On standard error: that the manager does not answer, and that it does again, once each.
+    """Each event. On standard error it says once that the manager does not answer, and once that it does again.
 
-    ZeroMQ connects and subscribes again by itself, without a word: a manager that has gone looks like one that has
-    nothing to tell.
+    ZeroMQ reconnects and subscribes again silently, so a manager that has gone looks like one that has nothing to say.
     """
     answers = True
     with events:

@@ -21,7 +21,7 @@ FORMATS = ("npy", "png", "raw")
 
 
 class Incomplete(CmError):
-    """A frame could not be written; those before it are there."""
+    """A frame could not be written; those before it were."""
 
     code = "io"
 
@@ -78,7 +78,7 @@ class NpyFiles:
         self._tell()
 
     def _tell(self) -> None:
-        """Overwrites what is there: a full disk has room for it."""
+        """Overwrites the old header, which works on a full disk too."""
         assert self._file is not None
         shape, dtype = self._like
         text = f"{{'descr': {np.lib.format.dtype_to_descr(dtype)!r}, 'fortran_order': False, 'shape': "
@@ -175,7 +175,7 @@ class Output:
 
 
 def sink(file: str, form: str, alone: bool, stdout: IO[bytes]) -> Sink:
-    """Where to write by a file's name. Raises InvalidRequest for a name that says no format."""
+    """The writer for a file, by its name. Raises InvalidRequest for a name without a known format."""
     path = Path(file)
     if file == "-":
         return Output(stdout, form or "npy")

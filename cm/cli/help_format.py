@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How help is set: argparse's formatters, with less behind them."""
+"""The layout of help: argparse's formatters, with fewer imports."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm lease list|break``: who holds what, and to end that."""
+"""``cm lease list|break``: list leases, and end those of others."""
 
 from __future__ import annotations
 

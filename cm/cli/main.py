@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _absent(part: str) -> str:
-    """Distributions split the package; the simulated board and the bridges are more than the folder of their name."""
+    """The error for a missing part: distributions split the package, and say which of their packages has it."""
     name = _PACKAGES.get(part, part)
     return f"cm.{part} is not installed here: on Debian it is in fpga-cm-{name}, on Yocto in python3-fpga-cm-{name}"
 
@@ -105,7 +105,7 @@ def _sentence(error: OSError) -> str:
 
 
 def _drop_output() -> None:
-    """Send what is still buffered nowhere, so that the interpreter's end does not complain of it."""
+    """Discard what is still buffered, so that the interpreter does not complain about it at its end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)

@@ -24,7 +24,7 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*args, **kwargs)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
-        """Refuse what is left over here, by the command that it stands behind: `cm` itself would show its own usage."""
+        """Refuse leftover arguments here, in the parser of their command: `cm` itself would show its own usage."""
         known, left = super().parse_known_args(args, namespace)
         if left:
             self.error(f"unrecognized arguments: {' '.join(left)}")

@@ -138,7 +138,7 @@ def _written(board: Board, names: tuple[str, ...]) -> Iterator[tuple[str, int]]:
 
 
 def _changed(board: Board, names: tuple[str, ...], every: float) -> Iterator[tuple[str, int]]:
-    """What they hold now, and then whatever differs from the look before."""
+    """What they hold now, and then whatever differs from the last look."""
     before: dict[str, int] = {}
     while True:
         now = board.registers.read(*names)

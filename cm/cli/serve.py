@@ -148,7 +148,7 @@ def _ready(sentence: str) -> None:
 
 
 def _say(sentence: str) -> None:
-    """On stderr; where that is a file on a full disk, we serve none the less."""
+    """Print to stderr; if that is a file on a full disk, we serve nevertheless."""
     with suppress(OSError):
         print(sentence, file=sys.stderr, flush=True)
 
@@ -160,18 +160,18 @@ def _level(args: argparse.Namespace, settings: Settings | None) -> int:
 
 
 def _log_to(level: int, service: bool) -> None:
-    """The journal with its fields where it listens, else lines on stderr."""
+    """Log to the journal with its fields if it listens, otherwise as lines on stderr."""
     from cm.daemon.host.journald import journal_handler
 
     handler = journal_handler() or logging.StreamHandler(sys.stderr)
     handler.setFormatter(Lines(f"{'cm serve: ' if isinstance(handler, logging.StreamHandler) else ''}%(message)s"))
     logging.basicConfig(level=level, handlers=[handler])
-    if service:  # who did what belongs into a service's log, whatever else does
+    if service:  # who did what belongs in a service's log at any level
         logging.getLogger("cm.audit").setLevel(logging.INFO)
 
 
 class Lines(logging.Formatter):
-    """Records as lines that nothing from outside can forge: what follows the first is set in, all else is escaped."""
+    """Records as lines that nothing from outside can forge: further lines are indented, control characters escaped."""
 
     def format(self, record: logging.LogRecord) -> str:
         """One record."""
@@ -193,7 +193,7 @@ def _obey_signals(server: Server) -> None:
 
 
 def _has_terminal() -> bool:
-    """Whether SIGHUP means that our terminal went away; a service has none, and is asked to reload."""
+    """Whether SIGHUP means that our terminal went away; a service has none, and reloads instead."""
     try:
         os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY | os.O_CLOEXEC))
     except OSError:

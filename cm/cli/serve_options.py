@@ -32,13 +32,13 @@ _LOCAL = ("127.0.0.1", "localhost", "[::1]")
 
 
 class InsecureListen(CmError):
-    """Listening for everybody without keys was not asked for in so many words."""
+    """Listening for everybody without keys was not requested explicitly."""
 
     code = "insecure_listen"
 
 
 def settings_of(args: argparse.Namespace) -> Settings | None:
-    """The settings that count: those of a file, with the flags' values in their place. None: there is no file.
+    """The settings in effect: those of a file, overridden by the flags. None: there is no file.
 
     The system's file is read unless another is named or the board is simulated.
     """
@@ -64,9 +64,9 @@ def _flags(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def configs_of(paths: Sequence[Path], settings: Settings | None) -> tuple[dict[str, Config], tuple[str, ...]]:
-    """The configurations of ``--config``, else those along the settings' search path; and what was left out.
+    """The configurations of ``--config``, or else those along the settings' search path; and what was left out.
 
-    What was named on the command line must be right; what lies on the search path may be left out.
+    A schema named on the command line must be valid; one on the search path may be left out.
     """
     from cm.cli.signatures import policy_of, signed_only
 
@@ -100,7 +100,7 @@ def load_configs(paths: Sequence[Path]) -> dict[str, Config]:
 
 
 def security_of(listen: Sequence[str], keys: Path | None, insecure: bool) -> Security | None:
-    """The keys, where there are some. Raises InsecureListen where others could reach the board without."""
+    """The keys, if there are any. Raises InsecureListen if others could reach the board without keys."""
     if keys:
         from cm.cli.keys import load_server_keys
 
@@ -130,7 +130,7 @@ def access_of(settings: Settings | None, keys: Path | None) -> tuple[Access, tup
 
 
 def group_of(settings: Settings | None) -> int | None:
-    """The group of the runtime folder. Raises InvalidRequest for one that this system does not have."""
+    """The group of the runtime folder. Raises InvalidRequest for an unknown group."""
     name = (settings or Defaults()).access.group
     if not name:
         return None
@@ -155,7 +155,7 @@ def default_state_dir(runtime: Path, sim: bool) -> Path:
 
 
 def default_runtime_dir() -> Path:
-    """Where the sockets lie by default: what the service manager made for us, else as clients look for it."""
+    """Where the sockets lie by default: what the service manager made for us, or else where clients look for it."""
     given = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
     if given:
         return Path(given)
@@ -167,7 +167,7 @@ def default_runtime_dir() -> Path:
 def read_again(args: argparse.Namespace, paths: Sequence[Path], began: Settings | None) -> Reloaded:
     """What a reload finds: schemas and keys as they are now. Raises CmError, OSError.
 
-    `began`: the settings of the start; what has changed in them and takes a restart is noted.
+    `began`: the settings of the start; changes in them that need a restart are noted.
     """
     from cm.daemon.host.reload import Reloaded
 
@@ -209,13 +209,13 @@ def _needs_restart(began: Settings | None, now: Settings | None) -> tuple[str, .
         for name in began.__slots__
         if name not in ("configs", "access", "limits") and getattr(began, name) != getattr(now, name)
     ]
-    if began.limits.message_mib != now.limits.message_mib:  # which sockets are told before they are bound
+    if began.limits.message_mib != now.limits.message_mib:  # which has to be set before sockets are bound
         names.append("limits.message_mib")
     return tuple(f"settings: {name} has changed; it counts after a restart" for name in names)
 
 
 def quota_of(settings: Settings) -> Quota:
-    """How much configurations of clients may take."""
+    """How much space configurations of clients may take."""
     from cm.daemon.host.sent import Quota
 
     said = settings.limits
@@ -223,7 +223,7 @@ def quota_of(settings: Settings) -> Quota:
 
 
 def limits_of(settings: Settings) -> Limits:
-    """How much clients may take, in bytes."""
+    """The limits of clients, in bytes."""
     from cm.daemon.limits import MIB, Limits
 
     said = settings.limits

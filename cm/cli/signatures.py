@@ -12,7 +12,7 @@ from cm.signing import Policy, SignatureRefused, SigningUnavailable, judge
 
 
 def policy_of(settings: Settings | None) -> Policy:
-    """What the settings say of signatures; without settings none is looked at."""
+    """What the settings say about signatures; without settings they are ignored."""
     if settings is None:
         return Policy()
     said = settings.policy
@@ -20,7 +20,7 @@ def policy_of(settings: Settings | None) -> Policy:
 
 
 def signed_only(configs: Mapping[str, Config], policy: Policy) -> tuple[dict[str, Config], tuple[str, ...]]:
-    """Return the configurations that the policy lets through, and a sentence for each other or doubtful one."""
+    """Return the configurations that the policy accepts, and a sentence for each refused or doubtful one."""
     kept, sentences = {}, []
     for name, config in configs.items():
         try:

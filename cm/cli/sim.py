@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm sim``: serve a simulated board; ``cm sim inject|state|…``: tell a running one what to do."""
+"""``cm sim``: serve a simulated board; ``cm sim inject|state|…``: control a running one."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _act(args: argparse.Namespace) -> int:
 
 
 def _coverage(args: argparse.Namespace) -> int:
-    """Of a board that runs (``--root``) up to now; of those that have ended without it."""
+    """The coverage of a running board (``--root``) so far, or of boards that have ended."""
     from cm.errors import CmError
     from cm.rtl.coverage import report, table
     from cm.sim import Control

@@ -16,9 +16,9 @@ from cm.sim.process.child import Board
 
 _START_TIMEOUT = 300.0  # seconds: the first time, a design's HDL is compiled
 _LOG = logging.getLogger("cm")
-_LOOK = 0.5  # seconds between two looks whether it runs
+_LOOK = 0.5  # seconds between two checks whether it runs
 _PATIENCE = 1.0  # seconds that it stays down: Ctrl-C ends both at once
-_STARTS = 100  # of a board that ends again and again
+_STARTS = 100  # of a board that keeps ending
 _LINGER = "30"  # seconds that a board without a manager keeps its state
 
 
@@ -44,7 +44,7 @@ def simulated_board(
 
 @contextlib.contextmanager
 def _kept_running(board: Board) -> Iterator[None]:
-    """Start a board again that ends while the context lasts; the manager finds out what it holds then."""
+    """Start a board again that ends while the context lasts; the manager then finds out what it holds."""
     over = threading.Event()
     keeper = threading.Thread(target=_keep, args=(board, over), name="cm-board-keeper", daemon=True)
     keeper.start()
@@ -84,15 +84,15 @@ def _refuse_where_served(runtime: Path) -> None:
     except BlockingIOError:
         from cm.daemon.endpoints import FolderLock
 
-        FolderLock(runtime).release()  # raises, with who it is
+        FolderLock(runtime).release()  # raises, naming the holder
     except OSError:
-        return  # no manager ever served there, or what is wrong is told by the daemon
+        return  # no manager has ever served there, or the daemon will report the error
 
 
 def schema_of_build(build: Path, runtime: Path, kind: str) -> Path:
     """The runtime schema of a build schema, written where the simulated board's manager finds it again.
 
-    For bits that which `cm build collect` has made, as it is.
+    For bits, the one that `cm build collect` has made, unchanged.
     """
     if kind == "bits":
         from cm.bits.files import collected

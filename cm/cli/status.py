@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def run_clients(args: argparse.Namespace) -> int:
-    """Print what each client takes; the exit status."""
+    """Print what each client uses; the exit status."""
     with connected(args) if args.wait is None else awaited(args, args.wait) as board:
         clients = board.clients()
     if args.json:
@@ -121,7 +121,7 @@ def _megahertz(rate: int) -> str:
 
 
 def headline(status: Status) -> str:
-    """What goes on, in a few words."""
+    """What is going on, in a few words."""
     if status.progress:
         p = status.progress
         return f"{status.pr_mode.value}: {p.target_config}/{p.target_mode}, {p.step} {p.subject} ({p.fraction:.0%})"

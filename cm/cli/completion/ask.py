@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Questions to the manager that runs, for completion: one at a time, given up soon."""
+"""Questions to the running manager, for completion: one at a time, with a short time-out."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm completion names``: what may stand in a command line, of the manager and the board that it speaks of.
+"""``cm completion names``: names of the manager and its board that may be typed in a command line.
 
 It runs at each Tab, so it is silent where no manager serves, gives up soon, and imports neither numpy nor the clients.
 """
@@ -49,7 +49,7 @@ def _innermost(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[a
 def _position(
     parser: argparse.ArgumentParser, words: Sequence[str]
 ) -> tuple[argparse.Action | None, list[str], dict[str, str]]:
-    """What the next word is for, the arguments before it, and options with their values."""
+    """The argument that the next word is for, the arguments before it, and options with their values."""
     values: list[str] = []
     options: dict[str, str] = {}
     waiting: argparse.Action | None = None
@@ -117,7 +117,7 @@ _KINDS: Mapping[str, Callable[[ConfigInfo, str], Iterable[str]]] = {
 
 
 def _targets(asker: Asker, values: Sequence[str]) -> Iterable[str]:
-    """What a fault may be aimed at, by the first word of what is said of its kind."""
+    """The targets of a fault, by the first word of the description of its kind."""
     from cm.sim.faults import KINDS
 
     what = KINDS.get(values[0], "").split(";")[0].split(" ")[0] if values else ""
