@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work that reads or writes files: one after the other in a thread of its own, while the loop goes on, by turns."""
+"""Work that reads or writes files: one job after the other, in a thread of its own, while the loop goes on."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from cm.daemon.loop import Loop
 from cm.errors import Busy
 
 _T = TypeVar("_T")
-Result = Callable[[], _T]  # returns what the work returned, or raises what it raised
+Result = Callable[[], _T]  # returns the job's result, or raises what it raised
 _Job = tuple[Callable[[], Any], Callable[[Result[Any]], None]]
 
 
 class Aside:
-    """A client's works in the order of its requests; of several clients, who has spent least comes next.
+    """A client's jobs in the order of its requests; of several clients, the one that has used least comes next.
 
-    What a work takes of a processor is reckoned as spent, since it is not there for the loop meanwhile. The loop's
-    thread; works run in another.
+    The processor time of a job counts as used, because the loop cannot have it meanwhile. In the loop's thread; jobs
+    run in another.
     """
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
-        self.thread = ThreadPoolExecutor(1, "cm-files")  # what is given to it directly waits for one work at most
+        self.thread = ThreadPoolExecutor(1, "cm-files")  # work that is given to it directly waits for one job at most
         self._waiting: dict[Budget, deque[_Job]] = {}
         self._runs = False
 
@@ -44,7 +44,7 @@ class Aside:
         self._go_on()
 
     def close(self) -> None:
-        """Forget what waits, and let what runs end."""
+        """Forget the jobs that wait, and let the running one end."""
         self._waiting.clear()
         self.thread.shutdown()
 
@@ -56,7 +56,7 @@ class Aside:
         jobs = self._waiting.pop(client)
         work, then = jobs.popleft()
         if jobs:
-            self._waiting[client] = jobs  # of those who have spent as much, behind the others
+            self._waiting[client] = jobs  # after others that have used as much
         self._runs = True
         self.thread.submit(self._run, client, work, then)
 

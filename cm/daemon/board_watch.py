@@ -43,17 +43,17 @@ class BoardWatch:
         self._begin()
 
     def noticed(self, error: Exception) -> None:
-        """A request met an error; of a board that has gone nothing is known any more."""
+        """A request met an error; if the board has gone, nothing is known of it any more."""
         if isinstance(error, DeviceGone):
             self._manager.board_lost(error)
 
     def look(self) -> None:
-        """Deal with a board that was started anew, or that slept; called now and then."""
+        """Deal with a board that was restarted, or that slept; called now and then."""
         self._look_for_restart()
         self._look_for_sleep()
 
     def _look_for_restart(self) -> None:
-        """It holds nothing of what is recorded."""
+        """A restarted board holds nothing of what is recorded."""
         boot_id = self._boot_id()
         if boot_id == self._known or not boot_id or self._manager.status().fpga_busy:
             return

@@ -45,7 +45,7 @@ class Description:
 
 
 class SentConfigs:
-    """What clients sent, and who may do what with it. The loop's thread."""
+    """Configurations that clients sent, and who may do what with them. The loop's thread."""
 
     def __init__(self, manager: Manager, provisioner: Provisioner, sessions: Sessions) -> None:
         self._manager = manager
@@ -64,12 +64,12 @@ class SentConfigs:
         return replace(listed, entries=tuple(entries))
 
     def sender(self, connection: str) -> Sender:
-        """Who sends over a connection."""
+        """The sender on a connection."""
         who = self._sessions.gate.principal(connection)
         return Sender(who.account, str(who), self._sessions.gate.everywhere(connection) >= Role.ADMIN)
 
     def allowed(self, connection: str) -> Callable[[str], None]:
-        """Asked in another thread about a configuration's name, once it is known. It raises Forbidden, ChangeBusy."""
+        """The check of a configuration's name, made in another thread once it is known: Forbidden, ChangeBusy."""
         who, rights = self._sessions.gate.principal(connection), self._sessions.gate.rights(connection)
 
         def ask(name: str) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who is connected over ZeroMQ, and how many may be: `cm.native.guard` below libzmq, with this manager's bounds.
+"""The connections over ZeroMQ, and how many there may be: `cm.native.guard` below libzmq, with this manager's bounds.
 
-libzmq cannot refuse a connection, and ends its process where descriptors run out; docs/decisions/guarded-connections.md
+libzmq cannot refuse a connection, and ends its process when descriptors run out; docs/decisions/guarded-connections.md
 says what was tried.
 """
 
@@ -27,11 +27,11 @@ from cm.native.guard import REQUESTS, TOPICS
 __all__ = ["REQUESTS", "TOPICS", "Connections", "listening", "raise_descriptors"]
 
 _LOG = logging.getLogger("cm")
-_DESCRIPTORS = 65536  # asked for, where as many are allowed
+_DESCRIPTORS = 65536  # requested, if as many are allowed
 _RESERVE = 128  # descriptors that no connection takes: for devices, frames, files and leases
 _NEWCOMERS = 64  # connections for clients that have few
 PARTS = 300  # of one message
-_TOPICS = 1024  # subscriptions and their ends at once; 64 more each second
+_TOPICS = 1024  # subscriptions and unsubscriptions at once; 64 more each second
 _CAUSES = {
     "full": "as many are connected as may be (limits.connections)",
     "each": "it has as many connections as one client may have (limits.connections_each)",
@@ -56,7 +56,7 @@ def raise_descriptors() -> None:
 
 @contextmanager
 def listening(kind: int) -> Iterator[None]:
-    """What this thread binds meanwhile is guarded."""
+    """Sockets that this thread binds meanwhile are guarded."""
     guard.expect(kind)
     try:
         yield
@@ -65,10 +65,10 @@ def listening(kind: int) -> Iterator[None]:
 
 
 class Guarded:
-    """Connections by their descriptors, if they are still of who is at a place."""
+    """Connections by their descriptors, as long as they come from the expected place."""
 
     def hold(self, fd: int, place: str) -> bool:
-        """Read nothing more of a connection; False where it is another's."""
+        """Stop reading a connection; False if it comes from another place."""
         with suppress(OSError):
             if place_of(guard.peer(fd)) == place:
                 guard.hold(fd, True)
@@ -88,7 +88,7 @@ class Guarded:
 
 
 class Connections:
-    """Sets the bounds, knows what each client takes, and tells once in a while of connections that were refused."""
+    """Sets the bounds, knows what each client uses, and logs now and then which connections were refused."""
 
     def __init__(
         self,
@@ -109,7 +109,10 @@ class Connections:
         self._told = guard.counts().refused
 
     def renew(self, limits: Limits) -> None:
-        """Other bounds from now on; who has more than that keeps it. Messages are as long as at the start."""
+        """Apply other bounds from now on; a client that exceeds them keeps what it has.
+
+        The length of messages stays.
+        """
         guard.limit(bounds(replace(limits, message_bytes=self._message_bytes)))
         self.budgets.renew(Bounds(limits.waiting_bytes, limits.replies_bytes), limits.shares)
         self.uploads.renew(limits.upload_bytes, limits.uploads_bytes)
@@ -119,7 +122,7 @@ class Connections:
         self.uploads.close()
 
     def tell(self) -> None:
-        """Forget who has gone, and log what was refused since the last call: one line for each cause."""
+        """Forget clients that have gone, and log refusals since the last call: one line for each cause."""
         guard.look_on()
         self.uploads.forget_old()
         self.budgets.settle()

@@ -32,18 +32,18 @@ from cm.wire.envelope import envelope_length, guest_named, split_envelope
 from cm.wire.parse import LONG, in_slices
 from cm.wire.topics import READ_REG, WRITE_REG
 
-_PUBLISHED = b""  # the sender of all that is published to the manager; a connection's name is never empty
+_PUBLISHED = b""  # the sender of all messages on the SUB socket; a connection's name is never empty
 _MOST = 256  # requests of one sender that wait
 _LOOKS = (rq.ReadStatus, rq.ReadConfig, rq.ListConfigs, rq.PlanChange, rq.ReadIrq, rq.CancelChange)  # never wait
 _STORES = (rq.Provision, rq.RemoveConfig)
 _LASTING = frozenset({rq.ChangeMode, rq.PlanChange, *_STORES, rq.ReadData, rq.WriteData})  # not done at once
 _WRITES = (rq.WriteReg, rq.WriteData, rq.ConfigureStream, rq.DefineMemory)
-_Waiting = tuple[rq.Request, Respond, str]  # and who asked, as `cm.rights` knows it
+_Waiting = tuple[rq.Request, Respond, str]  # and the client's connection, as in `cm.rights`
 
 
 @dataclass(slots=True)
 class _Sender:
-    """What of a sender is under way, and what waits for it."""
+    """A sender's requests that are under way, and those that wait for them."""
 
     changes: list[Change] = field(default_factory=list)
     stores: int = 0  # configurations that are being stored
@@ -57,27 +57,27 @@ class _Sender:
 
 
 class Order:
-    """What one sender asks for takes effect in the order in which it was asked for. The loop's thread.
+    """Requests of one sender take effect in the order in which they were sent. The loop's thread.
 
     A change of mode, a configuration that is stored and a memory that is written take time, and the manager goes on
-    serving meanwhile. A write that came after one of them, from the same sender, waits where it would be overwritten
-    or refused by it; what came after that write waits behind it. No sender waits for another's requests. A sender
-    is a connection to the socket of requests; all who publish to the other socket are one sender together.
+    serving meanwhile. A later write from the same sender waits if one of them would overwrite or refuse it, and what
+    comes after that write waits too. No sender waits for another's requests. A sender is a connection to the ROUTER;
+    all clients of the SUB socket are one sender together.
     """
 
     def __init__(self, handlers: Handlers, manager: Manager) -> None:
         self._handlers = handlers
         self._manager = manager
         self._touched = Touched(manager)
-        self.senders: dict[bytes, _Sender] = {}  # who has something under way
+        self.senders: dict[bytes, _Sender] = {}  # those with something under way
 
     def waits(self, sender: bytes) -> bool:
-        """Whether something of that sender waits, so that what comes now has to wait as well."""
+        """Whether something of that sender waits, so that further requests have to wait as well."""
         found = self.senders.get(sender)
         return found is not None and bool(found.queue)
 
     def take(self, sender: bytes, request: rq.Request, respond: Respond, connection: str) -> None:
-        """Do what a request asks, now or in its turn."""
+        """Carry out a request, now or in its turn."""
         state = self.senders.get(sender) if self.senders else None
         if state is None or isinstance(request, _LOOKS) or not (state.queue or self._is_blocked(state, request)):
             self._do(sender, request, respond, connection)
@@ -104,7 +104,7 @@ class Order:
         self._handlers.handle(connection, request, respond, partial(self._began, sender))
 
     def _counted(self, sender: bytes, kind: str, respond: Respond) -> Respond:
-        """Something that is under way until it is answered."""
+        """Count a request as under way until it is answered."""
         state = self.senders.setdefault(sender, _Sender())
         setattr(state, kind, getattr(state, kind) + 1)
 
@@ -158,13 +158,13 @@ class Dispatcher:
         self._note_error = note_error
         self.taken = 0
         self.refused = Counter[str]()  # by the error's code
-        # For messages on the ROUTER: they are answered, now or when their work has ended.
+        # For messages on the ROUTER, which are answered now or when their work has ended.
         self.on_request = intake.add(sockets.req, self._answer, self._turn_away, lambda came: bytes(came.frames[0]))
-        # For those on the SUB: as above without a reply; what is wrong shows in the status.
+        # For messages on the SUB socket: as above without a reply; errors show in the status.
         self.on_message = intake.add(sockets.sub, self._obey, self._ignore, lambda came: came.connection)
 
     def _turn_away(self, came: Message, budget: Budget, error: Busy) -> None:
-        """Too much of its client's waits."""
+        """Refuse a request, because too much of its client's waits."""
         envelope, message = split_envelope(came.frames)
         topic = bytes(split_text(message)[0]) if message else b""
         self._reply(envelope, topic, budget, refusal(error))
@@ -176,7 +176,7 @@ class Dispatcher:
         self.taken += 1
         frames = came.frames
         cut = 2 if len(frames) == 4 and not frames[1] else envelope_length(frames)
-        if cut > 2 and (guest := guest_named(frames[:cut])):  # a bridge may ask for one
+        if cut > 2 and (guest := guest_named(frames[:cut])):  # a bridge may speak for one
             came = came._replace(connection=self._gate.guest(came.connection, guest))
         if len(frames) == cut + 2 and frames[cut] == READ_REG and self._read_again(came, budget):
             return None
@@ -210,7 +210,7 @@ class Dispatcher:
         self._send([*envelope, *encode_reply(topic, reply, self._publisher.sequence)], budget)
 
     def _send(self, frames: list[Frame], budget: Budget) -> None:
-        """It may stay with ZeroMQ, unread; how much of a client does, its budget knows."""
+        """Send a reply. It may stay in ZeroMQ unread; the client's budget knows how much does."""
         told = budget.replied(frames[0], sum(map(len, frames)))
         if told:
             budget.sent(multipart.send_tracked(self._sockets.req, frames), told, frames[0])

@@ -23,11 +23,11 @@ from cm.wire.plane_packets import SOCKET
 from cm.wire.topics import Endpoints, ipc_endpoints, split_tcp, tcp_endpoints
 
 ENDPOINTS_FILE = "endpoints.json"
-_TRIES = 64  # of ports, until three in a row are free
+_TRIES = 64  # tries of ports, until three in a row are free
 _LAST = 65533  # the first of the last three
-_HANDSHAKE = 10_000  # milliseconds for which a connection may say nothing
-_TOPIC = 512  # bytes of a subscription, and of what shakes hands
-_WAITING = 64  # messages of each connection that wait to be taken
+_HANDSHAKE = 10_000  # milliseconds for which a connection may stay silent
+_TOPIC = 512  # bytes of a subscription, and of a handshake
+_WAITING = 64  # messages of each connection that wait to be read
 
 
 class AlreadyServed(Busy):
@@ -40,7 +40,7 @@ class FolderLock:
     """An flock on the runtime folder: it ends with the process, however that dies."""
 
     def __init__(self, folder: Path, group: int | None = None) -> None:
-        """Make the folder, for ourselves and a group. Raises UnsafeFolder for one that is not ours."""
+        """Make the folder, for this user and a group. Raises UnsafeFolder for one that is not ours."""
         own_folder(folder, group)
         self._fd = open_inside(folder, "lock", os.O_RDWR | os.O_CREAT)
         try:
@@ -104,7 +104,7 @@ class Locks:
 
 
 def _holder(fd: int) -> str:
-    """Who holds an flock on a file, as /proc/locks has it."""
+    """The holder of an flock on a file, as /proc/locks has it."""
     wanted = os.fstat(fd).st_ino
     try:
         lines = Path("/proc/locks").read_text("ascii", "replace").splitlines()
@@ -151,12 +151,12 @@ class Sockets:
         self.pub.setsockopt(zmq.SNDHWM, waiting)  # before it is bound, and never after: see queue_limit.py
         self.pub.setsockopt(zmq.XPUB_NODROP, 1)  # tells of a full queue; see publisher.py
         self.sub.setsockopt(zmq.SUBSCRIBE, b"cm_")
-        # Nobody takes another's replies by its routing id: while the connection that came first with it lasts, a second
-        # one gets none. Whoever sets no id, as our clients, has one from ROUTER.
+        # No client can take another's replies by its routing id: while the first connection with that id lasts, a
+        # second one gets none. Clients that set no id, as ours, get one from ROUTER.
         self.req.setsockopt(zmq.ROUTER_HANDOVER, 0)
         self.req.setsockopt(zmq.SNDHWM, 0)  # replies are bounded by bytes, and none is dropped: see budget.py
         for socket in self.all:
-            socket.setsockopt(zmq.LINGER, 0)  # who does not read must not keep the manager from ending
+            socket.setsockopt(zmq.LINGER, 0)  # a client that does not read must not keep the manager from ending
             socket.setsockopt(zmq.IPV6, 1)
             socket.setsockopt(zmq.TCP_KEEPALIVE, 1)
             socket.setsockopt(zmq.ZAP_ENFORCE_DOMAIN, 1)  # without an answer from our authenticator, nobody may enter
@@ -194,7 +194,7 @@ class Sockets:
         return wanted
 
     def _bind_any(self, host: str) -> Endpoints:
-        """Clients are told one port and count on from it, so three in a row have to be free."""
+        """Bind free ports: clients get one port and use the next two as well, so three in a row have to be free."""
         for _ in range(_TRIES):
             _bind(self.pub, f"tcp://{host}:0")
             first = self.pub.getsockopt_string(zmq.LAST_ENDPOINT)
@@ -212,11 +212,11 @@ class Sockets:
         raise InvalidRequest(f"cannot listen on tcp://{host}:0: no three ports in a row are free")
 
     def _name(self, socket: zmq.Socket[bytes], transport: str) -> None:
-        """What the authenticator is told of connections to what is bound from now on."""
+        """The name that the authenticator gets for connections to sockets bound from now on."""
         socket.setsockopt_string(zmq.ZAP_DOMAIN, f"{transport} pub" if socket is self.pub else transport)
 
     def _secure(self, security: Security | None) -> None:
-        """For what is bound from now on."""
+        """Set keys for sockets that are bound from now on."""
         for socket in self.all:
             self._name(socket, TCP if security is None else CURVE)
             if security is not None:
@@ -234,7 +234,7 @@ class Sockets:
         new.replace(self._folder / ENDPOINTS_FILE)
 
     def close(self) -> None:
-        """Close and remove what lies in the runtime folder."""
+        """Close, and remove our files in the runtime folder."""
         for socket in self.all:
             socket.close()
         for name in ("pub", "sub", "req", ENDPOINTS_FILE):

@@ -19,10 +19,11 @@ class UnsafeFolder(CmError, PermissionError):
 
 
 def own_folder(folder: Path, group: int | None = None, mode: int = FOLDER_MODE) -> None:
-    """Make a folder where there is none; with a group, give it that. Raises UnsafeFolder if it is another's.
+    """Make a folder if there is none; with a group, give it to that.
 
-    Ours is one that belongs to this user (or to root, who can do anything anyway), is not a link, and which no others
-    may write to. A link further up is followed only where all above it is safe too: /var/run is one on most systems.
+    Raises UnsafeFolder if it is not ours. Ours is one that belongs to this user (or to root, who can do anything
+    anyway), is not a link, and cannot be written by others. A link further up is followed only if everything above it
+    is safe too: /var/run is one on most systems.
     """
     folder.mkdir(mode=mode, parents=True, exist_ok=True)
     fd = _opened(folder)
@@ -71,7 +72,7 @@ def open_inside(folder: Path, name: str, flags: int, mode: int = 0o640) -> int:
 
 
 def share(path: Path, group: int | None) -> None:
-    """A socket in a folder of ours: for this user and a group."""
+    """Open a socket in our folder to this user and a group."""
     if group is not None:
         os.chown(path, -1, group, follow_symlinks=False)
     path.chmod(SOCKET_MODE)

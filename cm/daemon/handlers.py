@@ -47,7 +47,7 @@ _OF_CLIENTS = frozenset(
     {rq.ReadReg, rq.WriteReg, rq.ReadData, rq.WriteData, rq.Upload, rq.PlanChange, rq.ReadConfig, *_LEASES}
 )  # done by turns
 _STORES = frozenset({rq.Provision, rq.RemoveConfig})
-_UPLOADED = frozenset({rq.Provision, rq.WriteData})  # what they need may have been sent before them
+_UPLOADED = frozenset({rq.Provision, rq.WriteData})  # their data may have been uploaded before
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +67,7 @@ class Services:
     sessions: Sessions
     pieces: Pieces
     connections: Connections
-    aside: Aside  # for what reads or writes files, so that the loop goes on
+    aside: Aside  # for work that reads or writes files, so that the loop goes on
     changes: Places  # in the queue of changes
 
 
@@ -107,9 +107,9 @@ class Handlers:
         return self._s.connections.intake
 
     def handle(self, connection: str, request: rq.Request, respond: Respond, began: Began) -> None:
-        """Do what a request over a connection asks; whatever goes wrong becomes an error reply.
+        """Carry out a request from a connection; whatever goes wrong becomes an error reply.
 
-        A change that this asks for is given to `began`; what that returns is called when the change has ended.
+        A change that it requests is passed to `began`; what that returns is called when the change has ended.
         """
         kind = type(request)
         try:
@@ -142,7 +142,7 @@ class Handlers:
             self._failed(error, respond)
 
     def _aside(self, client: Budget, work: Callable[[], _T], then: Callable[[_T], None], respond: Respond) -> None:
-        """Do `work` in another thread and go on with `then` in the loop's."""
+        """Do `work` in another thread and continue with `then` in the loop's."""
 
         def finish(result: Result[_T]) -> None:
             self._guarded(lambda: then(result()), respond)
@@ -189,7 +189,7 @@ class Handlers:
         except BaseException:
             give_back()
             raise
-        ends.append(began(change))  # its end is told by a later turn of the loop
+        ends.append(began(change))  # its end is reported in a later turn of the loop
         if request.no_wait:
             respond(Reply(ChangeInfo(change.number, done=False)))
 

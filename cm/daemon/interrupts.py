@@ -2,8 +2,8 @@
 """Interrupts by name: one UIO line each, or several names told apart by a status register.
 
 The kernel masks a line when it fires (uio_pdrv_genirq), and it is unmasked here when its flags have been
-acknowledged. A level that still stands would fire again at once: a line that cannot be acknowledged now
-stays masked, and is tried again.
+acknowledged. A level that is still active would fire again at once: a line that cannot be acknowledged now stays
+masked, and is tried again.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class _Line:
     last: int | None = None
     new: int = 0  # interrupts since the one before
     waiting: deque[list[Interrupt]] = field(default_factory=deque)  # fired, not looked at yet: by status register
-    told: bool = False  # that it stays masked
+    told: bool = False  # whether it was reported that it stays masked
 
 
 class InterruptWatch:
@@ -61,7 +61,7 @@ class InterruptWatch:
 
     @property
     def counts(self) -> dict[str, int]:
-        """How often each came since the configuration was loaded."""
+        """How often each interrupt came since the configuration was loaded."""
         return {name: irq.count for name, irq in self._last.items()}
 
     def latest(self, name: str) -> Irq:
@@ -108,7 +108,7 @@ class InterruptWatch:
         self._serve(node, line)
 
     def _serve(self, node: str, line: _Line) -> None:
-        """Tell who came, acknowledge, and unmask; what cannot be acknowledged stays masked."""
+        """Report the interrupts that came, acknowledge, and unmask; a line that cannot be acknowledged stays masked."""
         try:
             while line.waiting:
                 self._tell(line.waiting[0], line.new)
@@ -123,7 +123,7 @@ class InterruptWatch:
             self._end(node, error)
 
     def _tell(self, sharing: list[Interrupt], new: int) -> None:
-        """Those of one status register that came; acknowledged before they are told. Raises CmError, OSError."""
+        """Report those of one status register that came, after acknowledging them. Raises CmError, OSError."""
         now, status = time.monotonic_ns(), sharing[0].status
         value = self._manager.registers.take_flags(status, _mask(sharing)) if status is not None else 0
         for interrupt in sharing:
@@ -133,7 +133,7 @@ class InterruptWatch:
                 self._on_irq(irq)
 
     def _keep_masked(self, line: _Line, error: Exception) -> None:
-        """Told once; not while a change runs, whose end is awaited as that of any access to its regions."""
+        """Report this once; not while a change runs, since its end is awaited as for any access to its regions."""
         self.incomplete = True
         names = ", ".join(interrupt.name for interrupt in line.waiting[0])
         if not line.told and not self._manager.changing:
@@ -157,7 +157,7 @@ class InterruptWatch:
                 self._serve(node, line)
 
     def _end(self, node: str, error: OSError) -> None:
-        """Its device went, as with an overlay; one that comes with another overlay is looked for again."""
+        """Its device has gone, as with an overlay; look again in case another overlay brings one."""
         _LOG.warning("interrupt line %s ended: %s", node, error)
         self.incomplete = True
         self._drop(node)
@@ -176,7 +176,7 @@ class InterruptWatch:
 
 
 def _by_status(names: list[Interrupt]) -> list[list[Interrupt]]:
-    """Those that are told apart by the same register together: it is read and acknowledged once."""
+    """The interrupts grouped by status register, which is read and acknowledged once for all of them."""
     found: dict[str | None, list[Interrupt]] = {}
     for interrupt in names:
         found.setdefault(interrupt.status, []).append(interrupt)

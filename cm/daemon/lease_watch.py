@@ -53,7 +53,7 @@ class LeaseWatch:
             self._open(lease.id, request.pid)
 
     def _forget_ended(self) -> None:
-        """Leases that were given back, or whose time is over, cost no descriptor any more."""
+        """Close the descriptors of leases that were given back, or whose time is over."""
         for lease in [lease for lease in self._fds if not self._leases.holds(lease)]:
             self._forget(lease)
 
@@ -66,7 +66,7 @@ class LeaseWatch:
         except OSError as error:
             if error.errno in _EXHAUSTED:
                 self._refuse(lease, error)
-            return  # no such call (Linux before 5.3), or not ours to see: the time-out ends the lease
+            return  # no such call (Linux before 5.3), or not permitted: the time-out ends the lease
         try:
             self._loop.add(fd, lambda: self._died(lease))
         except OSError as error:
@@ -75,7 +75,7 @@ class LeaseWatch:
         self._fds[lease] = fd
 
     def _refuse(self, lease: str, error: OSError) -> NoReturn:
-        """The holder's death would go unnoticed: it could keep others out until its time is over."""
+        """Refuse it: the holder's death would go unnoticed, so it could keep others out until its time is over."""
         self._leases.drop(lease)
         raise Unwatched(f"no lease now: its holder cannot be watched ({error.strerror})") from error
 

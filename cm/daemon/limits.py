@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much one client may take, and all together; docs/limits.md lists every bound and what happens beyond it."""
+"""How much one client may use, and all together; docs/limits.md lists every bound and what happens beyond it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Limits:
     `waiting_bytes`: of one client's requests that wait. `replies_bytes`: of replies that it has not read.
     `upload_bytes`, `uploads_bytes`: sent in parts and not used yet, of one client and of all. `slots_each`: of one
     stream. `memory_bytes`, `memory_each_bytes`: for masters in the PL, of all and of one client. `shares`: of the
-    loop's time where several wait, by the name of a user or a key; 1 for those not named.
+    loop's time if several wait, by the name of a user or a key; 1 for those not named.
     """
 
     connections: int = 1024

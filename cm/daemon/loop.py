@@ -5,9 +5,9 @@ One socket, that of requests, is waited for by `zmq_poll`, which looks at its st
 else by the epoll, which `zmq_poll` waits for as well. That is half the cost per message of a `zmq.Poller`
 with all of them (docs/performance.md).
 
-A ZeroMQ socket's descriptor only says that something changed since the socket was last used in any
-way, sending included (zmq_getsockopt(3), ZMQ_FD). So a socket behind the epoll is looked at until it has
-nothing more, and again after everything that was sent on it from elsewhere: by `Loop.send`.
+A ZeroMQ socket's descriptor only says that something changed since the socket was last used in any way, sending
+included (zmq_getsockopt(3), ZMQ_FD). So a socket behind the epoll is read until it has nothing more, and checked
+again after anything was sent on it from elsewhere: by `Loop.send`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["Callback", "Loop", "Timer", "XpubSender"]
 _LOG = logging.getLogger(__name__)
 _POLLIN = int(zmq.POLLIN)  # arithmetic on the enumeration costs more than the call
 _TURNS = 16  # requests that one socket may have served before others get their turn
-# libzmq's thread takes short messages off a queue in no time, once it has a processor: seconds to give it.
+# libzmq's thread empties a queue of short messages at once when it gets a processor: seconds to give it.
 _PAUSES = (0.0001, 0.0005, 0.002, 0.01)
 _HOPELESS = 1.0  # seconds for which a queue that stayed full is not waited for again
 _NODROP, _NOBLOCK = int(zmq.XPUB_NODROP), int(zmq.NOBLOCK)
@@ -53,10 +53,10 @@ class Loop(EventLoop):
         self._sockets: dict[zmq.Socket[bytes], _Watched] = {}
         self._waited: list[tuple[Any, int]] = [(self._epoll.fileno(), _POLLIN)]  # as `zmq_poll` takes it
         self._takes: dict[Any, Callback] = {self._epoll.fileno(): partial(self._serve, 0)}  # of what is waited for
-        self._unlooked: set[_Watched] = set()  # may have messages that their descriptors do not tell of
+        self._unlooked: set[_Watched] = set()  # may have messages that their descriptors do not show
 
     def add_socket(self, socket: zmq.Socket[bytes], take: Callback, foremost: bool = False) -> None:
-        """Have `take` called when there are messages; it takes one, or more, off the socket.
+        """Call `take` when there are messages; it reads one or more from the socket.
 
         A `foremost` one costs less per message of its own, and a little with every other event.
         """
@@ -76,7 +76,7 @@ class Loop(EventLoop):
         multipart.send(socket, frames, flags)
 
     def _wait(self, milliseconds: int) -> None:
-        taken = self._look_again() if self._unlooked else False  # then there may be timers that were not reckoned with
+        taken = self._look_again() if self._unlooked else False  # this may have set new timers
         for source, _ in zmq_poll(self._waited, 0 if taken or self._unlooked else milliseconds):
             try:
                 self._takes[source]()
@@ -84,7 +84,7 @@ class Loop(EventLoop):
                 self._failed(error)
 
     def _look(self, watched: _Watched) -> bool:
-        """Serve a socket until it has nothing more, or for its share; whether it had something."""
+        """Serve a socket until it has nothing more, or for its share; returns whether it had something."""
         for turn in range(_TURNS):
             if not zmq_poll(watched.sources, 0):  # half the time of asking for ZMQ_EVENTS
                 self._unlooked.discard(watched)
@@ -104,8 +104,8 @@ class Loop(EventLoop):
 class XpubSender:
     """Sends what is published. The loop's thread.
 
-    The socket has ZMQ_XPUB_NODROP: it says when a subscriber's queue is full, which it does not otherwise, and the
-    message is sent again without, so that all others get it.
+    The socket has ZMQ_XPUB_NODROP: it reports when a subscriber's queue is full, and the message is then sent again
+    without that option, so that all others get it.
     """
 
     def __init__(self, loop: Loop, socket: zmq.Socket[bytes]) -> None:
@@ -122,13 +122,13 @@ class XpubSender:
             except zmq.Again:
                 if time.monotonic() < self._hopeless_until:
                     break
-                time.sleep(pause)  # there is no event to wait for: one subscriber's queue is none to poll
+                time.sleep(pause)  # there is no event to wait for: a single subscriber's queue cannot be polled
         else:
             self._hopeless_until = time.monotonic() + _HOPELESS
         self._send_to_all(message)
 
     def send_frame(self, message: Sequence[Any]) -> bool:
-        """Send a frame; False if a subscriber does not get it, because as much as may wait for it already does."""
+        """Send a frame; False if a subscriber does not get it, because too much waits for it already."""
         try:
             self._loop.send(self._socket, message, _NOBLOCK)
         except zmq.Again:
@@ -137,7 +137,7 @@ class XpubSender:
         return True
 
     def _send_to_all(self, message: Sequence[Any]) -> None:
-        """To all that have room; the others lose it."""
+        """Send to all that have room; the others lose it."""
         self._socket.setsockopt(_NODROP, 0)
         try:
             self._loop.send(self._socket, message, _NOBLOCK)

@@ -27,7 +27,7 @@ class MemoryTransfers:
     def start(self, client: Budget, transfer: Transfer, done: Done) -> None:
         """Begin a transfer, a read when its client has room for the answer.
 
-        `done` is called once, now or later, with what went wrong. Raises Busy.
+        `done` is called once, now or later, with the error, if any. Raises Busy.
         """
         if transfer.write:
             self._pieces.start(client, transfer, done)
@@ -49,7 +49,7 @@ class MemoryTransfers:
 
 
 def frame_info(transfer: Transfer, config: str, mode: str) -> FrameInfo:
-    """What stands beside the payload of a memory."""
+    """What accompanies the payload of a memory."""
     shape, dtype = transfer.form
     memory, length = transfer.memory, transfer.length
     return FrameInfo(memory.name, 0, time.monotonic_ns(), length, shape, dtype, config, mode, offset=transfer.offset)

@@ -19,7 +19,7 @@ from cm.metrics.http import MetricsServer
 from cm.metrics.text import Family, by_label, histogram, many, render, single, times
 
 _LOG = logging.getLogger("cm")
-_LAG_EVERY = 0.1  # seconds between two looks at how late the loop's timers are
+_LAG_EVERY = 0.1  # seconds between two measurements of how late the loop's timers are
 _UNITS = {"temperature": "celsius", "voltage": "volts", "current": "amperes", "power": "watts"}
 
 
@@ -70,7 +70,7 @@ class Metrics:
         self._s.loop.call_at(self._due, self._late)
 
     def _late(self) -> None:
-        """How late this call is, is how long whoever asks now has to wait for the loop."""
+        """Note how late this call is: a client that asks now has to wait that long for the loop."""
         self._lag.add(max(0.0, time.monotonic() - self._due))
         self._wait()
 

@@ -39,6 +39,6 @@ class Options:
     example: bool = False  # `configs` are the shipped ones, which clients may replace
     unsigned: bool = True  # whether clients may provision configurations, which cannot be signed
     reload: Callable[[], Reloaded] | None = None  # reads schemas and settings again; None: there is nothing to read
-    changed: Callable[[], object] | None = None  # what is other once settings or keys are; asked every second
+    changed: Callable[[], object] | None = None  # a value that changes when settings or keys do; read every second
     settings: Settings = Settings()  # noqa: RUF009 (frozen)
     limits: Limits = Limits()  # noqa: RUF009 (frozen)

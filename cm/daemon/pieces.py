@@ -15,15 +15,15 @@ from cm.daemon.loop import Loop, Timer
 from cm.errors import Busy
 
 Done = Callable[[Exception | None], None]
-WAITING_MAX = 16  # works of one client
-_AGAIN = 0.005  # seconds until those are asked again who could not begin
+WAITING_MAX = 16  # jobs of one client
+_AGAIN = 0.005  # seconds until jobs that could not begin are asked again
 
 
 class Work(Protocol):
-    """What is done in pieces."""
+    """A job that is done in pieces."""
 
     def step(self) -> bool:
-        """Do the next piece; whether that was the last. What it raises ends the work."""
+        """Do the next piece; returns whether that was the last. An exception ends the job."""
 
 
 class _Job:
@@ -39,7 +39,7 @@ class _Job:
         return self.begun
 
     def step(self) -> tuple[bool, Exception | None]:
-        """Whether it has ended, and with what."""
+        """Do a piece; returns whether the job has ended, and its error."""
         try:
             return self._work.step(), None
         except Exception as error:  # noqa: BLE001 (handed to the asker)
@@ -47,10 +47,9 @@ class _Job:
 
 
 class Pieces:
-    """A client's works one after the other, in the order of its requests; a piece of whom has spent least of the loop's
-    time comes next.
+    """A client's jobs one after the other; the next piece is of the client that has used least of the loop's time.
 
-    Everything in the loop's thread.
+    Jobs of a client are in the order of its requests. Everything in the loop's thread.
     """
 
     def __init__(self, loop: Loop) -> None:
@@ -61,10 +60,9 @@ class Pieces:
         loop.add(self._more, self._go_on)
 
     def start(self, client: Budget, work: Work, done: Done, may_begin: Callable[[], bool] = lambda: True) -> None:
-        """Begin a work as soon as `may_begin` says so, at once if nothing else waits; `done` is called once, now or
-        later, with what went wrong.
+        """Begin a job as soon as `may_begin` allows it, at once if nothing else waits. Raises Busy.
 
-        Raises Busy.
+        `done` is called once, now or later, with the error, if any.
         """
         jobs = self._waiting.get(client)
         if jobs is None:
@@ -90,7 +88,7 @@ class Pieces:
         os.close(self._more)
 
     def _go_on(self) -> None:
-        """One piece; the next, another client's, when the loop has looked at everything else."""
+        """Do one piece; the next, of another client, follows when the loop has looked at everything else."""
         client = least(client for client, jobs in self._waiting.items() if jobs[0].ready())
         if client is None:
             os.eventfd_read(self._more)
@@ -115,6 +113,6 @@ class Pieces:
         client.charge(monotonic_ns() - began)
         job = jobs.popleft() if ended else None
         if jobs:
-            self._waiting[client] = jobs  # of those who have spent as much, behind the others
+            self._waiting[client] = jobs  # after others that have used as much
         if job is not None:
             job.done(problem)

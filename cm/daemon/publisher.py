@@ -26,36 +26,36 @@ from cm.native import guard
 from cm.wire import encode, topics
 
 _LOG = logging.getLogger("cm")
-_AT_ONCE = 32  # subscriptions that are taken before others get their turn
+_AT_ONCE = 32  # subscriptions that are read before others get their turn
 TOPICS_EACH, TOPICS_ALL = 64 << 10, 1 << 20  # bytes of the topics of one connection, and of all
 _FRAME_TOPICS = (topics.READ_DATA, topics.DATA_READ)
 
 
 class Wires(Protocol):
-    """What is known of connections by their descriptors (`cm.native.guard`)."""
+    """What is known about connections by their descriptors (`cm.native.guard`)."""
 
     def serial(self, fd: int, /) -> int:
-        """A number that no other connection has; 0: it is none."""
+        """The unique number of a connection; 0: the descriptor is not one."""
 
     def cut(self, fd: int, /) -> None:
-        """End it; OSError where it is none."""
+        """End a connection; OSError if the descriptor is not one."""
 
 
 class Subscriptions:
     """Topics with a subscriber; each counts for the connection that named it first.
 
-    A connection that names too many is ended, and where all together are too many, the one that named most of them:
-    libzmq keeps a node for each byte, for as long as the connection lasts. Memory is given back as they go.
+    A connection that names too many is ended, and if all together are too many, the one with most of them: libzmq keeps
+    a node for each byte as long as the connection lasts. Memory is freed as they go.
     """
 
     def __init__(self, wires: Wires) -> None:
         self._wires = wires
         self._owners: dict[bytes, tuple[int, int]] = {}  # serial and descriptor
         self._bytes: Counter[tuple[int, int]] = Counter()
-        self._peak = 0  # topics that there were, since the table was last made anew
+        self._peak = 0  # most topics since the table was last rebuilt
 
     def add(self, topic: bytes, source: int) -> None:
-        """A subscription over a connection."""
+        """Add a subscription of a connection."""
         if topic in self._owners:
             return
         owner = self._owners[topic] = self._wires.serial(source), source
@@ -67,7 +67,7 @@ class Subscriptions:
             self._end(max(self._bytes, key=self._bytes.__getitem__))
 
     def _end(self, owner: tuple[int, int]) -> None:
-        """Its topics go as soon as libzmq tells of them."""
+        """End a connection; its topics go as libzmq reports their end."""
         if self._wires.serial(owner[1]) == owner[0]:
             with suppress(OSError):
                 self._wires.cut(owner[1])
@@ -84,7 +84,7 @@ class Subscriptions:
             self._owners, self._peak = dict(self._owners), len(self._owners)
 
     def covers(self, topic: bytes, least: int = 0) -> bool:
-        """Whether one of `least` bytes or more is a prefix of a topic; as long as that, however many there are."""
+        """Whether one of `least` bytes or more is a prefix of a topic; its time depends on the topic's length only."""
         owners = self._owners
         if topic in owners or not owners:
             return bool(owners)
@@ -113,7 +113,7 @@ class Publisher:
         self.sequence = 0
 
     def take_subscriptions(self) -> bool:
-        """Take some subscription messages off the socket; whether one wants the status, which it gets at once."""
+        """Read some subscription messages; returns whether one wants the status, which it gets at once."""
         wanted = False
         for _ in range(_AT_ONCE):
             try:
@@ -138,7 +138,7 @@ class Publisher:
         return self._wants_compressed(name) or any(map(self.has_subscriber, _topics(name)))
 
     def _wants_compressed(self, name: str) -> bool:
-        """Only who names the topic: a subscription to everything does not mean every form of it."""
+        """Only if the topic is named: a subscription to everything does not mean every form of a stream."""
         return self._subscriptions.covers(topics.LZ4_PREFIX + name.encode(), len(topics.LZ4_PREFIX))
 
     def overruns(self, stream: str) -> int:
@@ -146,11 +146,11 @@ class Publisher:
         return self._overruns[stream]
 
     def measured(self, sensors: tuple[SensorStatus, ...]) -> None:
-        """What the board's sensors say now; told with the statuses from here on. Any thread."""
+        """What the board's sensors say now; part of the statuses from here on. Any thread."""
         self._sensors = sensors
 
     def beside(self) -> dict[str, Any]:
-        """What of a status only the daemon knows, but for streams and leases."""
+        """What only the daemon knows of a status, except streams and leases."""
         return {
             "sequence": self.sequence,
             "version": __version__,
@@ -163,8 +163,8 @@ class Publisher:
     def status(self, make: Callable[[], Status]) -> bool:
         """Publish a status under a new number; False if none is made, as no one subscribes to it.
 
-        A change tells a dozen, each of which takes longer to make and encode than the step that it tells of.
-        Who subscribes gets one at once, so nothing is missed; the number counts all the same.
+        A change publishes a dozen, each of which takes longer to make and encode than the step that it reports. A new
+        subscriber gets one at once, so nothing is missed; the number still counts on.
         """
         if self.passes_over():
             return False
@@ -173,7 +173,7 @@ class Publisher:
         return True
 
     def passes_over(self) -> bool:
-        """Count a status that no one subscribes to; False where someone does. Any thread."""
+        """Count a status that no one subscribes to; False if someone does. Any thread."""
         if self.has_subscriber(topics.STATUS):
             return False
         self._count()
@@ -184,14 +184,14 @@ class Publisher:
             self.sequence += 1
 
     def log(self, error: ErrorInfo | None, change: int) -> None:
-        """The error of a status, once, however often it is told; `change`: the last one's number."""
+        """Log the error of a status once, however often it is published; `change`: the last one's number."""
         text = f"{error.code}: {error.message}" if error else ""
         if error and text != self._last_logged:
             _LOG.warning("%s", text, extra={"cm_code": error.code, "cm_change": change or None})
         self._last_logged = text
 
     def registers(self, values: RegValues) -> None:
-        """Publish changed registers, where anyone subscribes to them, or may: unlike a status, they are told once."""
+        """Publish changed registers, if anyone subscribes to them or may: unlike a status, they are sent only once."""
         if self.has_subscriber(topics.READ_REG) or zmq_poll(self._coming, 0):
             self._sender.send(encode.encode_registers(values))
 

@@ -2,9 +2,9 @@
 """How much may wait for a slow subscriber.
 
 ZeroMQ's high-water mark counts messages, of any length, for each subscriber. `mark()` makes one of a limit
-in bytes (`cm serve --stream-queue`) and the longest frame that the schemas know. It is set before the socket
-is bound and never again: while a subscriber is going, setting it makes libzmq, up to and with 4.3.5, use a
-pipe that it has freed (mended by its pull request 4647, which is in no release yet).
+in bytes (`cm serve --stream-queue`) and the longest frame that the schemas know. It is set before the socket is bound
+and never again: setting it while a subscriber disconnects makes libzmq up to 4.3.5 use a pipe that it has freed
+(fixed by its pull request 4647, which is in no release yet).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from cm.schema.model import ITEM_BYTES, Config, Stream
 
 BYTES = 32 << 20  # of frames that wait for one subscriber, unless set otherwise
 _FEWEST, _MOST = 2, 1000  # messages
-_ON_THEIR_WAY = 4  # messages that libzmq has in hand beside those that it counts
+_ON_THEIR_WAY = 4  # messages that libzmq holds beside those that it counts
 _FLAT = 1 << 20  # bytes of a frame that no schema describes, or that may grow
 
 
@@ -39,20 +39,20 @@ def _frame_bytes(stream: Stream) -> int:
 
 
 class Kept:
-    """Frames that some subscriber has not taken yet: each may leave others unread, so all together are bounded.
+    """Frames that some subscriber has not received yet, with a bound on all together.
 
-    Where they are half as much again as one may leave unread (`limit` bytes, `mark` messages), whoever has not read for
-    longest is hung up on.
+    Each subscriber may leave different ones unread. If all exceed one and a half times what one may leave unread
+    (`limit` bytes, `mark` messages), the subscriber that has not read for longest is disconnected.
     """
 
     def __init__(self, limit: int, mark: int, end_slowest: Callable[[], object]) -> None:
         self._limit, self._mark = limit * 3 // 2, mark * 3 // 2 + _ON_THEIR_WAY
         self._end_slowest = end_slowest
         self._frames: deque[tuple[Tracker, int]] = deque()
-        self.bytes = 0  # when it was last looked
+        self.bytes = 0  # as of the last look
 
     def add(self, tracker: Tracker, size: int) -> None:
-        """A frame was sent to whoever subscribes to it."""
+        """Note a frame that was sent to its subscribers."""
         self._frames.append((tracker, size))
         self.bytes += size
         most = max(self._limit, self._mark * size)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Register reads that repeat an earlier request byte for byte.
 
-A program that polls a register sends the same request again and again. What its bytes mean is found out
-once for each mode; after that only the access itself, and the values in a reply that is kept, are new.
+A program that polls a register sends the same request again and again. Its bytes are decoded once for each mode;
+after that only the access itself, and the values in a kept reply, are new.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ _LONGEST, _KEPT = 256, 256  # bytes of a request that is kept, and how many are
 
 
 class ReadCache:
-    """Answers what was asked before. For one thread."""
+    """Answers repeated requests. For one thread."""
 
     def __init__(self, prepare: Callable[[tuple[str, ...]], Prepared | None]) -> None:
         self._prepare = prepare
         self._kept: dict[bytes, tuple[Prepared, RegisterReply]] = {}
 
     def learn(self, frames: Sequence[Frame]) -> None:
-        """A request (topic, message) that was answered at length: be ready for the next of its kind."""
+        """Remember a request (topic, message) that was answered the long way."""
         prepared = self._understand(frames) if len(frames) == 2 and len(frames[1]) <= _LONGEST else None
         if prepared is None:
             return
@@ -43,7 +43,7 @@ class ReadCache:
         return self._prepare(request.names) if isinstance(request, ReadReg) else None
 
     def answer(self, message: bytes, sequence: int) -> bytes | None:
-        """The Reply message, or None: it has to be answered at length. Raises what the device raises."""
+        """The Reply message, or None: it has to be answered the long way. Raises what the device raises."""
         kept = self._kept.get(message)
         if kept is None:
             return None

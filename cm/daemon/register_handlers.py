@@ -57,7 +57,7 @@ class RegisterHandlers:
         respond: Respond,
         then: Callable[[RegValues], object] = lambda _: None,
     ) -> None:
-        """`then` is told of what was done, also where it was not all."""
+        """`then` gets what was done, even if that is not all."""
 
         encoded = _Encoded(work)
 
@@ -73,7 +73,7 @@ class RegisterHandlers:
 
 
 class _Encoded:
-    """A work whose values are encoded as they come: of all at once, that would take longer than any piece."""
+    """A job whose values are encoded as they come: encoding all at once would take longer than any piece."""
 
     def __init__(self, work: ReadPieces | WritePieces) -> None:
         self._work = work

@@ -14,7 +14,7 @@ Respond = Callable[[Reply], None]
 
 
 def error_info(error: Exception) -> ErrorInfo:
-    """An exception as it travels; what is not ours is a device's or a defect."""
+    """An exception in the form in which it travels; one that is not ours is a device's error or a defect."""
     if isinstance(error, CmError):
         return ErrorInfo(error.code, str(error))
     if isinstance(error, OSError):
@@ -23,7 +23,7 @@ def error_info(error: Exception) -> ErrorInfo:
 
 
 def refusal(error: Exception) -> Reply:
-    """What a client is told of an error; a defect is logged."""
+    """What a client is told about an error; a defect is logged."""
     if not isinstance(error, (CmError, OSError)):
         _LOG.error("a request failed", exc_info=error)
     return Reply(error=error_info(error))

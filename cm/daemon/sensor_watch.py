@@ -11,11 +11,11 @@ from cm.device.sensors import read_sensors
 from cm.messages.status import SensorStatus
 
 _SECONDS = 2.0  # between two readings
-_SECONDS_WITHOUT = 30.0  # the same, where there are none: an overlay may bring some
+_SECONDS_WITHOUT = 30.0  # the same if there are none: an overlay may bring some
 
 
 class SensorWatch:
-    """Hands what it read to `tell`, in its own thread."""
+    """Passes what it reads to `tell`, in its own thread."""
 
     def __init__(self, root: Root, tell: Callable[[tuple[SensorStatus, ...]], None]) -> None:
         self._root = root
@@ -28,7 +28,7 @@ class SensorWatch:
         self._thread.start()
 
     def close(self) -> None:
-        """End; a reading that hangs is left to itself."""
+        """End; a reading that hangs is abandoned."""
         self._ended.set()
 
     def _watch(self) -> None:

@@ -52,7 +52,7 @@ from cm.schema.model import Config
 from cm.zap import Authenticator
 
 _LOG = logging.getLogger("cm")
-_TICK = 1.0  # seconds between two looks at streams, records and a lost board
+_TICK = 1.0  # seconds between two checks of streams, records and a lost board
 
 
 class Server:
@@ -142,7 +142,7 @@ class Server:
     # ---- life ---------------------------------------------------------------------
 
     def serve(self, on_ready: Callable[[], None] = lambda: None) -> None:
-        """Bind, reconcile, serve. Returns after `stop()`. Raises CmError where it cannot begin."""
+        """Bind, reconcile, serve. Returns after `stop()`. Raises CmError if it cannot begin."""
         try:
             self._bind()
             self._start_manager()
@@ -203,12 +203,12 @@ class Server:
     # ---- observer: any thread ---------------------------------------------------------
 
     def status_changed(self) -> None:
-        """Every status is told, in order, even if the next follows at once."""
+        """Every status is published, in order, even if the next follows at once."""
         self._statuses.append(self._manager.reporter.moment())
         self._loop.call_threadsafe(self._flush_statuses)
 
     def progressed(self) -> None:
-        """Most statuses of a change say no more than that: where no one subscribes, they are counted and not made."""
+        """Most statuses of a change say only this: if no one subscribes, they are counted but not made."""
         if not self._publisher.passes_over():
             self.status_changed()
 

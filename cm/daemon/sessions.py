@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Open connections, and what becomes of them when the policy changes: those whose rights differ are closed.
+"""Open connections, and their end when the policy changes: those whose rights differ are closed.
 
 libzmq has no call that closes one client's connection. But every connection is a descriptor of this process, and the
-kernel says where each leads: so those that have to end are shut down beneath libzmq. Honest clients connect again,
-and get the rights that they have now.
+kernel says where each leads, so those that have to end are shut down beneath libzmq. Honest clients connect again, and
+get their present rights.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _OURS = ("pub", "sub", "req", SOCKET)
 
 
 class Sessions:
-    """Those of the sockets in a runtime folder and of TCP ports. The loop's thread."""
+    """The connections of the sockets in a runtime folder and of TCP ports. The loop's thread."""
 
     def __init__(self, gate: Gate, folder: Path, tcp: list[Endpoints], manager: Manager) -> None:
         """`tcp` grows as ports are bound."""
@@ -43,17 +43,17 @@ class Sessions:
         self._manager = manager
 
     def scene(self) -> Scene:
-        """What requests are understood by, where the client may not do everything."""
+        """What is needed to understand requests, if the client may not do everything."""
         manager, state = self._manager, self._manager.state
         return Scene(manager.loaded_config(), state.mode, lambda r: target(r, manager.configs, state.config))
 
     def whose(self, connection: socket.socket) -> str:
-        """Who is at the other end of a connection to the data socket, as the gate has it. Raises OSError."""
+        """The client at the other end of a connection to the data socket, as the gate knows it. Raises OSError."""
         pid, uid, gid = _credentials(connection)
         return of_process(DATA, uid, gid, pid).id
 
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
-        """Raise Forbidden where a connection to the data socket asks for what it has no right to."""
+        """Raise Forbidden if a connection to the data socket requests something that it has no right to."""
         who, writes = self.whose(connection), wanted.write or wanted.allocate
         try:
             self.gate.check(who, opening(wanted.name, writes, self.scene()))
@@ -62,7 +62,7 @@ class Sessions:
             raise
 
     def renew(self, access: Access) -> None:
-        """Another policy from now on; sessions whose rights differ under it end."""
+        """Apply another policy from now on; end sessions whose rights differ under it."""
         self._end(self.gate.renew(access))
 
     def look(self) -> None:
@@ -75,7 +75,7 @@ class Sessions:
     def _end(self, meant: Callable[[Principal], bool]) -> None:
         ended = 0
         for connection in _connections():
-            with connection, suppress(OSError):  # one that listens, or has just ended
+            with connection, suppress(OSError):  # a listening one, or one that has just ended
                 if any(meant(who) for who in self._behind(connection)):
                     connection.shutdown(socket.SHUT_RDWR)
                     ended += 1
@@ -83,7 +83,7 @@ class Sessions:
             _LOG.warning("rights have changed: %d connections ended", ended)
 
     def _behind(self, connection: socket.socket) -> Iterable[Principal]:
-        """Who may be at the other end: over TCP, all who connected from that address. Raises OSError."""
+        """The clients that may be at the other end: over TCP, all that connected from that address. Raises OSError."""
         peer, here = connection.getpeername(), connection.getsockname()
         if connection.family == socket.AF_UNIX:
             pid, uid, gid = _credentials(connection) if here in self._paths else (0, -1, 0)

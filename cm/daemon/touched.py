@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What requests touch that have to wait for a change, or for each other."""
+"""What is touched by requests that may have to wait for a change, or for each other."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from cm.schema.model import Memory
 
 
 class Touched:
-    """In the mode that is loaded now."""
+    """What requests touch in the mode that is loaded now."""
 
     def __init__(self, manager: Manager) -> None:
         self._manager = manager
 
     def touches(self, change: Change, request: rq.Request) -> bool:
-        """Whether a change writes what this request writes, or loads the region of it."""
+        """Whether a change writes what this request writes, or loads its region."""
         config, mode = self._manager.loaded_config(), self._manager.state.mode
         memory = self._memory(request.stream) if isinstance(request, (rq.WriteData, rq.ConfigureStream)) else None
         return bool({"config", *scopes_written(request, config, mode, memory)} & set(change.scopes))
@@ -30,5 +30,5 @@ class Touched:
     def _memory(self, name: str) -> Memory | None:
         try:
             return self._manager.memories.find(name)
-        except CmError:  # one of another mode, or nothing is loaded: its handler says so
+        except CmError:  # a name of another mode, or nothing is loaded: its handler says so
             return None

@@ -22,13 +22,13 @@ EACH = 256  # of one client at once
 
 
 class TooMuchUploaded(Busy):
-    """A client, or all together, has sent more in parts than may lie there unused."""
+    """A client, or all together, have sent more in parts than may be stored unused."""
 
     code: ClassVar[str] = "too_much_uploaded"
 
 
 class UnknownUpload(NotFound):
-    """No upload of that name is there, or not all of it."""
+    """There is no upload of that name, or not all of it has come."""
 
     code: ClassVar[str] = "unknown_upload"
 
@@ -52,7 +52,7 @@ class _Upload:
 
 
 class Uploads:
-    """By client and name. The loop's thread."""
+    """Uploads by client and name. The loop's thread."""
 
     def __init__(self, folder: Path, most: int, all_most: int, total: Callable[[], int]) -> None:
         """`most`, `all_most`: bytes of one client and of all; `total`: what all have now."""
@@ -61,7 +61,7 @@ class Uploads:
         self._there: dict[tuple[str, str], tuple[_Upload, Budget]] = {}
 
     def renew(self, most: int, all_most: int) -> None:
-        """Other bounds from now on; what lies here stays."""
+        """Apply other bounds from now on; what is stored stays."""
         self._most, self._all_most = most, all_most
 
     def take(self, client: Budget, part: rq.Upload) -> UploadInfo:
@@ -124,7 +124,7 @@ class Uploads:
             raise InvalidRequest(f"upload {part.id!r}: {len(part.data)} bytes at {part.offset} of {part.length}")
 
     def filled_in(self, client: Budget, request: rq.Request) -> rq.Request:
-        """A request with the bytes that were uploaded for it, which are its own from here on. Raises UnknownUpload."""
+        """A request with the bytes that were uploaded for it, which then belong to it. Raises UnknownUpload."""
         if isinstance(request, rq.WriteData) and request.upload:
             return replace(request, data=self._use(client, request.upload), upload="")
         if isinstance(request, rq.Provision) and any(file.upload for file in request.files):
@@ -145,7 +145,7 @@ class Uploads:
             self._drop((client.name, name))
 
     def forget_old(self) -> None:
-        """Those whose next part, or use, does not come."""
+        """Forget uploads whose next part, or use, does not come."""
         now = time.monotonic()
         left = now + IDLE - LEFT  # connections are counted every second
         for key, (upload, client) in list(self._there.items()):

@@ -12,7 +12,7 @@ from cm.bitstream.cache import Inspected
 from cm.bitstream.errors import BadContainer, BitstreamError, Sha256Mismatch
 from cm.manager.ports import Image
 
-MAX_BYTES = 512 << 20  # more than the largest device of the families that are read takes
+MAX_BYTES = 512 << 20  # more than the largest device of the supported families needs
 
 _KEPT = 256  # files
 
@@ -32,12 +32,12 @@ class BitstreamReader:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._cache = ReportCache()
-        self._good: dict[Path, tuple[Report, Expectation]] = {}  # what was as expected when it was last compared
+        self._good: dict[Path, tuple[Report, Expectation]] = {}  # files that were as expected when last compared
         self._same: set[_Pair] = set()  # file and image with the same words, by their hashes
         self._alike: set[_Pair] = set()  # file and image that differ in padding at most
 
     def validated(self, path: Path, expect: Expectation) -> Report:
-        """What is in a file that is as expected. Raises the refusals of `cm.bitstream`."""
+        """The report of a file that is as expected. Raises the refusals of `cm.bitstream`."""
         report, before = self.inspect(path), self._good.get(path)
         if before is not None and before[0] is report and before[1] == expect:
             return report
@@ -51,7 +51,7 @@ class BitstreamReader:
         return report
 
     def inspect(self, path: Path) -> Report:
-        """What is in a file, from the cache where it is the same file still."""
+        """The report of a file, from the cache if it is still the same file."""
         with self._lock:
             known = self._cache.known(path)
         if known is not None:
@@ -61,7 +61,7 @@ class BitstreamReader:
             return self._cache.inspect(path)
 
     def read(self, image: Image) -> bytes:
-        """The bytes that were validated. Raises Sha256Mismatch if the file has other ones by now."""
+        """The bytes that were validated. Raises Sha256Mismatch if the file has changed."""
         found = self._read(image.path)
         if found.report.sha256 != image.sha256:
             raise Sha256Mismatch(f"{image.path}: the file was replaced after it had been checked; ask again")
@@ -70,14 +70,14 @@ class BitstreamReader:
     def has_words_of(self, path: Path, image: Image) -> bool:
         """Whether a file, in whatever container, holds the words that were validated.
 
-        Raises OSError, and the refusals of `cm.bitstream` where it is not a bitstream.
+        Raises OSError, and the refusals of `cm.bitstream` if it is not a bitstream.
         """
         return self._compared(path, image, self._same, bytes)
 
     def configures_as(self, path: Path, image: Image) -> bool:
-        """Whether a file, in whatever container, makes of the device what the image makes of it.
+        """Whether a file, in whatever container, configures the device as the image does.
 
-        Vivado's .bin has one NOP more than its .bit, bootgen's other padding. Raises as `has_words_of`.
+        Vivado's .bin has one NOP more than its .bit, bootgen's has other padding. Raises as `has_words_of`.
         """
         return self._compared(path, image, self._alike, _effective)
 

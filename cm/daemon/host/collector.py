@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Python's collector of cyclic garbage, in a process whose threads all wait while it looks through everything.
+"""Python's collector of cyclic garbage, in a process whose threads all wait while it searches all objects.
 
-It does so now and then: 15 to 30 ms for what a manager has made when it is ready, and 200 ms for a configuration of
-24,000 registers. Such things stay. They have no cycles, so what they take is given back without a collector.
+It does so now and then, which takes 15 to 30 ms for the objects of a manager that is ready, and 200 ms for a
+configuration of 24,000 registers. Such objects stay, and have no cycles, so their memory is freed without a collector.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ _NEVER = 1 << 30  # collections of young objects until one of all
 
 
 def keep() -> None:
-    """What there is now is never looked through again."""
+    """Exclude all present objects from later searches."""
     gc.freeze()
 
 
 @contextmanager
 def keeping() -> Iterator[None]:
-    """What is made meanwhile is to stay; young garbage is collected, but not all is looked through. One at a time."""
-    gc.collect()  # little: most is kept already
+    """For making objects that will stay: young garbage is collected, but not everything is searched. One at a time."""
+    gc.collect()  # quick, since most objects are excluded already
     young, middle, old = gc.get_threshold()
     gc.set_threshold(young, middle, _NEVER)
     try:

@@ -29,7 +29,7 @@ class BoardDevices:
         return self._root.join()
 
     def boot_id(self) -> str:
-        """The kernel's boot id (the simulated board has its own); empty where it cannot be read."""
+        """The kernel's boot id (the simulated board has its own); empty if it cannot be read."""
         try:
             return (self.root / _BOOT_ID).read_text(encoding="ascii").strip()
         except OSError:
@@ -88,11 +88,11 @@ class BoardDevices:
         return device_memory(length, self._root)
 
     def probe_dma(self, channel: str) -> int:
-        """A descriptor that polls readable when a channel answers that did not. Raises OSError."""
+        """A descriptor that polls readable once a silent channel answers again. Raises OSError."""
         return AxiDma.probe(channel, self._root)
 
     def check(self) -> None:
-        """Raise DeviceError where the board does not answer any more: its ports are asked, or a window is opened."""
+        """Raise DeviceError if the board no longer answers: ask its ports, or open a window."""
         ports = {*self._icaps, *list_icap(self._root)}
         for name in sorted(ports):
             self.icap(name).status()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bitstreams and overlays of a configuration: found, validated once per content, with the footprints they reveal.
 
-A footprint that was learned is worth no more than the bitstream it was learned from: where that module's file is not
-the same any more (a new build, another floorplan), it is learned anew.
+A learned footprint is valid only as long as the bitstream it was learned from: if that module's file has changed (a
+new build, another floorplan), it is learned again.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ class Footprints:
         self._untested = set(self._lessons)  # of an earlier run
 
     def of(self, config: Config, region: str, sha256_of: Callable[[str], str | None]) -> Frames:
-        """What was learned of a region; empty where nothing was.
+        """What was learned about a region; empty if nothing was.
 
-        `sha256_of` tells the hash of a module's bitstream now, None where it has none.
+        `sha256_of` returns the present hash of a module's bitstream, None if it has none.
         """
         key = (config.name, region)
         lesson = self._lessons.get(key)
@@ -85,7 +85,7 @@ class Footprints:
                 self._save()
 
     def _save(self) -> None:
-        """What cannot be written is learned again after a restart."""
+        """Save to the file; what cannot be written is learned again after a restart."""
         if self._path is None:
             return
         try:
@@ -100,7 +100,7 @@ def _holds(lesson: Lesson, config: Config, region: str, sha256_of: Callable[[str
 
 
 def _write(path: Path, data: bytes) -> None:
-    """In place of the file at once, also after a loss of power."""
+    """Replace the file in one step, safe against a loss of power."""
     path.parent.mkdir(parents=True, exist_ok=True)
     new = path.with_suffix(".new")
     with new.open("wb") as file:
@@ -121,7 +121,7 @@ def _row(f: FrameRange) -> list[int]:
 
 
 def _read(path: Path) -> Mapping[_Key, Lesson]:
-    """What is in the file; nothing where it is missing, damaged or of another version."""
+    """The content of the file; nothing if it is missing, damaged or of another version."""
     try:
         return _decode(path.read_bytes())
     except FileNotFoundError:
@@ -145,7 +145,7 @@ class BoardFiles:
     """`cm.manager.ports.Files` over the file system below a root."""
 
     def __init__(self, root: Path, footprints: Footprints | None = None, copies: Path | None = None) -> None:
-        """`copies`: the folder for what is converted for the kernel, see `FirmwareFolder`."""
+        """`copies`: the folder for files converted for the kernel, see `FirmwareFolder`."""
         self._root = root
         self._reader = BitstreamReader()
         self._firmware = FirmwareFolder(root, self._reader, copies)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the kernel finds firmware, and files for it there.
 
-The kernel opens the file itself, by name, after it was checked here. So it is looked for where the kernel
-looks (drivers/base/firmware_loader/main.c: `fw_path`), and it is given nothing but copies of our own, each
-under the hash of what was validated, compared before and after.
+The kernel opens the file itself, by name, after it was checked here. So we search where the kernel does
+(drivers/base/firmware_loader/main.c: `fw_path`), and give it only our own copies, each named by the hash of what was
+validated, and compared before and after.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _COPIES = 64
 class FirmwareFolder:
     """The firmware below a root. `copies` is the folder for converted files, one that the kernel looks in.
 
-    Where nothing is said it is the folder that the kernel was told of (firmware_class.path), which a system
-    with a read-only root has on a tmpfs or a data partition, else ``/lib/firmware``.
+    By default it is the folder that the kernel was given (firmware_class.path), which a system with a read-only root
+    has on a tmpfs or a data partition, or else ``/lib/firmware``.
     """
 
     def __init__(self, root: Path, reader: BitstreamReader, copies: Path | None = None) -> None:
@@ -62,7 +62,7 @@ class FirmwareFolder:
         return f"{_CONVERTED}/{image.sha256}.bin"
 
     def _custom(self) -> Path | None:
-        """The folder that the kernel looks in first, if it was told of one."""
+        """The folder that the kernel searches first, if it was given one."""
         with contextlib.suppress(OSError, UnicodeDecodeError):
             custom = (self._root / _CUSTOM).read_text(encoding="utf-8").strip()
             if custom:
@@ -70,7 +70,7 @@ class FirmwareFolder:
         return None
 
     def _writable(self) -> Path:
-        """Where copies go. Raises InvalidRequest for a folder that the kernel does not look in."""
+        """The folder for copies. Raises InvalidRequest for one that the kernel does not search."""
         if self._copies is None:
             custom = self._custom()
             return custom if custom is not None and os.access(custom, os.W_OK) else self.folder
@@ -93,7 +93,7 @@ class FirmwareFolder:
         return name
 
     def check(self, name: str, image: Image) -> None:
-        """Raise Sha256Mismatch where the kernel finds other words under the name than were validated."""
+        """Raise Sha256Mismatch if the kernel would find other words under the name than were validated."""
         place = self.place(name)
         try:
             same = self._reader.has_words_of(place, image)
@@ -103,12 +103,12 @@ class FirmwareFolder:
             raise Sha256Mismatch(f"{place}: not the bitstream that was checked as {image.path}; ask again")
 
     def _copy(self, image: Image) -> None:
-        """Have a copy under the hash of what was validated; one that is there and damaged is made again."""
+        """Make sure of a copy under the hash of what was validated; a damaged one is made again."""
         base = self._writable()
         folder = base / _CONVERTED
         if folder.is_symlink():
             raise InvalidRequest(f"{folder} is a symbolic link; copies are not written through one")
-        own_folder(folder, mode=0o755)  # the kernel reads what it is told from there: no other user may write
+        own_folder(folder, mode=0o755)  # the kernel reads from there, so no other user may write
         target = base / self.private_name(image)
         if not self._is_good(target, image):
             _write(target, convert(self._reader.read(image), Container.BIN_SWAPPED))
@@ -122,7 +122,7 @@ class FirmwareFolder:
 
 
 def _write(target: Path, data: bytes) -> None:
-    """Whole or not at all, also after a loss of power; never through a link that was left there."""
+    """Write whole or not at all, even at a loss of power; never through a link."""
     import tempfile  # 1 MiB, not needed without the kernel's firmware loader
 
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=".", suffix=".new")
@@ -140,9 +140,9 @@ def _write(target: Path, data: bytes) -> None:
 
 
 def _prune(folder: Path, used: Path) -> None:
-    """Keep the copies used last: others are made again when they are needed.
+    """Keep the most recently used copies: others are made again when needed.
 
-    The times of files order them, whatever the clock says: a board without one begins in 1970.
+    File times are only compared with each other, since a board without a clock begins in 1970.
     """
     others = [path for path in folder.iterdir() if _OURS.fullmatch(path.name) and path != used]
     ages = {path: path.lstat().st_mtime_ns for path in others}

@@ -20,7 +20,7 @@ _FIELDS = ("cm_code", "cm_change")
 
 
 def journal_handler(environment: Mapping[str, str] = os.environ, address: str = _ADDRESS) -> logging.Handler | None:
-    """A handler where our stderr is the journal's stream, as under systemd; else None."""
+    """A handler if our stderr is the journal's stream, as under systemd; else None."""
     try:
         stderr = os.fstat(sys.stderr.fileno())
     except (OSError, ValueError):
@@ -39,7 +39,7 @@ class JournalHandler(logging.Handler):
         self._address = address
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Send it; a journal that does not take it costs us the record, nothing else."""
+        """Send it; if the journal does not accept it, only this record is lost."""
         try:
             self._socket.sendto(b"".join(_encoded(*field) for field in self._fields(record)), self._address)
         except OSError:

@@ -24,10 +24,11 @@ class DeviceMemory:
 
 
 def device_memory(length: int, root: Root) -> DeviceMemory:
-    """Whole pages, `length` bytes at least. Raises DeviceError, NotFound where no device gives any.
+    """Whole pages, `length` bytes at least.
 
-    A configuration port may be opened by any number of files, so one that is ours alone holds the memory. A DMA
-    channel may not: it is given back at once, and the descriptor alone keeps the memory.
+    Raises DeviceError, NotFound if no device provides any. A configuration port may be open several times, so an open
+    one of our own holds the memory. A DMA channel may not: it is closed at once, and the descriptor alone keeps the
+    memory.
     """
     try:
         port = Icap.open(root=root)

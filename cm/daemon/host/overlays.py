@@ -19,7 +19,7 @@ from cm.schema.model import Config, Module, Overlay
 _NAME = "firmware-name"
 _PARTIAL, _ENCRYPTED, _EXTERNAL = "partial-fpga-config", "encrypted-fpga-config", "external-fpga-config"
 _KNOWN = (_PARTIAL, _ENCRYPTED, _EXTERNAL)
-_DMABUF = "fpga-config-from-dmabuf"  # of linux-xlnx: no file that could be looked at
+_DMABUF = "fpga-config-from-dmabuf"  # of linux-xlnx: it names no file that could be checked
 _LOADING = frozenset({_NAME, _PARTIAL, _ENCRYPTED})
 
 
@@ -40,7 +40,7 @@ def checked_overlay(name: str, blob: bytes) -> bytes:
 
 
 def firmware_loads(name: str, blob: bytes) -> tuple[FirmwareLoad, ...]:
-    """All that applying an overlay would load. Raises BadOverlay, also for what cannot be told beforehand."""
+    """Everything that applying an overlay would load. Raises BadOverlay, also if that cannot be known beforehand."""
     root = _read(name, blob)
     for _, node in root.walk():
         if _NAME in node.properties and node.name != "__overlay__" and _is_region(node):
@@ -58,7 +58,7 @@ def naming(name: str, blob: bytes, firmware: str) -> bytes:
 
 
 def loading_nothing(name: str, blob: bytes) -> bytes:
-    """A copy of the overlay that adds what it adds, to a device that is configured already."""
+    """A copy of the overlay that adds the same nodes, to a device that is configured already."""
 
     def kept(node: fdt.FdtNode) -> dict[str, bytes]:
         return {k: v for k, v in node.properties.items() if k not in _LOADING}
@@ -102,7 +102,7 @@ def _says_of_loading(name: str, node: fdt.FdtNode) -> bool:
 
 
 def _unknown(node: fdt.FdtNode) -> str | None:
-    """A property by which linux-xlnx takes the image otherwise: user keys, authentication."""
+    """A property that makes linux-xlnx treat the image differently: user keys, authentication."""
     wanted = (key for key in node.properties if key.endswith("-fpga-config") or key == "encrypted-key-name")
     return next((key for key in wanted if key not in _KNOWN), None)
 
@@ -140,8 +140,8 @@ class OverlayFiles:
     def beside(self, config: Config, overlay: Overlay, images: Sequence[Image]) -> bytes:
         """An overlay that comes with a configuration or mode whose `images` are in the device when it is applied.
 
-        One that names them loads them no second time: the image of the whole device would take with it what
-        was loaded into its regions since. Raises FileMissing, and BadOverlay where it would load anything else.
+        If it names them, they are not loaded a second time: a full image would erase what was loaded into its regions
+        since. Raises FileMissing, and BadOverlay if it would load anything else.
         """
         path = overlay_path(config, overlay, self._root)
         data = self._overlay(path)
@@ -153,7 +153,7 @@ class OverlayFiles:
     def loading(self, config: Config, module: Module, image: Image) -> bytes:
         """The overlay by which a module is loaded, naming our own copy of its image.
 
-        Raises FileMissing, and BadOverlay where it names anything but that image, or is not an overlay for it.
+        Raises FileMissing, and BadOverlay if it names anything but that image, or is not an overlay for it.
         """
         path = find_file(config, [f"{module.name}.dtbo"], self._root)
         data = self._overlay(path)
@@ -178,7 +178,7 @@ class OverlayFiles:
         return data
 
     def _known(self, path: Path, config: Config, load: FirmwareLoad, images: Sequence[Image]) -> None:
-        """Raise BadOverlay unless a firmware-name leads to one of the images, and is flagged as what that is."""
+        """Raise BadOverlay unless a firmware-name leads to one of the images, with the right flags for it."""
         what = f"{path}: its firmware-name {load.name!r}"
         try:
             place = self._place(path, config, load.name)
@@ -190,7 +190,7 @@ class OverlayFiles:
         _check_flags(what, load, image)
 
     def _place(self, path: Path, config: Config, name: str) -> Path:
-        """The file that a name means: the package's own before what others put where the kernel looks."""
+        """The file that a name means: the package's own comes before those in the kernel's folders."""
         by_kernel = self._firmware.place(name)  # refuses names that leave the folder
         own = list(dict.fromkeys((path.parent, path.resolve().parent)))  # of an import, the overlay is a link
         places = [folder / name for folder in own]

@@ -40,7 +40,7 @@ _LOG = logging.getLogger("cm")
 
 _SIGNED_ONLY = "policy.signatures requires signed configurations; bring it by `cm import archive`"
 _TAKEN = "that name is the administrator's, whose configurations no client replaces"
-_OWNER = ".owner"  # files that are sent have no names that begin so
+_OWNER = ".owner"  # files that are sent have no names with this beginning
 
 
 class Provisioner:
@@ -50,7 +50,7 @@ class Provisioner:
     """
 
     def __init__(self, folder: Path, unsigned: bool = True, quota: Quota = Quota()) -> None:  # noqa: B008 (frozen)
-        """`unsigned`: whether what is not signed may be used; what comes over the wire is never signed."""
+        """`unsigned`: whether unsigned configurations may be used; those that come over the wire are never signed."""
         self._folder = folder
         self._unsigned = unsigned
         self._quota = quota
@@ -58,7 +58,7 @@ class Provisioner:
         self.owned: Mapping[str, Owned] = {}
 
     def renew(self, quota: Quota) -> None:
-        """Another quota from now on; what was sent stays."""
+        """Apply another quota from now on; configurations that were sent stay."""
         self._quota = quota
 
     def stored(self) -> list[Path]:
@@ -86,7 +86,7 @@ class Provisioner:
     def standing(self, administrators: Mapping[str, Config], example: bool = False) -> dict[str, Config]:
         """All configurations: the administrator's, and what clients sent under other names.
 
-        `example`: the first are the shipped ones, to play with; what is sent takes their place.
+        `example`: the former are the shipped ones, to experiment with; those that are sent replace them.
         """
         if example:
             return {**administrators, **self.configs()}
@@ -103,11 +103,11 @@ class Provisioner:
         allowed: Callable[[str], None] = lambda _: None,
         sender: Sender = OURSELVES,
     ) -> Config:
-        """Check the schema and put it with its files in place of what was there under its name.
+        """Check the schema, and put it and its files in place of any configuration of that name.
 
-        Raises SchemaError, InvalidRequest (also where only signed ones are taken), Reserved, NotTheirs, QuotaExceeded,
-        NoSpace, and what `allowed` raises for the configuration's name. The folder is written aside and renamed, so
-        a killed manager leaves the old one or the new one.
+        Raises SchemaError, InvalidRequest (also if only signed ones are accepted), Reserved, NotTheirs, QuotaExceeded,
+        NoSpace, and what `allowed` raises for the configuration's name. The folder is written under another name and
+        renamed, so a killed manager leaves the old one or the new one.
         """
         if not self._unsigned:
             raise InvalidRequest(f"a configuration over the wire is refused: {_SIGNED_ONLY}")
@@ -127,7 +127,7 @@ class Provisioner:
         return replace(config, source=place.absolute() / SCHEMA_FILE, sha256_source=hashlib.sha256(written).hexdigest())
 
     def remove(self, name: str, sender: Sender) -> None:
-        """Take away what a client sent. Raises UnknownConfig, Reserved, NotTheirs."""
+        """Remove a configuration that a client sent. Raises UnknownConfig, Reserved, NotTheirs."""
         if name not in self.owned and name not in self.reserved:
             raise UnknownConfig(f"no client sent a configuration {name!r}; there are {listed(self.owned)}")
         self._check_owner(name, sender)
@@ -200,7 +200,7 @@ class Provisioner:
 
 
 def _owned(folder: Path) -> Owned:
-    """Whose a configuration is; an admin's where that was not noted, as older versions did not."""
+    """The owner of a configuration; an admin if none was noted, as by older versions."""
     try:
         said = json.loads((folder / _OWNER).read_text("utf-8"))
         account, name = str(said["account"]), str(said["name"])
@@ -217,7 +217,7 @@ def _remove(folder: Path) -> None:
 
 
 def _write(path: Path, data: bytes | memoryview) -> None:
-    """Written to the disk, not only to its cache: the renames that follow must not come before the content."""
+    """Write to the disk, not only to its cache: the renames that follow must not overtake the content."""
     with path.open("wb") as file:
         file.write(data)
         file.flush()

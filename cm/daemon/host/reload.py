@@ -24,42 +24,42 @@ _LOG = logging.getLogger("cm")
 
 @dataclass(frozen=True, slots=True)
 class Reloaded:
-    """What was read: configurations by name, who may do what and take how much, and what takes a restart."""
+    """What was read: configurations by name, who may do what and use how much, and which changes need a restart."""
 
     configs: Mapping[str, Config]
     access: Access
     limits: Limits = Limits()  # noqa: RUF009 (frozen)
     quota: Quota = Quota()  # noqa: RUF009 (frozen)
     notes: tuple[str, ...] = ()
-    whole: bool = True  # whether every schema on the search path was good
+    whole: bool = True  # whether every schema on the search path was valid
 
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a reloader works with. `read` runs aside; None: there is nothing to read again."""
+    """What a reloader works with. `read` runs in another thread; None: there is nothing to read again."""
 
     manager: Manager
-    renew: Callable[[Reloaded], None]  # what is bounded by settings
+    renew: Callable[[Reloaded], None]  # applies settings to what they bound
     service: ServiceManager
     aside: Executor
     in_loop: Callable[[Callable[[], None]], None]
-    standing: Callable[[Mapping[str, Config]], Mapping[str, Config]]  # beside what clients sent
+    standing: Callable[[Mapping[str, Config]], Mapping[str, Config]]  # together with those that clients sent
     complete: Callable[[Config], Config]
     read: Callable[[], Reloaded] | None
     stamps: Callable[[], object] | None = None
 
 
 class Renewed(Protocol):
-    """What other bounds can be given to."""
+    """A part that can be given other bounds."""
 
     def renew(self, limits: Limits, /) -> None:
-        """From now on; what is taken beyond them stays."""
+        """Apply them from now on; what exceeds them already stays."""
 
 
 def renewal(
     access: Callable[[Access], None], bounded: tuple[Renewed, ...], leases: Leases, provisioner: Provisioner
 ) -> Callable[[Reloaded], None]:
-    """Hands what was read to all that is bounded by it, in the loop's thread."""
+    """Passes the new bounds to all parts that have them, in the loop's thread."""
 
     def renew(found: Reloaded) -> None:
         access(found.access)
@@ -72,14 +72,14 @@ def renewal(
 
 
 class Reloader:
-    """Reads aside and applies in the loop's thread: all of it, or where reading fails, nothing.
+    """Reads in another thread and applies in the loop's: everything, or nothing if reading fails.
 
-    A configuration that is loaded, or being loaded, keeps the schema that it was loaded with. What was
-    read for it waits until the board holds another.
+    A configuration that is loaded, or being loaded, keeps the schema that it was loaded with. Its new schema waits
+    until the board holds another configuration.
     """
 
     def __init__(self, surroundings: Surroundings, configs: Mapping[str, Config]) -> None:
-        """`configs`: those of the start; ones that a later reading lacks are forgotten."""
+        """`configs`: those of the start; configurations that a later reading lacks are forgotten."""
         self._s = surroundings
         self._waiting: dict[str, Config | None] = {}  # None: to be forgotten
         self._ours = frozenset(configs)
@@ -115,7 +115,7 @@ class Reloader:
 
     def _apply(self, found: Reloaded, standing: Mapping[str, Config]) -> None:
         self._s.renew(found)
-        # One that is damaged has no name, so that nothing that was known is taken for removed meanwhile.
+        # A damaged schema has no name, so as long as there is one, no known configuration counts as removed.
         hidden = self._ours - found.configs.keys()
         gone = hidden - standing.keys() if found.whole else frozenset()
         kept = frozenset() if found.whole else hidden
@@ -135,7 +135,7 @@ class Reloader:
         return known is None or (known.source, known.sha256_source) != (config.source, config.sha256_source)
 
     def continue_waiting(self) -> None:
-        """Take over what waits and is not in use any more; called now and then."""
+        """Apply schemas that wait and whose configuration is no longer in use; called now and then."""
         for name in [name for name in self._waiting if not self._s.manager.in_use(name)]:
             config = self._waiting.pop(name)
             if config is None:

@@ -22,7 +22,7 @@ SCHEMAS_EACH, SCHEMAS_ALL = 2 << 20, 4 << 20  # bytes of text of each, and of al
 
 
 class Reserved(InvalidRequest):
-    """A configuration of the administrator's has that name."""
+    """A configuration of the administrator has that name."""
 
     code = "config_reserved"
 
@@ -32,7 +32,7 @@ class NotTheirs(Forbidden):
 
 
 class QuotaExceeded(Busy):
-    """Clients' configurations may not take more room."""
+    """Clients' configurations may not use more space."""
 
     code = "quota"
 
@@ -45,7 +45,7 @@ class NoSpace(CmError):
 
 @dataclass(frozen=True, slots=True)
 class Quota:
-    """Bytes of what clients send: of each, and of all."""
+    """Bytes of the configurations of each client, and of all."""
 
     each: int = 512 << 20
     all: int = 1 << 30
@@ -65,7 +65,7 @@ OURSELVES = Sender("", "the manager", admin=True)
 
 @dataclass(frozen=True, slots=True)
 class Owned:
-    """A configuration that was sent: whose it is, its bytes, and those of them that are its schema."""
+    """A configuration that was sent: its owner, its bytes, and how many of them are its schema."""
 
     account: str
     name: str

@@ -11,7 +11,7 @@ from contextlib import suppress
 
 
 class ServiceManager:
-    """Who started us, if it wants to be told; without `$NOTIFY_SOCKET` nothing is sent."""
+    """The service manager that started us, if it wants messages; without `$NOTIFY_SOCKET` nothing is sent."""
 
     def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
         self._address = environment.get("NOTIFY_SOCKET", "")
@@ -24,7 +24,7 @@ class ServiceManager:
 
     @property
     def interval(self) -> float | None:
-        """Seconds between two signs of life: half of what it waits for one. None where it waits for none."""
+        """Seconds between two signs of life: half of the time that it waits for one. None if it expects none."""
         return self._watchdog / 2 if self._watchdog and self._address else None
 
     def ready(self, status: str = "") -> None:
@@ -36,7 +36,7 @@ class ServiceManager:
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.clock_gettime_ns(time.CLOCK_MONOTONIC) // 1000}")
 
     def stopping(self) -> None:
-        """We are on our way out."""
+        """We are about to end."""
         self._send("STOPPING=1")
 
     def alive(self) -> None:
@@ -47,7 +47,7 @@ class ServiceManager:
         if not self._address:
             return
         address = "\0" + self._address[1:] if self._address.startswith("@") else self._address
-        # A service manager that does not listen is no reason to stop; its own time-out deals with us.
+        # A service manager that does not listen is no reason to stop; its own time-out will act.
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sock:
             sock.setblocking(False)
             sock.sendto("\n".join(lines).encode(), address)
