@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Flattened device trees, read, changed and written (Devicetree Specification 0.4, chapter 5).
 
-The one reader of `.dtbo` and `.dtb` files, whether a user sends them, a vendor ships them, or the simulated board is
-to apply them. Plain Python, so that a board needs no libfdt. No length, offset or name of a blob is trusted. What dtc
-refuses to write is refused here too
-(two properties of one name, two siblings of one name): readers disagree about which of the two counts, and a check of
-one is worthless if the kernel obeys the other.
+The one reader of `.dtbo` and `.dtb` files, whether a user sends them, a vendor ships them, or the simulated board is to
+apply them. Plain Python, so that a board needs no libfdt. No length, offset or name of a blob is trusted. What dtc
+refuses to write is refused here too (two properties of one name, two siblings of one name): readers disagree about
+which of the two counts, and a check of one is worthless if the kernel obeys the other.
 """
 
 from __future__ import annotations

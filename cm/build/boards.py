@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The board library: parts, Vivado's board parts, pins by connector, pblocks that public designs have used.
 
-One JSON file a board in ``data/boards/``, each fact with its public source. A preset of the processing system (DDR,
-MIO, reference clocks) comes from Vivado's board files, which `BoardDefinition.board_part` names.
+One JSON file for each board in ``data/boards/``, each fact with its public source. A preset of the processing system
+(DDR, MIO, reference clocks) comes from Vivado's board files, which `BoardDefinition.board_part` names.
 """
 
 from __future__ import annotations

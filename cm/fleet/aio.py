@@ -156,12 +156,11 @@ class Fleet(Looker):
         """Take all boards to a mode, or none: plan on all, prepare all, change all, then keep the new mode or go back.
 
         `policy`: ``all``, ``quorum`` or ``best_effort``: how many boards must succeed for the change to be kept.
-        `timeout`: seconds
-        for each phase. `settle`: seconds after which a board that hears nothing asks what was decided (0: twice
-        `timeout`). `tell` is called with the phase, a board, and its answer. Returns the outcome with the critical
-        path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names each board that
-        differs). If this is cancelled or killed at any moment, the boards end the change by themselves; `recover`
-        hastens that.
+        `timeout`: seconds for each phase. `settle`: seconds after which a board that hears nothing asks what was
+        decided (0: twice `timeout`). `tell` is called with the phase, a board, and its answer. Returns the outcome with
+        the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names each
+        board that differs). If this is cancelled or killed at any moment, the boards end the change by themselves;
+        `recover` hastens that.
         """
         rule = answers.policy(policy)
         chosen = await self.chosen(boards)

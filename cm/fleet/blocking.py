@@ -60,8 +60,7 @@ def connect(
     `router`: zenoh's ``tcp/host:port`` or ``tls/host:port`` (default: `$CM_FLEET`, or else whoever is found on this
     network). `config`: a file of zenoh's settings, as ``cm fleet keys`` writes them. `caller`: the name to make
     requests under; with certificates the one in your own, else this user's. `timeout`: seconds for an answer. Raises
-    NoNetwork,
-    InvalidRequest for a caller's name that cannot be part of a key.
+    NoNetwork, InvalidRequest for a caller's name that cannot be part of a key.
     """
     return Fleet(aio.connect(router, config=config, caller=caller, timeout=timeout))
 
@@ -158,11 +157,10 @@ class Fleet:
         """Take all boards to a mode, or none: plan on all, prepare all, change all, then keep the new mode or go back.
 
         `policy`: ``all``, ``quorum`` or ``best_effort``: how many boards must succeed for the change to be kept.
-        `timeout`: seconds
-        for each phase. `settle`: seconds after which a board that hears nothing asks what was decided (0: twice
-        `timeout`). `tell` is called with the phase, a board, and its answer, in another thread. Returns the outcome
-        with the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed (its outcome names
-        each board that differs).
+        `timeout`: seconds for each phase. `settle`: seconds after which a board that hears nothing asks what was
+        decided (0: twice `timeout`). `tell` is called with the phase, a board, and its answer, in another thread.
+        Returns the outcome with the critical path. Raises NoSuchBoard, FleetRefused (nothing was touched), ChangeFailed
+        (its outcome names each board that differs).
         """
         changing = self._fleet.load(config, mode, boards, policy=policy, timeout=timeout, settle=settle, tell=tell)
         return self._loop.wait_for(changing)

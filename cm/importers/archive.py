@@ -45,11 +45,10 @@ def unpack(archive: Path, out: Path, keep: int = KEEP, judge: Judge | None = Non
     """Put an archive's configuration into ``out/<config>/``, in place of what was there under its name.
 
     The archive holds ``<config>/<file>…`` and nothing else. Schema, files and hashes are checked in another folder,
-    which then takes its place in one step: a killed import leaves the old one or the new one. The last `keep`
-    versions before it are kept for a rollback. `judge` is asked last, with the new folder, the configuration's name
-    and the folder in force; what it raises is a refusal. Raises ImportRefused, SchemaError, FileMissing, OSError;
-    `out` is then as
-    before.
+    which then takes its place in one step: a killed import leaves the old one or the new one. The last `keep` versions
+    before it are kept for a rollback. `judge` is asked last, with the new folder, the configuration's name and the
+    folder in force; what it raises is a refusal. Raises ImportRefused, SchemaError, FileMissing, OSError; `out` is then
+    as before.
     """
     out = out.resolve()  # the files that a schema names are compared by their full paths
     with locked(out):

@@ -3,9 +3,8 @@
 
 A parameter's name must not begin another's: ``ros2 param dump`` turns them into maps.
 
-The values that a register may hold are the parameter's range; a read-only register is a read-only parameter.
-Parameters are signed:
-a value of 64 bits whose highest bit is set shows as a negative number, and is written as one.
+The values that a register may hold are the parameter's range; a read-only register is a read-only parameter. Parameters
+are signed: a value of 64 bits whose highest bit is set shows as a negative number, and is written as one.
 """
 
 from __future__ import annotations

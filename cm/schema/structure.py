@@ -2,8 +2,8 @@
 """Applies the JSON Schema: a tree in any accepted form → plain values in normal form.
 
 `Structure` walks the tree along the schema. It brings the accepted short forms (a list of one-key maps, a list of
-names, a single name) into the normal form, reports keys that are unknown,
-missing or written twice, and leaves types and ranges to fastjsonschema.
+names, a single name) into the normal form, reports keys that are unknown, missing or written twice, and leaves types
+and ranges to fastjsonschema.
 """
 
 from __future__ import annotations

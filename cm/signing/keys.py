@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """ed25519 keys in PEM files, as openssl makes them; a key is named after its file.
 
-openssl genpkey -algorithm ed25519 -out release.pem
-openssl pkey -in release.pem -pubout -out release.pub.pem
+openssl genpkey -algorithm ed25519 -out release.pem openssl pkey -in release.pem -pubout -out release.pub.pem
 """
 
 from __future__ import annotations

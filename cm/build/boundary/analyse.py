@@ -50,7 +50,7 @@ class Analysis:
 
     @property
     def broken(self) -> int:
-        """How many problems there are with which synthesis cannot succeed."""
+        """The number of problems that make synthesis fail."""
         return sum(problem.breaks for info in self.modules.values() for problem in info.problems)
 
     def placed(self, module: str, sentence: str) -> str:
@@ -69,7 +69,7 @@ class Analysis:
         return f"{file}:{line}: {sentence}" if line else f"{file}: {sentence}"
 
     def completed(self, project: Project) -> Project:
-        """`project` with the registers of its modules' register maps; what the build schema says goes first."""
+        """`project` with the registers of its modules' register maps; the build schema takes precedence."""
         modules = {name: _with_registers(project, self._named(spec)) for name, spec in project.modules.items()}
         return replace(project, modules=modules)
 
@@ -117,7 +117,7 @@ def analyse(project: Project) -> Analysis:
 
 
 def _elsewhere(spec: ModuleSpec, info: ModuleInfo) -> bool:
-    """The top is VHDL of a library of its own, where the Verilog round it would not look for it."""
+    """Whether the top is VHDL in a library of its own, where the Verilog around it would not find it."""
     return info.language is Language.VHDL and Path(info.file) in in_libraries(spec.libraries)
 
 
@@ -131,7 +131,7 @@ def _wanted(spec: ModuleSpec) -> Wanted:
 
 
 def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:
-    """The key of a module that is wrong."""
+    """The key of a module in the build schema that has the problem."""
     if isinstance(error, hdl.UnknownParameter):
         return ("parameters", error.name)
     if spec.component is not None and str(error).startswith(f"{spec.component}:"):
@@ -173,7 +173,7 @@ def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[Modu
 
 
 def _with_missing(info: ModuleInfo, spec: ModuleSpec, outside: Sequence[str]) -> ModuleInfo:
-    """A problem for submodules that synthesis will look for in vain; vendor IP may bring them, primitives are there."""
+    """A problem for each submodule that synthesis will not find; vendor IP may bring some, primitives always exist."""
     missing = [name for name in outside if not _PRIMITIVE.fullmatch(name)]
     if not missing or spec.ip or spec.tcl or spec.sim_sources:
         return info

@@ -35,7 +35,7 @@ def signals_of(slot: Slot) -> list[str]:
 
 
 def bus_ports(slot: Slot, modules: Sequence[ModuleInfo]) -> list[BoundaryPort]:
-    """The boundary's ports for a slot, widths reconciled; signals that no safe width has are left out."""
+    """The boundary's ports for a slot, widths reconciled; signals without a safe width are left out."""
     ports = []
     for signal in signals_of(slot):
         widths = [interface.widths.get(signal) for interface in slot.members.values()]
@@ -49,7 +49,7 @@ def bus_ports(slot: Slot, modules: Sequence[ModuleInfo]) -> list[BoundaryPort]:
 
 
 def _width(how: Policy, widths: Sequence[int | None]) -> int:
-    """0: no port. A module that lacks a signal counts where every module must see it whole."""
+    """The width; 0: no port. A module that lacks a signal counts if every module must see it whole."""
     known = [width for width in widths if width]
     if not known:
         return 0

@@ -28,11 +28,10 @@ _NO_NAMES: Names = MappingProxyType({})
 def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES, labels: Sequence[str] | None = None) -> Boundary:
     """The boundary that all `modules` of a region share; the order of modules is that of the result.
 
-    `names` says for (module, interface) which interface of the boundary it is, where names and kinds
-    do not tell. Modules that cannot be fitted are in the result with the reasons in `refused`;
-    they do not keep the others from being fitted. `labels` name the modules in the result and in `names`
-    instead of their own names, one each: needed where two of them have one top with other parameters
-    or other sources. Without labels, two that differ but have one name are refused.
+    `names` gives for (module, interface) the interface of the boundary, where names and kinds do not decide. Modules
+    that cannot be fitted are in the result with the reasons in `refused`; the others are still fitted. `labels` name
+    the modules in the result and in `names` instead of their own names, one each: needed where two of them have one top
+    with other parameters or other sources. Without labels, two that differ but have one name are refused.
     """
     if labels is not None:
         modules = [replace(module, name=label) for module, label in zip(modules, labels, strict=True)]
@@ -60,7 +59,7 @@ def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES, labels: Se
 
 
 def _distinct(modules: Sequence[ModuleInfo]) -> tuple[list[ModuleInfo], dict[str, list[str]]]:
-    """Each name once, the first of it; where a later one has other ports, why it cannot stand for both."""
+    """The first module of each name; if a later one has other ports, why one name cannot stand for both."""
     found: dict[str, ModuleInfo] = {}
     clashes: dict[str, list[str]] = {}
     for module in modules:

@@ -14,7 +14,7 @@ from cm.build.hdl.model import Interface, PortDirection
 
 
 class Role(str, Enum):
-    """What a boundary port is for."""
+    """The purpose of a boundary port."""
 
     CLOCK = "clock"
     RESET = "reset"  # active low at the boundary; a wrapper inverts for modules that need it
@@ -97,7 +97,7 @@ class Boundary:
         return all(adaptation.ok for adaptation in self.adaptations)
 
     def adaptation(self, module: str) -> Adaptation:
-        """The adaptation of that module; KeyError where there is none."""
+        """The adaptation of that module; KeyError if there is none."""
         for adaptation in self.adaptations:
             if adaptation.module == module:
                 return adaptation

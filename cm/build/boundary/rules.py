@@ -19,14 +19,14 @@ class Policy(str, Enum):
 
     SAME = "same"  # equal, or the module is refused
     WIDEST = "widest"  # zeros above what a module drives; high bits that a module does not read are dropped
-    NARROWEST = "narrowest"  # what comes in must come back whole: every module sees it all
+    NARROWEST = "narrowest"  # what comes in must come back whole, so every module has to see all of it
 
 
 @dataclass(frozen=True, slots=True)
 class Missing:
-    """What happens where a module lacks a signal that the boundary has.
+    """What happens if a module lacks a signal that the boundary has.
 
-    `value`: the tie-off (all bits 0, all bits 1), None where there is none; `refusal`: why it cannot be.
+    `value`: the tie-off (all bits 0, all bits 1), None if there is none; `refusal`: why it is not possible.
     """
 
     value: int | None = None
@@ -51,7 +51,7 @@ def policy(protocol: str, mode: Mode, signal: str) -> Policy:
     if protocol not in ("axi4", "axi3", "axi4lite"):
         return Policy.SAME
     if signal in _IDS:
-        # A slave must give back every bit of an ID; a master's responses carry the IDs that it gave.
+        # A slave must return every bit of an ID; a master's responses carry the IDs that it sent.
         return Policy.NARROWEST if mode is Mode.SLAVE else Policy.WIDEST
     return Policy.WIDEST if signal in (*_ADDRESSES, *_USERS) else Policy.SAME
 

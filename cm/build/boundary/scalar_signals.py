@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clocks, resets, interrupts and single signals at the boundary.
 
-Each clock of the boundary has one reset, active low; every reset of a module that belongs to the clock hangs on it.
+Each clock of the boundary has one reset, active low; every reset of a module that belongs to the clock is connected
+to it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class Clocks:
 
 
 def make_clocks(modules: Sequence[ModuleInfo]) -> Clocks:
-    """One clock `aclk` where no module has more than one; else by name, or the only choice."""
+    """One clock `aclk` if no module has more than one; otherwise by name, or the only choice."""
     inputs = {m.name: [c.port for c in m.clocks if c.direction is IN] for m in modules}
     result = Clocks()
     if all(len(ports) <= 1 for ports in inputs.values()):
@@ -61,7 +62,7 @@ def clock_ports(clocks: Clocks) -> list[BoundaryPort]:
 
 
 def fit_clocks(clocks: Clocks, module: ModuleInfo, fitting: Fitting) -> None:
-    """Connect a module's clocks and resets; those it has not stay open."""
+    """Connect a module's clocks and resets; those that it does not have stay open."""
     used: set[str] = set()
     for clock in module.clocks:
         if clock.direction is not IN:
@@ -116,7 +117,7 @@ class Single:
 
 
 def make_interrupts(modules: Sequence[ModuleInfo]) -> list[Single]:
-    """Interrupts by name; where no module has more than one of a direction, that one is `interrupt`."""
+    """Interrupts by name; if no module has more than one in a direction, it is called `interrupt`."""
     found: list[Single] = []
     for mode, only in ((Mode.MASTER, "interrupt"), (Mode.SLAVE, "interrupt_in")):
         lists = {m.name: [i for i in m.interrupts if i.mode is mode] for m in modules}

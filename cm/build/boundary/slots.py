@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which interfaces of a region's modules are the same one: by name, else where only one pairing is possible."""
+"""Which interfaces of a region's modules belong together: by name, or if only one pairing is possible."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def _new_slot(interface: Interface, module: ModuleInfo, result: Slots) -> None:
 
 
 def unique(name: str, taken: Iterable[str]) -> str:
-    """The name, with a number where it is taken."""
+    """The name, with a number if it is taken."""
     taken = set(taken)
     number = 2
     result = name

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks of a region's modules: each gets what the build schema says, none is tied to another without a word."""
+"""Clocks of a region's modules: each gets what the build schema says, and none is tied to another unless it says so."""
 
 from __future__ import annotations
 

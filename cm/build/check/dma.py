@@ -95,7 +95,7 @@ def _parameter(dma: DmaCell, name: str, value: object) -> Iterator[Finding]:
 
 
 def _stream(dma: DmaCell, values: Mapping[str, object], way: str) -> int:
-    """Bits of a stream: the parameter, or what its port says."""
+    """Bits of a stream, from the parameter or its port."""
     pin = "M_AXIS_MM2S" if way == "mm2s" else "S_AXIS_S2MM"
     own = values.get(f"c_{pin.lower()}_tdata_width")
     ports = [dict(port.settings).get("TDATA_NUM_BYTES") for port in dma.ports if port.pin == pin]

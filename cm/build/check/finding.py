@@ -14,7 +14,7 @@ from cm.schema.problems import KeyPath
 class Finding:
     """Something that Vivado would refuse (`error`) or that a designer should know.
 
-    `rule` is the message's number in Vivado, or a name of ours where Vivado is silent; `docs/build-vivado.md` has
+    `rule` is the message's number in Vivado, or a name of ours if Vivado has none; `docs/build-vivado.md` has
     the sources.
     """
 

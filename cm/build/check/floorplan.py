@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pblocks: no two in one place, nothing in them that must stay static, and enough for their modules."""
+"""Pblocks: no overlaps, nothing in them that must stay static, and enough resources for their modules."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _kinds(region: RegionPlan, areas: list[Rectangle], system: System, device: D
 
 def _room(region: RegionPlan, areas: list[Rectangle], system: System, device: Device | None) -> Iterator[Finding]:
     if any(area.kind == CLOCK_REGION for area in areas):
-        return  # of a device without public data: how much lies in its clock regions is not known
+        return  # for a device without public data, the contents of clock regions are not known
     have = holds(areas, device, system.platform.ultrascale)
     for what, need in _needs(region, system):
         for attribute, name in _NAMES:

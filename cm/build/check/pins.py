@@ -11,7 +11,7 @@ from cm.build.plan.system import System
 
 
 def check_pins(system: System) -> Iterator[Finding]:
-    """A finding for each port without a pin, and for each pin that cannot be."""
+    """A finding for each port without a pin, and for each impossible pin."""
     hint = "name pins of the board under pins:, or give both in a file of static: constraints"
     for fault in placements(system)[1]:
         rule, said = ("DRC UCIO-1", hint) if fault.missing else ("pins", "")

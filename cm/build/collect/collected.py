@@ -30,7 +30,7 @@ class Inputs:
 
     @property
     def whole(self) -> Handoff | None:
-        """The description of the whole design, if there is one; BuildError where there are several."""
+        """The description of the whole design, if there is one; BuildError if there are several."""
         found = [entry for entry in self.handoffs if not entry.partial]
         if len(found) > 1:
             raise BuildError(f"several whole designs: {', '.join(entry.name for entry in found)}; give one at a time")

@@ -56,7 +56,7 @@ def gather(paths: Iterable[Path], work: Path) -> Inputs:
 
 
 def collect(paths: Iterable[Path], name: str | None = None) -> Collected:
-    """The configuration that files of any flow are; `name` is by default that of the design."""
+    """The configuration that files of any flow are; `name` is by default the design's."""
     with tempfile.TemporaryDirectory() as work:
         inputs = gather(paths, Path(work))
         check_images(inputs.images, inputs.whole.device if inputs.whole else None)
@@ -114,7 +114,7 @@ def _with_images(config: Config, files: Mapping[str, bytes], groups: Mapping[str
 
 
 def check_addresses(system: System, design: hwh.Hwh) -> None:
-    """BuildError where the block design has a DMA engine elsewhere than planned: the files are of another build."""
+    """BuildError if a DMA engine of the block design is not at its planned address: the files are of another build."""
     found = {design.modules[w.instance].name: w.base for w in hwh.windows(design) if w.instance in design.modules}
     wrong = [
         f"dma_{engine.name} is at {found[f'dma_{engine.name}']:#x}, planned at {engine.window.base:#x}"
@@ -126,7 +126,7 @@ def check_addresses(system: System, design: hwh.Hwh) -> None:
 
 
 def _loadable(collected: Collected) -> Collected:
-    """Load the schema as the CM will; `SchemaError` where it would not."""
+    """Load the schema as the CM will; `SchemaError` if it would be refused."""
     text = collected.files[f"{collected.config.name}.yaml"].decode()
     return replace(collected, config=loads(text, f"{collected.config.name}.yaml"))
 

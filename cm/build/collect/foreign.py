@@ -41,7 +41,7 @@ _NAME_LENGTH = 64
 
 
 def their_config(inputs: Inputs, name: str | None) -> Collected:
-    """The configuration in normal form with its files; BuildError where the files do not belong together."""
+    """The configuration in normal form with its files; BuildError if the files do not belong together."""
     whole = inputs.whole
     full = [image for image in inputs.images if not image.report.partial]
     partial = [image for image in inputs.images if image.report.partial]
@@ -122,7 +122,7 @@ def _region_instances(whole: hwh.Hwh | None) -> list[str]:
 
 
 def _named_groups(partial: list[Image], whole: hwh.Hwh | None) -> dict[str, list[Image]]:
-    """Bitstreams by region; a region is called as in the block design where all file names begin with that name."""
+    """Bitstreams by region; a region has its name in the block design if all file names begin with it."""
     groups: dict[str, list[Image]] = {}
     for index, images in enumerate(by_region(partial)):
         names = [whole.modules[instance].name for instance in _region_instances(whole)] if whole else []

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """DMA engines of other people's designs, from their .hwh, as the device-tree overlay needs them.
 
-Properties after the kernel's binding dma/xilinx/xilinx_dma.txt; which parameter of the IP gives which is
-told by Xilinx/device-tree-xlnx ac65e01, axi_dma.tcl and axi_vdma.tcl. An MCDMA has one clock for all but its
+Properties after the kernel's binding dma/xilinx/xilinx_dma.txt; the IP parameter for each is the one in
+Xilinx/device-tree-xlnx ac65e01, axi_dma.tcl and axi_vdma.tcl. An MCDMA has one clock for all but its
 registers, which stands under the three names that the driver looks for.
 """
 
@@ -101,7 +101,7 @@ class Engines:
 
 
 def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[hwh.DmaChannel, str]:
-    """Channel → stream: the engine's name, with direction and number where it has several; each once."""
+    """Channel → stream: the engine's name, with direction and number if it has several channels; each unique."""
     listed = list(channels)
     found: dict[hwh.DmaChannel, str] = {}
     for channel in listed:
@@ -119,7 +119,7 @@ def stream_names(channels: Iterable[hwh.DmaChannel], design: hwh.Hwh) -> dict[hw
 
 
 def engines(design: hwh.Hwh, platform: Platform) -> Engines:
-    """Every engine whose address and interrupts the kernel can be told."""
+    """Every engine whose address and interrupts can be described to the kernel."""
     result = Engines()
     listed = hwh.dma_channels(design)
     names = stream_names(listed, design)
@@ -192,7 +192,7 @@ def _engine(
 
 
 def _integer(module: hwh.ModuleInstance, name: str, default: int) -> int:
-    """A parameter of the core, or, where only that is written, of its customisation (``c_addr_width``)."""
+    """A parameter of the core, or, if the file only has that, of its customisation (``c_addr_width``)."""
     text = module.parameters.get(name) or module.parameters.get(name.lower(), "")
     return int(text) if text.isdecimal() and int(text) else default
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Interrupts of other people's designs, from their .hwh, as far as an overlay can give them to UIO devices.
 
-A UIO device has one interrupt, so of an instance with several lines the first that can be told is taken; the
-others become notes. What hangs on an axi_intc cannot be told: the kernel's driver of it (irq-xilinx-intc.c) is
-bound while the kernel boots, not by an overlay.
+A UIO device has one interrupt, so of an instance with several lines the first usable one is taken; the others become
+notes. Lines behind an axi_intc are not usable: the kernel's driver for it (irq-xilinx-intc.c) is bound while the
+kernel boots, not by an overlay.
 """
 
 from __future__ import annotations

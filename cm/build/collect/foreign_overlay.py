@@ -72,7 +72,7 @@ def _number(name: str) -> str:
 
 
 def _phandle(name: str) -> str:
-    """Of a clock as the runtime schema calls it, fclk0 or pl0."""
+    """The phandle of a clock by its name in the runtime schema, fclk0 or pl0."""
     pin = f"FCLK_CLK{_number(name)}" if name.startswith("fclk") else f"pl_clk{_number(name)}"
     return f"<{PS_CLOCKS[pin]}>"
 

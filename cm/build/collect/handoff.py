@@ -76,7 +76,7 @@ def _members(archive: zipfile.ZipFile, path: Path, folder: Path) -> Iterator[Pat
 
 
 def read_handoff(path: Path, source: str = "") -> Handoff:
-    """A .hwh file; raises `cm.hwh.HwhError`, which calls it `source` where it came out of an archive."""
+    """A .hwh file; raises `cm.hwh.HwhError`, which names it `source` if it came from an archive."""
     return Handoff(path.stem, hwh.read(path, source))
 
 
@@ -119,9 +119,9 @@ def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: st
 
 
 def _without_aliases(specs: Iterable[RegisterSpec]) -> Iterator[tuple[RegisterSpec, list[str]]]:
-    """Each register with the names of those that share its place: a UART shows another by a bit elsewhere.
+    """Each register with the names of those at the same place: in a UART a bit elsewhere selects between them.
 
-    The first in the file keeps the place; a schema has one register in each.
+    The first in the file keeps the place, since a schema has one register at each.
     """
     groups: list[tuple[RegisterSpec, list[str]]] = []
     for spec in specs:
@@ -138,7 +138,7 @@ def _overlap(one: RegisterSpec, other: RegisterSpec) -> bool:
 
 
 def module_registers(design: hwh.Hwh, base: int, region: str) -> dict[str, Register]:
-    """Registers of a module from its own .hwh: relative addresses, moved to `base` where they are below it."""
+    """Registers of a module from its own .hwh: relative addresses, moved to `base` if they are below it."""
     found: dict[str, Register] = {}
     for window in hwh.windows(design):
         instance = design.modules.get(window.instance)
@@ -156,7 +156,7 @@ def _moved(register: Register, base: int) -> Register:
 
 
 def streams(design: hwh.Hwh) -> dict[str, Stream]:
-    """One stream per DMA channel; the name is the engine's where it has one channel only."""
+    """One stream per DMA channel; the name is the engine's if it has only one channel."""
     channels = hwh.dma_channels(design)
     names = stream_names(channels, design)
     found: dict[str, Stream] = {}

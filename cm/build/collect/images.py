@@ -39,7 +39,7 @@ class Image:
 
 
 def read_images(paths: Iterable[Path]) -> list[Image]:
-    """Inspect bitstreams; of a .bit and a .bin of one name the .bit is taken, which says more."""
+    """Inspect bitstreams; of a .bit and a .bin with one name the .bit is used, which contains more."""
     by_name: dict[tuple[Path, str], Path] = {}
     for path in sorted(paths, key=lambda path: (path.suffix != ".bit", path.name)):
         name = path.name.removesuffix(".bin").removesuffix(".bit")
@@ -79,10 +79,10 @@ def by_region(images: Sequence[Image]) -> list[list[Image]]:
 
 
 def check_regions(groups: dict[str, list[Image]]) -> list[str]:
-    """Raise BuildError where modules of a region differ or regions overlap; returns warnings.
+    """Raise BuildError if modules of a region differ or regions overlap; returns warnings.
 
-    A column that two regions touch is legal on UltraScale+, where a region's last row may hold a
-    neighbour's edge, so it is told and not refused.
+    A column that two regions touch is legal on UltraScale+, where a region's last row may hold a neighbour's edge, so
+    this is only a warning.
     """
     wrong, warnings = [], []
     for name, images in groups.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Overlay sources → .dtbo, by dtc where it is installed."""
+"""Overlay sources → .dtbo, by dtc if it is installed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from cm.build.errors import BuildError
 
-# the base tree's cells are not known where an overlay is compiled
+# the base tree's cells are not known when an overlay is compiled
 QUIET = (
     "-Wno-ranges_format",
     "-Wno-avoid_default_addr_size",

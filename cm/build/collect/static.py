@@ -16,9 +16,9 @@ _IN_VERILOG = re.compile(r"\.STATIC_ID\(32'h([0-9A-Fa-f]{8})\)")
 
 
 def user_id_of(images: Sequence[Image], generated: Path) -> tuple[int | None, list[str]]:
-    """USERID of the flow that `images` are of, with notes; None where their headers do not say.
+    """USERID of the flow that `images` are of, with notes; None if their headers do not say.
 
-    Raises BuildError where they are of several, or not of the locked static part below `generated`, if one is there.
+    Raises BuildError if they belong to several, or not to the locked static part below `generated`, if there is one.
     """
     told = {image.path.name: image.report.user_id for image in images if image.report.header}
     groups: dict[int | None, list[str]] = {}
@@ -43,7 +43,7 @@ def user_id_from(checkpoint: Path) -> int:
 
 
 def check_generated(system: System, generated: Path) -> None:
-    """BuildError where the static part that lies generated has another identity than the build schema gives."""
+    """BuildError if the generated static part does not have the identity that the build schema gives."""
     path = generated / "hdl/cm_static.v"
     found = _IN_VERILOG.search(path.read_text(encoding="utf-8")) if path.is_file() else None
     if found and int(found[1], 16) != system.static_identity:

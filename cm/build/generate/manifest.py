@@ -2,8 +2,8 @@
 """Writing generated files without overwriting what a user changed.
 
 ``.cm-manifest.json`` in the output folder holds the checksum of every file as it was generated. A file
-that still has it is replaced. One that the user changed stays, and the new text goes beside it as
-``<file>.new`` if it differs from what was generated before, as packagers do with configuration files;
+that still has it is replaced. One that the user changed stays, and the new text is put beside it as ``<file>.new`` if
+it differs from what was generated before, as packages do with configuration files;
 the generated text that the user began from is kept below ``.cm-orig/`` for a three-way merge
 (``git merge-file FILE .cm-orig/FILE FILE.new``). Below ``.cm-orig/`` there is a copy of ``<file>.new`` too. Once
 the user has deleted ``<file>.new``, which says that it is merged, that copy is what the next merge begins from; a
@@ -63,7 +63,7 @@ class Tree:
         done = Written()
         self._folder.mkdir(parents=True, exist_ok=True)
         now = {name: digest(text.encode()) for name, text in files.items()}
-        if now != self._before:  # killed from here on, the next generation knows what this one wrote
+        if now != self._before:  # if killed from here on, the next generation knows what this one wrote
             for name, value in now.items():
                 self._ours.setdefault(name, set()).add(value)
             self._record(self._before, self._ours)
@@ -112,7 +112,7 @@ class Tree:
             self._put(path, data)
 
     def _beside(self, name: str, data: bytes, done: Written) -> None:
-        """The user changed the file: what is new for it goes beside it."""
+        """The user changed the file: put the new text beside it."""
         new, copy = (folder / f"{name}.new" for folder in (self._folder, self._folder / ORIGINALS))
         if copy.exists() and not new.exists():
             copy.replace(self._folder / ORIGINALS / name)
@@ -121,12 +121,12 @@ class Tree:
             return
         done.conflicts.append(name)
         self._withdraw(name, data)
-        # the copy last: killed between the two, the user is not taken to have deleted the new one
+        # the copy last: a kill between the two must not look as if the user had deleted the new one
         self._put(new, data)
         self._put(copy, data)
 
     def _withdraw(self, name: str, data: bytes) -> None:
-        """Remove ``<file>.new`` if generation wrote it (before, or just now as `data`), else move it away."""
+        """Remove ``<file>.new`` if generation wrote it (before, or just now as `data`), otherwise move it away."""
         new, copy = (folder / f"{name}.new" for folder in (self._folder, self._folder / ORIGINALS))
         if new.exists() and new.read_bytes() not in (data, copy.read_bytes() if copy.exists() else data):
             number = 1

@@ -24,7 +24,7 @@ ANSWERS = "answers.yaml"
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A project with what its HDL says and the system planned round it."""
+    """A project with what its HDL says, and the system planned around it."""
 
     project: Project
     analysis: Analysis
@@ -46,9 +46,9 @@ def output_folder(project: Project, out: Path | str | None) -> Path:
 
 
 def generate(design: Design, out: Path, answers: Answers | None = None) -> Written:
-    """Write everything below `out`; what `cm build configure` was told is taken from there.
+    """Write everything below `out`; the answers to `cm build configure` are read from there.
 
-    BuildError where Vivado would refuse the design.
+    BuildError if Vivado would refuse the design.
     """
     refuse_errors(design.system)
     files = _files(design, out, answers)
@@ -63,7 +63,7 @@ def generate(design: Design, out: Path, answers: Answers | None = None) -> Writt
 
 
 def behind(design: Design, out: Path) -> list[str]:
-    """Names of the files below `out` that would be generated otherwise now."""
+    """Names of the files below `out` whose generated text would differ now."""
     return Tree(out).behind(_files(design, out, None))
 
 

@@ -25,7 +25,7 @@ def black_box(region: RegionPlan) -> Netlist:
 
 
 def wrapper(implementation: Implementation) -> Netlist:
-    """``cm_region_<region>`` around the module; BuildError where it does not fit."""
+    """``cm_region_<region>`` around the module; BuildError if it does not fit."""
     module, region = implementation.module, implementation.region
     adaptation = region.boundary.adaptation(module.name)
     if not adaptation.ok:
@@ -66,12 +66,12 @@ def _literal(value: object) -> str:
 
 def _connect(net: Netlist, connection: Connection, pins: dict[str, str | None]) -> None:
     fit, have, want = connection.fit, connection.module_width, connection.boundary_width
-    if not connection.module:  # a boundary port that the module has not
+    if not connection.module:  # a boundary port that the module does not have
         if connection.direction is OUT:
             net.assign(connection.boundary, (ones if connection.value else zeros)(want))
         elif connection.direction is IN:
             net.unused.append(connection.boundary)
-    elif not connection.boundary:  # a module port that the boundary has not
+    elif not connection.boundary:  # a module port that the boundary does not have
         tied = (ones if connection.value else zeros)(have) if fit is Fit.TIE else None
         pins[connection.module] = tied
     elif connection.direction is IN:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which clock and which reset an interface runs on: as declared, else by name, else the only one there is."""
+"""The clock and the reset of an interface: as declared, or by name, or the only one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PROTOCOL_WORDS = frozenset(["axi", "axis", "axil", "lite", "full", "stream", "b
 
 @dataclass(frozen=True, slots=True)
 class Associated:
-    """Interfaces and clocks that know each other, and what could not be told."""
+    """Interfaces with their clocks and vice versa, and what could not be determined."""
 
     interfaces: tuple[Interface, ...]
     clocks: tuple[ModuleClock, ...]
@@ -33,7 +33,7 @@ def associate(
 ) -> Associated:
     """Fill in `clock`, `reset` and `reset_polarity` of the interfaces, and `interfaces` of the clocks.
 
-    `sure` is False where the module drives clocks too: then being the only clock input tells nothing.
+    `sure` is False if the module drives clocks too: then being the only clock input proves nothing.
     """
     done, problems = [], []
     for interface in interfaces:
@@ -84,7 +84,7 @@ def _reset(
 
 
 def _clocked(interface: Interface) -> bool:
-    """Of a synchronous protocol; of others (gpio, iic, …) only attributes tell a clock."""
+    """Whether the protocol is synchronous; for others (gpio, iic, …) only attributes give a clock."""
     return interface.protocol.startswith("axi") or interface.found_by is FoundBy.PROTOCOL_FILE
 
 

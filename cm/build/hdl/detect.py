@@ -81,7 +81,7 @@ class _Detection:
         )
 
     def _rejections(self) -> Iterable[Problem]:
-        """What looked like a bus and is none, unless another protocol has taken its ports since."""
+        """Ports that looked like a bus but are none, unless another protocol has taken them since."""
         for candidate, reason in self._rejected:
             first = next(iter(candidate.ports.values()))
             if first.name in self._reasons:
@@ -128,7 +128,7 @@ class _Detection:
         self._take(tagged.rejected)
 
     def _completed(self, interface: Interface) -> Interface:
-        """Where attributes stand on some ports only, the names of the others complete the bus."""
+        """If only some ports have attributes, the names of the others complete the bus."""
         protocol = next((p for p in self._builtin if p.vlnv == interface.vlnv), None)
         if protocol is None:
             return interface
@@ -233,6 +233,6 @@ def _clock(port: Port) -> ModuleClock:
 
 
 def _stated(clocks: Iterable[ModuleClock], ports: Sequence[Port]) -> list[ModuleClock]:
-    """Clocks with their associated reset checked: an attribute may name a port that is not there."""
+    """Clocks with their associated reset checked: an attribute may name a port that does not exist."""
     names = {port.name.lower(): port.name for port in ports}
     return [replace(clock, reset=names.get((clock.reset or "").lower())) for clock in clocks]

@@ -16,13 +16,13 @@ class HdlError(CmError, ValueError):
 
 
 class ModuleNotFound(HdlError, NotFound):
-    """No file given has a module of that name; the sentence lists those there are."""
+    """None of the files has a module of that name; the sentence lists those that exist."""
 
     code: ClassVar[str] = "not_found"
 
 
 class UnknownParameter(HdlError, NotFound):
-    """No module asked for has a parameter or generic of that `name`; the sentence lists those there are."""
+    """None of the requested modules has a parameter or generic of that `name`; the sentence lists those that exist."""
 
     code: ClassVar[str] = "not_found"
 

@@ -46,7 +46,7 @@ def extract(
 
     `defines` are Verilog macros; `parameters` are set on `top`, or on the modules that have them.
     Raises `HdlError` for files that cannot be read or hold no module, `ModuleNotFound` for `top`,
-    `ParserMissing` where a parser is not installed. What is wrong inside a module is in its problems.
+    `ParserMissing` if a parser is not installed. What is wrong inside a module is in its problems.
     """
     return list(read(files, top, include_dirs, defines, parameters, protocols).modules)
 
@@ -77,7 +77,7 @@ def read(
 
 
 def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
-    """The modules that no other of these instantiates; all of them where each is instantiated by another."""
+    """The modules that no other of these instantiates; all if each is instantiated by another."""
     used = {name.lower() for module in modules for name in module.instantiates if name.lower() != module.name.lower()}
     return [module for module in modules if module.name.lower() not in used] or list(modules)
 
@@ -171,7 +171,7 @@ class _Sources:
 
 
 def _few(names: Iterable[object]) -> str:
-    """The names in words; of many the first."""
+    """The names in words; if there are many, only the first."""
     listed = [str(name) for name in names]
     return ", ".join(listed[:_FEW]) + (f" and {len(listed) - _FEW} more" if len(listed) > _FEW else "")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from cm.build.hdl.hls_types import Packet
 
-FIRST = 0x10  # behind control, interrupt enables and status, which are reserved where there are none
+FIRST = 0x10  # after control, interrupt enables and status, whose places are reserved if there are none
 
 
 @dataclass(frozen=True, slots=True)

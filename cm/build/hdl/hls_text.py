@@ -132,7 +132,7 @@ def _headers(text: str, folders: list[Path], seen: set[Path]) -> Iterator[Path]:
 def uses(name: str, body: str, text: str, stream: bool, depth: int = 0) -> tuple[bool, bool]:
     """Whether `body` reads and writes the argument, itself or in functions of `text` that it hands it to.
 
-    What is no `stream` is read wherever it stands without being written.
+    Anything that is not a `stream` counts as read wherever it occurs without being written.
     """
     word = re.escape(name)
     reads = bool(re.search(rf"\b{word}\s*(?:\.\s*(?:read|empty|read_nb)\b|>>)", body))

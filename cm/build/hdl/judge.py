@@ -15,7 +15,7 @@ _TITLES = {"aximm": "AXI", "axis": "AXI4-Stream"}
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The mode where all is well, else the reason why these ports are not a bus."""
+    """The mode if all is well, else the reason why these ports are not a bus."""
 
     mode: Mode | None
     reason: str = ""

@@ -124,7 +124,7 @@ class VhdlReader:
         return [_Evaluation(entity, constants, self._subtypes, parameters or {}).info() for entity in wanted]
 
     def entity(self, name: str) -> Entity:
-        """An entity that was parsed; KeyError where there is no upload of that name."""
+        """An entity that was parsed; KeyError if there is none of that name."""
         return self._entities[name.lower()]
 
     def scope(self, name: str, parameters: Mapping[str, str]) -> tuple[Mapping[str, Value | None], Subtypes]:

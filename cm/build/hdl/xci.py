@@ -20,7 +20,7 @@ _DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDi
 def load_xci(path: Path, protocols: Sequence[UserProtocol] = ()) -> ModuleInfo:
     """The instance as a module: only the ports that its customisation has. Raises `HdlError`.
 
-    Older files are XML without ports; their component.xml, or a module of the same ports, tells more.
+    Older files are XML without ports; use their component.xml, or a module with the same ports, instead.
     """
     try:
         data = json.loads(path.read_text(encoding="utf-8", errors="replace"))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a region lies on the device, and where each wire of its boundary crosses into it.
+"""The place of a region on the device, and the places where the wires of its boundary cross into it.
 
-A wire crosses at a look-up table that passes it on, its anchor, at a place that static part and modules know:
-the static part is routed to its one side, each module to its other.
+A wire crosses through a look-up table, its anchor, at a place that the static part and all modules know: the static
+part is routed to one side of it, each module to the other.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ def layouts(system: System, database: Database | None = None) -> dict[str, Layou
 
 
 def plan_layout(database: Database, region: RegionPlan, bits: Sequence[BoundaryBit]) -> Layout:
-    """Place a region and its anchors. Raises BuildError where its pblock cannot hold them."""
+    """Place a region and its anchors. Raises BuildError if its pblock cannot hold them."""
     sites = _sites(database, region)
     columns = frozenset(
         segment.base >> 7 for tile in database.tiles.values() if sites & tile.sites.keys() for segment in tile.segments

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The Verilog that only this flow needs: the top, and both sides of a region's anchors.
 
-A harness of flip-flops stands on the other side of the anchors, so that the tools see paths end and begin
-there; it is left out of the bitstreams.
+A harness of flip-flops is placed on the other side of the anchors, so that paths begin and end there for the tools;
+it is left out of the bitstreams.
 """
 
 from __future__ import annotations

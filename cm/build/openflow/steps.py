@@ -20,7 +20,7 @@ _LINES = 6
 
 
 class OpenStepFailed(BuildError):
-    """A program of the open flow ended with an error; the sentence holds what it said, and its log."""
+    """A program of the open flow ended with an error; the sentence contains its output, and names its log."""
 
     code: ClassVar[str] = "step_failed"
 

@@ -18,7 +18,7 @@ from cm.errors import CmError
 
 KEYRING = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
 _SECONDS = 1800.0  # for one call: a slow line, and packages of hundreds of megabytes
-_LINES = 8  # of what a program said, shown where it failed
+_LINES = 8  # of a program's output that are shown if it fails
 
 
 class PackagesUnavailable(CmError):
@@ -85,9 +85,10 @@ class Apt:
 
 
 def run(command: list[str], scratch: Path | None = None) -> str:
-    """Run a program; its output. Raises PackagesUnavailable with its last lines where it fails.
+    """Run a program; its output.
 
-    `scratch`: where it keeps temporary files, which a program that is killed leaves behind.
+    Raises PackagesUnavailable with its last lines if it fails. `scratch`: the folder for its temporary files, which a
+    killed program leaves behind.
     """
     environment = {**os.environ, "LC_ALL": "C", "DEBIAN_FRONTEND": "noninteractive"}
     if scratch is not None:

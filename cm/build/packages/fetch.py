@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages by name, with what they depend on, unpacked into a folder that is whole or not there."""
+"""Packages by name, with their dependencies, unpacked into a folder that is complete or does not exist."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def fetch(
 
     It lies below `folder` (`default_folder()`) under a name made from what was asked for; one that is
     there is used as it is, without a network. apt's lists are checked with Debian's keys, packages
-    with the lists' hashes; no script of a package is run. A killed call leaves nothing that the next
-    takes for whole, and two at a time wait for each other. Remove the tree to have newer packages.
+    with the lists' hashes; no script of a package is run. A killed call leaves nothing that the next would take for
+    complete, and two at a time wait for each other. Remove the tree to have newer packages.
 
     `mirror`: None takes the machine's own. Raises PackagesUnavailable with the reason, OSError.
     """

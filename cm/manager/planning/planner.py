@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """From what the board holds and a goal to the steps between them; touches nothing.
 
-The order is that of the design: validate, quiesce, decouple, load, overlays, registers, verify,
-recouple, publish — with three deviations that the hardware requires. Overlays that go are removed
-before their region is cut off (their drivers talk to it). A configuration's own overlays come first
-of all: they bring the devices that the other steps need, and the plan ends there until these exist. A module's own
-registers and its identity
-lie behind the decoupler (PG375), so they are written and checked after recoupling, while the streams
-are still stopped.
+The order is that of the design: validate, quiesce, decouple, load, overlays, registers, verify, recouple, publish —
+with three deviations that the hardware requires. Overlays that go are removed before their region is cut off (their
+drivers talk to it). A configuration's own overlays come first of all: they bring the devices that the other steps need,
+and the plan ends there until these exist. A module's own registers and its identity lie behind the decoupler (PG375),
+so they are written and checked after recoupling, while the streams are still stopped.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The record on disk: written before each step, read after a crash.
 
-A journal of one line per record, of which the last whole one counts. A line is a single pwrite(2), so
-a killed manager leaves whole lines and at most one torn end. The file has its full length from the
-beginning, and so has the one that will replace it (by a rename) when it is full: a disk that others have filled does
-not prevent a change of mode. There is no fsync: after a loss of power
-the device is empty too, and the boot id shows that.
+A journal of one line per record, of which the last whole one counts. A line is a single pwrite(2), so a killed manager
+leaves whole lines and at most one torn end. The file has its full length from the beginning, and so has the one that
+will replace it (by a rename) when it is full: a disk that others have filled does not prevent a change of mode. There
+is no fsync: after a loss of power the device is empty too, and the boot id shows that.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def _id_width(interface: Interface) -> int:
 
 
 def _handshakes(site: Site, interface: Interface) -> dict[str, str | None]:
-    """Region side of a slave; a channel that it has not answers at once with SLVERR."""
+    """Region side of a slave; a missing channel answers at once with SLVERR."""
     pins: dict[str, str | None] = {}
     for name in ("AWVALID", "AWLEN", "AWID", "WVALID", "WLAST", "BREADY", "ARVALID", "ARLEN", "ARID", "RREADY"):
         pins[f"m_{name.lower()}"] = site.pin(interface, name, None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run inside nextpnr, before routing: wires that this run must leave alone are taken by a net of no one."""
+"""Run inside nextpnr, before routing: wires that this run must leave alone are occupied by a net without cells."""
 
 import json
 import os
