@@ -21,7 +21,7 @@ int cm_gpio_chip_info(const char *root, const char *name, struct gpiochip_info *
 
 /**
  * cm_gpio_line_open() - take line @offset of the chip dev/@name
- * @consumer: who holds it, as others are told
+ * @consumer: the name of its holder, as others see it
  *
  * Errors: EINVAL for an @offset that the chip does not have or a @name with a slash,
  * EBUSY where it is taken; those of cm_node_open().

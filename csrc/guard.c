@@ -38,7 +38,7 @@ bool cm_guard_same(const struct cm_guard_peer *a, const struct cm_guard_peer *b)
 				: !memcmp(a->address, b->address, sizeof(a->address));
 }
 
-/* IPv4 as it is; of IPv6 the half that names a network: who has that has all addresses of it. */
+/* IPv4 as it is; of IPv6 the half that names a network: its owner has all the addresses in it. */
 static void note_address(struct cm_guard_peer *peer, const struct sockaddr_storage *from)
 {
 	if (from->ss_family == AF_INET6) {
@@ -112,7 +112,7 @@ static bool enter(const struct cm_guard_peer *peer)
 	place->next = first;
 	place->before = -1;
 	cm_guard_begin(&place->stream);
-	atomic_store(&place->frames, 0); /* one by one: somebody may be told of the one before */
+	atomic_store(&place->frames, 0); /* one by one: the last one may be being reported */
 	if (first >= 0)
 		places[first].before = peer->fd;
 	first = peer->fd;

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /*
- * What libzmq lacks: bounds on connections and on what they send before anybody has looked at it.
+ * What libzmq lacks: bounds on connections, and on what they send before it is looked at.
  *
  * libzmq takes every connection there is, and ends its process where there is no descriptor for one more
  * (`errno_assert` in ipc_listener.cpp, up to 4.3.5). So its calls of accept(), accept4(), listen(), recv() and
@@ -45,12 +45,12 @@ struct cm_guard_limits {
 	uint32_t descriptors; /* of the process, that no connection may take */
 	uint32_t parts;	      /* of a message */
 	uint64_t
-		bytes; /* of a message; and of how many that nobody took more is read, see guard_owe.c */
+		bytes; /* of a message; also the unit for how many may be untaken, see guard_owe.c */
 	uint32_t
 		topics; /* subscriptions and their ends at once, four times as many of a peer over all its connections; a sixteenth comes back every second */
 };
 
-/* A connection, and who is at its other end. */
+/* A connection, and the peer at its other end. */
 struct cm_guard_peer {
 	uint64_t serial; /* no other connection has it */
 	int32_t fd;
@@ -64,7 +64,7 @@ struct cm_guard_peer {
 struct cm_guard_counts {
 	uint32_t connections;
 	uint64_t refused[CM_GUARD_CAUSES];
-	struct cm_guard_peer last; /* who was refused last */
+	struct cm_guard_peer last; /* the peer that was refused last */
 	uint32_t last_cause;
 };
 

@@ -8,10 +8,9 @@
 
 #include "guard_private.h"
 
-#define FRAMES \
-	32768 /* that nobody took: more than libzmq lets wait, unless their message has no end */
+#define FRAMES 32768 /* unread: more than libzmq lets wait, unless their message has no end */
 
-/* No descriptor is left: the cm_guard_spare one lets who waits be refused, so that nobody is called for it for ever. */
+/* No descriptor is left: cm_guard_spare makes room to refuse those that wait, or libzmq would be called for ever. */
 static void turn_away(int listener)
 {
 	int fd;
@@ -78,7 +77,7 @@ int cm_guard_close(int fd)
 	if (atomic_exchange(&place->kind, CM_GUARD_NONE))
 		cm_guard_leave(place);
 	place->listens = CM_GUARD_NONE;
-	result = close(fd); /* within the lock: nobody cuts another that gets the same descriptor */
+	result = close(fd); /* in the lock: a new one with this descriptor must not be cut */
 	pthread_mutex_unlock(&cm_guard_lock);
 	return result;
 }
@@ -91,7 +90,7 @@ static int64_t seconds(void)
 	return now.tv_sec + 1;
 }
 
-/* Whether it is not read now; what is left of a peer that has gone is. */
+/* Whether it is not read now; the rest of what a peer sent that has gone is read. */
 static bool is_held(int fd, struct cm_guard_place *place)
 {
 	struct pollfd peer = { .fd = fd };
@@ -100,7 +99,7 @@ static bool is_held(int fd, struct cm_guard_place *place)
 		return false;
 	if (poll(&peer, 1, 0) > 0 && peer.revents & (POLLHUP | POLLERR))
 		return false;
-	if (place->epoll < 0) /* nobody keeps libzmq from asking again at once */
+	if (place->epoll < 0) /* nothing keeps libzmq from asking again at once */
 		nanosleep(&(struct timespec){ .tv_nsec = 200000 }, NULL);
 	return true;
 }
@@ -118,7 +117,7 @@ static void settle(struct cm_guard_place *place, const struct cm_guard_limits *l
 	pthread_mutex_unlock(&cm_guard_lock);
 }
 
-/* Of what was just read: whether its peer subscribes no more often, over all its connections, than it may. */
+/* Whether what was just read keeps its peer's subscriptions, over all its connections, within the bound. */
 static bool may_subscribe(const struct cm_guard_place *place, uint32_t topics,
 			  const struct cm_guard_limits *limits)
 {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /*
- * Connections that are not read for a while. libzmq would ask again and again, since they stay readable; so where it
- * waits for them (epoll_ctl), they are not waited for meanwhile.
+ * Connections that are not read for a while. libzmq would try again and again, since they stay readable; so they are
+ * taken out of what it waits for (epoll_ctl) meanwhile.
  */
 #include <errno.h>
 
@@ -9,7 +9,7 @@
 
 static uint64_t turn;
 
-/* Have libzmq wait for it, or not. */
+/* Let libzmq wait for it, or not. */
 static void await(struct cm_guard_place *place)
 {
 	struct epoll_event event = place->event;
@@ -79,7 +79,7 @@ int cm_guard_cut_slowest(uint32_t kind)
 	return result;
 }
 
-/* libzmq waits for a connection, or no longer: within the lock, so that it is held or not, whoever comes first. */
+/* libzmq begins or ends to wait for a connection: in the lock, so that the order of this and a hold does not matter. */
 int cm_guard_epoll_ctl(int epoll, int op, int fd, struct epoll_event *event)
 {
 	struct cm_guard_place *place = cm_guard_place(fd);

@@ -2,10 +2,10 @@
 /*
  * Connections whose peers have sent as much as may wait: they are read no further.
  *
- * What waits is whole messages that nobody took, and what a long message may still become: it gets a place of as many
- * bytes as a message may have before it is read, and gives it back when it is whole. Of @bytes a peer may have two
- * times as many waiting, a user three times, all together four times; who has nothing there may always go on where
- * nobody has.
+ * What counts as waiting are whole messages that the manager has not taken, and what a long message may still become:
+ * before it is read, it gets a place of as many bytes as a message may have, and gives it back when it is whole. A peer
+ * may have two times @bytes waiting, a user three times, all together four times; a connection with nothing waiting may
+ * always go on if no other has anything waiting.
  */
 #include <errno.h>
 #include <stdlib.h>
@@ -16,7 +16,7 @@
 #define LOOKS 10 /* seconds for which a place is kept while others wait for one, */
 #define STALLS 2 /* or in which less comes than */
 #define LEAST (64 << 10)
-#define PINGS 4		/* frames of a connection in a second, which nobody takes */
+#define PINGS 4		/* frames of a connection in a second, which libzmq keeps to itself */
 #define PING_BYTES 1024 /* and what they count for */
 
 static uint64_t all; /* bytes of all connections */
@@ -86,7 +86,7 @@ static bool may_go_on(const struct cm_guard_place *place, uint64_t bytes)
 	       all + more <= 4 * bytes;
 }
 
-/* Where nothing is in its way, it goes on; a long message has its place then. */
+/* If nothing is in its way, it goes on; a long message then has its place. */
 static bool let_on(struct cm_guard_place *place, uint64_t bytes)
 {
 	if (!may_go_on(place, bytes))
@@ -107,7 +107,10 @@ static bool comes_before(const struct cm_guard_place *one, const struct cm_guard
 	return one->since < other->since;
 }
 
-/* Something was taken or has gone: of those who may go on, whose user owes least, then whose process does, and of those, who waits longest. */
+/*
+ * Something was taken or has gone: of the connections that may go on, those whose user owes least come first, then
+ * those whose process does, then the one that has waited longest.
+ */
 static void let_others_on(uint64_t bytes)
 {
 	struct cm_guard_place *best, *each;
@@ -155,7 +158,7 @@ void cm_guard_taken(int fd, uint64_t bytes)
 	if (!place || !atomic_load(&place->kind))
 		return;
 	pthread_mutex_lock(&cm_guard_lock);
-	if (atomic_load(&place->kind)) { /* perhaps of another by now: no more than came of that */
+	if (atomic_load(&place->kind)) { /* perhaps another one by now: no more than came of it */
 		place->taken +=
 			bytes < place->came - place->taken ? bytes : place->came - place->taken;
 		place->small = 0;
@@ -167,7 +170,7 @@ void cm_guard_taken(int fd, uint64_t bytes)
 	pthread_mutex_unlock(&cm_guard_lock);
 }
 
-/* Pings are encrypted as all else is, and nobody takes them: those of a second are forgotten. */
+/* Pings are encrypted like everything else, and are never taken: those of a second are forgotten. */
 static void forget_pings(struct cm_guard_place *place)
 {
 	uint32_t frames = atomic_load(&place->stream.frames) - atomic_load(&place->frames);

@@ -14,7 +14,7 @@
 
 #include "guard.h"
 
-/* Where in what a ZMTP 3 peer sends; all zero: at its beginning. */
+/* A position in what a ZMTP 3 peer sends; all zero: at its beginning. */
 struct cm_guard_stream {
 	uint8_t phase;
 	uint8_t flags;
@@ -49,7 +49,7 @@ int cm_guard_follow(struct cm_guard_stream *stream, uint32_t kind,
 		    const struct cm_guard_limits *limits, const uint8_t *data, size_t size,
 		    int64_t now_s);
 
-/* What the connections of a peer, or of a user, have sent that nobody took. */
+/* What the connections of a peer, or of a user, have sent that has not been taken. */
 struct cm_guard_sum {
 	uint64_t owes;
 	uint32_t connections;
@@ -70,7 +70,7 @@ struct cm_guard_place {
 	struct cm_guard_sum *user;     /* of its user; of its peer where that is elsewhere */
 	uint64_t came, small;	       /* of the stream, as of now */
 	uint64_t taken;		       /* of what came */
-	uint64_t owes;		       /* bytes that nobody took, with those of its place */
+	uint64_t owes;		       /* bytes that were not taken, with those of its place */
 	uint64_t since;		       /* when it was held back: a number that rises */
 	bool curve;		       /* of the stream */
 	uint32_t looks;		       /* of cm_guard_look_on(), while it keeps its place */
@@ -79,7 +79,7 @@ struct cm_guard_place {
 	bool has_place;		       /* for a long message, which is under way */
 	bool wants_place;
 	uint64_t
-		stuck; /* since when it has more to write than its peer takes; a number that rises, 0: it has not */
+		stuck; /* when it began to have more to write than its peer takes; a rising number, 0: it does not */
 	bool ended; /* by cm_guard_cut_slowest() */
 	int epoll;  /* where libzmq waits for it; -1: nowhere that we know of */
 	struct epoll_event event;
@@ -117,7 +117,7 @@ int cm_guard_first(void);
 bool cm_guard_stop(struct cm_guard_place *place, uint32_t why);
 bool cm_guard_go_on(struct cm_guard_place *place, uint32_t why);
 
-/* What nobody took; with the lock held. The sums of a new connection: false where memory is short. */
+/* What was not taken; with the lock held. The sums of a new connection: false if there is no memory. */
 bool cm_guard_owe(struct cm_guard_place *place);
 void cm_guard_quit(struct cm_guard_place *place);
 void cm_guard_settle(struct cm_guard_place *place, const struct cm_guard_limits *limits);

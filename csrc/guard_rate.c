@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /*
- * Subscriptions of a peer over all its connections, those that have ended too: who connects again and again would
- * begin anew each time, and have all that it subscribed to be taken apart by libzmq in one go.
+ * Subscriptions of a peer over all its connections, including ended ones: a peer that keeps reconnecting would
+ * otherwise begin anew each time, and libzmq would take apart all its subscriptions in one go.
  */
 #include <string.h>
 
@@ -13,7 +13,7 @@
 static struct known {
 	struct cm_guard_peer peer;
 	uint32_t credit;
-	int64_t since; /* of the credit, in seconds; 0: nobody */
+	int64_t since; /* of the credit, in seconds; 0: unused */
 } known[KNOWN];
 
 static struct known *find(const struct cm_guard_peer *peer, uint32_t most, int64_t now_s)

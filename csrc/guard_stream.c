@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 /*
  * ZMTP 3 (RFC 23 of ZeroMQ), as far as bounds need it: where messages begin and end. With CURVE each frame is one
- * message here, as the flag that says otherwise is encrypted: the frames that nobody took bound those (guard.c).
+ * message here, since the flag that says otherwise is encrypted: the bound on untaken frames bounds those (guard.c).
  */
 #include "guard_private.h"
 
@@ -65,7 +65,7 @@ static bool has_credit(struct cm_guard_stream *stream, uint32_t most, int64_t no
 	return stream->credit && stream->credit--;
 }
 
-/* A command, and before it has shaken hands nothing else: who that is, nobody knows yet. */
+/* A command; before the handshake nothing else may come, as the peer is not known yet. */
 static int command(struct cm_guard_stream *stream)
 {
 	if (!(stream->flags & COMMAND))
@@ -88,7 +88,7 @@ static void count(struct cm_guard_stream *stream)
 		size -= size < SEALED ? size : SEALED;
 	if (size > CM_GUARD_SMALL)
 		stream->counts += size;
-	else if (stream->curve) /* it may be half of a ping, which nobody takes */
+	else if (stream->curve) /* it may be half of a ping, which is never taken */
 		stream->small += size + sizeof(*stream);
 }
 

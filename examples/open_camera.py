@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `make demo-open` ends with: a photograph through modules that open tools built, each run by its bits.
+"""What `make demo-open` ends with: a photograph through modules that open tools built, each simulated from its bits.
 
     python examples/open_camera.py BUILD.YAML [SHEET.PNG]    # after cm build run --flow open, cm build collect
 
@@ -24,7 +24,7 @@ MODES = ("default", "edge_detection", "colorise")
 
 
 def through(board: cm.Board, photo: np.ndarray) -> np.ndarray:
-    """What comes back of a picture."""
+    """The picture that comes back."""
     with board.stream("camera", timeout=60) as results, board.writer("pictures", timeout=60) as writer:
         writer.write(photo)
         return np.array(results.read())

@@ -11,7 +11,7 @@ DARK = 60  # mean brightness
 
 
 def drive(board: cm.Board, picture: np.ndarray) -> np.ndarray:
-    """What the region makes of a picture, in the mode that suits it."""
+    """The region's result for a picture, in the mode that suits it."""
     wanted = "night" if picture.mean() < DARK else "day"
     if board.mode != wanted:
         board.mode = wanted

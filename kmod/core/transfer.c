@@ -71,7 +71,7 @@ void cm_active_finish(struct cm_active *active, u64 length, int status)
 	if (status || request.lines || request.cyclic)
 		length = cm_request_footprint(&request);
 	note_written(active, 0, length);
-	/* in this order: who hears of the end may free the buffer at once */
+	/* in this order: a client told of the end may free the buffer at once */
 	cm_active_free(active);
 	request.done(request.context, &result);
 }

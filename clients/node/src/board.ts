@@ -168,7 +168,7 @@ export class Board {
 
   // ---- data -----------------------------------------------------------------------------------
 
-  /** Frames of a stream as copies; the manager runs it while somebody listens. */
+  /** Frames of a stream as copies; the manager runs it while anyone listens. */
   stream(name: string, options: StreamOptions = {}): FrameStream {
     const stream = new FrameStream(this, this.#link, name, options);
     this.#open.add(stream);

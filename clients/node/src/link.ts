@@ -110,7 +110,7 @@ export class Link {
     this.#rejectAll(new KeyRefused(`the configuration manager at ${this.endpoints.req} ${why}`));
   }
 
-  /** Who waits hears of it; the socket connects again by itself. Before there was anybody it is only not there yet. */
+  /** Tell those that wait; the socket reconnects by itself. Before the first connection, the manager is merely not there yet. */
   #lose(): void {
     if (!this.#up) return;
     this.#up = false;
