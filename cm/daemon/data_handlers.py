@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from cm.budgets.budget import Budget
 from cm.daemon.board_watch import BoardWatch
@@ -16,7 +17,7 @@ from cm.manager.access.memory_service import Transfer
 from cm.manager.errors import UnknownStream
 from cm.manager.manager import Manager
 from cm.messages import requests as rq
-from cm.messages.status import Reply
+from cm.messages.status import FrameInfo, Reply, StreamStatus
 from cm.schema.model import Stream
 
 
@@ -53,7 +54,14 @@ class DataHandlers:
     def _configure_stream(self, request: rq.ConfigureStream, respond: Respond) -> None:
         self._memories.check_no_memory(request.stream)
         self._streams.check_lease(self._stream(request.stream), request.lease)
-        respond(Reply(self._streams.configure(request)))
+        self._streams.configure(request, partial(self._told, respond))
+
+    def _told(self, respond: Respond, result: StreamStatus | FrameInfo | Exception) -> None:
+        if isinstance(result, Exception):
+            self._board.noticed(result)
+            respond(Reply(error=error_info(result)))
+        else:
+            respond(Reply(result))
 
     def _define_memory(self, request: rq.DefineMemory, respond: Respond) -> None:
         respond(Reply(self._memories.info(self._memories.define(request))))
@@ -73,11 +81,11 @@ class DataHandlers:
             self._stream(request.stream)
         client.check_room()
 
-        def done(result: Frame | CmError) -> None:
-            if isinstance(result, CmError):
-                respond(Reply(error=error_info(result)))
-            else:
+        def done(result: Frame | CmError | OSError) -> None:
+            if isinstance(result, Frame):
                 respond(Reply(result.info, payload=(result.data,)))
+            else:
+                self._told(respond, result)
 
         self._streams.read_once(request.stream, request.timeout, done)
 
@@ -89,8 +97,8 @@ class DataHandlers:
         if request.stream:
             self._stream(request.stream)
 
-        def done(result: Frame | CmError) -> None:
-            respond(Reply(error=error_info(result)) if isinstance(result, CmError) else Reply(result.info))
+        def done(result: Frame | CmError | OSError) -> None:
+            self._told(respond, result.info if isinstance(result, Frame) else result)
 
         self._streams.write(request.stream, request.data, done, request.lease)
 

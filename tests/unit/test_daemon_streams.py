@@ -6,11 +6,11 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 from collections.abc import Callable, Iterator
 
 import pytest
-from daemon_thread import HUNG, Daemon, Subscriber, daemon
+from daemon_thread import Daemon, Subscriber, daemon
+from data_client import Client
 from manager_process import until
 
 from cm.messages import requests as rq
@@ -18,7 +18,7 @@ from cm.messages.requests import ConfigureStream
 from cm.messages.status import ErrorInfo, FrameInfo, Reply, Status
 from cm.wire import plane_packets as packets
 from cm.wire import topics
-from cm.wire.plane_packets import Descriptor, Geometry, Open
+from cm.wire.plane_packets import Open
 
 FRAME = 48 * 64
 PICTURE = bytes(index % 251 for index in range(FRAME))
@@ -54,39 +54,6 @@ def flowing(loop: Daemon) -> Iterator[Daemon]:
     loop.done(ConfigureStream("from_pl", enable=True))
     yield loop
     loop.done(ConfigureStream("from_pl", automatic=True))
-
-
-class Client:
-    """A client of the data socket."""
-
-    def __init__(self, daemon: Daemon, wanted: Open | bytes) -> None:
-        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.socket.connect(str(daemon.folder / "run" / packets.SOCKET))  # blocks where the backlog is full
-        self.socket.settimeout(HUNG / 1000)
-        self.socket.send(packets.encode_open(wanted) if isinstance(wanted, Open) else wanted)
-
-    def next(self, kind: int) -> tuple[Descriptor, bytes, list[int]]:
-        """The next packet of a kind, and the descriptors with it."""
-        while True:
-            data, fds, _, _ = socket.recv_fds(self.socket, packets.PACKET_MAX, packets.FDS_MAX)
-            assert data, "hung up"
-            head = Descriptor(*packets.DESCRIPTOR.unpack_from(data))
-            if head.kind == kind:
-                return head, data, fds
-            for fd in fds:
-                os.close(fd)
-
-    def geometry(self) -> Geometry:
-        return packets.decode_geometry(self.next(packets.GEOMETRY)[1])
-
-    def refusal(self) -> tuple[str, str]:
-        return packets.decode_refused(self.next(packets.REFUSED)[1])
-
-    def send(self, head: Descriptor, kind: int) -> None:
-        self.socket.send(head._replace(kind=kind).pack())
-
-    def close(self) -> None:
-        self.socket.close()
 
 
 @pytest.fixture

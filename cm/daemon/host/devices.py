@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from cm.daemon.host.memory import DeviceMemory, device_memory
+from cm.daemon.host.memory import DeviceMemory, device_memory, port_memory
 from cm.device import AxiDma, FpgaManager, GpioLine, Icap, Overlays, PlClocks, Root, Uio, find_uio, list_icap, list_uio
 from cm.manager.ports import Window
 
@@ -86,6 +86,10 @@ class BoardDevices:
     def memory(self, length: int) -> DeviceMemory:
         """Memory in one piece for masters in the PL. Raises DeviceError, NotFound."""
         return device_memory(length, self._root)
+
+    def port_memory(self, length: int) -> DeviceMemory:
+        """Likewise, of a configuration port only. Any thread. Raises DeviceError."""
+        return port_memory(length, self._root)
 
     def probe_dma(self, channel: str) -> int:
         """A descriptor that polls readable once a silent channel answers again. Raises OSError."""

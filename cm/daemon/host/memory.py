@@ -31,9 +31,14 @@ def device_memory(length: int, root: Root) -> DeviceMemory:
     memory.
     """
     try:
-        port = Icap.open(root=root)
+        return port_memory(length, root)
     except DeviceNotFound:
         return _of_channel(length, root)
+
+
+def port_memory(length: int, root: Root) -> DeviceMemory:
+    """Likewise, of a configuration port only. Raises DeviceError; DeviceNotFound where there is none. Any thread."""
+    port = Icap.open(root=root)
     try:
         buffer = _told(port.allocate(length))
     except BaseException:

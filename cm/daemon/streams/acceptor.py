@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import os
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from cm.daemon.streams.echo import Echoes
 from cm.daemon.streams.newcomers import Newcomers
 from cm.daemon.streams.peer import Peer
 from cm.errors import Busy, CmError
-from cm.intake import Intake
+from cm.intake import Intake, Rest
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Open, decode_open, encode_refused
 
@@ -45,7 +44,7 @@ class Acceptor:
         self,
         loop: Loop,
         folder: Path,
-        enter: Callable[[socket.socket, Open], None],
+        enter: Callable[[socket.socket, Open], Iterator[None]],
         echoes: Echoes,
         allocations: Allocations,
         sessions: ConnectionRights,
@@ -62,7 +61,10 @@ class Acceptor:
         self._intake = intake
         self._group = group
         self._places = Places(_QUEUED, "connections to this socket that wait for their turn")
-        self._queued: dict[socket.socket, Callable[[], None]] = {}  # and what gives their place back
+        self._queued: dict[
+            socket.socket, Callable[[], None]
+        ] = {}  # until they have what they want; and what gives their place back
+        self._under_way: dict[socket.socket, Generator[None, None, None]] = {}
         # Packets keep their bounds, and descriptors (SCM_RIGHTS) stay with the packet that they came in.
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         self._newcomers = Newcomers(loop, self._listener, self._whose, self._queue)
@@ -80,7 +82,7 @@ class Acceptor:
         return who, self._intake.client(who)
 
     def _queue(self, connection: socket.socket, packet: bytes) -> None:
-        """Streams are opened, and memory is made, while the loop waits: by turns, as requests are served."""
+        """Streams are opened, and slots are made, while the loop waits: by turns, as requests are served."""
         try:
             who, client = self._whose(connection)
             self._queued[connection] = self._places.take(client)
@@ -96,28 +98,38 @@ class Acceptor:
         if give_back is not None:
             give_back()
 
-    def _serve(self, connection: socket.socket, packet: bytes) -> None:
-        self._leave(connection)
-        with connection, suppress(OSError):
-            try:
-                self._admit(connection, decode_open(packet))
-            except CmError as error:
-                connection.send(encode_refused(error.code, str(error)))
-            except OSError as error:
-                connection.send(encode_refused("device_error", str(error)))
+    def _serve(self, connection: socket.socket, packet: bytes) -> Rest:
+        """The first step; the others in further turns of the client's."""
+        steps = self._under_way[connection] = self._steps(connection, packet)
+        return steps if next(steps, steps) is None else None
 
-    def _admit(self, connection: socket.socket, wanted: Open) -> None:
+    def _steps(self, connection: socket.socket, packet: bytes) -> Generator[None, None, None]:
+        try:
+            with connection, suppress(OSError):
+                try:
+                    yield from self._admit(connection, decode_open(packet))
+                except CmError as error:
+                    connection.send(encode_refused(error.code, str(error)))
+                except OSError as error:
+                    connection.send(encode_refused("device_error", str(error)))
+        finally:
+            self._leave(connection)
+            del self._under_way[connection]
+
+    def _admit(self, connection: socket.socket, wanted: Open) -> Iterator[None]:
         self._sessions.check_open(connection, wanted)
         if wanted.echo:
-            self._echoes.open(os.dup(connection.fileno()), wanted, Peer.of(connection))
+            yield from self._echoes.open(connection, wanted, Peer.of(connection))
         elif wanted.allocate:
-            self._allocations.open(os.dup(connection.fileno()), wanted, Peer.of(connection))
+            self._allocations.open(connection, wanted, Peer.of(connection))
         else:
-            self._enter(connection, wanted)
+            yield from self._enter(connection, wanted)
 
     def close(self) -> None:
-        """Hang up on all who have not said yet what they want, or wait for their turn."""
+        """Hang up on all who have not got what they want."""
         self._newcomers.close()
+        for steps in list(self._under_way.values()):
+            steps.close()
         self._listener.close()
         self._path.unlink(missing_ok=True)
         for connection in self._queued:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from cm.daemon.loop import Loop
@@ -37,33 +37,44 @@ class LocalClients:
         self._on_error = on_error
         self._clients: dict[int, _Local] = {}
 
-    def adopt(self, connection: socket.socket, wanted: Open, attach: Callable[[int, Peer], str]) -> None:
-        """Make a connection a client of the stream that `attach` names; the caller closes it. Raises as that does."""
+    def adopt(
+        self, connection: socket.socket, wanted: Open, stream: str, join: Callable[[int, Peer], Iterator[None]]
+    ) -> Iterator[None]:
+        """Make a connection, which the caller closes, a client of a stream; the steps that `join` returns are taken.
+
+        Raises as these do; then it is a client no more.
+        """
         peer = Peer.of(connection)
         client = self._plane.adopt(os.dup(connection.fileno()))
         try:
-            stream = attach(client, peer)
+            steps = join(client, peer)
+            self._clients[client] = _Local(stream, wanted.depth, peer)  # from here on it counts as one of the stream's
+            yield from steps
         except BaseException:
+            self._clients.pop(client, None)
             self._plane.drop(client)
             raise
-        self._clients[client] = _Local(stream, wanted.depth, peer)
 
     def use(self, stream: str) -> bool:
         """Whether a stream has clients that want more of it."""
         return any(local.stream == stream and not local.leaving for local in self._clients.values())
 
-    def attach_all(self, opened: OpenStream) -> None:
-        """Clients that wait for a stream get it back. What there is no memory for is hung up on, and told."""
+    def attach_all(self, opened: OpenStream) -> list[tuple[int, Iterator[None]]]:
+        """The clients that wait for a stream, and the steps to be taken for each to get it."""
+        waiting = []
         for client, local in list(self._clients.items()):
             if local.stream == opened.stream.name and not local.leaving:
-                self._attach(opened, client, local)
+                try:
+                    waiting.append((client, opened.joiners.join(client, local.depth, local.peer)))
+                except CmError as error:
+                    self.refused(opened, client, error)
+        return waiting
 
-    def _attach(self, opened: OpenStream, client: int, local: _Local) -> None:
-        try:
-            opened.attach(client, local.depth, local.peer)
-        except (CmError, OSError) as error:
-            self._plane.drop(client)
-            self._on_error(ErrorInfo("no_slots", f"a client of {opened.stream.name!r} was hung up on: {error}"))
+    def refused(self, opened: OpenStream, client: int, error: CmError | OSError) -> None:
+        """There is no memory for a client that waited: it is hung up on, and told."""
+        self._clients.pop(client, None)
+        self._plane.drop(client)
+        self._on_error(ErrorInfo("no_slots", f"a client of {opened.stream.name!r} was hung up on: {error}"))
 
     def leaves(self, client: int) -> None:
         """What it holds stays its own, but nothing runs for it any more."""
@@ -76,13 +87,18 @@ class LocalClients:
         return local.stream if local else None
 
 
+SeeTo = Callable[[OpenStream, Iterator[None], Callable[[CmError | OSError], object]], None]
+
+
 class ZmqClients:
     """At most one client for ZeroMQ of each stream, made when it is needed."""
 
-    def __init__(self, loop: Loop, plane: Plane, deliver: Callable[[Frame], None]) -> None:
+    def __init__(self, loop: Loop, plane: Plane, deliver: Callable[[Frame], None], see_to: SeeTo) -> None:
+        """`see_to` steps that are left to be taken for a stream; it calls what it is given with what went wrong."""
         self._loop = loop
         self._plane = plane
         self._deliver = deliver
+        self._see_to = see_to
         self._clients: dict[str, ZmqReader | ZmqWriter] = {}
 
     def reader(self, opened: OpenStream) -> ZmqReader:
@@ -90,15 +106,26 @@ class ZmqClients:
         found = self._clients.get(opened.stream.name)
         if not isinstance(found, ZmqReader):
             found = ZmqReader(self._loop, self._plane, opened, self._deliver)
-            self._clients[opened.stream.name] = found
+            self._joins(opened, found)
         return found
 
     def writer(self, opened: OpenStream) -> ZmqWriter:
         """What writes to an open stream."""
         found = self._clients.get(opened.stream.name)
         if not isinstance(found, ZmqWriter):
-            found = self._clients[opened.stream.name] = ZmqWriter(self._loop, self._plane, opened)
+            found = ZmqWriter(self._loop, self._plane, opened)
+            self._joins(opened, found)
         return found
+
+    def _joins(self, opened: OpenStream, made: ZmqReader | ZmqWriter) -> None:
+        self._clients[opened.stream.name] = made
+        self._see_to(opened, made.steps, lambda error: self._refused(opened, made, error))
+
+    def _refused(self, opened: OpenStream, made: ZmqReader | ZmqWriter, error: CmError | OSError) -> None:
+        """There are no slots for it: those who wait are told."""
+        if self._clients.get(opened.stream.name) is made:
+            del self._clients[opened.stream.name]
+            made.close(error)
 
     def busy(self, name: str) -> bool:
         """Whether a single read or write is under way, or was a moment ago."""
@@ -118,8 +145,8 @@ class ZmqClients:
         elif found is not None and not found.busy and not subscribed:
             self.close(opened.stream.name)
 
-    def close(self, name: str) -> None:
-        """Hang up on a stream; those who wait are told that it was stopped."""
+    def close(self, name: str, error: CmError | OSError | None = None) -> None:
+        """Hang up on a stream; those who wait are told the error, or that it was stopped."""
         found = self._clients.pop(name, None)
         if found is not None:
-            found.close()
+            found.close(error)

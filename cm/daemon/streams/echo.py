@@ -5,62 +5,74 @@ from __future__ import annotations
 
 import mmap
 import os
+import socket
+from collections.abc import Iterator
 
 from cm.daemon.streams.memory_budget import MemoryBudget
+from cm.daemon.streams.memory_thread import MemoryThread
 from cm.daemon.streams.peer import Peer
 from cm.device.data_plane import Plane, StreamSetup
 from cm.errors import InvalidRequest
 from cm.wire.plane_packets import Geometry, Open, encode_geometry
 
 _MAX_DEPTH = 16
+_AT_ONCE = 8  # slots of one step
 
 
 class Echoes:
     """Each client of its own has its own memory, which goes with it."""
 
-    def __init__(self, plane: Plane) -> None:
+    def __init__(self, plane: Plane, thread: MemoryThread) -> None:
         self._plane = plane
+        self._thread = thread
         self.budget = MemoryBudget("memory of echoes")
         self._open: dict[int, tuple[int, list[int]]] = {}  # client → stream, descriptors
 
-    def open(self, connection: int, wanted: Open, peer: Peer) -> None:
-        """Give the connection of a process memory. Raises InvalidRequest, Busy."""
+    def open(self, connection: socket.socket, wanted: Open, peer: Peer) -> Iterator[None]:
+        """The steps to be taken to give the connection of a process, which the caller closes, memory.
+
+        Raise InvalidRequest, Busy.
+        """
         depth = min(wanted.depth or 2, _MAX_DEPTH)
         length = -(-wanted.length // mmap.PAGESIZE) * mmap.PAGESIZE
+        if length <= 0:
+            raise InvalidRequest("an echo needs a length of at least one byte")
+        self.budget.check(peer, depth * length)
+        client = self._plane.adopt(os.dup(connection.fileno()))
+        self.budget.took(client, peer, depth * length)
         try:
-            if length <= 0:
-                raise InvalidRequest("an echo needs a length of at least one byte")
-            self.budget.check(peer, depth * length)
-            self.budget.took(self._make(connection, wanted.length, length, depth), peer, depth * length)
+            stream = self._plane.start(None, StreamSetup(write=True, length=length))
+            self._open[client] = (stream, [])
+            for made in range(1, depth + 1):
+                self._add_slot(client, length)
+                if made % _AT_ONCE == 0 and made < depth:
+                    yield
+                    if client not in self._open:  # it has gone
+                        return
+            geometry = Geometry(
+                length, wanted.length, writable=True, depth=depth, shape=(wanted.length,), stream="echo"
+            )
+            self._plane.attach(client, stream, depth, encode_geometry(geometry))
         except BaseException:
-            os.close(connection)
+            self.gone(client)
+            self._plane.drop(client)
             raise
 
-    def _make(self, connection: int, frame: int, length: int, depth: int) -> int:
-        fds: list[int] = []
-        stream = self._plane.start(None, StreamSetup(write=True, length=length))
-        try:
-            for _ in range(depth):
-                fds.append(os.memfd_create("cm-echo", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING))
-                os.ftruncate(fds[-1], length)
-                self._plane.add_slot(stream, fds[-1])
-        except BaseException:
-            self._free(stream, fds)
-            raise
-        client = self._plane.adopt(connection)
-        self._open[client] = (stream, fds)
-        geometry = Geometry(length, frame, writable=True, depth=depth, shape=(frame,), stream="echo")
-        self._plane.attach(client, stream, depth, encode_geometry(geometry))
-        return client
+    def _add_slot(self, client: int, length: int) -> None:
+        stream, fds = self._open[client]
+        fds.append(os.memfd_create("cm-echo", os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING))
+        os.ftruncate(fds[-1], length)
+        self._plane.add_slot(stream, fds[-1])
 
     def gone(self, client: int) -> None:
         """A client of the plane has gone; nothing if it had no echo."""
         self.budget.gone(client)
         stream, fds = self._open.pop(client, (0, []))
         if stream:
-            self._free(stream, fds)
+            self._plane.stop(stream)
+            self._thread.run(lambda: _close(fds))  # frees memory, where the client has unmapped it
 
-    def _free(self, stream: int, fds: list[int]) -> None:
-        self._plane.stop(stream)
-        for fd in fds:
-            os.close(fd)
+
+def _close(fds: list[int]) -> None:
+    for fd in fds:
+        os.close(fd)

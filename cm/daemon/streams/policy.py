@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from types import MappingProxyType
+from typing import Any
 
 from cm.errors import Busy, InvalidRequest, Timeout
 from cm.manager.errors import NothingLoaded, UnknownStream
@@ -109,7 +110,8 @@ class StreamOverrides:
             self._runs[name] = request.enable
 
         def take_back() -> None:
-            self._set, self._runs = before
+            self._set = _restored(self._set, name, before[0])
+            self._runs = _restored(self._runs, name, before[1])
 
         return take_back
 
@@ -216,8 +218,9 @@ class StreamPolicy:
         forget = self._overrides.take(stream, wanted, request)
 
         def take_back() -> None:
-            forget()
-            self.streams = {**self.streams, stream.name: stream}
+            if self.streams.get(stream.name) is wanted:  # not changed again since
+                forget()
+                self.streams = {**self.streams, stream.name: stream}
 
         return take_back
 
@@ -235,16 +238,13 @@ class StreamPolicy:
         return stream
 
 
+def _restored(held: dict[str, Any], name: str, before: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in held.items() if k != name} | {k: v for k, v in before.items() if k == name}
+
+
 def _only(direction: Direction, streams: Collection[Stream]) -> Stream:
     fitting = [s for s in streams if s.direction is direction]
     if len(fitting) == 1:
         return fitting[0]
     names = ", ".join(s.name for s in fitting) or "none"
     raise UnknownStream(f"name a stream; {direction.value} streams of this mode are {names}")
-
-
-def diagram() -> str:
-    """The table as a Mermaid state diagram, for the documentation."""
-    lines = ["stateDiagram-v2", "    [*] --> closed"]
-    lines += [f"    {a.value} --> {b.value}: {event.value}" for (a, event), b in TRANSITIONS.items() if a is not b]
-    return "\n".join(lines) + "\n"

@@ -6,14 +6,17 @@ from __future__ import annotations
 import logging
 import socket
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import replace
 
 from cm.daemon.host.devices import BoardDevices
 from cm.daemon.limits import Limits
 from cm.daemon.loop import Loop
+from cm.daemon.streams.audience import Audience
 from cm.daemon.streams.compression import check_compression
-from cm.daemon.streams.driver import Audience, StreamDriver
+from cm.daemon.streams.driver import StreamDriver
+from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.policy import StreamEvent, StreamPhase, StreamPolicy
 from cm.daemon.streams.settings import changed, setup
 from cm.daemon.streams.stream import Done
@@ -99,8 +102,11 @@ class Streams:
         """Raise HeldBy if a client without `lease` must keep off a stream's region."""
         self._leases.check((f"region:{stream.region}" if stream.region else "streams",), lease)
 
-    def configure(self, request: ConfigureStream) -> StreamStatus:
-        """Change a stream; refused while it is in use unless forced. Raises UnknownStream, InvalidRequest, Busy."""
+    def configure(self, request: ConfigureStream, done: Callable[[StreamStatus | Exception], None]) -> None:
+        """Change a stream; refused while it is in use unless forced. `done` is called once it runs so, if it shall run.
+
+        Raises UnknownStream, InvalidRequest, Busy; what the channel refuses, here or later, is no change.
+        """
         stream = self.named(request.stream, None)
         check_compression(request.compression)
         wanted = changed(stream, request)
@@ -110,6 +116,12 @@ class Streams:
             self._check_channel(wanted)
             self._driver.stop(stream.name)
         take_back = self._policy.override(stream, wanted, request)
+
+        def ended(error: Exception | None) -> None:
+            if error is not None:
+                take_back()
+            done(error or self.status_of(stream.name))
+
         try:
             if self._policy.is_wanted(wanted, self._driver.users(wanted)) and not self._policy.is_held(stream.name):
                 self._driver.running(wanted)
@@ -118,7 +130,11 @@ class Streams:
             self.refresh()
             raise
         self.refresh()
-        return self.status_of(stream.name)
+        opened = self._driver.open.get(stream.name)
+        if opened is None:
+            ended(None)
+        else:
+            opened.joiners.when_started(ended)
 
     def _in_use(self, stream: Stream) -> bool:
         """Whether a client would notice a change; one that stays open a while after its last client is not in use."""
@@ -153,18 +169,24 @@ class Streams:
         self.check_lease(stream, lease)
         self._driver.zmq.writer(self._driver.running(stream)).write(data, done)
 
-    def open_local(self, connection: socket.socket, wanted: Open) -> None:
-        """Make a connection to the data socket a reader or writer; the caller closes it.
+    def open_local(self, connection: socket.socket, wanted: Open) -> Iterator[None]:
+        """The steps to be taken to make a connection to the data socket a reader or writer; the caller closes it.
 
-        Raises UnknownStream, NoSlots; HeldBy for a client without the lease that writes, or could hold the hardware up.
+        They raise UnknownStream, NoSlots, DeviceError; HeldBy for a client without the lease that writes, or could hold
+        the hardware up.
         """
         stream = self.named(wanted.name, Direction.MM2S if wanted.write else Direction.S2MM)
         if wanted.write or stream.backpressure:
             self.check_lease(stream, wanted.lease)
-        driver = self._driver
-        driver.locals.adopt(connection, wanted, lambda client, peer: driver.attach(stream, client, wanted.depth, peer))
-        if stream.name not in driver.open:  # so that the client need not guess from silence
-            connection.send(Descriptor(kind=STOPPED).pack())
+
+        def stopped(error: int) -> None:
+            with suppress(OSError):  # so that the client need not guess from silence; it may have gone
+                connection.send(Descriptor(kind=STOPPED, offset=error).pack())
+
+        def join(client: int, peer: Peer) -> Iterator[None]:
+            return self._driver.attach(stream, client, wanted.depth, peer, stopped)
+
+        yield from self._driver.locals.adopt(connection, wanted, stream.name, join)
 
     def status(self) -> tuple[StreamStatus, ...]:
         """All streams of this mode."""

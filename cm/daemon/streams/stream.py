@@ -2,31 +2,27 @@
 """An open stream: its DMA channel and slots, handed to the data plane, which moves the frames.
 
 What each frame needs is done by the plane's C thread (`cm.device.data_plane`); here streams are opened,
-given memory, measured and closed, in the loop's thread.
+measured and closed, in the loop's thread. How they get memory and clients: `joiners`.
 """
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from cm.daemon.streams.figures import median, rate, transfer_error
-from cm.daemon.streams.peer import Peer
+from cm.daemon.streams.joiners import Joiners
 from cm.daemon.streams.settings import frame_bytes, setup
-from cm.daemon.streams.shares import EACH, RESERVE, NoSlots, share
-from cm.daemon.streams.sharing import for_readers, for_writers
-from cm.device import AxiDma, DeviceGone, DmaBuffer, DmaInfo, DmaType
+from cm.daemon.streams.shares import EACH
+from cm.daemon.streams.slots import Slots
+from cm.device import AxiDma, DmaBuffer, DmaInfo, DmaType
 from cm.device.data_plane import Plane
 from cm.errors import CmError
 from cm.manager.reporting.status import stream_status
 from cm.messages.status import ErrorInfo, FrameInfo, StreamClient, StreamStatus
 from cm.metrics.counts import Moved
 from cm.schema.model import Direction, Stream
-from cm.wire.plane_packets import SLOTS_MAX, Descriptor, Geometry, encode_geometry, encode_label
-
-DEPTH = 4  # frames that a local client may hold if it does not say
+from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_label
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +33,7 @@ class Frame:
     data: memoryview
 
 
-Done = Callable[[Frame | CmError], None]
+Done = Callable[[Frame | CmError | OSError], None]
 
 
 class OpenStream:
@@ -45,84 +41,28 @@ class OpenStream:
 
     def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, each: int = EACH) -> None:
         """Take over an open channel; it is closed if this raises. `each`: slots that one process may hold."""
-        self.each = each
         self._plane = plane
         self._dma = dma
         self.stream = stream
         self.writes = stream.direction is Direction.MM2S
         self._names = ("", "")
-        self.slots: list[DmaBuffer] = []
-        self._shared: list[int] = []  # descriptors as clients get them
-        self._depths: dict[int, int] = {}
-        self._peers: dict[int, Peer] = {}
         try:
             self.setup = setup(dma.info, stream)
             self.id = plane.start(dma, self.setup)
         except BaseException:
             dma.close()
             raise
-        self._started = self.writes
-        try:
-            if not self.writes:
-                self._grow(min(stream.slots, SLOTS_MAX))
-        except BaseException:
-            self.close()
-            raise
+        self._slots = Slots(plane, self.id, dma, self.setup.length, self.writes)
+        self.joiners = Joiners(stream, self._slots, self._attach, each)
 
-    def start(self) -> None:
-        """Let frames come: clients that are attached by now miss none."""
-        self._started = True
-        self._hand_over()
+    @property
+    def slots(self) -> list[DmaBuffer]:
+        """Its memory, by the numbers of the plane's packets."""
+        return self._slots.made
 
-    # ---- memory ---------------------------------------------------------------------
-
-    def _grow(self, count: int) -> None:
-        while len(self.slots) < count:
-            self.slots.append(self._dma.allocate(self.setup.length))
-        if self._started:
-            self._hand_over()
-
-    def _hand_over(self) -> None:
-        for slot in self.slots[len(self._shared) :]:
-            self._shared.append(for_writers(slot) if self.writes else for_readers(slot))
-            self._plane.add_slot(self.id, self._shared[-1], slot.handle)
-
-    def _make_room(self, depth: int) -> None:
-        """So many slots that readers who hold all they may still leave some to the hardware."""
-        wanted = sum(self._depths.values()) + depth + (0 if self.writes else RESERVE)
-        if self.stream.backpressure and not self.writes:
-            return
-        name = self.stream.name
-        if wanted > SLOTS_MAX:
-            raise NoSlots(f"stream {name!r} has {len(self._depths)} clients; with one more it needs {wanted} slots")
-        try:
-            self._grow(wanted)
-        except OSError as error:
-            raise NoSlots(
-                f"stream {name!r}: no memory for a client of {depth} frames more ({error}); "
-                "close others, or ask for a smaller depth"
-            ) from error
-
-    # ---- clients --------------------------------------------------------------------
-
-    def attach(self, client: int, depth: int, peer: Peer | None = None) -> bool:
-        """Let a client of the plane read or write; False if it has gone. Raises NoSlots."""
-        depth = max(1, min(depth or DEPTH, SLOTS_MAX - RESERVE))
-        if peer is not None:
-            ours = Peer.ourselves()
-            held = [(self._peers[at], slots) for at, slots in self._depths.items() if self._peers[at] != ours]
-            depth = share(self.stream.name, depth, peer, held, self.each)
-        self._make_room(depth)
-        if not self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth))):
-            return False
-        self._depths[client] = depth
-        self._peers[client] = peer or Peer.ourselves()
-        return True
-
-    def detached(self, client: int) -> None:
-        """A client has gone."""
-        self._depths.pop(client, None)
-        self._peers.pop(client, None)
+    def _attach(self, client: int, depth: int) -> bool:
+        """All its slots are there; False if the client has gone."""
+        return self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth)))
 
     @property
     def channel(self) -> DmaInfo:
@@ -132,7 +72,7 @@ class OpenStream:
     @property
     def clients(self) -> int:
         """How many are attached."""
-        return len(self._depths)
+        return len(self.joiners.peers)
 
     def _geometry(self, depth: int) -> Geometry:
         s = self.stream
@@ -203,7 +143,7 @@ class OpenStream:
         return transfer_error(self._plane.counts(self.id), self.setup)
 
     def _clients(self) -> Iterator[StreamClient]:
-        for client, peer in self._peers.items():
+        for client, peer in self.joiners.peers.items():
             counts = self._plane.client_counts(client)
             if counts is not None:
                 yield StreamClient(
@@ -212,20 +152,20 @@ class OpenStream:
 
     def close(self, error: int = 0) -> None:
         """Stop the channel and release everything; clients are told, and keep what they have mapped."""
+        self._stop(error)
         try:
-            self.release(error)
+            self._dma.close()  # frees all slots at once; one by one, that takes as long as to allocate them
         finally:
-            self._dma.close()
+            self._slots.close()
 
     def release(self, error: int = 0) -> AxiDma:
         """The same, but the channel stays open, and is the caller's from here on."""
-        self._plane.stop(self.id, error)
-        try:
-            with suppress(DeviceGone):
-                for slot in self.slots:
-                    slot.close()
-        finally:
-            for fd in self._shared:
-                os.close(fd)
-            self._shared.clear()
+        self._stop(error)
+        self._slots.close()
         return self._dma
+
+    def _stop(self, error: int) -> None:
+        try:
+            self._plane.stop(self.id, error)
+        finally:
+            self.joiners.stop(error)

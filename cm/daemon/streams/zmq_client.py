@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from cm.daemon.loop import Loop
 from cm.daemon.streams.stream import OpenStream
 from cm.device.data_plane import Plane, StreamSetup
+from cm.errors import CmError
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import DESCRIPTOR, Descriptor
 
@@ -30,7 +31,7 @@ class ZmqClient:
         self._socket = ours
         self.client = plane.adopt(theirs.detach())
         try:
-            opened.attach(self.client, depth)
+            self.steps = opened.joiners.join(self.client, depth)  # to be taken until it is attached
         except BaseException:
             plane.drop(self.client)
             ours.close()
@@ -47,11 +48,11 @@ class ZmqClient:
         """Whether a request waits for it, or did a moment ago."""
         return self.working or time.monotonic() < self._used_at + _LINGER
 
-    def close(self) -> None:
-        """Hang up."""
+    def close(self, error: CmError | OSError | None = None) -> None:  # noqa: ARG002 (for those who wait)
+        """Hang up; those who wait are told the error, or that the stream was stopped."""
         self._loop.remove(self._socket.fileno())
         self._plane.drop(self.client)
-        self._stream.detached(self.client)
+        self._stream.joiners.detached(self.client)
         self._socket.close()
 
     def _readable(self) -> None:

@@ -13,7 +13,7 @@ from cm.daemon.streams.policy import StreamStopped
 from cm.daemon.streams.stream import Done, Frame, OpenStream
 from cm.daemon.streams.zmq_client import ZmqClient, line_slices
 from cm.device.data_plane import Plane
-from cm.errors import Timeout
+from cm.errors import CmError, Timeout
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Descriptor
 
@@ -79,9 +79,9 @@ class ZmqReader(ZmqClient):
             return memoryview(b"".join(view[line] for line in line_slices(setup)))[: packet.length]
         return view[packet.offset : packet.offset + packet.length]
 
-    def close(self) -> None:
+    def close(self, error: CmError | OSError | None = None) -> None:
         super().close()
-        for done, timer in self._readers:
+        readers, self._readers = self._readers, deque()
+        for done, timer in readers:
             timer.cancel()
-            done(StreamStopped(f"stream {self._stream.stream.name!r} was stopped before a frame came"))
-        self._readers.clear()
+            done(error or StreamStopped(f"stream {self._stream.stream.name!r} was stopped before a frame came"))

@@ -121,9 +121,9 @@ class ZmqWriter(ZmqClient):
         else:
             done(Frame(self._stream.info(packet), memoryview(b"")))
 
-    def close(self) -> None:
+    def close(self, error: CmError | OSError | None = None) -> None:
         super().close()
-        stopped = StreamStopped(f"stream {self._stream.stream.name!r} was stopped before the frame was taken")
+        stopped = error or StreamStopped(f"stream {self._stream.stream.name!r} was stopped before the frame was taken")
         for done, timer in self._under_way.values():
             timer.cancel()
             done(stopped)

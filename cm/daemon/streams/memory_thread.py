@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A thread in which much memory is allocated and freed: either takes tens of milliseconds for as many MiB."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TypeVar
+
+from cm.daemon.loop import Loop
+
+_T = TypeVar("_T")
+
+
+class MemoryThread:
+    """Does one thing after the other. The loop's thread."""
+
+    def __init__(self, loop: Loop) -> None:
+        self._loop = loop
+        self._thread = ThreadPoolExecutor(1, "cm-memory")
+
+    def run(self, work: Callable[[], _T], then: Callable[[Future[_T]], object] = lambda _: None) -> None:
+        """Have something done, and what came of it given to `then` in the loop's thread."""
+        future = self._thread.submit(work)
+        future.add_done_callback(lambda done: self._loop.call_threadsafe(lambda: then(done)))
+
+    def close(self) -> None:
+        """Let what was asked for be done."""
+        self._thread.shutdown()
