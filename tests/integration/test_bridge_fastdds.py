@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from manager_process import REPOSITORY, Manager
+from manager_process import REPOSITORY, Manager, until
 
 import cm
 from cm.sim import Board as SimBoard
@@ -64,7 +64,8 @@ def pixels(path: Path) -> np.ndarray:
 
 
 def test_it_gets_the_status_that_was_published_before_it_came(program: Path, bridge: Bridge, board: cm.Board) -> None:
-    assert said(command(program, "status", "/fast/status")) == f"{board.status.board} camera/default"
+    wanted = f"{board.status.board} camera/default"  # once the bridge has heard of it
+    until(lambda: said(command(program, "status", "/fast/status")) == wanted)
 
 
 @pytest.mark.parametrize(("mode", "shape"), [("default", (480, 640)), ("colorise", (480, 640, 3))])

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sockets of a board that several threads use, and end."""
+
+from __future__ import annotations
+
+import threading
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zmq
+
+from cm.client.sockets import Sockets
+
+
+def test_two_threads_that_close_at_once_both_come_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One has made the thread that ends the context and not started it yet when the other closes."""
+    endpoints: Any = SimpleNamespace(req="inproc://req", pub="inproc://pub")
+    sockets = Sockets(zmq.Context(), endpoints, None)
+    turn, taken, let = sockets.turn(), threading.Event(), threading.Event()
+
+    def use() -> None:
+        with turn:
+            taken.set()
+            let.wait(60)
+
+    user = threading.Thread(target=use, name="user")
+    user.start()
+    assert taken.wait(60)
+    start = threading.Thread.start
+
+    def late(thread: threading.Thread) -> None:
+        if thread.name == "end of a board":
+            sockets.close()  # as the other thread does
+            let.set()
+        start(thread)
+
+    monkeypatch.setattr(threading.Thread, "start", late)
+    sockets.free()
+    user.join(60)
+    sockets.close()
+    assert sockets.closed
