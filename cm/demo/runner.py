@@ -64,17 +64,35 @@ def _interrupt(*_: object) -> None:
 
 
 @contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """A signal meanwhile counts at the end: within `Popen` it would leave a process that nobody knows."""
+    came: list[int] = []
+    numbers = signal.SIGINT, signal.SIGTERM
+    before = [signal.signal(number, lambda number, _: came.append(number)) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+    if came:
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
 def _manager(runtime: Path, images: Path | None, kind: str) -> Iterator[None]:
     """A manager with its board, in a process group of its own: Ctrl-C reaches it through us, in order."""
     command = child.command("cm.cli.main", "serve", f"--sim={kind}", "--runtime-dir", str(runtime))
     command += ["--config", str(_SCHEMA), "--load", "camera"]
     command += ["--sim-hold", str(_HOLD), *(["--images", str(images)] if images else [])]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, env=child.environment(), start_new_session=True)
+    process = None
     try:
+        with _undisturbed():
+            process = subprocess.Popen(command, stderr=subprocess.PIPE, env=child.environment(), start_new_session=True)
         _await_ready(process)
         yield
     finally:
-        _end(process)
+        if process is not None:
+            _end(process)
 
 
 def _await_ready(process: subprocess.Popen[bytes]) -> None:
@@ -85,11 +103,14 @@ def _await_ready(process: subprocess.Popen[bytes]) -> None:
 
 def _application(runtime: Path, frames: Path) -> None:
     command = child.command("cm.demo.application", str(runtime), str(frames))
-    process = subprocess.Popen(command, env=child.environment())
+    process = None
     try:
+        with _undisturbed():
+            process = subprocess.Popen(command, env=child.environment())
         status = process.wait()
     finally:
-        _end(process)
+        if process is not None:
+            _end(process)
     if status != 0:
         raise DemoFailed(f"the application ended with status {status}")
 
