@@ -19,6 +19,7 @@ IMAGES ?=
 COUNT ?= 100
 SEED ?= 1
 MINUTES ?= 10
+PLACEMENTS ?= 5
 
 .DEFAULT_GOAL := help
 .PHONY: help setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
@@ -112,10 +113,11 @@ vm: $(STAMP) ## a shell on that board, with a manager running and its ports forw
 web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
 
-soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions by their bits, five thousand flipped bits; new examples for the tests that draw some
+soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N), five thousand flipped bits; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)
+	for device in xc7z010 xc7z020; do CM_PLACEMENTS=$(PLACEMENTS) CM_DEVICE=$$device CM_SEED=$(SEED) $(PYTEST) tests/open/test_open_placements.py $(PYTEST_ARGS) || exit 1; done
 	for seed in 1 2 3 4 5; do CM_FLIPS=1000 CM_SEED=$$seed $(PYTEST) tests/open/test_bits_flips.py $(PYTEST_ARGS) || exit 1; done
 
 fuzz: $(VENV)/.installed-fuzz ## ten minutes of search for bad input to every reader of bytes from outside (MINUTES=…, TARGETS=…, SEED=…)

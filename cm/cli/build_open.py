@@ -8,7 +8,8 @@ from pathlib import Path
 
 from cm.build.errors import BuildError
 from cm.build.generate.tree import behind, load_design
-from cm.build.openflow.flow import OpenFlow, Settings
+from cm.build.openflow.attempt import Settings
+from cm.build.openflow.flow import OpenFlow
 from cm.build.openflow.rules import refuse_open
 from cm.build.openflow.tools import Tools, fetch_tools, find_tools
 from cm.cli.common import add_json_option, print_json

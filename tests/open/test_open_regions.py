@@ -17,7 +17,7 @@ from cm.bits.files import streams_of
 from cm.bits.memory import FrameMemory
 from cm.bitstream import device_by_name
 from cm.build.generate.tree import load_design
-from cm.build.openflow.flow import labels
+from cm.build.openflow.job import labels
 from cm.build.openflow.layout import Layout, layouts
 from cm.build.openflow.merge import left_out, static_features
 from cm.build.openflow.place import Files, read_side
@@ -98,7 +98,7 @@ def test_the_static_part_keeps_the_clock_of_a_column_beside_a_region(
 ) -> None:
     """Two columns of interconnect share twelve leaves of the clock; a region that has one of them has six."""
     inside = {name for place in places.values() for name in place.tiles}
-    side = read_side(Files(open_pair / "build/open", "static"), labels(places.values())[True], static=True)
+    side = read_side(database, Files(open_pair / "build/open", "static"), labels(places.values())[True], static=True)
     features = static_features(database, places.values(), side)
     leaves = {feature for feature in features if feature.tile in inside and feature.name.startswith("HCLK_LEAF")}
     assert leaves

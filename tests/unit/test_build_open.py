@@ -7,6 +7,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,17 +16,20 @@ from cm.build.check.finding import Finding
 from cm.build.errors import BuildError, MissingTool
 from cm.build.generate.tree import load_design
 from cm.build.openflow.images import outside, user_id
+from cm.build.openflow.memories import packable
 from cm.build.openflow.netlists import bits_of_region, module_side, open_system, open_top, static_side
 from cm.build.openflow.routed import read_routed
 from cm.build.openflow.rules import check_cells, check_open
 from cm.build.openflow.separate import separate
-from cm.build.openflow.steps import OpenStepFailed, Steps, key_of, run_tool
+from cm.build.openflow.shifts import unchain, with_contents
+from cm.build.openflow.steps import OpenStepEndless, OpenStepFailed, Steps, key_of, run_tool
 from cm.build.openflow.synth import Sources, script
 from cm.build.openflow.timing import Timing, read_timing, slacks
 from cm.build.openflow.tools import Tool, find_tools
 from cm.build.plan.engines import EngineKind
 from cm.build.plan.system import System
 from cm.cli.main import main
+from cm.xray import Feature
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "cm" / "data" / "examples"
 
@@ -301,3 +305,94 @@ def test_missing_tools_are_reported_with_how_to_get_them(tmp_path: Path, monkeyp
     with pytest.raises(MissingTool) as told:
         find_tools(tmp_path / "nothing")
     assert str(told.value).count("cm build tools --fetch") == 3
+
+
+def test_a_program_that_finds_no_end_is_ended(tmp_path: Path) -> None:
+    shell = Tool("nextpnr", ("/bin/sh", "-c"))
+    with pytest.raises(OpenStepEndless, match="module m: nextpnr found no end in 1 s of processor time"):
+        run_tool(shell, ["while :; do :; done"], tmp_path / "log", {}, "module m", seconds=1)
+
+
+def cell(kind: str, ports: dict[str, list[Any]], outputs: str, **parameters: str) -> dict[str, Any]:
+    directions = {name: "output" if name in outputs.split() else "input" for name in ports}
+    return {
+        "type": kind, "parameters": parameters, "attributes": {}, "connections": ports, "port_directions": directions,
+    }  # fmt: skip
+
+
+def module_of(cells: dict[str, Any]) -> dict[str, Any]:
+    return {"modules": {"top": {"cells": cells, "ports": {}, "netnames": {}}}}
+
+
+def test_a_long_shift_register_goes_on_from_a_table_that_is_read_at_its_end() -> None:
+    first = {"A": [3, 4, 5, 6, 7], "CE": [8], "CLK": [9], "D": [10], "Q": [11], "Q31": [12]}
+    second = {"A": [3, 4, 5, 6, 7], "CE": [8], "CLK": [9], "D": [12], "Q": [13], "Q31": [14]}
+    netlist = module_of(
+        {"a": cell("SRLC32E", first, "Q Q31", INIT="1" * 32), "b": cell("SRLC32E", second, "Q Q31", INIT="0" * 32)}
+    )
+    assert unchain(netlist, "top") == 1
+    cells = netlist["modules"]["top"]["cells"]
+    assert not [name for name, one in cells.items() if "Q31" in one["connections"]]
+    assert cells["a_cm_end"]["connections"] == {"A": ["1"] * 5, "CE": [8], "CLK": [9], "D": [10], "Q": [12]}
+    assert cells["a_cm_end"]["parameters"] == cells["a"]["parameters"]
+
+
+def test_memories_of_64_words_with_one_address_share_a_cell_and_keep_their_contents() -> None:
+    names = "ABCDE"
+    pins = {f"A{bit}": [bit] for bit in range(6)} | {"WE": [30], "WCLK": [31]}
+    netlist = module_of(
+        {
+            name: cell("RAM64X1S", pins | {"D": [40 + at], "O": [50 + at]}, "O", INIT=f"{at + 1:064b}")
+            for at, name in enumerate(names)
+        }
+    )
+    packable(netlist, "top")
+    cells = netlist["modules"]["top"]["cells"]
+    assert {one["type"] for one in cells.values()} == {"RAM64M"}
+    found = {
+        (one["connections"][f"DI{letter}"][0], one["connections"][f"DO{letter}"][0], int(contents, 2))
+        for one in cells.values()
+        for letter in "ABCD"
+        if f"DO{letter}" in one["connections"]
+        for contents in {one["parameters"][f"INIT_{letter}"], one["parameters"][f"INIT{letter}"]}
+    }
+    assert found == {(40 + at, 50 + at, at + 1) for at in range(5)}
+    assert all(one["connections"]["ADDRD"] == list(range(6)) for one in cells.values())
+
+
+def test_a_memory_of_32_words_that_does_not_begin_with_zeros_becomes_two_that_keep_their_contents() -> None:
+    words = [at * 7 % 4 for at in range(32)]  # two bits each
+    contents = "".join(f"{word:02b}" for word in reversed(words))
+    pins = {f"ADDR{letter}": list(range(5)) for letter in "ABCD"} | {f"DI{letter}": [20, 21] for letter in "ABCD"}
+    pins |= {"DOA": [22, 23], "WE": [30], "WCLK": [31]}
+    full = {"INIT_A": contents} | {f"INIT_{letter}": "0" * 64 for letter in "BCD"}
+    netlist = module_of({"m": cell("RAM32M", pins, "DOA", **full)})
+    packable(netlist, "top")
+    cells = netlist["modules"]["top"]["cells"]
+    by_output = {one["connections"]["DOA"][0]: int(one["parameters"]["INITA"], 2) for one in cells.values()}
+    assert by_output == {22 + half: sum((word >> half & 1) << at for at, word in enumerate(words)) for half in range(2)}
+    assert all(one["connections"]["ADDRA"] == [0, 1, 2, 3, 4, "0"] for one in cells.values())
+    zeros = module_of({"m": cell("RAM32M", pins, "DOA", **dict.fromkeys(full, "0" * 64))})
+    packable(zeros, "top")
+    assert [one["type"] for one in zeros["modules"]["top"]["cells"].values()] == ["RAM32M"]
+
+
+SLICES = SimpleNamespace(name="CLBLM_R_X3Y4", x=7, y=8, sites={"SLICE_X4Y4": "SLICEM", "SLICE_X5Y4": "SLICEL"})
+
+
+@pytest.mark.parametrize(
+    ("kind", "element", "init", "low"),
+    [("SRL16E", "A6LUT", 0x8001, 32), ("SRL16E", "B5LUT", 0x0002, 0), ("SRLC32E", "C6LUT", 0x8000_0001, 0)],
+)
+def test_what_a_shift_register_begins_with_stands_twice_in_its_table(
+    kind: str, element: str, init: int, low: int
+) -> None:
+    length = 16 if kind == "SRL16E" else 32
+    cells = {"s": {"type": kind, "parameters": {"INIT": f"{init:0{length}b}"}}}
+    table = f"SLICEM_X0.{element[0]}LUT"
+    wrong = {Feature(SLICES.name, f"{table}.INIT[{low + 1}]"), Feature(SLICES.name, f"{table}.INIT[{low + 7}]")}
+    other = {Feature(SLICES.name, f"{table}.SRL"), Feature(SLICES.name, "SLICEM_X0.DLUT.INIT[0]")}
+    database: Any = SimpleNamespace(tiles={SLICES.name: SLICES}, tile_at={(SLICES.x, SLICES.y): SLICES})
+    found = with_contents(wrong | other, database, cells, {"s": ("SLICE_LUTX", f"X7Y8/SLICE_X0Y0.{element}")})
+    ones = {low + 2 * bit + twice for bit in range(length) if init >> bit & 1 for twice in range(2)}
+    assert found == other | {Feature(SLICES.name, f"{table}.INIT[{at}]") for at in ones}

@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import json
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -13,32 +13,20 @@ from cm.build.errors import BuildError
 from cm.build.generate.inputs import module_files
 from cm.build.generate.netlist import Netlist
 from cm.build.openflow import images
-from cm.build.openflow.job import Job, labels, module_job, pins_xdc, static_job
+from cm.build.openflow.attempt import Attempt, Context, Settings, Unroutable
 from cm.build.openflow.layout import layouts
-from cm.build.openflow.merge import CLOCK, Side, left_out, module_features, static_features, strays, two_drivers
+from cm.build.openflow.merge import two_drivers
 from cm.build.openflow.netlists import MODULE_TOP, TOP, module_side, open_system, open_top, static_side
-from cm.build.openflow.place import SCRIPTS, Files, place_and_route, read_side, timing
 from cm.build.openflow.rules import refuse_open
-from cm.build.openflow.steps import OpenStepFailed, Steps, Tell, key_of, write_whole
+from cm.build.openflow.steps import Steps, Tell, key_of, write_whole
 from cm.build.openflow.synth import ROUTER, Sources, resolved, script, synthesise
-from cm.build.openflow.timing import slacks
 from cm.build.openflow.tools import Tools
-from cm.build.plan.pins import placements
 from cm.build.plan.system import Implementation, System
 from cm.build.render import Renderer
 from cm.xray import Database, Feature, Wires
 
-Judge = Callable[[], list[str]]
+Features = frozenset[Feature]
 OWN_RTL = tuple(sorted((Path(__file__).parent / "rtl").glob("*.v")))
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """How the flow runs: first seed, how many to try, how many programs at once."""
-
-    seed: int = 1
-    tries: int = 4
-    jobs: int = 2
 
 
 class OpenFlow:
@@ -67,19 +55,34 @@ class OpenFlow:
             tasks = [pool.submit(self._synthesise, name, sources) for name, sources in self._all_sources().items()]
             for task in tasks:
                 task.result()
-        static = self._static()
-        features = static_features(self.database, self.layouts.values(), static)
-        system, buffer = self.system, static.routed.place(CLOCK)
-        jobs = {
-            name: module_job(self.database, self.wires, layout, static.routed, buffer)
-            for name, layout in self.layouts.items()
-        }
-        self._complete("the static part", left_out(self.database, static, features, self.database.tiles))
-        with ThreadPoolExecutor(self.settings.jobs) as pool:
-            runs = [pool.submit(self._module, one, jobs[one.region.name], features) for one in system.implementations]
-            modules = {one.name: run.result() for one, run in zip(system.implementations, runs, strict=True)}
-        self._bitstreams(features, modules)
+        self._bitstreams(*self._placed())
         return self.steps.ran
+
+    def _placed(self) -> tuple[Features, dict[str, Features]]:
+        """Static part and modules, with another static part where a module cannot be routed against the one before."""
+        known = self.folder / "unroutable.json"
+        context = Context(
+            self.system, self.database, self.wires, self.layouts, self.tools, self.settings, self.tell, self.folder,
+            self.rate, set(json.loads(known.read_text("utf-8"))) if known.is_file() else set(),
+        )  # fmt: skip
+        tried: list[str] = []
+        while True:
+            attempt = Attempt(context, len(tried), self.steps.ran)
+            try:
+                found = attempt.run()
+                break
+            except Unroutable as problem:
+                tried.append(str(attempt.seed))
+                if len(tried) >= self.settings.statics:
+                    raise Unroutable(
+                        f"{problem}\n  so it was with all static parts, of seeds {', '.join(tried)}"
+                    ) from None
+                self.tell(
+                    f"{str(problem).splitlines()[0].rstrip(':')} against the static part of seed {attempt.seed}: "
+                    f"another static part, from seed {attempt.seed + self.settings.tries}"
+                )
+        write_whole(known, json.dumps(sorted(context.failed)).encode())
+        return found
 
     def _all_sources(self) -> dict[str, Sources]:
         renderer = Renderer(self.system.project.folder, self.out, f"Generated from {self.system.project.source.name}.")
@@ -122,63 +125,6 @@ class OpenFlow:
         key = key_of(script(sources, out, place), ROUTER, self.tools.versions, *sources.files)
         work = partial(synthesise, self.tools.yosys, sources, out, place, name)
         self.steps.step(f"synth_{name}", f"synthesis of {name} by yosys", key, [out], work)
-
-    def _static(self) -> Side:
-        inputs = labels(self.layouts.values())[True]
-        job = static_job(self.database, list(self.layouts.values()))
-        files = Files(self.folder, "static")
-        xdc = pins_xdc(placements(self.system)[0])
-
-        def judge() -> list[str]:
-            read, told = timing(files), read_side(files, inputs, static=True).routed.lost()[:3]
-            return told if read.inside <= 1e9 / self.rate else [*told, f"its longest path takes {read.inside:.2f} ns"]
-
-        self._placed(files, job, xdc, judge, "the static part")
-        return read_side(files, inputs, static=True)
-
-    def _module(self, one: Implementation, job: Job, features: frozenset[Feature]) -> frozenset[Feature]:
-        layout = self.layouts[one.region.name]
-        inputs = labels([layout])[False]
-        files = Files(self.folder, one.name)
-
-        def judge() -> list[str]:
-            side = read_side(files, inputs, static=False)
-            told = [*side.routed.lost(), *strays(self.database, layout, side, features)]
-            left = slacks(timing(Files(self.folder, "static")), timing(files), 1e9 / self.rate)
-            return told[:3] + [f"{what}: {-value:.2f} ns too long" for what, value in left.items() if value < 0]
-
-        self._placed(files, job, "", judge, f"module {one.name}")
-        side = read_side(files, inputs, static=False)
-        found = module_features(self.database, layout, side)
-        self._complete(f"module {one.name}", left_out(self.database, side, features | found, layout.tiles))
-        return found
-
-    @staticmethod
-    def _complete(what: str, missing: list[str]) -> None:
-        if missing:
-            raise BuildError(f"{what}: {missing[0]}")
-
-    def _placed(self, files: Files, job: Job, xdc: str, judge: Judge, what: str) -> None:
-        """Place and route with one seed after another, until nothing is wrong with what came out."""
-        first, part = self.settings.seed, self.system.project.part
-        key = key_of(job, xdc, self.rate, first, self.tools.versions, files.file("json"), *SCRIPTS)
-
-        def work() -> None:
-            wrong = []
-            for seed in range(first, first + self.settings.tries):
-                try:
-                    place_and_route(self.tools.nextpnr, part, files, job, xdc, self.rate / 1e6, seed)
-                    told = judge()
-                except OpenStepFailed as problem:
-                    told = [str(problem)]
-                if not told:
-                    return
-                wrong += [f"seed {seed}: {sentence}" for sentence in told]
-                self.tell(f"{files.name}: another seed, because of {told[0].splitlines()[0]}")
-            raise OpenStepFailed(f"{what} could not be placed and routed:\n  " + "\n  ".join(wrong))
-
-        title = f"place and route of {what} by nextpnr, from seed {first}"
-        self.steps.step(f"place_{files.name}", title, key, files.outputs, work)
 
     def _bitstreams(self, static: frozenset[Feature], modules: dict[str, frozenset[Feature]]) -> None:
         system, name = self.system, self.system.project.name

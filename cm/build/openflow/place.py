@@ -11,12 +11,14 @@ from typing import Any
 
 from cm.build.openflow.merge import Side
 from cm.build.openflow.routed import read_routed
+from cm.build.openflow.shifts import with_contents
 from cm.build.openflow.steps import run_tool
 from cm.build.openflow.timing import Timing, read_timing
 from cm.build.openflow.tools import Tool
-from cm.xray import read_features
+from cm.xray import Database, read_features
 
 INSIDE = Path(__file__).parent / "inside"
+_LONGEST = 300  # seconds of processor time: the router turns for hours where there are too few ways
 SCRIPTS = tuple(INSIDE / f"{name}.py" for name in ("place", "block", "dump"))
 
 
@@ -40,7 +42,7 @@ class Files:
 def place_and_route(
     nextpnr: Tool, part: str, files: Files, job: Mapping[str, Any], xdc: str, megahertz: float, seed: int
 ) -> None:
-    """Run nextpnr on ``<name>.json``. Raises OpenStepFailed. The caller judges the timing."""
+    """Run nextpnr on ``<name>.json``. Raises OpenStepFailed, OpenStepEndless. The caller judges the timing."""
     told = {**job, "result": str(files.file("route.json"))}
     files.file("job.json").write_text(json.dumps(told), encoding="utf-8")
     files.file("xdc").write_text(xdc or "\n", encoding="utf-8")
@@ -51,14 +53,17 @@ def place_and_route(
     options += ["--report", str(files.file("report.json")), "--log", str(files.file("nextpnr.log"))]
     options += ["-o", f"xdc={files.file('xdc')}", "-o", f"fasm={files.file('fasm')}"]
     environment = {"CM_OPEN_JOB": str(files.file("job.json"))}
-    run_tool(nextpnr, options, files.file("nextpnr.out"), environment, f"{files.name}, seed {seed}")
+    run_tool(nextpnr, options, files.file("nextpnr.out"), environment, f"{files.name}, seed {seed}", seconds=_LONGEST)
 
 
-def read_side(files: Files, inputs: frozenset[str], static: bool) -> Side:
+def read_side(database: Database, files: Files, inputs: frozenset[str], static: bool) -> Side:
     """What a run gave; `inputs` are the labels of the anchors whose input side it has."""
     lines = files.file("fasm").read_text("utf-8").splitlines()
-    features = read_features(lines, str(files.file("fasm")))
-    return Side(features, read_routed(files.file("route.json"), inputs), static)
+    routed = read_routed(files.file("route.json"), inputs)
+    modules = json.loads(files.file("json").read_text("utf-8"))["modules"].values()
+    cells = {name: cell for module in modules for name, cell in module.get("cells", {}).items()}
+    features = with_contents(read_features(lines, str(files.file("fasm"))), database, cells, routed.cells)
+    return Side(features, routed, static)
 
 
 def timing(files: Files) -> Timing:

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
+import resource
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -17,6 +20,7 @@ from cm.build.openflow.tools import Tool
 
 Tell = Callable[[str], None]
 _LINES = 6
+_OUT_OF_TIME = (-signal.SIGXCPU, -signal.SIGKILL)  # at the soft and the hard limit, which are the same
 
 
 class OpenStepFailed(BuildError):
@@ -25,12 +29,19 @@ class OpenStepFailed(BuildError):
     code: ClassVar[str] = "step_failed"
 
 
+class OpenStepEndless(OpenStepFailed):
+    """A program of the open flow used all the processor time that it had."""
+
+    code: ClassVar[str] = "step_endless"
+
+
 class Steps:
     """The steps of a flow in a folder; `tell` gets a sentence when one begins and ends."""
 
-    def __init__(self, folder: Path, tell: Tell) -> None:
+    def __init__(self, folder: Path, tell: Tell, ran: list[str] | None = None) -> None:
+        """`ran` collects the names of the steps that were done."""
         self.folder = folder
-        self.ran: list[str] = []
+        self.ran = [] if ran is None else ran
         self._tell = tell
 
     def fresh(self, name: str, key: str, outputs: Iterable[Path]) -> bool:
@@ -78,21 +89,35 @@ def run_tool(
     environment: dict[str, str],
     what: str,
     folder: Path | None = None,
+    seconds: int | None = None,
 ) -> None:
-    """Run a program with its output in `log`. Raises OpenStepFailed with its errors, or its last lines."""
+    """Run a program with its output in `log`, for so many seconds of processor time.
+
+    Raises OpenStepFailed with its errors, or its last lines; OpenStepEndless.
+    """
     surroundings = {**os.environ, **dict(tool.environment), **environment, "LC_ALL": "C"}
     with log.open("wb") as file:
-        done = subprocess.run(
+        process = subprocess.Popen(
             [*tool.command, *arguments],
             stdout=file,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
             env=surroundings,
             cwd=folder,
-            check=False,
         )
+        try:
+            if seconds is not None:
+                with contextlib.suppress(ProcessLookupError):  # it has ended
+                    resource.prlimit(process.pid, resource.RLIMIT_CPU, (seconds, seconds))
+            status = process.wait()
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+    if status in _OUT_OF_TIME and seconds is not None:
+        raise OpenStepEndless(f"{what}: {tool.name} found no end in {seconds} s of processor time")
     said = log.read_text("utf-8", errors="replace").splitlines()
     errors = [line for line in said if "ERROR" in line or "what():" in line or "Error:" in line]
-    if done.returncode or any(line.startswith("ERROR") for line in errors):
+    if status or any(line.startswith("ERROR") for line in errors):
         told = errors[:_LINES] or [line for line in said if line.strip()][-_LINES:]
         raise OpenStepFailed(f"{what}: {tool.name} failed; {log} says:\n" + "\n".join(f"    {line}" for line in told))

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cm.build.errors import BuildError
+from cm.build.openflow.memories import packable
 from cm.build.openflow.netlists import ANCHOR, HARNESS
 from cm.build.openflow.rules import check_cells
 from cm.build.openflow.separate import separate
+from cm.build.openflow.shifts import unchain
 from cm.build.openflow.steps import run_tool, write_whole
 from cm.build.openflow.tools import Tool
 
@@ -73,6 +75,8 @@ def synthesise(yosys: Tool, sources: Sources, out: Path, folder: Path, what: str
     netlist = json.loads(raw.read_text("utf-8"))
     check_cells(netlist, sources.top, what, sources.dsp)
     separate(netlist, sources.top)
+    unchain(netlist, sources.top)
+    packable(netlist, sources.top)
     if sources.pads:
         netlist["modules"][sources.top]["settings"] = ROUTER
     write_whole(out, json.dumps(netlist).encode())
