@@ -19,7 +19,7 @@ IMAGES ?=
 COUNT ?= 100
 SEED ?= 1
 MINUTES ?= 10
-PLACEMENTS ?= 5
+PLACEMENTS ?= 0
 
 .DEFAULT_GOAL := help
 .PHONY: help setup docs web-picture demo demo-open demo-ros demo-fleet device-suite test test-c test-node test-rtl test-open test-bench test-vm vm soak fuzz mutation bench lint format kmod kmod-lint kmod-matrix dtbo sdist wheel deb release-check layer layer-bitbake clean distclean check-system
@@ -113,7 +113,7 @@ vm: $(STAMP) ## a shell on that board, with a manager running and its ports forw
 web-picture: $(STAMP) ## the picture of the page in docs/images, taken by chromium
 	$(BIN)/python docs/web_picture.py
 
-soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N), five thousand flipped bits; new examples for the tests that draw some
+soak: $(STAMP) ## ten thousand changes of mode, scraped ones too, a thousand in a page, a minute of killed readers, every attack on limits, two regions and random designs by their bits (PLACEMENTS=N, default none), five thousand flipped bits; new examples for the tests that draw some
 	$(PYTEST) tests/unit tests/fuzz -m hypothesis --hypothesis-profile=search $(PYTEST_ARGS)
 	$(PYTEST) tests/soak --changes=10000 --stress=60 --rounds=300 $(PYTEST_ARGS)
 	CM_OPEN_7020=1 $(PYTEST) tests/open/test_open_regions.py tests/open/test_bits_modules.py $(PYTEST_ARGS)

@@ -131,7 +131,7 @@ def compare(folder: Path, twins: Sequence[Twin], cycles: int, first: int = 0) ->
     (folder / "main.cpp").write_text(_MAIN.replace("@CYCLES@", str(cycles)).replace("@PRINT@", shown))
     files = [str(folder / "twins.v"), str(folder / "main.cpp"), *map(str, sources.values())]
     command = ["verilator", "--cc", "--exe", "--build", "-j", "2", "-Wno-fatal", "-Wno-lint", "--top-module", "twins"]
-    options = ["-O0", "--x-initial", "0", "-CFLAGS", "-O1", "--Mdir", str(folder / "v")]
+    options = ["-O3", "--x-initial", "0", "-CFLAGS", "-O1", "--Mdir", str(folder / "v")]
     done = subprocess.run([*command, *options, *files], check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     said = subprocess.run([folder / "v/Vtwins"], check=True, capture_output=True, text=True).stdout.splitlines()
