@@ -176,7 +176,8 @@ class Drawing:
             self._lines.append(f"    always @(posedge aclk) {enabled}{name} <= {name}_m[{name}_r];")
             self._value(width, name)
         else:
-            self._value(width, self._register(width, f"{name}_m[{name}_r]"))
+            # Not with an asynchronous reset: Verilator 5.006 would read what is written in the same cycle
+            self._value(width, self._register_of(f"{name}_m[{name}_r]", width))
 
     def _product(self) -> None:
         one, two = self._source.choice((8, 12, 17, 18)), self._source.choice((6, 9, 16, 18))
