@@ -45,3 +45,9 @@ class Timeout(CmError, TimeoutError):
     """A wait ended without what was waited for."""
 
     code = "timeout"
+
+
+class NotInstalled(CmError):
+    """A package that this needs is not there; the sentence says how to install it."""
+
+    code = "not_installed"

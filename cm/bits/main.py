@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import logging
 import shutil
-import tempfile
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -20,6 +19,7 @@ from cm.rtl.main import add_rtl_arguments
 from cm.rtl.main import run as run_rtl
 from cm.rtl.tools import Tools
 from cm.sim.hardware.logic import LogicParts
+from cm.sim.transport.scratch import Scratch, temporary
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -28,8 +28,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     add_rtl_arguments(parser)
     logging.basicConfig(level=logging.WARNING, format="cm sim: %(message)s")
     args = parser.parse_args(argv)
-    with tempfile.TemporaryDirectory(prefix="cm-bits-") as folder:
-        return run_rtl(args, partial(_libraries, args, Path(folder)))
+    with Scratch("cm-bits-", temporary()) as folder:
+        return run_rtl(args, partial(_libraries, args, folder))
 
 
 def _libraries(

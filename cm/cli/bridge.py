@@ -4,10 +4,15 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Callable
 
 from cm.cli.bridge_dds import add_dds_parser
 from cm.cli.bridge_rmw_zenoh import add_rmw_zenoh_parser
 from cm.cli.bridge_zenoh import add_zenoh_parser
+from cm.errors import NotInstalled
+
+EXIT_CONFIG = 78  # EX_CONFIG of sysexits(3): the unit does not start it again
 
 _DESCRIPTION = """\
 Connect a board to another network: as a ROS 2 node on DDS or zenoh, or as a member of a fleet over zenoh. A bridge is a
@@ -22,3 +27,18 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     add_dds_parser(actions)
     add_rmw_zenoh_parser(actions)
     add_zenoh_parser(actions)
+    for action in actions.choices.values():
+        action.set_defaults(run=_final(action.get_default("run")))
+
+
+def _final(run: Callable[[argparse.Namespace], int]) -> Callable[[argparse.Namespace], int]:
+    """`run`, with an exit status of its own if something has to be installed first: trying again does not help."""
+
+    def command(args: argparse.Namespace) -> int:
+        try:
+            return run(args)
+        except NotInstalled as error:
+            print(f"cm: {error}", file=sys.stderr)
+            return EXIT_CONFIG
+
+    return command

@@ -7,7 +7,7 @@ import argparse
 import sys
 
 from cm.cli.bridge_ros import add_node_options, domain_of, end, name_of, serve
-from cm.errors import InvalidRequest
+from cm.errors import NotInstalled
 
 
 def add_dds_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] != "cyclonedds":
             raise
-        raise InvalidRequest("cm bridge dds needs cyclonedds: pip install 'fpga-cm[dds]'") from None
+        raise NotInstalled("cm bridge dds needs cyclonedds: pip install 'fpga-cm[dds]'") from None
     if args.settings:
         sys.stdout.write(config.SHIPPED.read_text("utf-8"))
         return 0

@@ -8,7 +8,7 @@ import logging
 import sys
 
 from cm.cli.bridge_ros import add_node_options, domain_of, end, name_of, serve
-from cm.errors import InvalidRequest
+from cm.errors import NotInstalled
 
 
 def add_rmw_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in ("zenoh", "xxhash"):
             raise
-        raise InvalidRequest(
+        raise NotInstalled(
             f"cm bridge rmw-zenoh needs eclipse-zenoh and xxhash: pip install 'fpga-cm[zenoh]' ({error})"
         ) from None
     name = name_of(args)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from cm.cli.common import add_connection_options
 from cm.cli.fleet_options import add_network_options, network_of
-from cm.errors import CmError
+from cm.errors import CmError, InvalidRequest
 
 if TYPE_CHECKING:
     from cm.fleet.bridge.bundles import Import
@@ -38,7 +38,9 @@ def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
         "--listen", action="append", default=[], metavar="HOST:PORT", help="accept connections of others here"
     )
     parser.add_argument(
-        "--name", default="", help="the board's name in the fleet (default: the name that its manager gives)"
+        "--name",
+        default="",
+        help="the board's name in the fleet (default: that in its certificate, or else the one that its manager gives)",
     )
     parser.add_argument(
         "--label", action="append", default=[], metavar="TEXT", help="a group that the board belongs to"
@@ -77,6 +79,9 @@ def add_zenoh_parser(actions: argparse._SubParsersAction[argparse.ArgumentParser
 def run(args: argparse.Namespace) -> int:
     """Serve until interrupted; the exit status."""
     logging.basicConfig(level=logging.INFO, format="cm bridge zenoh: %(message)s", stream=sys.stderr)
+    from cm.fleet.network import zenoh_module
+
+    zenoh_module()  # if it is missing, this is said at once
     with contextlib.suppress(asyncio.CancelledError):
         asyncio.run(_serve(_options(args)))
     return 0
@@ -107,12 +112,25 @@ def _options(args: argparse.Namespace) -> Options:
         args.connect,
         args.runtime_dir,
         args.keys,
-        args.name,
+        _name(args.name, network.config),
         tuple(args.label),
         names.check(args.site, "site") if args.site else "",
         args.own_name,
         _importer(args.import_to, args.settings, args.after_import) if args.import_to else None,
     )
+
+
+def _name(asked: str, config: Path | None) -> str:
+    """The board's: that of its certificate, under which alone the router lets it through. Raises InvalidRequest."""
+    from cm.fleet.network import member_of
+
+    certified = member_of(config)
+    if asked and certified and asked != certified:
+        raise InvalidRequest(
+            f"--name {asked}: the certificate in {config} is that of {certified!r}, and the router lets no other name "
+            f"through; leave --name out, or make one with `cm fleet keys DIR board {asked}`"
+        )
+    return asked or certified
 
 
 def _importer(out: Path, settings: Path | None, after: str) -> Import:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from cm.rtl.compile import NOTHING, compile_units
 from cm.rtl.design import load_rtl_design
 from cm.rtl.tools import find_tools
 from cm.sim.hardware.camera import shipped_photos
+from cm.sim.transport.scratch import Scratch, temporary
 
 _ROOM = 1 << 22  # bytes reserved for a picture that comes out
 
@@ -49,8 +49,7 @@ def run_bits_demo(build: Path, out: Path, say: Callable[[str], None] = print) ->
 
 def through_modules(build: Path, photo: Picture, say: Callable[[str], None] = print) -> dict[str, Shown]:
     """What comes out of each module, by name. Raises CmError if a module is missing, or is another."""
-    with tempfile.TemporaryDirectory(prefix="cm-bits-") as text:
-        folder = Path(text)
+    with Scratch("cm-bits-", temporary()) as folder:
         design, tools = load_rtl_design(build, folder / "tree"), find_tools()
         loaded = LoadedBits.of(design.system, tools, NOTHING, folder)
         whole, modules = streams_of(collected(build), design.system)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import asyncio
 import getpass
-import json
 import os
 import secrets
 from collections.abc import Generator, Iterable, Mapping
@@ -24,7 +23,7 @@ from cm.fleet.change.coordinator import Outcome, first_step
 from cm.fleet.changing import Course, Progress, carried_out, nothing
 from cm.fleet.errors import ChangeFailed, FleetRefused
 from cm.fleet.looking import ALL, Looker
-from cm.fleet.network import Network, from_environment, session, settings_of
+from cm.fleet.network import Network, from_environment, member_of, session
 from cm.fleet.presence import Presence
 from cm.fleet.recovering import open_changes, recovered, refuse_other, useful_seats
 from cm.messages.fleet import BundleState, FleetRecord, FleetStep, Policy
@@ -52,17 +51,7 @@ def connect(
     if not routers and config is None:
         routers = from_environment()
     network = Network(connect=routers, config=Path(config) if config else None)
-    return Fleet(network, caller or _caller(network.config), timeout)
-
-
-def _caller(config: Path | None) -> str:
-    """The name in the settings that ``cm fleet keys`` wrote, or else this user's."""
-    if config is not None:
-        said = settings_of(config).get_json("metadata")
-        name = (json.loads(said) or {}).get("name")
-        if isinstance(name, str):
-            return name
-    return getpass.getuser()
+    return Fleet(network, caller or member_of(network.config) or getpass.getuser(), timeout)
 
 
 class Fleet(Looker):

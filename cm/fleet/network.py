@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cm.errors import CmError, InvalidRequest
+from cm.errors import CmError, InvalidRequest, NotInstalled
 
 PORT = 7447
 LEASE = 10.0  # seconds, zenoh's own
@@ -57,11 +57,11 @@ def from_environment() -> tuple[str, ...]:
 
 
 def zenoh_module() -> Any:
-    """The library. Raises NoNetwork if it is not installed."""
+    """The library. Raises NotInstalled."""
     try:
         import zenoh
     except ImportError as error:
-        raise NoNetwork(f"a fleet needs eclipse-zenoh: pip install 'fpga-cm[zenoh]' ({error})") from None
+        raise NotInstalled(f"a fleet needs eclipse-zenoh: pip install 'fpga-cm[zenoh]' ({error})") from None
     return zenoh
 
 
@@ -89,6 +89,14 @@ def settings_of(path: Path) -> Any:
         raise NoNetwork(f"{path}: {error.strerror}: `cm fleet keys` writes such files") from None
     except zenoh.ZError as error:
         raise NoNetwork(f"{path} is no file of zenoh's settings (JSON5): {_said(error)}") from None
+
+
+def member_of(config: Path | None) -> str:
+    """The name in a file that ``cm fleet keys`` wrote; empty in another, and without a file. Raises NoNetwork."""
+    if config is None:
+        return ""
+    name = (json.loads(settings_of(config).get_json("metadata")) or {}).get("name")
+    return name if isinstance(name, str) else ""
 
 
 def _unreachable(routers: tuple[str, ...]) -> str:

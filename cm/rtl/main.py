@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,7 @@ from cm.rtl.tools import Tools, find_tools
 from cm.sim.hardware.logic import LogicParts, MakeLogic, SoftwareLogic
 from cm.sim.process.arguments import add_arguments
 from cm.sim.process.main import run as run_board
+from cm.sim.transport.scratch import Scratch, temporary
 
 MakeLibraries: TypeAlias = Callable[[Tools, RtlDesign, Watched, LogicParts], Libraries]
 
@@ -50,16 +50,16 @@ def add_rtl_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:
     """Serve until a signal or the linger time ends it. `make` says what runs in regions (default: modules)."""
-    with tempfile.TemporaryDirectory(prefix="cm-rtl-") as folder:
+    with Scratch("cm-rtl-", temporary()) as folder:
         try:
-            design = load_rtl_design(args.build, Path(folder))
+            design = load_rtl_design(args.build, folder)
             if args.coverage:
                 args.coverage.mkdir(parents=True, exist_ok=True)
             if args.time_scale and args.icap_rate is None:
                 args.icap_rate = _port_rate(design) / args.time_scale
-            start = _maker(design, Path(folder), args, make or _modules)
+            start = _maker(design, folder, args, make or _modules)
             if not args.config:
-                args.config = [_schema(design, Path(folder))]
+                args.config = [_schema(design, folder)]
         except ToolMissing as error:
             print(f"cm sim: the RTL {error}", file=sys.stderr)
             return 1
@@ -72,8 +72,8 @@ def run(args: argparse.Namespace, make: MakeLibraries | None = None) -> int:
 def prepare(build: Path, watched: Watched = NOTHING) -> None:
     """Compile what a design needs, so that a board that runs it starts at once. Raises as `load_rtl_design`."""
     tools = find_tools()
-    with tempfile.TemporaryDirectory(prefix="cm-rtl-") as folder:
-        design = load_rtl_design(build, Path(folder))
+    with Scratch("cm-rtl-", temporary()) as folder:
+        design = load_rtl_design(build, folder)
         compile_units(tools, [design.static, *design.modules.values()], watched)
     compile_engine(tools)
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from cm.errors import CmError
+from cm.errors import NotInstalled
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
@@ -17,12 +17,6 @@ if TYPE_CHECKING:
 
 _EARLIER = datetime.timedelta(hours=24)  # because clocks of boards may be behind
 AUTHORITY_DAYS = 3653
-
-
-class KeysUnavailable(CmError):
-    """The package that makes certificates is not installed."""
-
-    code = "not_installed"
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +33,7 @@ def _parts() -> Any:
         from cryptography.hazmat.primitives import hashes, serialization
         from cryptography.hazmat.primitives.asymmetric import ec
     except ImportError as error:
-        raise KeysUnavailable(f"certificates need cryptography: pip install 'fpga-cm[zenoh]' ({error})") from None
+        raise NotInstalled(f"certificates need cryptography: pip install 'fpga-cm[zenoh]' ({error})") from None
     return x509, hashes, serialization, ec
 
 

@@ -18,8 +18,9 @@ from cm import child
 from cm.sim.errors import SimError
 from cm.sim.process.control import Control
 from cm.sim.process.handle import Adopted, Child, Handle
-from cm.sim.transport.root import PREFIX, fresh_folder, remove
+from cm.sim.transport.scratch import Scratch
 
+_PREFIX = "cm-sim-"
 LINGER = 5.0
 
 
@@ -44,8 +45,8 @@ class Board:
         self._arguments = list(arguments)
         self._timeout = timeout
         self._program = program
-        self._own_root = root is None
-        self.root = fresh_folder(PREFIX) if root is None else Path(root)
+        self._own_root = None if root is not None else Scratch(_PREFIX)
+        self.root = self._own_root.path if self._own_root is not None else Path(root or "")
         self.control = Control(self.root)
         self._process: Handle | None = None
 
@@ -90,8 +91,8 @@ class Board:
                 self.stop()
             except subprocess.TimeoutExpired:
                 self.kill()
-        if self._own_root:
-            remove(self.root)
+        if self._own_root is not None:
+            self._own_root.close()
 
     def __enter__(self) -> Board:
         return self.start()
@@ -145,8 +146,8 @@ class Board:
         except BaseException:
             process.kill()
             Child(process).wait(10.0)
-            if self._own_root:
-                remove(self.root)
+            if self._own_root is not None:
+                self._own_root.close()
             raise
         return Child(process)
 

@@ -15,36 +15,11 @@ import socket
 from pathlib import Path
 
 from cm.sim.errors import NodeError, SimError
+from cm.sim.transport.scratch import LOCK, Scratch
 
-LOCK = ".cm-sim.lock"
 MANIFEST = ".cm-sim.made"
-PREFIX = "cm-sim-"
 _FRESH = "cm-simulator-"  # roots that a simulator has made for itself
 _BACKLOG = 32
-
-
-def default_parent() -> Path:
-    """A folder in memory: /dev/shm, else $XDG_RUNTIME_DIR, else the temporary folder."""
-    for candidate in ("/dev/shm", os.environ.get("XDG_RUNTIME_DIR")):
-        if candidate and os.access(candidate, os.W_OK | os.X_OK):
-            return Path(candidate)
-    import tempfile
-
-    return Path(tempfile.gettempdir())
-
-
-def fresh_folder(prefix: str) -> Path:
-    """As tempfile.mkdtemp() in memory. That module is 1 MiB with what it imports, and no more of it is needed here."""
-    folder = default_parent() / f"{prefix}{os.getpid()}-{os.urandom(8).hex()}"
-    folder.mkdir(mode=0o700)
-    return folder
-
-
-def remove(folder: Path) -> None:
-    """Remove a folder with its content, as far as that is allowed."""
-    import shutil
-
-    shutil.rmtree(folder, ignore_errors=True)
 
 
 class Root:
@@ -57,7 +32,8 @@ class Root:
             SimError: another simulator is alive there, or the folder cannot be made.
         """
         self._made: list[str] = []
-        self._own = self._fresh = False
+        self._own = False
+        self._fresh: Scratch | None = None
         try:
             self.path = self._create(path)
             self._lock = self._acquire()
@@ -130,16 +106,15 @@ class Root:
             _remove(self.path / name)
         os.close(self._lock)
         os.close(self._dir)
-        if self._fresh:
-            remove(self.path)  # the folder is ours alone, so what clients wrote goes too
+        if self._fresh is not None:
+            self._fresh.close()  # the folder is ours alone, so what clients wrote goes too
         elif self._own:
             _remove(self.path)
 
     def _create(self, path: Path | None) -> Path:
         if path is None:
-            self._fresh = self._own = True
-            _sweep(default_parent())
-            return fresh_folder(_FRESH)
+            self._own, self._fresh = True, Scratch(_FRESH)
+            return self._fresh.path
         if not path.is_dir():
             path.mkdir(parents=True)
             self._own = True
@@ -182,19 +157,6 @@ class Root:
         self._made.append(relative)
         self._manifest.write(relative + "\n")
         self._manifest.flush()
-
-
-def _sweep(parent: Path) -> None:
-    """Remove what simulators with a root of their own have left in memory when they were killed."""
-    for path in parent.glob(f"{_FRESH}*"):
-        with contextlib.suppress(OSError):
-            fd = os.open(path / LOCK, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
-            try:
-                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if path.stat().st_uid == os.getuid():
-                    remove(path)
-            finally:
-                os.close(fd)
 
 
 def _same_file(fd: int, path: Path) -> bool:
