@@ -390,9 +390,10 @@ class Board(Guarded):
         """
         for user in tuple(self._users):
             user.end(closed(self._place.endpoints.req))
-        self._sockets.free()
-        self._link.close()
-        self._close()
+        with self._sockets.closing:
+            self._sockets.free()
+            self._link.close()
+            self._close()
 
     def __enter__(self) -> Board:
         return self

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import Any, TypeVar
 
 import zmq
@@ -50,6 +50,7 @@ class Sockets:
         self._turns: weakref.WeakSet[Any] = weakref.WeakSet()
         self._over = False
         self._ending: threading.Thread | None = None
+        self.closing = threading.RLock()  # for one thread at a time, and again for a signal handler in it
 
     @property
     def closed(self) -> bool:
@@ -78,12 +79,13 @@ class Sockets:
         What is left to do is to close.
         """
         self._over = True  # who gets a turn from here on sees that
-        waiting = [turn for turn in tuple(self._turns) if not _left(turn, 0.0)]
-        if waiting and self._ending is None:
-            self._ending = threading.Thread(target=self._context.term, name="end of a board", daemon=True)
-            self._ending.start()  # it waits until the last socket is closed
-        for turn in waiting:
-            _left(turn, _LEAVES)
+        with self.closing:
+            waiting = [turn for turn in tuple(self._turns) if not _left(turn, 0.0)]
+            if waiting and self._ending is None and not self._context.closed:
+                self._ending = threading.Thread(target=self._context.term, name="end of a board", daemon=True)
+                self._ending.start()  # it waits until the last socket is closed
+            for turn in waiting:
+                _left(turn, _LEAVES)
 
     def requests(self, immediate: bool = False) -> Any:
         """A DEALER for requests, its monitor, and the handshake, which says if the manager has gone or refuses us.
@@ -132,11 +134,11 @@ class Sockets:
     def close(self) -> None:
         """Close all; twice is fine."""
         self._over = True
-        self.end(*self._open)
-        if self._ending is None:
-            self._context.destroy(linger=0)
-        else:
-            with suppress(RuntimeError):  # not started yet, by another thread: it will find nothing left to wait for
+        with self.closing:
+            self.end(*self._open)
+            if self._ending is None:
+                self._context.destroy(linger=0)
+            else:
                 self._ending.join(_LEAVES)
 
 

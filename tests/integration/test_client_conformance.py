@@ -562,6 +562,31 @@ def test_a_board_that_is_closed_frees_all_threads_that_wait_in_it(way: str) -> N
         assert {name: type(ends.get(name)) for name in calls} == dict.fromkeys(calls, BoardClosed)
 
 
+def test_threads_that_close_one_board_at_once_all_come_to_an_end(both: tuple[Manager, SimBoard]) -> None:
+    """While others wait in it."""
+    problems: list[BaseException] = []
+
+    def ended(work: Callable[[], Any]) -> None:
+        try:
+            work()
+        except BoardClosed:
+            pass
+        except BaseException as error:  # noqa: BLE001
+            problems.append(error)
+
+    for _ in range(20):
+        board = cm.connect(timeout=60, **reached(both[0], "ipc"))
+        statuses = board.watch(timeout=None)
+        works = [lambda watched=statuses: deque(watched, 0), *[board.close] * 4]
+        threads = [threading.Thread(target=ended, args=(work,), daemon=True) for work in works]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join(timeout=60)
+        assert not any(thread.is_alive() for thread in threads)
+    assert problems == []
+
+
 def _that_wait(board: cm.Board, way: str) -> dict[str, Callable[[], Any]]:
     frames = board.stream("from_pl", timeout=None, newest=True)
     statuses, streams = board.watch(timeout=None), board.stream("camera", timeout=None, copy=True)
