@@ -74,9 +74,10 @@ class Writer:
         `length` bytes of it, as flat uint8; a whole frame in the stream's shape if 0. Waits for a slot.
         Raises Timeout, TransferFailed of an earlier frame.
         """
-        grant, memory = self._borrow(timeout)
-        array = memory.slot_array(grant.slot, length)
-        memory.begin(grant.slot)
+        with self._used():
+            grant, memory = self._borrow(timeout)
+            array = memory.slot_array(grant.slot, length)
+            memory.begin(grant.slot)
         try:
             yield array
         except BaseException:
@@ -84,7 +85,17 @@ class Writer:
             self._put_back(grant, memory)
             raise
         memory.end(grant.slot)
-        self._submit(grant, array.nbytes if not memory.geometry.stride else memory.geometry.frame_length)
+        with self._used():
+            self._submit(grant, array.nbytes if not memory.geometry.stride else memory.geometry.frame_length)
+
+    @contextmanager
+    def _used(self) -> Iterator[None]:
+        """If another thread closes the writer meanwhile, memory and socket go under this one: that is what is said."""
+        try:
+            yield
+        except (CmError, OSError, LookupError, ValueError, AttributeError):
+            self._check()
+            raise
 
     def write(self, data: npt.ArrayLike, timeout: Limit = DEFAULT) -> None:
         """Copy a frame into a slot and send it; returns at once. Raises as `slot` does."""

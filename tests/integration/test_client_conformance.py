@@ -589,6 +589,7 @@ def test_threads_that_close_one_board_at_once_all_come_to_an_end(both: tuple[Man
 
 def _that_wait(board: cm.Board, way: str) -> dict[str, Callable[[], Any]]:
     frames = board.stream("from_pl", timeout=None, newest=True)
+    frames.open()
     statuses, streams = board.watch(timeout=None), board.stream("camera", timeout=None, copy=True)
     calls: dict[str, Callable[[], Any]] = {
         "statuses": lambda: deque(statuses, 0),
@@ -599,14 +600,16 @@ def _that_wait(board: cm.Board, way: str) -> dict[str, Callable[[], Any]]:
         "its turn": lambda: board.load("camera", "edge_detection"),
         "progress": lambda: board.load("camera", "edge_detection", progress=lambda _: None),
     }
-    return calls | ({"a slot": lambda: _every_slot(board)} if way == "ipc" else {})
+    if way == "ipc":
+        writer_ = board.writer("to_pl", timeout=None)
+        calls["a slot"] = lambda: _every_slot(writer_)
+    return calls
 
 
-def _every_slot(board: cm.Board) -> None:
+def _every_slot(writer_: writer.Writer) -> None:
     """More than there are: nobody reads what they are sent through."""
-    with board.writer("to_pl", timeout=None) as writer_:
-        while True:
-            writer_.write(PICTURE)
+    while True:
+        writer_.write(PICTURE)
 
 
 @pytest.mark.parametrize("kind", ["blocking", "asyncio"])
