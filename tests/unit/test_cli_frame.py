@@ -145,7 +145,7 @@ def test_help_is_as_wide_as_the_terminal(
     columns: str, longest: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", columns)  # where it gives no number, stdout is asked, which is no terminal here
-    monkeypatch.setattr("os.get_terminal_size", lambda: (_ for _ in ()).throw(OSError("no terminal")))
+    monkeypatch.setattr("os.get_terminal_size", lambda *_: (_ for _ in ()).throw(OSError("no terminal")))
     with pytest.raises(SystemExit):
         main(["serve", "--help"])
     assert longest - 15 < max(map(len, capsys.readouterr().out.splitlines())) <= longest
