@@ -21,13 +21,13 @@ class Client:
         self.socket.settimeout(HUNG / 1000)
         self.socket.send(packets.encode_open(wanted) if isinstance(wanted, Open) else wanted)
 
-    def next(self, kind: int) -> tuple[Descriptor, bytes, list[int]]:
-        """The next packet of a kind, and the descriptors with it."""
+    def next(self, *kinds: int) -> tuple[Descriptor, bytes, list[int]]:
+        """The next packet of one of these kinds, and the descriptors with it."""
         while True:
             data, fds, _, _ = socket.recv_fds(self.socket, packets.PACKET_MAX, packets.FDS_MAX)
             assert data, "hung up"
             head = Descriptor(*packets.DESCRIPTOR.unpack_from(data))
-            if head.kind == kind:
+            if head.kind in kinds:
                 return head, data, fds
             for fd in fds:
                 os.close(fd)

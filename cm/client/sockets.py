@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 import weakref
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, TypeVar
 
 import zmq
@@ -139,7 +139,8 @@ class Sockets:
             if self._ending is None:
                 self._context.destroy(linger=0)
             else:
-                self._ending.join(_LEAVES)
+                with suppress(RuntimeError):  # not started yet, below this signal handler: it will find all closed
+                    self._ending.join(_LEAVES)
 
 
 def _left(turn: Any, seconds: float) -> bool:

@@ -13,8 +13,8 @@ import zmq
 from cm.client.sockets import Sockets
 
 
-def test_two_threads_that_close_at_once_both_come_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One has made the thread that ends the context and not started it yet when the other closes."""
+def test_a_signal_handler_may_close_what_its_thread_is_closing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread that ends the context has been made and not started yet."""
     endpoints: Any = SimpleNamespace(req="inproc://req", pub="inproc://pub")
     sockets = Sockets(zmq.Context(), endpoints, None)
     turn, taken, let = sockets.turn(), threading.Event(), threading.Event()
@@ -31,7 +31,7 @@ def test_two_threads_that_close_at_once_both_come_to_an_end(monkeypatch: pytest.
 
     def late(thread: threading.Thread) -> None:
         if thread.name == "end of a board":
-            sockets.close()  # as the other thread does
+            sockets.close()  # as a signal handler does
             let.set()
         start(thread)
 

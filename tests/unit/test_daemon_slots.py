@@ -185,7 +185,7 @@ def test_a_reader_that_hangs_up_half_way_leaves_nothing(
     until(lambda: closed(camera))
     until(lambda: memory(camera) < before + SPARE)
     slots.opened.set()
-    assert reads(client(camera, Open("camera", depth=4))) == [0, 1, 2, 3, 4]
+    assert reads(client(camera, Open("camera", depth=4)), 4) == [0, 1, 2, 3]  # later ones may be dropped
 
 
 def test_slots_for_a_reader_that_hangs_up_half_way_are_given_back_beside_another(
@@ -239,8 +239,11 @@ def test_a_board_that_goes_half_way_is_told(slots: Allocator, camera: Daemon, cl
     slots.held()
     camera.board.kill()
     slots.opened.set()
-    told, _, _ = reader.next(packets.STOPPED)
-    assert told.offset != 0  # an errno
+    told, data, _ = reader.next(packets.REFUSED, packets.STOPPED)  # before or after it got its slots
+    if told.kind == packets.REFUSED:
+        assert packets.decode_refused(data)[0] == "device_gone"
+    else:
+        assert told.offset == errno.ENODEV
     until(lambda: not [stream for stream in camera.status.streams if stream.open])
 
 
@@ -285,7 +288,7 @@ def test_a_reader_with_its_slots_does_not_wait_for_one_without_end(
     slots.held()
     quick = client(camera, Open("camera", depth=4))
     assert quick.geometry().depth == 4
-    assert reads(quick) == [0, 1, 2, 3, 4]
+    assert reads(quick, 4) == [0, 1, 2, 3]  # as many as it has room for: later ones may be dropped
     slots.opened.set()
     assert slow.geometry().depth == 60
     reads(slow)
@@ -466,4 +469,5 @@ def test_the_daemon_ends_while_memory_is_allocated(gate: Gate, camera: Daemon, c
     camera.server.stop()
     gate.opened.set()
     camera.close()
-    assert one.socket.recv(packets.PACKET_MAX) == b""
+    while one.socket.recv(packets.PACKET_MAX):  # an answer may have been on its way; then it is hung up
+        pass

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from cm.daemon.streams.peer import Peer
 from cm.daemon.streams.shares import RESERVE, NoSlots, share
 from cm.daemon.streams.slots import Slots
-from cm.device import DeviceTimeout
+from cm.device import DeviceGone, DeviceTimeout
 from cm.errors import CmError
 from cm.schema.model import Direction, Stream
 from cm.wire.plane_packets import SLOTS_MAX
@@ -120,7 +120,7 @@ class Joiners:
     def _make_some(self, depth: int, wanted: int) -> None:
         try:
             self._slots.make_some(wanted)
-        except DeviceTimeout:
+        except (DeviceGone, DeviceTimeout):
             raise
         except OSError as error:
             if len(self._slots.made) < self._wanted():  # not even those for the clients that there are
