@@ -105,6 +105,8 @@ class Agent:
                 self._pending += piece
         except TimeoutError:
             return None
+        except ConnectionError:
+            raise VmError("the board has gone") from None
         line, self._pending = self._pending.split(b"\n", 1)
         reply = json.loads(line)
         return reply if isinstance(reply, dict) else None

@@ -130,7 +130,7 @@ class Booted:
         """Switch it off in order, so that its disk is clean."""
         if self._process is None:
             return
-        self.run("systemctl --no-block poweroff")
+        self.begin("systemctl --no-block poweroff")  # the board may be off before its end could be asked for
         try:
             self._process.wait(COMMAND_S * self.machine.slow)
         finally:
