@@ -59,12 +59,30 @@ def script(sources: Sources, out: Path, folder: Path) -> str:
         "read_verilog -lib +/xilinx/cells_sim.v +/xilinx/cells_xtra.v",
         f"hierarchy -check -top {sources.top}",
         f"setattr -set keep 1 c:*{ANCHOR}* c:*{HARNESS}* t:PS7",
-        f"synth_xilinx -flatten -abc9 -noclkbuf -arch xc7 -top {sources.top}"
-        + ("" if sources.pads else " -noiopad")
-        + ("" if sources.dsp else " -nodsp"),
+        *_synthesis(sources),
         f"write_json {here(out)}",
     ]
     return "".join(f"{line}\n" for line in lines)
+
+
+def _synthesis(sources: Sources) -> list[str]:
+    """synth_xilinx in two halves, with its shift registers of a fixed length in between.
+
+    Before YosysHQ/yosys pull request 6059, xilinx_srl dropped the clock enable of such a chain, so that it shifted in
+    every cycle: only flip-flops whose enable is a constant may become one. (Those with a variable length keep theirs.)
+    """
+    every = (
+        f"synth_xilinx -flatten -abc9 -noclkbuf -arch xc7 -top {sources.top}"
+        + ("" if sources.pads else " -noiopad")
+        + ("" if sources.dsp else " -nodsp")
+    )
+    flops = "t:FDRE t:FDRE_1 %u"
+    return [
+        f"{every} -run begin:map_luts",
+        f"select -set enabled {flops} %ci1:+[CE] t:* %d %co1:+[CE] {flops} %i",
+        f"xilinx_srl -fixed -minlen 3 {flops} @enabled %d",
+        f"{every} -nosrl -run map_luts:",
+    ]
 
 
 def synthesise(yosys: Tool, sources: Sources, out: Path, folder: Path, what: str) -> None:
