@@ -121,7 +121,8 @@ def test_a_load_that_takes_too_long_is_given_up_and_undone(sim: SimBoard, tmp_pa
         sim.control.inject("icap_hang")
         error = hasty.go("edge_detection")
         assert error is not None
-        assert error.code in ("step_timeout", "undo_failed")  # the port may be held for longer than the time-out
+        # The port may be held for longer than the time-out, or have given up by itself before a busy machine looked.
+        assert error.code in ("step_timeout", "undo_failed", "load_failed")
         assert settled(hasty, sim) in ("default", "cut off")
     with rig(sim.root, tmp_path, camera(timeout=HUNG)) as again:
         again.manager.wait_idle()
