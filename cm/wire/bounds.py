@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
+from collections.abc import Generator
+from typing import ClassVar, TypeVar
 
 from google.protobuf.message import Message
 
@@ -21,6 +22,7 @@ _DIGITS = {16: 16, 10: 20, 8: 22, 2: 64}  # most digits of 64 bits, by the base
 SLICE = 64  # listed things that one turn of the manager's loop reads
 _ALWAYS_FINE = 256  # bytes of a message that is too short to break any bound
 _LIMITS = {"schema": SCHEMA_BYTES, "lease": LEASES_BYTES}
+_T = TypeVar("_T")
 
 
 class TooMany(InvalidRequest):
@@ -96,3 +98,13 @@ def number(topic: str, name: str, text: str) -> int:
     if len(digits.replace("_", "").lstrip("0")) > _DIGITS[base]:
         raise NumberTooLong(f"{topic}: the value of {name!r} has {len(digits)} digits; a register has {BITS} bits")
     return int(text, base)
+
+
+def in_one_go(slices: Generator[None, None, _T]) -> _T:
+    """What comes of reading a request in slices."""
+    while True:
+        try:
+            next(slices)
+        except StopIteration as ended:
+            result: _T = ended.value
+            return result

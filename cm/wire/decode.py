@@ -9,8 +9,8 @@ from functools import lru_cache
 
 from cm.errors import InvalidRequest
 from cm.messages import requests as rq
+from cm.wire import bounds, parse, text, topics
 from cm.wire import cm_pb2 as pb
-from cm.wire import parse, text, topics
 
 Frame = bytes | memoryview
 _SHORT, _KEPT = 256, 256  # bytes of the longest message whose request is kept, and how many are kept
@@ -121,7 +121,7 @@ def _write_reg(message: bytes, payload: Sequence[Frame]) -> rq.Request:
     _no_payload("cm_write_reg", payload)
     if text.is_mapping(message):
         return text.parse_registers(message)
-    return parse.in_one_go(parse.writes_in_slices(message))
+    return bounds.in_one_go(parse.writes_in_slices(message))
 
 
 def _data_config(message: bytes, payload: Sequence[Frame]) -> rq.Request:

@@ -16,7 +16,6 @@ from cm.wire import cm_pb2 as pb
 LONG = 1024  # bytes of writes of registers that take more than a moment to read
 Frame = bytes | memoryview
 _Message = TypeVar("_Message", bound=Message)
-_T = TypeVar("_T")
 
 
 def parse(message_type: type[_Message], topic: str, payload: bytes) -> _Message:
@@ -46,16 +45,6 @@ def in_slices(
         refuse(error)
     else:
         done(request)
-
-
-def in_one_go(slices: Generator[None, None, _T]) -> _T:
-    """What comes of slices."""
-    while True:
-        try:
-            next(slices)
-        except StopIteration as ended:
-            result: _T = ended.value
-            return result
 
 
 def writes_in_slices(message: bytes) -> Generator[None, None, WriteReg]:

@@ -55,13 +55,7 @@ def parse_registers(payload: bytes) -> WriteReg:
     Raises InvalidRequest; TooLong, TooMany, NameTooLong and NumberTooLong for what no request may hold. Read entry by
     entry, in a time proportional to the length of the text.
     """
-    slices = in_slices(payload)
-    while True:
-        try:
-            next(slices)
-        except StopIteration as ended:
-            request: WriteReg = ended.value
-            return request
+    return bounds.in_one_go(in_slices(payload))
 
 
 def in_slices(payload: bytes) -> Generator[None, None, WriteReg]:
