@@ -78,6 +78,12 @@ class Manager:
         self.process: subprocess.Popen[bytes] | None = None
         self.log = b""
 
+    @property
+    def pid(self) -> int:
+        """Of the process, which has been started."""
+        assert self.process is not None
+        return self.process.pid
+
     def start(self) -> Manager:
         command = child.command("cm.cli.main", "serve", "--runtime-dir", str(self.runtime), *self.arguments)
         options = {"start_new_session": True, "preexec_fn": _as_a_service} if self.service else {}

@@ -43,11 +43,6 @@ def manager(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Manager]:
         yield made
 
 
-def pid_of(manager: Manager) -> int:
-    assert manager.process is not None
-    return manager.process.pid
-
-
 def dealer(context: zmq.Context[Any], manager: Manager) -> Any:
     """A client that takes as little off its connection as it can."""
     made = context.socket(zmq.DEALER)
@@ -80,7 +75,7 @@ def test_unread_answers_have_a_limit_in_bytes(manager: Manager, context: zmq.Con
     ask = encode_request(rq.ReadData("big", length=4 * MIB))
     with manager.connected() as board:
         assert works(board)
-        before = resident_mib(pid_of(manager))
+        before = resident_mib(manager.pid)
         readers = [dealer(context, manager) for _ in range(10)]
         for reader in readers:
             for _ in range(50):
@@ -89,19 +84,19 @@ def test_unread_answers_have_a_limit_in_bytes(manager: Manager, context: zmq.Con
         until(lambda: board.clients()[0].requests > 450, 60)
         until(lambda: board.clients()[0].waiting_bytes > 8 * MIB, 60)
         assert works(board)
-        assert resident_mib(pid_of(manager)) < before + 64
+        assert resident_mib(manager.pid) < before + 64
     found = replies(readers, 500)
     codes = Counter(reply.error.code if reply.error else "" for reply in found)
     assert codes[""] >= 16  # what waited was made when there was room
     assert codes.keys() == {"", "busy"} or codes.keys() == {"", "busy", "too_much_waiting"}
-    until(lambda: resident_mib(pid_of(manager)) < before + 32, 60)
+    until(lambda: resident_mib(manager.pid) < before + 32, 60)
 
 
 def test_short_unread_answers_have_the_same_limit(manager: Manager) -> None:
     """250 connections of a process ask for 375 MiB in answers of 15 KiB: 318 MiB more than idle, before."""
     with manager.connected() as board:
         assert works(board)
-        before = resident_mib(pid_of(manager))
+        before = resident_mib(manager.pid)
         with unread_replies(manager.runtime, 250, 100) as hostile:
             name = f"pid {hostile.pid} "
 
@@ -112,26 +107,26 @@ def test_short_unread_answers_have_the_same_limit(manager: Manager) -> None:
             for _ in range(200):
                 assert works(board)
             assert unread() <= 16 * MIB + 250 * (48 << 10)  # each has 32 KiB in any case, and the reply beyond
-            assert resident_mib(pid_of(manager)) < before + 64
+            assert resident_mib(manager.pid) < before + 64
             assert hostile.stdin
             assert hostile.stdout
             hostile.stdin.write("read them\n")
             hostile.stdin.flush()
             assert hostile.stdout.readline() == "25000\n"  # none was lost meanwhile
             until(lambda: unread() == 0, 60)
-        assert resident_mib(pid_of(manager)) < before + 64
+        assert resident_mib(manager.pid) < before + 64
         until(lambda: not [client for client in board.clients() if client.name.startswith(name)], 60)
 
 
 def test_a_client_that_leaves_without_reading_leaves_nothing_behind(manager: Manager) -> None:
     with manager.connected() as board:
-        before = resident_mib(pid_of(manager))
+        before = resident_mib(manager.pid)
         with unread_replies(manager.runtime, 100, 100) as hostile:
             name = f"pid {hostile.pid} "
             until(lambda: [x for x in board.clients() if x.name.startswith(name) and x.unread_bytes > 15 * MIB], 60)
         until(lambda: not [client for client in board.clients() if client.name.startswith(name)], 60)
         assert works(board)
-        assert resident_mib(pid_of(manager)) < before + 64
+        assert resident_mib(manager.pid) < before + 64
 
 
 def test_a_client_that_asks_for_many_answers_before_it_reads_loses_none(
@@ -155,7 +150,7 @@ def test_a_client_that_asks_for_many_answers_before_it_reads_loses_none(
 def test_what_waits_of_a_client_has_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:
     write = encode_request(rq.WriteData("big", bytes(4 * MIB)))
     with manager.connected() as board:
-        before = resident_mib(pid_of(manager))
+        before = resident_mib(manager.pid)
         writer = dealer(context, manager)
         for _ in range(30):
             writer.send_multipart(write)
@@ -163,7 +158,7 @@ def test_what_waits_of_a_client_has_a_limit_in_bytes(manager: Manager, context: 
         codes = Counter(r.error.code if r.error else "" for r in replies([writer], 30))
         assert codes[""] >= 4
         assert codes["too_much_waiting"] == 30 - codes[""]
-        assert resident_mib(pid_of(manager)) < before + 64
+        assert resident_mib(manager.pid) < before + 64
 
 
 def test_the_command_line_shows_what_each_client_takes(manager: Manager, capsys: pytest.CaptureFixture[str]) -> None:

@@ -35,8 +35,7 @@ class Guarded:
 
     @property
     def pid(self) -> int:
-        assert self.manager.process is not None
-        return self.manager.process.pid
+        return self.manager.pid
 
     @property
     def tcp(self) -> tuple[str, int]:

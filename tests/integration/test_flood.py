@@ -125,15 +125,10 @@ def manager() -> Iterator[Manager]:
         yield made
 
 
-def pid_of(manager: Manager) -> int:
-    assert manager.process is not None
-    return manager.process.pid
-
-
 def test_a_client_beside_all_floods_at_once_loses_no_request_and_all_is_idle_afterwards(
     manager: Manager, context: zmq.Context[Any]
 ) -> None:
-    before, had = resident_mib(pid_of(manager)), descriptors(pid_of(manager))
+    before, had = resident_mib(manager.pid), descriptors(manager.pid)
     done = threading.Event()
     answered: list[int] = []
     failed: list[Exception] = []
@@ -169,7 +164,7 @@ def test_a_client_beside_all_floods_at_once_loses_no_request_and_all_is_idle_aft
             for _ in range(count):
                 assert flood.poll(60_000)
                 flood.recv_multipart()
-            assert resident_mib(pid_of(manager)) < before + 64
+            assert resident_mib(manager.pid) < before + 64
             flood.close(0)
             subscriber.close(0)
     finally:
@@ -177,5 +172,5 @@ def test_a_client_beside_all_floods_at_once_loses_no_request_and_all_is_idle_aft
         other.join()
     assert failed == []
     assert answered == [i % 16 for i in range(len(answered))]
-    until(lambda: descriptors(pid_of(manager)) <= had + 16, 60)
-    assert resident_mib(pid_of(manager)) < before + 64
+    until(lambda: descriptors(manager.pid) <= had + 16, 60)
+    assert resident_mib(manager.pid) < before + 64

@@ -60,8 +60,7 @@ class Served:
 
     @property
     def pid(self) -> int:
-        assert self.manager.process is not None
-        return self.manager.process.pid
+        return self.manager.pid
 
     @property
     def address(self) -> str:
