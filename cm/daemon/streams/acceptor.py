@@ -23,22 +23,22 @@ from cm.intake import Intake, Rest
 from cm.wire import plane_packets as packets
 from cm.wire.plane_packets import Open, decode_open, encode_refused
 
-_BACKLOG = 256  # connections that the kernel lets wait
-_QUEUED = 64  # that have said what they want, and wait for their turn
+_BACKLOG = 256  # connections that the kernel keeps waiting
+_QUEUED = 64  # connections that have said what they want, and wait for their turn
 
 
 class ConnectionRights(Protocol):
-    """Who is who, and may do what (`cm.daemon.sessions.Sessions`)."""
+    """Who a peer is, and what it may do (`cm.daemon.sessions.Sessions`)."""
 
     def whose(self, connection: socket.socket) -> str:
         """The id of the peer."""
 
     def check_open(self, connection: socket.socket, wanted: Open) -> None:
-        """Raise Forbidden for what that has no right to."""
+        """Raise Forbidden if the peer has no right to what it wants."""
 
 
 class Acceptor:
-    """Listens; every connection says once what it wants. The loop's thread."""
+    """Listens; each connection says once what it wants. Used in the loop's thread."""
 
     def __init__(
         self,
@@ -51,7 +51,7 @@ class Acceptor:
         intake: Intake,
         group: int | None = None,
     ) -> None:
-        """`intake`: where what is asked for waits for its turn; `group` may connect beside ourselves."""
+        """`intake`: where requests wait for their turn; `group`: may connect, beside the daemon's own user."""
         self._loop = loop
         self._path = folder.absolute() / packets.SOCKET
         self._enter = enter
@@ -63,14 +63,14 @@ class Acceptor:
         self._places = Places(_QUEUED, "connections to this socket that wait for their turn")
         self._queued: dict[
             socket.socket, Callable[[], None]
-        ] = {}  # until they have what they want; and what gives their place back
+        ] = {}  # connections not yet served; the value gives their place back
         self._under_way: dict[socket.socket, Generator[None, None, None]] = {}
-        # Packets keep their bounds, and descriptors (SCM_RIGHTS) stay with the packet that they came in.
+        # SEQPACKET keeps packets apart, and file descriptors (SCM_RIGHTS) with the packet that carries them.
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK)
         self._newcomers = Newcomers(loop, self._listener, self._whose, self._queue)
 
     def open(self) -> None:
-        """Bind and listen; what a killed manager left is replaced (the folder is locked)."""
+        """Bind and listen, replacing the socket that a killed manager left (the folder is locked, so it is dead)."""
         self._path.unlink(missing_ok=True)
         self._listener.bind(str(self._path))
         share(self._path, self._group)
@@ -82,7 +82,7 @@ class Acceptor:
         return who, self._intake.client(who)
 
     def _queue(self, connection: socket.socket, packet: bytes) -> None:
-        """Streams are opened, and slots are made, while the loop waits: by turns, as requests are served."""
+        """Queue a connection for its turn, as requests are: opening streams and allocating slots hold up the loop."""
         try:
             who, client = self._whose(connection)
             self._queued[connection] = self._places.take(client)
@@ -99,7 +99,7 @@ class Acceptor:
             give_back()
 
     def _serve(self, connection: socket.socket, packet: bytes) -> Rest:
-        """The first step; the others in further turns of the client's."""
+        """Take the first step; the rest follow in the client's later turns."""
         steps = self._under_way[connection] = self._steps(connection, packet)
         return steps if next(steps, steps) is None else None
 
@@ -126,7 +126,7 @@ class Acceptor:
             yield from self._enter(connection, wanted)
 
     def close(self) -> None:
-        """Hang up on all who have not got what they want."""
+        """Close all connections that have not been served yet."""
         self._newcomers.close()
         for steps in list(self._under_way.values()):
             steps.close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory for masters in the PL, such as HLS kernels with `m_axi`; it is freed when its client hangs up."""
+"""Memory for masters in the PL, such as HLS kernels with `m_axi`; freed when its client hangs up."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ Take = Callable[[int], DeviceMemory]
 
 
 class Allocations:
-    """The memories of clients of the data socket, by their number in the plane. The loop's thread."""
+    """The memory that clients of the data socket hold, by their number in the plane. Used in the loop's thread."""
 
     def __init__(self, plane: Plane, thread: MemoryThread, take_of_port: Take, take: Take) -> None:
-        """`take` memory from whatever gives it; from a configuration port, it may be taken in another thread."""
+        """`take` allocates memory from any source; `take_of_port` from a configuration port, in another thread too."""
         self._plane = plane
         self._thread = thread
         self._take_of_port = take_of_port
         self._take = take
         self.budget = MemoryBudget("memory for masters in the PL")
-        self._coming: dict[int, socket.socket] = {}  # of clients whose memory is being allocated
+        self._coming: dict[int, socket.socket] = {}  # clients whose memory is being allocated
         self._open: dict[int, tuple[int, DeviceMemory]] = {}  # client → stream, memory
 
     def open(self, connection: socket.socket, wanted: Open, peer: Peer) -> None:
-        """Give the connection of a process memory, soon, or refuse that. Raises InvalidRequest, Busy."""
+        """Begin to allocate memory for a process's connection. Raises InvalidRequest, Busy."""
         if wanted.length <= 0:
             raise InvalidRequest("memory has at least one byte")
         self.budget.check(peer, wanted.length)
@@ -63,7 +63,7 @@ class Allocations:
                     connection.send(encode_refused(code, str(error)))
 
     def _taken(self, taken: Future[DeviceMemory], length: int) -> DeviceMemory:
-        """A channel is claimed while it gives memory, so only here, where streams are opened."""
+        """Allocate elsewhere if the port gave none: from a channel only in this thread, which also opens streams."""
         try:
             return taken.result()
         except DeviceNotFound:
@@ -97,7 +97,7 @@ class Allocations:
         self._thread.run(memory.free)
 
     def gone(self, client: int) -> None:
-        """A client of the plane has gone; nothing if it had no memory."""
+        """Release the memory of a client of the plane that has gone, if it had any."""
         coming = self._coming.pop(client, None)
         if coming is not None:
             coming.close()
@@ -107,7 +107,7 @@ class Allocations:
         self.budget.gone(client)
 
     def close(self) -> None:
-        """Nothing is handed over any more."""
+        """Close the connections that still wait for memory."""
         for connection in self._coming.values():
             connection.close()
         self._coming.clear()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who gets frames over ZeroMQ, as streams see it."""
+"""The ZeroMQ subscribers, as streams see them."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from cm.daemon.streams.stream import Frame
 
 
 class Audience(Protocol):
-    """The subscribers to frames over ZeroMQ."""
+    """Those who subscribe to frames over ZeroMQ."""
 
     def wants_stream(self, name: str) -> bool:
-        """Whether there are any to a stream."""
+        """Whether a stream has subscribers."""
 
     def overruns(self, stream: str) -> int:
-        """How often one began to lose a stream's frames."""
+        """How often a subscriber began to lose a stream's frames."""
 
     def frame(self, frame: Frame) -> None:
-        """Give them a frame; its memory is valid during the call only."""
+        """Send a frame to its subscribers; its memory is valid only during the call."""

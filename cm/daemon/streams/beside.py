@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Work of the daemon's own that takes several steps: one in each turn of the loop, which serves others in between."""
+"""The daemon's own work in several steps: one in each turn of the loop, which serves requests in between."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from cm.daemon.loop import Loop
 
 
 class Beside:
-    """Runs iterators, which do a step with each `next`: one step of one of them in a turn. The loop's thread."""
+    """Runs iterators that do one step per `next`; one of them takes one step per turn. Used in the loop's thread."""
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
         self._waiting: deque[Iterator[None]] = deque()
 
     def run(self, steps: Iterator[None]) -> None:
-        """Do the steps, the first in the next turn at the earliest."""
+        """Take the steps, the first no earlier than in the next turn."""
         self._waiting.append(steps)
         if len(self._waiting) == 1:
             self._loop.call_soon(self._step)
 
     def _step(self) -> None:
-        steps = self._waiting[0]  # it stays there meanwhile, so that nobody else begins another round
+        steps = self._waiting[0]  # it stays in the queue meanwhile, so that `run` does not schedule a second turn
         ended = True
         try:
             ended = next(steps, steps) is not None

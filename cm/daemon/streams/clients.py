@@ -30,7 +30,7 @@ class _Local:
 
 
 class LocalClients:
-    """Clients of the data socket, by their number in the plane; they keep it while their stream is stopped."""
+    """Clients of the data socket, by their number in the plane, which they keep while their stream is stopped."""
 
     def __init__(self, plane: Plane, on_error: Callable[[ErrorInfo], None]) -> None:
         self._plane = plane
@@ -40,15 +40,15 @@ class LocalClients:
     def adopt(
         self, connection: socket.socket, wanted: Open, stream: str, join: Callable[[int, Peer], Iterator[None]]
     ) -> Iterator[None]:
-        """Make a connection, which the caller closes, a client of a stream; the steps that `join` returns are taken.
+        """Make a connection a client of a stream, in the steps that `join` returns; the caller closes the connection.
 
-        Raises as these do; then it is a client no more.
+        Raises what the steps raise; the connection is then no longer a client.
         """
         peer = Peer.of(connection)
         client = self._plane.adopt(os.dup(connection.fileno()))
         try:
             steps = join(client, peer)
-            self._clients[client] = _Local(stream, wanted.depth, peer)  # from here on it counts as one of the stream's
+            self._clients[client] = _Local(stream, wanted.depth, peer)  # from here on it is the stream's client
             yield from steps
         except BaseException:
             self._clients.pop(client, None)
@@ -56,11 +56,11 @@ class LocalClients:
             raise
 
     def use(self, stream: str) -> bool:
-        """Whether a stream has clients that want more of it."""
+        """Whether a stream has clients that still want frames, or to write them."""
         return any(local.stream == stream and not local.leaving for local in self._clients.values())
 
     def attach_all(self, opened: OpenStream) -> list[tuple[int, Iterator[None]]]:
-        """The clients that wait for a stream, and the steps to be taken for each to get it."""
+        """The clients that wait for a stream, each with the steps by which it joins."""
         waiting = []
         for client, local in list(self._clients.items()):
             if local.stream == opened.stream.name and not local.leaving:
@@ -71,18 +71,18 @@ class LocalClients:
         return waiting
 
     def refused(self, opened: OpenStream, client: int, error: CmError | OSError) -> None:
-        """There is no memory for a client that waited: it is hung up on, and told."""
+        """Disconnect a client that waited, because there is no memory for it, and report the error."""
         self._clients.pop(client, None)
         self._plane.drop(client)
         self._on_error(ErrorInfo("no_slots", f"a client of {opened.stream.name!r} was hung up on: {error}"))
 
     def leaves(self, client: int) -> None:
-        """What it holds stays its own, but nothing runs for it any more."""
+        """The client keeps the slots that it holds, but the stream no longer runs for its sake."""
         if client in self._clients:
             self._clients[client] = replace(self._clients[client], leaving=True)
 
     def gone(self, client: int) -> str | None:
-        """It has hung up; the name of its stream, None where it was not a client of ours."""
+        """Remove a client that has hung up; return the name of its stream, or None for a client not known here."""
         local = self._clients.pop(client, None)
         return local.stream if local else None
 
@@ -91,10 +91,10 @@ SeeTo = Callable[[OpenStream, Iterator[None], Callable[[CmError | OSError], obje
 
 
 class ZmqClients:
-    """At most one client for ZeroMQ of each stream, made when it is needed."""
+    """The daemon's own clients for ZeroMQ: at most one per stream, made when it is needed."""
 
     def __init__(self, loop: Loop, plane: Plane, deliver: Callable[[Frame], None], see_to: SeeTo) -> None:
-        """`see_to` steps that are left to be taken for a stream; it calls what it is given with what went wrong."""
+        """`see_to` takes the steps by which a client joins a stream; it passes an error to the function given."""
         self._loop = loop
         self._plane = plane
         self._deliver = deliver
@@ -102,7 +102,7 @@ class ZmqClients:
         self._clients: dict[str, ZmqReader | ZmqWriter] = {}
 
     def reader(self, opened: OpenStream) -> ZmqReader:
-        """What reads an open stream."""
+        """Return the client that reads an open stream."""
         found = self._clients.get(opened.stream.name)
         if not isinstance(found, ZmqReader):
             found = ZmqReader(self._loop, self._plane, opened, self._deliver)
@@ -110,7 +110,7 @@ class ZmqClients:
         return found
 
     def writer(self, opened: OpenStream) -> ZmqWriter:
-        """What writes to an open stream."""
+        """Return the client that writes to an open stream."""
         found = self._clients.get(opened.stream.name)
         if not isinstance(found, ZmqWriter):
             found = ZmqWriter(self._loop, self._plane, opened)
@@ -122,7 +122,7 @@ class ZmqClients:
         self._see_to(opened, made.steps, lambda error: self._refused(opened, made, error))
 
     def _refused(self, opened: OpenStream, made: ZmqReader | ZmqWriter, error: CmError | OSError) -> None:
-        """There are no slots for it: those who wait are told."""
+        """There are no slots for this client: its waiting requests get the error."""
         if self._clients.get(opened.stream.name) is made:
             del self._clients[opened.stream.name]
             made.close(error)
@@ -138,7 +138,7 @@ class ZmqClients:
         return found is not None and found.working
 
     def refresh(self, opened: OpenStream, subscribed: bool) -> None:
-        """Frames are read while there are subscribers; a client that has nothing to do goes."""
+        """Read frames while there are subscribers; close a client that has nothing to do."""
         found = self._clients.get(opened.stream.name)
         if found is None and subscribed:
             self.reader(opened)
@@ -146,7 +146,7 @@ class ZmqClients:
             self.close(opened.stream.name)
 
     def close(self, name: str, error: CmError | OSError | None = None) -> None:
-        """Hang up on a stream; those who wait are told the error, or that it was stopped."""
+        """Close a stream's client; waiting requests get the error, or are told that the stream was stopped."""
         found = self._clients.pop(name, None)
         if found is not None:
             found.close(error)

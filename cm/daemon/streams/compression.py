@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames compressed for subscribers that ask for it, in a thread of their own."""
+"""Compresses frames, in its own thread, for subscribers that ask for it."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from cm.daemon.streams.stream import Frame
 from cm.errors import InvalidRequest
 from cm.messages.status import FrameInfo
 
-_WAITING = 2  # frames that are copied and wait, or are being compressed; more are left out
+_WAITING = 2  # frames that are waiting or being compressed; further frames are dropped
 
 
 class Unsupported(InvalidRequest):
-    """This manager cannot do that: a package is missing where it runs."""
+    """This manager cannot do that, because a package is not installed on its machine."""
 
     code = "unsupported"
 
 
 def compressions() -> tuple[str, ...]:
-    """What frames can be compressed with here."""
+    """The compressions that are available here."""
     return ("lz4",) if find_spec("lz4") is not None else ()
 
 
 def check_compression(wanted: str) -> None:
-    """Raise Unsupported for what frames cannot be compressed with."""
+    """Raise Unsupported for a compression that is unknown, or not available here."""
     if wanted and wanted != "lz4":
         raise InvalidRequest(f"frames cannot be compressed with {wanted!r}; there is 'lz4'")
     if wanted and wanted not in compressions():
@@ -39,7 +39,7 @@ def check_compression(wanted: str) -> None:
 
 
 class Compressor:
-    """Takes frames in the loop's thread, and hands them on compressed, in order, in that thread again."""
+    """Takes frames in the loop's thread, and delivers them compressed and in order, in the same thread."""
 
     def __init__(self, loop: Loop, deliver: Callable[[FrameInfo, bytes], None]) -> None:
         self._loop = loop
@@ -48,7 +48,7 @@ class Compressor:
         self._waiting = 0
 
     def offer(self, frame: Frame) -> bool:
-        """Compress a frame, which is copied first; False if too many wait."""
+        """Copy a frame and compress it later; return False if too many are waiting."""
         if self._waiting >= _WAITING:
             return False
         if self._pool is None:
@@ -70,6 +70,6 @@ class Compressor:
         self._waiting -= 1
 
     def close(self) -> None:
-        """Wait for the thread."""
+        """Wait for the thread to end."""
         if self._pool is not None:
             self._pool.shutdown()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams of a configuration that names none: the board's DMA channels under their own names."""
+"""The streams of a configuration that declares none: the board's DMA channels under their own names."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _DIRECTIONS = {ChannelDirection.MM2S: Direction.MM2S, ChannelDirection.S2MM: Dir
 
 
 def with_channels(config: Config, root: Root) -> Config:
-    """`config`, or, where it has no streams (the paper's Listing 1 has none), one with a stream for each channel.
+    """Return `config`, or a copy with one stream per DMA channel if it declares no streams, as the paper's Listing 1.
 
-    Such a stream has no shape: frames are flat bytes of the length that came. It counts as passing
-    through the region if there is only one, so that it is stopped while that is reconfigured. A channel that
-    is called as a memory is left out: data are read and written by name.
+    Such a stream has no shape: a frame is flat bytes, as many as arrived. If there is exactly one region, the
+    stream counts as passing through it, so that it stops while the region is reconfigured. A channel whose name
+    is that of a memory is left out: its data are read and written by name.
     """
     if config.streams or any(mode.streams for mode in config.modes.values()):
         return config
@@ -35,7 +35,7 @@ def with_channels(config: Config, root: Root) -> Config:
 
 
 def _channels(root: Root) -> dict[str, Direction]:
-    """The board's channels that are free to be asked, and their directions."""
+    """The board's channels and their directions; without those that cannot be opened now."""
     found = {}
     for name in list_dma(root):
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Opens and closes streams as `policy` decides, and reports the results back to it. The loop's thread."""
+"""Opens and closes streams as `policy` decides, and reports the results to it. Runs in the loop's thread."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class StreamDriver:
         self.allocations = Allocations(self.plane, self._thread, devices.port_memory, devices.memory)
         self.open: dict[str, OpenStream] = {}
         self._totals = StreamTotals()
-        self.failures: dict[str, ErrorInfo] = {}  # of streams of this mode: why the last time was not a success
+        self.failures: dict[str, ErrorInfo] = {}  # by stream of this mode: why it last failed
         self.locals = LocalClients(self.plane, on_error)
         self.zmq = ZmqClients(loop, self.plane, audience.frame, self._see_to)
         self._beside = Beside(loop)
@@ -64,13 +64,13 @@ class StreamDriver:
         loop.add(self.plane.fileno(), self._plane_event)
 
     def renew(self, slots_each: int) -> None:
-        """So many slots of a stream are for one process from now on."""
+        """Set how many slots of a stream one process may hold."""
         self._slots_each = slots_each
         for opened in self.open.values():
             opened.joiners.each = slots_each
 
     def refresh(self) -> None:
-        """Open what is wanted, close what is not wanted any more."""
+        """Open streams that are wanted, and close those that are no longer wanted."""
         for name in self._stalled.answered() if self._policy.stalled() else ():
             self._policy.after(name, StreamEvent.ANSWER)
         for event, stream in self._policy.due(self.users):
@@ -82,29 +82,29 @@ class StreamDriver:
             self.zmq.refresh(opened, self.has_subscriber(opened.stream))
 
     def users(self, stream: Stream) -> Users:
-        """Who uses a stream now."""
+        """Return who uses a stream now."""
         return Users(self.has_subscriber(stream), self.locals.use(stream.name), self.zmq.busy(stream.name))
 
     def has_subscriber(self, stream: Stream) -> bool:
-        """Whether a stream's frames are subscribed to."""
+        """Whether the stream is an input with at least one subscriber."""
         return stream.direction is Direction.S2MM and self._audience.wants_stream(stream.name)
 
     def settle(self) -> None:
-        """Clients that have just hung up do not use their stream any more when this returns."""
+        """Process the disconnections that have already happened, so that those clients no longer count as users."""
         self.plane.settle()
         self._plane_event()
 
     def running(self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None) -> OpenStream:
-        """A stream, opened where it is not: it starts in a later turn. Raises StreamStopped, Timeout, DeviceError."""
+        """Return a stream, opened if need be; it starts in a later turn. Raises StreamStopped, Timeout, DeviceError."""
         self._policy.check_may_run(stream.name)
         return self.open.get(stream.name) or self._start(stream, first)
 
     def attach(
         self, stream: Stream, client: int, depth: int, peer: Peer, stopped: Callable[[int], object]
     ) -> Iterator[None]:
-        """The steps for a client to join a stream that runs or may run; else it waits, and is `stopped`.
+        """Return the steps by which a client joins; if the stream may not run now, it waits, and `stopped` is called.
 
-        They raise NoSlots, DeviceError; a stream that cannot start then is closed.
+        The steps raise NoSlots or DeviceError; a stream that cannot start is then closed.
         """
         opened = self.open.get(stream.name)
         if opened is not None:
@@ -119,7 +119,7 @@ class StreamDriver:
     def _watched(
         self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object] | None = None
     ) -> Iterator[None]:
-        """Take steps; what goes wrong is `failed`'s, or raised, and ends a stream that did not start yet."""
+        """Take the steps; pass an error to `failed`, or raise it, and close the stream if it has not started."""
         try:
             yield from steps
         except (CmError, OSError) as error:
@@ -130,11 +130,11 @@ class StreamDriver:
                 raise
 
     def _see_to(self, opened: OpenStream, steps: Iterator[None], failed: Callable[[CmError | OSError], object]) -> None:
-        """The same in turns of the daemon's own."""
+        """Take the steps as `_watched` does, in turns of the loop that belong to no client's request."""
         self._beside.run(self._watched(opened, steps, failed))
 
     def _not_started(self, opened: OpenStream, error: CmError | OSError) -> None:
-        """Close a stream that has no slots to start with; one that runs goes on without its new client."""
+        """Close a stream that could not get its first slots; a running one goes on without its new client."""
         name, late = opened.stream.name, isinstance(error, DeviceTimeout)
         if not opened.joiners.started and self.open.get(name) is opened:
             opened.joiners.fail(error)
@@ -142,7 +142,7 @@ class StreamDriver:
             (self._stall if late else self.stop)(name, errno.ETIMEDOUT if late else 0)
 
     def stop(self, name: str, error: int = 0) -> None:
-        """Close a stream, if it is open; `error` (an errno) is what its clients are told."""
+        """Close a stream if it is open, and tell its clients `error` (an errno, or 0)."""
         opened = self.open.pop(name, None)
         if opened is None:
             return
@@ -157,7 +157,7 @@ class StreamDriver:
             self.zmq.close(name)
 
     def moved(self) -> dict[str, Moved]:
-        """What each stream moved since the manager's start, however often it was opened."""
+        """What each stream has moved since the manager started, however often it was reopened."""
         return self._totals.with_ended({name: opened.moved() for name, opened in self.open.items()})
 
     def _failed(self, name: str, error: ErrorInfo) -> None:
@@ -165,7 +165,7 @@ class StreamDriver:
         self._on_error(error)
 
     def close(self) -> None:
-        """Hang up on all clients, end the plane's thread."""
+        """Disconnect all clients and end the plane's thread."""
         for held in (self._stalled, self.allocations, self._thread):
             held.close()
         self._loop.remove(self.plane.fileno())
@@ -174,7 +174,7 @@ class StreamDriver:
     def _start(
         self, stream: Stream, first: Callable[[OpenStream], object] = lambda _: None, paid: bool = False
     ) -> OpenStream:
-        """Open a stream for its clients and what `first` attaches, whose steps are those to its start if `paid`."""
+        """Open a stream with the client that `first` attaches; `paid`: that client's steps start the stream."""
         opened = self._opened(stream)
         try:
             config, mode = self._policy.config, self._policy.mode
@@ -195,7 +195,7 @@ class StreamDriver:
         try:
             opened = OpenStream(self.plane, self._devices.dma(stream.channel), stream, self._slots_each)
         except DeviceTimeout:
-            with suppress(OSError):  # then the next client that opens it finds out anew
+            with suppress(OSError):  # if it cannot be watched, the next client to open it finds out again
                 self._stalled.probe(stream)
                 self._policy.after(stream.name, StreamEvent.STALL)
             raise
@@ -214,7 +214,7 @@ class StreamDriver:
         self._failed(name, ErrorInfo(code, f"stream {name!r} cannot be opened: {error}"))
 
     def _stall(self, name: str, error: int) -> None:
-        """As `_stop`, for a channel that does not answer: it is kept, and asked whether it does again."""
+        """Close a stream whose channel does not answer; the channel is kept, and watched until it answers again."""
         opened = self.open.pop(name)
         self._totals.add(name, opened.moved())
         self._policy.after(name, StreamEvent.STALL)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory without hardware: what a client submits is done at once. For measuring and for testing clients."""
+"""Memory without hardware: what a client submits is complete at once. For measuring and testing clients."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from cm.errors import InvalidRequest
 from cm.wire.plane_packets import Geometry, Open, encode_geometry
 
 _MAX_DEPTH = 16
-_AT_ONCE = 8  # slots of one step
+_AT_ONCE = 8  # slots allocated in one step
 
 
 class Echoes:
-    """Each client of its own has its own memory, which goes with it."""
+    """Each of its clients has its own memory, which is freed when the client hangs up."""
 
     def __init__(self, plane: Plane, thread: MemoryThread) -> None:
         self._plane = plane
@@ -29,9 +29,9 @@ class Echoes:
         self._open: dict[int, tuple[int, list[int]]] = {}  # client → stream, descriptors
 
     def open(self, connection: socket.socket, wanted: Open, peer: Peer) -> Iterator[None]:
-        """The steps to be taken to give the connection of a process, which the caller closes, memory.
+        """Return the steps that give a process's connection its memory; the caller closes the connection.
 
-        Raise InvalidRequest, Busy.
+        The steps raise InvalidRequest or Busy.
         """
         depth = min(wanted.depth or 2, _MAX_DEPTH)
         length = -(-wanted.length // mmap.PAGESIZE) * mmap.PAGESIZE
@@ -65,12 +65,12 @@ class Echoes:
         self._plane.add_slot(stream, fds[-1])
 
     def gone(self, client: int) -> None:
-        """A client of the plane has gone; nothing if it had no echo."""
+        """Release the memory of a client of the plane that has gone, if it had any."""
         self.budget.gone(client)
         stream, fds = self._open.pop(client, (0, []))
         if stream:
             self._plane.stop(stream)
-            self._thread.run(lambda: _close(fds))  # frees memory, where the client has unmapped it
+            self._thread.run(lambda: _close(fds))  # frees the memory if the client has unmapped it
 
 
 def _close(fds: list[int]) -> None:

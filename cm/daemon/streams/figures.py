@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures from an open stream's counters: its rate, its median latency, why a transfer failed."""
+"""Figures from an open stream's counters: its rate, its median latency, and why a transfer failed."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from cm.messages.status import ErrorInfo
 
 
 def median(values: Sequence[int]) -> int:
-    """0 without any; the module `statistics` is half a MiB."""
+    """Return the median; 0 for no values. (Importing `statistics` would cost half a MiB.)"""
     return sorted(values)[len(values) // 2] if values else 0
 
 
 def rate(counts: StreamCounts) -> float:
-    """Frames per second over the last second."""
+    """Return the frames per second over the last second."""
     now = time.monotonic_ns()
     recent = [t for t in counts.at_ns if t > now - 1_000_000_000]
     return (
@@ -29,7 +29,7 @@ def rate(counts: StreamCounts) -> float:
 
 
 def transfer_error(counts: StreamCounts, setup: StreamSetup) -> ErrorInfo | None:
-    """Why a transfer failed last, in a sentence; None where none has."""
+    """Say why a transfer last failed; None if none has."""
     if not counts.error:
         return None
     text = f"a transfer of {setup.length} bytes failed: {os.strerror(counts.error)}"

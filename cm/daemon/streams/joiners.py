@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The clients of an open stream: they join when it has slots for them, and it starts when they have joined.
 
-Slots take time, so all of this is done in steps, by iterators: the loop serves other requests between two of them.
-Meanwhile clients may go, others may come, and the stream may be stopped.
+Allocating slots takes time, so iterators do all this in steps, between which the loop serves other requests.
+Meanwhile clients may come and go, and the stream may be stopped.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from cm.errors import CmError
 from cm.schema.model import Direction, Stream
 from cm.wire.plane_packets import SLOTS_MAX
 
-DEPTH = 4  # frames that a local client may hold if it does not say
-_PATIENCE = SLOTS_MAX  # turns for which a client that has joined lets others join before the stream starts
+DEPTH = 4  # frames that a local client may hold by default
+_PATIENCE = SLOTS_MAX  # turns for which a client that has joined waits for others before it starts the stream
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,10 +32,10 @@ class _Waits:
 
 
 class Joiners:
-    """Those of one stream, by their numbers in the plane. The loop's thread."""
+    """The clients of one stream, by their numbers in the plane. Used in the loop's thread."""
 
     def __init__(self, stream: Stream, slots: Slots, attach: Callable[[int, int], bool], each: int) -> None:
-        """`attach` a client with its depth in the plane; False if it has gone. `each`: slots of one process."""
+        """`attach(client, depth)` attaches in the plane; False: the client has gone. `each`: slots of one process."""
         self.each = each
         self.started = False
         self.closed = False
@@ -53,10 +53,10 @@ class Joiners:
     def join(
         self, client: int, depth: int, peer: Peer | None = None, stopped: Callable[[int], object] = lambda _: None
     ) -> Iterator[None]:
-        """Let a client of the plane read or write; returns the steps to be taken until it does, and the stream runs.
+        """Return the steps after which a client of the plane is attached and the stream runs. Raises NoSlots.
 
-        If the client goes, or the stream is stopped, they end early; `stopped` is called at once then. Raises NoSlots;
-        the steps raise NoSlots and DeviceError. `peer` None: the daemon itself.
+        They end early if the client goes or the stream is stopped; `stopped` is then called at once. They raise
+        NoSlots and DeviceError. `peer` is None for the daemon itself.
         """
         depth = max(1, min(depth or DEPTH, SLOTS_MAX - RESERVE))
         if peer is not None:
@@ -65,7 +65,7 @@ class Joiners:
         return self._steps(client, depth)
 
     def _held(self) -> Iterator[tuple[Peer, int]]:
-        """Slots of processes other than the daemon: those that they have, and those that they wait for."""
+        """The slots that processes other than the daemon have, or are waiting for."""
         ours = Peer.ourselves()
         held = [(self.peers[client], depth) for client, depth in self._depths.items()]
         for peer, depth in (*held, *((waits.peer, waits.depth) for waits in self._waiting.values())):
@@ -89,7 +89,7 @@ class Joiners:
         yield from self.begin()
 
     def detached(self, client: int) -> None:
-        """A client has gone."""
+        """Forget a client that has gone."""
         self._waiting.pop(client, None)
         self._depths.pop(client, None)
         self.peers.pop(client, None)
@@ -97,7 +97,7 @@ class Joiners:
     # ---- slots ----------------------------------------------------------------------
 
     def _wanted(self, depth: int = 0) -> int:
-        """So many slots that readers who hold all they may still leave some to the hardware."""
+        """How many slots it takes so that the hardware has some left when every reader holds all it may."""
         own = 0 if self._writes else min(self._stream.slots, SLOTS_MAX)
         if self._stream.backpressure and not self._writes:
             return own
@@ -105,7 +105,7 @@ class Joiners:
         return max(own, clients + (RESERVE if clients and not self._writes else 0))
 
     def _has_room(self, depth: int = 0) -> bool:
-        """A step towards room for one more client; returns whether there is room. Raises NoSlots, DeviceError."""
+        """Take a step towards room for one more client; return whether there is room. Raises NoSlots, DeviceError."""
         wanted = self._wanted(depth)
         if wanted > SLOTS_MAX:
             raise NoSlots(
@@ -123,7 +123,7 @@ class Joiners:
         except (DeviceGone, DeviceTimeout):
             raise
         except OSError as error:
-            if len(self._slots.made) < self._wanted():  # not even those for the clients that there are
+            if len(self._slots.made) < self._wanted():  # not even enough for the present clients
                 raise
             raise NoSlots(
                 f"stream {self._stream.name!r}: no memory for a client of {depth} frames more ({error}); "
@@ -131,7 +131,7 @@ class Joiners:
             ) from error
 
     def _take_back(self) -> Iterator[None]:
-        """Free slots that were made for a client that did not join, unless others wait for slots."""
+        """Free the slots that were made for a client that did not join, unless others are waiting for slots."""
         while not self.closed and not self._waiting and (self.started or self._writes):
             if self._slots.take_back_some():
                 return
@@ -140,9 +140,9 @@ class Joiners:
     # ---- start and end --------------------------------------------------------------
 
     def begin(self) -> Iterator[None]:
-        """The steps until frames come: after clients that wait for slots have joined, so that they miss none.
+        """Return the steps until the stream starts: once the waiting clients have joined, so that they miss no frame.
 
-        But those who take these steps wait for others for some steps only. They raise DeviceError.
+        The wait for other clients is limited to a number of steps. The steps raise DeviceError.
         """
         while not (self.closed or self.started or self._has_room()):
             yield
@@ -157,20 +157,20 @@ class Joiners:
             yield
 
     def when_started(self, told: Callable[[Exception | None], None]) -> None:
-        """Call `told` once frames may come, or with what went wrong; also, with None, if the stream was stopped."""
+        """Call `told` with None once the stream has started or been stopped, or with the error that prevents it."""
         if self.started or self.closed:
             told(None)
         else:
             self._told.append(told)
 
     def fail(self, error: Exception) -> None:
-        """It cannot start, and will be closed next."""
+        """Report that the stream cannot start; it will be closed next."""
         self._tell(error)
 
     def stop(self, error: int) -> None:
-        """It has ended, with an errno or 0."""
+        """End the stream, with an errno or 0."""
         self.closed = True
-        self._attach = lambda _, __: False  # no circle is left that would hold the channel until garbage is collected
+        self._attach = lambda _, __: False  # breaks a cycle that would keep the channel until garbage collection
         waiting, self._waiting = self._waiting, {}
         for waits in waiting.values():
             waits.stopped(error)

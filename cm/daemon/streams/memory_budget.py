@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much memory processes may have over the data socket: each of them, and all together."""
+"""Limits on the memory that processes hold through the data socket: for each process, and in total."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ from collections import Counter
 from cm.daemon.streams.peer import Peer
 from cm.errors import Busy
 
-MEMORIES = 64  # of one process: each of them is a descriptor, however small
-ALL, EACH = 256 << 20, 192 << 20  # bytes, unless set otherwise
+MEMORIES = 64  # allocations of one process: each takes a file descriptor, however small it is
+ALL, EACH = 256 << 20, 192 << 20  # default limits in bytes: in total, and of one process
 
 
 class MemoryBudget:
-    """Bytes by process. The loop's thread."""
+    """Counts bytes by process. Used in the loop's thread only."""
 
     def __init__(self, what: str, each: int = EACH, most: int = ALL) -> None:
-        """`what`: the memory, for people; `each`, `most`: bytes of one process and of all."""
+        """`what`: how messages call the memory; `each`, `most`: limits in bytes, of one process and in total."""
         self._what = what
         self._each, self._most = each, most
         self._open: dict[int, tuple[Peer, int]] = {}  # by client of the plane
 
     def renew(self, each: int, most: int) -> None:
-        """Other bounds from now on; what was given stays."""
+        """Set other limits; memory already allocated stays."""
         self._each, self._most = each, most
 
     def check(self, peer: Peer, length: int) -> None:
-        """Raise Busy where a process gets no `length` bytes more."""
+        """Raise Busy if a process may not have another `length` bytes."""
         held = [size for who, size in self._open.values() if who.pid == peer.pid]
         used = sum(size for _, size in self._open.values())
         if used + length > self._most:
@@ -40,11 +40,11 @@ class MemoryBudget:
             raise Busy(f"pid {peer.pid} ({peer.name}) has {MEMORIES} pieces of {self._what}: no process gets more")
 
     def took(self, client: int, peer: Peer, length: int) -> None:
-        """A client of the plane has so many bytes."""
+        """Record that a client of the plane has `length` bytes."""
         self._open[client] = peer, length
 
     def gone(self, client: int) -> None:
-        """It has them no more; nothing if it had none."""
+        """Record that a client has gone; it may have held nothing."""
         self._open.pop(client, None)
 
     def held(self) -> Counter[Peer]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Connections to the data socket that have not said yet what they want."""
+"""Connections to the data socket that have not yet said what they want."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from typing import Protocol
 from cm.daemon.loop import Loop, Timer
 from cm.wire.plane_packets import PACKET_MAX
 
-WAITING = 64  # of all; of one process three quarters. Beyond that the oldest goes of who has most
-_AT_ONCE = 16  # that are accepted in one turn of the loop
-_REST = 3.0  # so many times what that took, nobody else is
-_SHORTEST = 0.002  # seconds of that
+WAITING = 64  # in total, three quarters from one process; beyond that, the process with the most loses its oldest
+_AT_ONCE = 16  # connections accepted in one turn of the loop
+_REST = 3.0  # pause before accepting more, as a multiple of the time that the last ones took
+_SHORTEST = 0.002  # the shortest such pause, in seconds
 
 
 class Spender(Protocol):
-    """Whose time it is (`cm.budgets.budget.Budget`)."""
+    """The account that time is charged to (`cm.budgets.budget.Budget`)."""
 
     def charge(self, nanoseconds: int) -> None:
-        """It took so much of the loop's time."""
+        """Charge time that was spent in the loop."""
 
 
 class Newcomers:
-    """Accepts connections, and reads the first packet of each. The loop's thread.
+    """Accepts connections and reads the first packet of each. Used in the loop's thread.
 
-    A process that connects again and again gets a quarter of the loop's time for it at most, and pushes out no others.
+    A process that keeps connecting gets at most a quarter of the loop's time, and displaces no other process.
     """
 
     def __init__(
@@ -38,23 +38,23 @@ class Newcomers:
         whose: Callable[[socket.socket], tuple[str, Spender]],
         heard: Callable[[socket.socket, bytes], None],
     ) -> None:
-        """`whose`: the process of a connection, and its budget; raises OSError. `heard` gets the connection itself."""
+        """`whose`: returns a connection's process and budget, or raises OSError. `heard`: takes over the connection."""
         self._loop = loop
         self._listener = listener
         self._whose = whose
         self._heard = heard
-        self._waiting: dict[socket.socket, str] = {}  # and whose it is, in the order in which they came
+        self._waiting: dict[socket.socket, str] = {}  # connections and their processes, in order of arrival
         self._resting: Timer | None = None
 
     def __len__(self) -> int:
         return len(self._waiting)
 
     def open(self) -> None:
-        """Begin; the listener is bound."""
+        """Start accepting; the listener must be bound."""
         self._loop.add(self._listener.fileno(), self._accept)
 
     def close(self) -> None:
-        """Hang up on all."""
+        """Close all connections."""
         if self._resting is not None:
             self._resting.cancel()
         self._loop.remove(self._listener.fileno())
@@ -70,7 +70,7 @@ class Newcomers:
                 return
             except ConnectionAbortedError:
                 continue
-            except OSError:  # no descriptor is left: who waits goes on waiting
+            except OSError:  # out of file descriptors: pending connections stay in the backlog
                 break
             self._let_in(connection)
         self._loop.pause(self._listener.fileno())

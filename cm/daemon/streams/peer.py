@@ -14,19 +14,19 @@ _CREDENTIALS = struct.Struct("=iII")  # struct ucred
 
 @dataclass(frozen=True, slots=True)
 class Peer:
-    """A process, and what the kernel calls it."""
+    """A process, with the name that the kernel has for it."""
 
     pid: int
     name: str
 
     @staticmethod
     def of(connection: socket.socket) -> Peer:
-        """Who made a connection; its name is what the kernel calls it now."""
+        """Return the process that made a connection, with its present name."""
         raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         pid = _CREDENTIALS.unpack(raw)[0]
         try:
             return Peer(pid, Path(f"/proc/{pid}/comm").read_text(encoding="utf-8", errors="replace").strip())
-        except OSError:  # it has gone, or is of another PID namespace (0)
+        except OSError:  # it has gone, or is in another PID namespace (pid 0)
             return Peer(pid, "")
 
     @staticmethod

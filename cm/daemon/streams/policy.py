@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """When streams run: a table of phases and transitions, and what decides between them. No socket, no device.
 
-`cm.daemon.streams.registry` does what is decided here, and tells here what came of it.
+`cm.daemon.streams.driver` carries out what is decided here, and reports the outcome.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class StreamStopped(Busy):
 
 
 class StreamPhase(str, Enum):
-    """Where a stream is."""
+    """The phase that a stream is in."""
 
     CLOSED = "closed"  # it is not needed
     OPEN = "open"  # its channel runs
@@ -36,7 +36,7 @@ class StreamPhase(str, Enum):
 
 
 class StreamEvent(str, Enum):
-    """What happens to a stream."""
+    """An event in a stream's life."""
 
     OPEN = "open"
     CLOSE = "close"
@@ -67,12 +67,12 @@ TRANSITIONS: Mapping[tuple[StreamPhase, StreamEvent], StreamPhase] = MappingProx
 
 
 class IllegalTransition(RuntimeError):
-    """An event that the table has not: a defect of the daemon, never of a request."""
+    """An event that the table does not allow: a defect of the daemon, never of a request."""
 
 
 @dataclass(frozen=True, slots=True)
 class Users:
-    """Who uses a stream now."""
+    """The kinds of users that a stream has now."""
 
     subscriber: bool = False  # over ZeroMQ
     client: bool = False  # of the data socket
@@ -83,7 +83,7 @@ class Users:
 
 
 def decide(phase: StreamPhase, wanted: bool) -> StreamEvent | None:
-    """What is to be done with a stream."""
+    """Return what to do with a stream next, or None for nothing."""
     if phase is _P.CLOSED and wanted:
         return _E.OPEN
     if phase is _P.OPEN and not wanted:
@@ -92,14 +92,14 @@ def decide(phase: StreamPhase, wanted: bool) -> StreamEvent | None:
 
 
 class StreamOverrides:
-    """Settings last until the mode changes; what was enabled runs on until another configuration is loaded."""
+    """Clients' settings last until the mode changes; whether a stream is enabled, until another configuration loads."""
 
     def __init__(self) -> None:
         self._set: dict[str, tuple[Stream, Stream]] = {}  # as the schema has it, and as it was set
         self._runs: dict[str, bool] = {}
 
     def take(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:
-        """Note what a request changes of a stream as it is now; the result takes that back."""
+        """Record what a request changes in a stream; return a function that undoes it."""
         name, before = stream.name, (self._set.copy(), self._runs.copy())
         if wanted != stream:
             base = self._set[name][0] if name in self._set else stream
@@ -116,30 +116,30 @@ class StreamOverrides:
         return take_back
 
     def of(self, stream: Stream) -> Stream:
-        """A stream of the schema as it was set."""
+        """Return a stream of the schema with its overrides."""
         base, wanted = self._set.get(stream.name, (None, stream))
         if base == stream:
             return wanted
-        self._set.pop(stream.name, None)  # of a schema that was replaced
+        self._set.pop(stream.name, None)  # overrides a schema that has been replaced
         return stream
 
     def runs(self, name: str) -> bool | None:
-        """Whether a stream shall run, used or not; None: no client has said."""
+        """Whether a stream shall run even if unused; None if no client has said."""
         return self._runs.get(name)
 
     def mode_changed(self) -> None:
-        """What a mode has is the schema's until a client changes it again; what runs runs on."""
+        """Forget the settings, so that the schema applies until a client changes them again; keep what is enabled."""
         self._set.clear()
         self._runs = {name: True for name, runs in self._runs.items() if runs}
 
     def config_changed(self) -> None:
-        """Streams of the same name are others."""
+        """Forget everything: streams of the same name are now different ones."""
         self._set.clear()
         self._runs.clear()
 
 
 class StreamPolicy:
-    """The streams of the loaded mode, their phases, and what clients have set of them."""
+    """The streams of the loaded mode, their phases, and their overrides."""
 
     def __init__(self) -> None:
         self.config: Config | None = None
@@ -149,18 +149,18 @@ class StreamPolicy:
         self._phases: dict[str, StreamPhase] = {}
 
     def phase(self, name: str) -> StreamPhase:
-        """Where a stream is; one never heard of is closed."""
+        """Return a stream's phase; an unknown stream is closed."""
         return self._phases.get(name, _P.CLOSED)
 
     def after(self, name: str, event: StreamEvent) -> None:
-        """Something happened to a stream. Raises IllegalTransition, and changes nothing then."""
+        """Apply an event to a stream's phase. Raises IllegalTransition, and then changes nothing."""
         phase = TRANSITIONS.get((self.phase(name), event))
         if phase is None:
             raise IllegalTransition(f"stream {name!r}, which is {self.phase(name).value}, cannot {event.value}")
         self._phases[name] = phase
 
     def enter(self, config: Config | None, mode: str | None, held: Mapping[str, str | None] = _NOTHING) -> list[str]:
-        """The streams are those of this mode, and none is held; returns those that run and have to be closed for it."""
+        """Switch to the streams of this mode, none of them held; return the open ones that have to be closed for it."""
         streams = config.streams_in(mode, held) if config else {}
         if config is not None and (self.config is None or config.name != self.config.name):
             self._overrides.config_changed()
@@ -173,21 +173,21 @@ class StreamPolicy:
         return [name for name in self._in(_P.OPEN) if self.streams.get(name) != before.get(name)]
 
     def stalled(self) -> list[str]:
-        """Those whose channel does not answer."""
+        """Return the streams whose channel does not answer."""
         return self._in(_P.STALLED, _P.HELD_STALLED)
 
     def _in(self, *phases: StreamPhase) -> list[str]:
         return [name for name, phase in self._phases.items() if phase in phases]
 
     def due(self, users: Callable[[Stream], Users]) -> Iterator[tuple[StreamEvent, Stream]]:
-        """What is to be done now: streams to open and to close."""
+        """Yield the streams to open and to close now."""
         for name, stream in list(self.streams.items()):
             event = decide(self.phase(name), self.is_wanted(stream, users(stream)))
             if event is not None:
                 yield event, stream
 
     def is_wanted(self, stream: Stream, users: Users) -> bool:
-        """Whether a stream shall run, if it can."""
+        """Whether a stream shall run if it can."""
         runs = self._overrides.runs(stream.name)
         return bool(users) if runs is None else runs
 
@@ -200,7 +200,7 @@ class StreamPolicy:
         return self.phase(name) in (_P.CLOSED, _P.OPEN) and self._overrides.runs(name) is not False
 
     def check_may_run(self, name: str) -> None:
-        """Raise StreamStopped or Timeout with the reason where it cannot."""
+        """Raise StreamStopped or Timeout, with the reason, if it cannot."""
         if self.is_held(name):
             raise StreamStopped(f"stream {name!r} is stopped while its region changes")
         if self.phase(name) is _P.STALLED:
@@ -209,16 +209,16 @@ class StreamPolicy:
             raise StreamStopped(f"stream {name!r} was stopped; cm_data_config with enable lets it run")
 
     def set_to_run(self, name: str) -> bool:
-        """Whether a client has set a stream to run, used or not."""
+        """Whether a client has set a stream to run even if unused."""
         return bool(self._overrides.runs(name))
 
     def override(self, stream: Stream, wanted: Stream, request: ConfigureStream) -> Callable[[], None]:
-        """A stream is as it is wanted from here on; the result takes that back."""
+        """Replace a stream by `wanted` from here on; return a function that undoes it."""
         self.streams = {**self.streams, stream.name: wanted}
         forget = self._overrides.take(stream, wanted, request)
 
         def take_back() -> None:
-            if self.streams.get(stream.name) is wanted:  # not changed again since
+            if self.streams.get(stream.name) is wanted:  # it has not been changed again since
                 forget()
                 self.streams = {**self.streams, stream.name: stream}
 

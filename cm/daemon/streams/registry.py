@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The streams of the loaded mode: carries out what `policy` decides, with channels and their clients."""
+"""The streams of the loaded mode: what `policy` decides, carried out with channels and their clients."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Streams:
-    """`cm.manager.ports.DataPlane`, and what requests ask of streams."""
+    """Implements `cm.manager.ports.DataPlane`, and the requests that concern streams."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class Streams:
         self.renew(limits)
 
     def renew(self, limits: Limits) -> None:
-        """Other bounds from now on; clients keep what they have."""
+        """Set other limits; clients keep what they have."""
         self._driver.renew(limits.slots_each)
         for memory in self.memories:
             memory.budget.renew(limits.memory_each_bytes, limits.memory_bytes)
@@ -63,15 +63,15 @@ class Streams:
     # ---- DataPlane: called by the worker ----------------------------------------------
 
     def quiesce(self, streams: Collection[str]) -> None:
-        """Stop streams; their transfers have ended when this returns."""
+        """Stop streams; when this returns, their transfers have ended."""
         self._loop.ask(lambda: self._hold(streams))
 
     def resume(self, config: Config | None, mode: str | None, held: Mapping[str, str | None]) -> None:
-        """The streams are those of this mode, where regions hold these modules."""
+        """Switch to the streams of this mode; `held`: the module in each region."""
         self._loop.ask(lambda: self._enter(config, mode, held))
 
     def wrote(self, generation: int) -> None:
-        """Registers were written. Any thread, and never waits: what frames need is noted beside them."""
+        """Note that registers were written, for frames to carry. May be called from any thread, and never waits."""
         self._driver.plane.wrote(generation)
 
     def _hold(self, names: Collection[str]) -> None:
@@ -91,21 +91,21 @@ class Streams:
     # ---- requests: the loop's thread ----------------------------------------------------
 
     def refresh(self) -> None:
-        """Open what is wanted, close what is not wanted any more."""
+        """Open streams that are wanted, and close those that are no longer wanted."""
         self._driver.refresh()
 
     def named(self, name: str, direction: Direction | None) -> Stream:
-        """A stream by name, or the only one of a direction. Raises UnknownStream, NothingLoaded."""
+        """Return a stream by name, or the only one of a direction. Raises UnknownStream, NothingLoaded."""
         return self._policy.named(name, direction)
 
     def check_lease(self, stream: Stream, lease: str) -> None:
-        """Raise HeldBy if a client without `lease` must keep off a stream's region."""
+        """Raise HeldBy if a stream's region is leased and `lease` is not that lease."""
         self._leases.check((f"region:{stream.region}" if stream.region else "streams",), lease)
 
     def configure(self, request: ConfigureStream, done: Callable[[StreamStatus | Exception], None]) -> None:
-        """Change a stream; refused while it is in use unless forced. `done` is called once it runs so, if it shall run.
+        """Change a stream that is not in use, or by force; call `done` once it runs again, if it is wanted.
 
-        Raises UnknownStream, InvalidRequest, Busy; what the channel refuses, here or later, is no change.
+        Raises UnknownStream, InvalidRequest, Busy; a change that the channel refuses, here or later, is undone.
         """
         stream = self.named(request.stream, None)
         check_compression(request.compression)
@@ -125,7 +125,7 @@ class Streams:
         try:
             if self._policy.is_wanted(wanted, self._driver.users(wanted)) and not self._policy.is_held(stream.name):
                 self._driver.running(wanted)
-        except BaseException:  # a change that the channel refuses is none
+        except BaseException:  # a change that the channel refuses is undone
             take_back()
             self.refresh()
             raise
@@ -137,7 +137,7 @@ class Streams:
             opened.joiners.when_started(ended)
 
     def _in_use(self, stream: Stream) -> bool:
-        """Whether a client would notice a change; one that stays open a while after its last client is not in use."""
+        """Whether a client would notice a change; a stream that only lingers after its last client is not in use."""
         self._driver.settle()
         if self._policy.phase(stream.name) in (StreamPhase.CLOSED, StreamPhase.STALLED):
             return False
@@ -145,7 +145,7 @@ class Streams:
         return busy or self._driver.has_subscriber(stream) or self._driver.locals.use(stream.name)
 
     def _check_channel(self, stream: Stream) -> None:
-        """Raise InvalidRequest for what the channel cannot do, also where it is not open yet."""
+        """Raise InvalidRequest for what the channel cannot do, even if it is not open yet."""
         opened = self._driver.open.get(stream.name)
         if stream.name in self._policy.stalled():
             return
@@ -155,32 +155,32 @@ class Streams:
             else:
                 with self._devices.dma(stream.channel) as dma:
                     setup(dma.info, stream)
-        except OSError as error:  # not there now, or in use by another process: told when it is opened
+        except OSError as error:  # missing, or in use by another process: opening it will report that
             _LOG.info("stream %s: its channel cannot be asked: %s", stream.name, error)
 
     def read_once(self, name: str, timeout: float, done: Done) -> None:
-        """Hand the next frame of a stream to `done`, or a Timeout."""
+        """Pass the next frame of a stream to `done`, or a Timeout after `timeout` seconds."""
         opened = self._driver.running(self.named(name, Direction.S2MM), self._driver.zmq.reader)
         self._driver.zmq.reader(opened).read_once(timeout or 1.0, done)
 
     def write(self, name: str, data: bytes | memoryview, done: Done, lease: str = "") -> None:
-        """Send a frame; `done` is called when the hardware has taken it. Raises InvalidRequest, Busy, HeldBy."""
+        """Send a frame; call `done` when the hardware has taken it. Raises InvalidRequest, Busy, HeldBy."""
         stream = self.named(name, Direction.MM2S)
         self.check_lease(stream, lease)
         self._driver.zmq.writer(self._driver.running(stream)).write(data, done)
 
     def open_local(self, connection: socket.socket, wanted: Open) -> Iterator[None]:
-        """The steps to be taken to make a connection to the data socket a reader or writer; the caller closes it.
+        """Return the steps that make a connection a reader or writer of a stream; the caller closes the connection.
 
-        They raise UnknownStream, NoSlots, DeviceError; HeldBy for a client without the lease that writes, or could hold
-        the hardware up.
+        They raise UnknownStream, NoSlots, DeviceError; also HeldBy, if the region is leased to another client and this
+        one would write, or could hold up the hardware.
         """
         stream = self.named(wanted.name, Direction.MM2S if wanted.write else Direction.S2MM)
         if wanted.write or stream.backpressure:
             self.check_lease(stream, wanted.lease)
 
         def stopped(error: int) -> None:
-            with suppress(OSError):  # so that the client need not guess from silence; it may have gone
+            with suppress(OSError):  # so that the client need not infer it from silence; it may have gone
                 connection.send(Descriptor(kind=STOPPED, offset=error).pack())
 
         def join(client: int, peer: Peer) -> Iterator[None]:
@@ -189,21 +189,21 @@ class Streams:
         yield from self._driver.locals.adopt(connection, wanted, stream.name, join)
 
     def status(self) -> tuple[StreamStatus, ...]:
-        """All streams of this mode."""
+        """Report all streams of this mode."""
         return tuple([self.status_of(name) for name in self._policy.streams])
 
     def status_of(self, name: str) -> StreamStatus:
-        """One stream."""
+        """Report one stream."""
         opened = self._driver.open.get(name)
         status = opened.status() if opened else self._closed(self._policy.streams[name])
         failure = status.last_error or self._driver.failures.get(name)
         if failure is not None:
             status = replace(status, last_error=failure)
         overruns = self._audience.overruns(name)
-        return replace(status, overruns=overruns) if overruns else status  # not for nothing: it is half the work
+        return replace(status, overruns=overruns) if overruns else status  # only if needed: half the work
 
     def _closed(self, stream: Stream) -> StreamStatus:
-        """Of one that does not run, which is not made anew as long as that stays."""
+        """Report a stream that is not open; cached, as nothing in it changes until it opens or is set differently."""
         then, status = self._idle.get(stream.name) or (None, None)
         if then is not stream or status is None:
             status = stream_status(stream)
@@ -211,21 +211,21 @@ class Streams:
         return status
 
     def allocated(self) -> Counter[str]:
-        """Bytes of memory for masters in the PL, by client."""
+        """Bytes of memory allocated for masters in the PL, by client."""
         held = self._driver.allocations.budget.held()
         return Counter({f"pid {peer.pid} ({peer.name})": size for peer, size in held.items()})
 
     @property
     def any_open(self) -> bool:
-        """Whether any stream runs."""
+        """Whether any stream is open."""
         return bool(self._driver.open)
 
     def close(self) -> None:
-        """Stop all."""
+        """Stop all streams."""
         for name in list(self._driver.open):
             self._driver.stop(name)
 
     def end(self) -> None:
-        """Stop all, hang up on all clients, end the plane's thread."""
+        """Stop all streams, disconnect all clients, and end the plane's thread."""
         self.close()
         self._driver.close()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `cm_data_config` may ask of a stream, and what a channel can do: no device is touched here."""
+"""Checks what `cm_data_config` asks of a stream against what its channel can do; touches no device."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _FLAT = 1 << 20  # bytes of a slot where neither schema nor channel says how lon
 
 
 def changed(stream: Stream, request: ConfigureStream) -> Stream:
-    """A stream as a request wants it. Raises InvalidRequest with what would be right."""
+    """Return the stream with the requested settings. Raises InvalidRequest, which says what would be right."""
     if request.direction and request.direction.lower() != stream.direction.value:
         raise InvalidRequest(f"stream {stream.name!r} is {stream.direction.value}, not {request.direction!r}")
     if request.rate < 0 or math.isnan(request.rate):
@@ -45,7 +45,7 @@ def changed(stream: Stream, request: ConfigureStream) -> Stream:
 
 
 def _check(stream: Stream) -> None:
-    """Raise InvalidRequest for a geometry that no channel could have."""
+    """Raise InvalidRequest for a geometry that no channel supports."""
     name, shape = f"stream {stream.name!r}", stream.shape
     if shape is not None and (len(shape) > DIMENSIONS or min(shape) < 1):
         raise InvalidRequest(f"{name}: no frame has the shape {shape}; 1 to {DIMENSIONS} extents of at least 1 go")
@@ -64,7 +64,7 @@ def _check(stream: Stream) -> None:
 
 
 def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
-    """How a stream runs over a channel. Raises InvalidRequest for what the channel cannot do."""
+    """Return how a stream runs over a channel. Raises InvalidRequest for what the channel cannot do."""
     _check(stream)
     name, frame = f"stream {stream.name!r}", frame_bytes(stream)
     write = stream.direction is Direction.MM2S
@@ -75,7 +75,7 @@ def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
         raise InvalidRequest(f"{name}: channel {info.name} is a VDMA's: its frames have a shape of lines and columns")
     if video and not info.caps & DmaCaps.VIDEO:
         raise InvalidRequest(f"{name} has a stride, but channel {info.name} knows no lines")
-    # What is read goes round the slots anyway; the hardware must not do it by itself, as readers may hold one.
+    # Input cycles through the slots anyway; the hardware must not do so by itself, because readers may hold a slot.
     cyclic = stream.cyclic and write
     if cyclic and not video and not info.caps & DmaCaps.CYCLIC:
         raise InvalidRequest(f"{name} cannot be cyclic: channel {info.name} cannot repeat a transfer")
@@ -99,7 +99,7 @@ def setup(info: DmaInfo, stream: Stream) -> StreamSetup:
 
 
 def _wider(info: DmaInfo, length: int) -> str:
-    """What would let an AXI DMA move more at once: its length register has 8 to 26 bits (PG021)."""
+    """Say what would let an AXI DMA move more at once: its length register has 8 to 26 bits (PG021)."""
     bits = length.bit_length()
     if info.type is not DmaType.AXIDMA or bits > _LENGTH_BITS:
         return ""
@@ -107,7 +107,7 @@ def _wider(info: DmaInfo, length: int) -> str:
 
 
 def _check_alignment(info: DmaInfo, stream: Stream, one: int, stride: int) -> None:
-    """The kernel's driver refuses such transfers one by one; better said before."""
+    """Raise InvalidRequest for unaligned lengths, which the kernel's driver would refuse at every transfer."""
     step = max(1, info.alignment)
     for what, value in (("lines" if stride else "frames", one), ("a stride", stride)):
         if value % step:
@@ -117,22 +117,22 @@ def _check_alignment(info: DmaInfo, stream: Stream, one: int, stride: int) -> No
 
 
 def _lines(stream: Stream) -> tuple[int, int]:
-    """Lines of a frame and bytes of a line; 0, 0 where it has none."""
+    """Return the lines of a frame and the bytes of a line; 0, 0 for a frame without lines."""
     if stream.shape is None or len(stream.shape) < 2:
         return 0, 0
     return stream.shape[0], frame_bytes(stream) // stream.shape[0]
 
 
 def frame_bytes(stream: Stream) -> int:
-    """Bytes of one frame; 0 if the schema gives no shape. Raises InvalidRequest for what is not a dtype of numbers."""
+    """Bytes of one frame; 0 if the schema gives no shape. Raises InvalidRequest for a dtype that is not numeric."""
     item = ITEM_BYTES.get(stream.dtype) or _item_bytes(stream)
     return math.prod(stream.shape) * item if stream.shape is not None else 0
 
 
 def _item_bytes(stream: Stream) -> int:
-    """Of a dtype that schemas do not know, but a request may name: ``<u2``.
+    """Bytes of one item, also of dtypes that schemas do not know but requests may name, such as ``<u2``.
 
-    Only here does a manager import numpy, which takes 11 MiB.
+    Only these make a manager import numpy, which takes 11 MiB.
     """
     import numpy as np
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many slots of a stream one more client may hold: none may hold all, and some are reserved for newcomers."""
+"""How many slots of a stream a new client may hold: nobody may hold all, and some are reserved for newcomers."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ _NEWCOMERS = 16  # for processes that hold none yet
 
 
 class NoSlots(Busy):
-    """There are no slots, or is not DMA memory, for one more reader or writer."""
+    """There are no slots, or there is no DMA memory, for one more reader or writer."""
 
     code = "no_slots"
 
 
 def share(stream: str, depth: int, peer: Peer, held: Iterable[tuple[Peer, int]], each: int) -> int:
-    """The slots that a process gets of a stream where it asks for `depth`; `held`: what others, and it, may hold.
+    """Return how many slots a process gets if it asks for `depth`; `held`: the slots that each client may hold already.
 
-    Fewer than it asks for, rather than none. Raises NoSlots, which says who holds them.
+    It gets fewer than it asks for rather than none. Raises NoSlots, which says who holds them.
     """
     slots = Counter[Peer]()
     for other, count in held:

@@ -11,23 +11,23 @@ from cm.daemon.streams.sharing import for_readers, for_writers
 from cm.device import AxiDma, DeviceGone, DmaBuffer
 from cm.device.data_plane import Plane
 
-AT_ONCE = 8  # slots of one step
-_LONG = 200_000  # nanoseconds of a step, after which it ends even if it has fewer
+AT_ONCE = 8  # slots allocated or freed in one step
+_LONG = 200_000  # nanoseconds after which a step ends even if it allocated fewer
 
 
 class Slots:
-    """Those of one stream. Each is allocated first, and given to the plane later, which hands it to the clients."""
+    """The slots of one stream. Each is allocated first and given to the plane later; the plane hands it to clients."""
 
     def __init__(self, plane: Plane, stream: int, dma: AxiDma, length: int, writes: bool) -> None:
-        """`stream`: its number in the plane; `length` of a slot in bytes."""
+        """`stream`: its number in the plane; `length`: bytes of one slot."""
         self._plane, self._stream, self._dma = plane, stream, dma
         self._length = length
         self._writes = writes
         self.made: list[DmaBuffer] = []
-        self._given: list[int] = []  # descriptors of the first of them, as clients get them
+        self._given: list[int] = []  # the descriptors that clients get, for the slots that the plane has already
 
     def make_some(self, wanted: int) -> None:
-        """One step towards `wanted` slots in all. Raises DeviceError; what was made by then stays."""
+        """Take one step towards `wanted` slots in total. Raises DeviceError; slots made by then stay."""
         began = monotonic_ns()
         for _ in range(min(AT_ONCE, wanted - len(self.made))):
             self.made.append(self._dma.allocate(self._length))
@@ -35,7 +35,7 @@ class Slots:
                 return
 
     def give_some(self, wanted: int) -> bool:
-        """One step towards giving `wanted` slots in all to the plane; returns whether it has them now."""
+        """Take one step towards giving the plane `wanted` slots in total; return whether it has them now."""
         wanted = min(wanted, len(self.made))
         for slot in self.made[len(self._given) : wanted][:AT_ONCE]:
             self._given.append(for_writers(slot) if self._writes else for_readers(slot))
@@ -43,14 +43,14 @@ class Slots:
         return len(self._given) >= wanted
 
     def take_back_some(self) -> bool:
-        """One step towards freeing all slots that the plane has not; returns whether there are none left."""
+        """Take one step towards freeing the slots that the plane does not have; return whether all are freed."""
         spare = len(self.made) - len(self._given)
         for _ in range(min(AT_ONCE, spare)):
             self.made.pop().close()
         return spare <= AT_ONCE
 
     def close(self) -> None:
-        """Release all; the plane has stopped the stream. A channel that was closed before has freed the memory."""
+        """Release all slots, once the plane has stopped the stream. A closed channel has already freed the memory."""
         try:
             with suppress(DeviceGone):
                 for slot in self.made:

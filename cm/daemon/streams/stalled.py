@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams whose channel does not answer: a simulated board that is stopped. No request waits for it twice."""
+"""Streams whose channel does not answer (a stopped simulated board), so that no request waits for it twice."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cm.schema.model import Stream
 
 
 class StalledChannels:
-    """Remembers channels by their stream's name, until they answer. The loop's thread."""
+    """Remembers channels by their stream's name until they answer. Used in the loop's thread."""
 
     def __init__(self, probe: Callable[[str], int]) -> None:
         """`probe` makes a descriptor that polls readable when a channel answers."""
@@ -21,15 +21,15 @@ class StalledChannels:
         self._probes: dict[str, int] = {}  # could not be opened
 
     def begin(self, name: str, channel: AxiDma) -> None:
-        """An open channel did not answer; it is ours from here on."""
+        """Take over an open channel that did not answer."""
         self._channels[name] = channel
 
     def probe(self, stream: Stream) -> None:
-        """A stream's channel could not be opened, as nothing answered. Raises OSError where it cannot be watched."""
+        """Watch a channel that could not be opened because nothing answered. Raises OSError if it cannot be watched."""
         self._probes[stream.name] = self._probe(stream.channel)
 
     def answered(self) -> list[str]:
-        """Let go of channels that answer again: they can be opened anew. Does not block."""
+        """Release the channels that answer again and can be reopened, and return their names. Does not block."""
         back = [name for name, channel in self._channels.items() if channel.answers]
         for name in back:
             self._channels.pop(name).close()
@@ -40,7 +40,7 @@ class StalledChannels:
         return [*back, *probed]
 
     def close(self) -> None:
-        """Close all."""
+        """Close all channels and probes."""
         for channel in self._channels.values():
             channel.close()
         for descriptor in self._probes.values():

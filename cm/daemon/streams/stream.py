@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """An open stream: its DMA channel and slots, handed to the data plane, which moves the frames.
 
-What each frame needs is done by the plane's C thread (`cm.device.data_plane`); here streams are opened,
-measured and closed, in the loop's thread. How they get memory and clients: `joiners`.
+The plane's C thread (`cm.device.data_plane`) does all work per frame; streams are opened, measured and closed here,
+in the loop's thread. `joiners` gives them memory and clients.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from cm.wire.plane_packets import Descriptor, Geometry, encode_geometry, encode_
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A frame: its description and its bytes, which are valid during the call only."""
+    """A frame: its description and its bytes, which are valid only until the call that receives it returns."""
 
     info: FrameInfo
     data: memoryview
@@ -40,7 +40,7 @@ class OpenStream:
     """An open stream."""
 
     def __init__(self, plane: Plane, dma: AxiDma, stream: Stream, each: int = EACH) -> None:
-        """Take over an open channel; it is closed if this raises. `each`: slots that one process may hold."""
+        """Take over an open channel, which is closed if this raises. `each`: slots that one process may hold."""
         self._plane = plane
         self._dma = dma
         self.stream = stream
@@ -57,21 +57,21 @@ class OpenStream:
 
     @property
     def slots(self) -> list[DmaBuffer]:
-        """Its memory, by the numbers of the plane's packets."""
+        """Its memory; the index is the slot number in the plane's packets."""
         return self._slots.made
 
     def _attach(self, client: int, depth: int) -> bool:
-        """All its slots are there; False if the client has gone."""
+        """Attach a client whose slots exist; return False if the client has gone."""
         return self._plane.attach(client, self.id, depth, encode_geometry(self._geometry(depth)))
 
     @property
     def channel(self) -> DmaInfo:
-        """What the channel can do."""
+        """The channel's properties."""
         return self._dma.info
 
     @property
     def clients(self) -> int:
-        """How many are attached."""
+        """How many clients are attached."""
         return len(self.joiners.peers)
 
     def _geometry(self, depth: int) -> Geometry:
@@ -93,15 +93,15 @@ class OpenStream:
         )
 
     def label(self, config: str, mode: str) -> None:
-        """Frames from here on belong to this mode."""
+        """Label the frames from here on as belonging to this mode."""
         if (config, mode) != self._names:
             self._names = (config, mode)
             self._plane.tell(self.id, encode_label(self.stream.name, config, mode))
 
-    # ---- what is told -----------------------------------------------------------------
+    # ---- reports ----------------------------------------------------------------------
 
     def info(self, frame: Descriptor, generation: int = 0) -> FrameInfo:
-        """A frame's description; one that is not whole is flat bytes. `generation`: of the registers it began under."""
+        """Describe a frame; an incomplete one is flat bytes. `generation`: of the registers under which it began."""
         whole = frame.length == frame_bytes(self.stream) and self.stream.shape is not None
         return FrameInfo(
             stream=self.stream.name,
@@ -134,12 +134,12 @@ class OpenStream:
         )
 
     def moved(self) -> Moved:
-        """What it moved since it was opened."""
+        """What the stream has moved since it was opened."""
         counts = self._plane.counts(self.id)
         return Moved(counts.frames, counts.dropped, counts.errors, counts.bytes)
 
     def failure(self) -> ErrorInfo | None:
-        """Why a transfer failed last, if one has."""
+        """Why a transfer last failed, or None."""
         return transfer_error(self._plane.counts(self.id), self.setup)
 
     def _clients(self) -> Iterator[StreamClient]:
@@ -151,15 +151,15 @@ class OpenStream:
                 )
 
     def close(self, error: int = 0) -> None:
-        """Stop the channel and release everything; clients are told, and keep what they have mapped."""
+        """Stop the channel and release everything; clients are told `error`, and keep the memory they have mapped."""
         self._stop(error)
         try:
-            self._dma.close()  # frees all slots at once; one by one, that takes as long as to allocate them
+            self._dma.close()  # frees all slots at once; one by one would take as long as allocating them
         finally:
             self._slots.close()
 
     def release(self, error: int = 0) -> AxiDma:
-        """The same, but the channel stays open, and is the caller's from here on."""
+        """Do the same, but leave the channel open and hand it to the caller."""
         self._stop(error)
         self._slots.close()
         return self._dma

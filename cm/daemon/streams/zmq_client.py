@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ZeroMQ side of a stream: the daemon as a client of the data plane, for those who use frames over ZeroMQ.
+"""The ZeroMQ side of a stream: the daemon as a client of its own data plane, on behalf of ZeroMQ clients.
 
-It is a client like any other, at the end of a socket pair. What reads and writes is in `zmq_reader`, `zmq_writer`.
+It is a client like any other, connected by a socket pair. Reading and writing are in `zmq_reader` and `zmq_writer`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class ZmqClient:
         self._socket = ours
         self.client = plane.adopt(theirs.detach())
         try:
-            self.steps = opened.joiners.join(self.client, depth)  # to be taken until it is attached
+            self.steps = opened.joiners.join(self.client, depth)  # by which it joins the stream
         except BaseException:
             plane.drop(self.client)
             ours.close()
@@ -40,16 +40,16 @@ class ZmqClient:
 
     @property
     def working(self) -> bool:
-        """Whether a request waits for it now."""
+        """Whether a request is waiting now."""
         raise NotImplementedError
 
     @property
     def busy(self) -> bool:
-        """Whether a request waits for it, or did a moment ago."""
+        """Whether a request is waiting, or was a moment ago."""
         return self.working or time.monotonic() < self._used_at + _LINGER
 
-    def close(self, error: CmError | OSError | None = None) -> None:  # noqa: ARG002 (for those who wait)
-        """Hang up; those who wait are told the error, or that the stream was stopped."""
+    def close(self, error: CmError | OSError | None = None) -> None:  # noqa: ARG002 (for subclasses)
+        """Disconnect; waiting requests get the error, or are told that the stream was stopped."""
         self._loop.remove(self._socket.fileno())
         self._plane.drop(self.client)
         self._stream.joiners.detached(self.client)
@@ -68,6 +68,6 @@ class ZmqClient:
 
 
 def line_slices(setup: StreamSetup) -> Iterator[slice]:
-    """Where the lines of a video frame lie in its slot."""
+    """The bytes of each line of a video frame in its slot."""
     for begin in range(0, setup.lines * setup.stride, setup.stride):
         yield slice(begin, begin + setup.line_bytes)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of a stream over ZeroMQ: to its subscribers, and to single reads."""
+"""Passes a stream's frames to its ZeroMQ subscribers and to single reads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _READ_DEPTH = 2
 
 
 class ZmqReader(ZmqClient):
-    """Frames to the sinks, and to single reads."""
+    """Passes frames to subscribers and to single reads."""
 
     def __init__(self, loop: Loop, plane: Plane, opened: OpenStream, deliver: Callable[[Frame], None]) -> None:
         self._deliver = deliver
@@ -31,11 +31,11 @@ class ZmqReader(ZmqClient):
 
     @property
     def working(self) -> bool:
-        """Whether a request waits for a frame."""
+        """Whether a request is waiting for a frame."""
         return bool(self._readers)
 
     def read_once(self, timeout: float, done: Done) -> None:
-        """Hand the next frame to `done`, whose data stay, or a Timeout after `timeout` seconds."""
+        """Pass a copy of the next frame to `done`, or a Timeout after `timeout` seconds."""
         entry: list[tuple[Done, Timer]] = []
 
         def expired() -> None:
@@ -63,7 +63,7 @@ class ZmqReader(ZmqClient):
         try:
             frame = Frame(self._stream.info(packet, self._generation), self._bytes(packet))
             readers, self._readers = self._readers, deque()
-            kept = replace(frame, data=memoryview(bytes(frame.data))) if readers else frame  # one copy for all
+            kept = replace(frame, data=memoryview(bytes(frame.data))) if readers else frame  # one copy for all reads
             for done, timer in readers:
                 timer.cancel()
                 done(kept)
@@ -72,7 +72,7 @@ class ZmqReader(ZmqClient):
             slot.sync_end(write=False)
 
     def _bytes(self, packet: Descriptor) -> memoryview:
-        """The frame's bytes, one after the other; copied only where lines are apart."""
+        """The frame's bytes without gaps; copied only if its lines are apart."""
         setup, slot = self._stream.setup, self._stream.slots[packet.slot]
         view = slot.memoryview(writable=False)
         if setup.lines and setup.stride != setup.line_bytes:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that clients write over ZeroMQ, to the hardware."""
+"""Passes frames that clients write over ZeroMQ to the hardware."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class TransferFailed(CmError):
 
 
 class ZmqWriter(ZmqClient):
-    """Written frames to the hardware."""
+    """Passes written frames to the hardware, one at a time."""
 
     def __init__(self, loop: Loop, plane: Plane, opened: OpenStream) -> None:
         self._free: deque[Descriptor] = deque()
@@ -41,11 +41,11 @@ class ZmqWriter(ZmqClient):
 
     @property
     def working(self) -> bool:
-        """Whether a frame is under way."""
+        """Whether a frame is waiting or being transferred."""
         return bool(self._under_way or self._waiting)
 
     def write(self, data: bytes | memoryview, done: Done) -> None:
-        """Send a frame. Raises InvalidRequest for a wrong size, Busy when too many wait."""
+        """Send a frame. Raises InvalidRequest for a wrong size, and Busy if too many frames are waiting."""
         self._check_size(memoryview(data).nbytes)
         if len(self._waiting) >= _WAITING:
             name = self._stream.stream.name
@@ -75,7 +75,7 @@ class ZmqWriter(ZmqClient):
             self._socket.send(submit.pack())
 
     def _fill(self, number: int, view: memoryview) -> int:
-        """Put a frame into a slot; the bytes that the transfer has."""
+        """Copy a frame into a slot; return the length of the transfer in bytes."""
         setup, slot = self._stream.setup, self._stream.slots[number]
         slot.sync_begin(write=True)
         try:
