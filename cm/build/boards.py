@@ -37,7 +37,7 @@ class BoardDefinition:
     title: str
     part: str
     board_part: str
-    connections: str  # of a SOM to its carrier: Vivado's property BOARD_CONNECTIONS
+    connections: str  # from a SOM to its carrier: Vivado's property BOARD_CONNECTIONS
     clocks: Mapping[str, int]
     connectors: Mapping[str, tuple[Pin, ...]]
     pblocks: Mapping[str, tuple[str, ...]]

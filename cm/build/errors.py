@@ -9,7 +9,7 @@ from cm.errors import CmError
 
 
 class BuildError(CmError):
-    """Something the build tool cannot do; the sentence says what would be right."""
+    """The build tool cannot do something; the sentence says what would be right."""
 
     code: ClassVar[str] = "build_failed"
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a file given to `cm build init` is: HDL, a core, an IP-XACT component, an IP instance, HLS C++."""
+"""Reads what `cm build init` is given, by kind of file: HDL, core, IP-XACT component, IP instance, HLS C++."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Given:
 
 
 def is_hdl(path: Path) -> bool:
-    """Read as HDL source, whatever its suffix; the others have readers of their own."""
+    """Whether a file is read as HDL: every suffix that has no other reader."""
     return path.suffix.lower() not in _OTHER
 
 
@@ -88,5 +88,5 @@ def _component(path: Path, folder: Path) -> Given:
 
 
 def relative(path: Path, folder: Path) -> str:
-    """`path` as it stands in a build schema in `folder`."""
+    """Return `path` as a build schema in `folder` would name it."""
     return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()

@@ -22,7 +22,7 @@ from cm.build.project.load import DEFAULT_CLOCK, DEFAULT_RATE
 from cm.build.render import Renderer
 
 DEFAULT_PART = "xc7z020clg400-1"
-# a board with that part, as its board file in Xilinx/XilinxBoardStore 20bbb12 has it
+# part → a board that has it, as named in its board file in Xilinx/XilinxBoardStore 20bbb12
 _BOARDS = {
     "xc7z010clg400-1": "digilentinc.com:zybo-z7-10:part0:1.0",
     "xc7z020clg400-1": "tul.com.tw:pynq-z2:part0:1.0",
@@ -37,11 +37,11 @@ _BOARDS = {
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """A module that goes to the region."""
+    """A module for the region."""
 
     name: str
     info: ModuleInfo
-    keys: Mapping[str, Any]  # of the build schema, beside those that comments explain
+    keys: Mapping[str, Any]  # keys of the build schema, beside those that comments explain
 
     @property
     def summary(self) -> str:
@@ -59,11 +59,11 @@ def init_text(
     top: str | None = None,
     cores: Sequence[Path] = (),
 ) -> str:
-    """The text of a build schema in `folder` for the modules in `files`.
+    """Return the text of a build schema in `folder` for the modules in `files`.
 
     Files are HDL, FuseSoC cores (those that they depend on below `cores`), component.xml, .xci, C++ for Vitis HLS.
     Of HDL, modules that no other one instantiates and that have a bus interface become modules of one region;
-    `top` takes only that one. BuildError where there is none.
+    with `top`, only that module does. Raises BuildError if there is none.
     """
     platform = platform_of(part)
     sources = [path for path in files if is_hdl(path)]
@@ -98,20 +98,20 @@ def _from_hdl(files: Sequence[Path], folder: Path, top: str | None) -> list[Give
 
 
 def _flat(info: ModuleInfo, files: Sequence[Path]) -> ModuleInfo:
-    """As the boundary sees it: with interfaces and records as its flat wrapper has them, under its own name."""
+    """Return a module with the ports of its flat wrapper, if it needs one, under its own name."""
     if not needs_wrapper(info):
         return info
     return replace(flatten(info, Wanted(info.name, files, {}, [], {}, {}, {}))[0], name=info.name)
 
 
 def _why_not(info: ModuleInfo) -> str:
-    """The module, and what is wrong with it."""
+    """Name a module and what is wrong with it."""
     reasons = [str(problem) for problem in info.problems if problem.fatal]
     return f"{info.name} ({reasons[-1]})" if reasons else info.name
 
 
 def _files(info: ModuleInfo, known: Sequence[ModuleInfo], files: Sequence[Path], folder: Path) -> list[str]:
-    """Files of what the module instantiates, and those without a module: packages, macros; in the order given."""
+    """Files of the module and what it instantiates, and those without a module (packages, macros), in order."""
     by_name = {module.name: module for module in known}
     needed = {Path(info.file), *files} - {Path(module.file) for module in known if module.file != info.file}
     queue = [info]

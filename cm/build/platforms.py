@@ -28,7 +28,7 @@ from cm.build.errors import BuildError
 
 @dataclass(frozen=True, slots=True)
 class Platform:
-    """A family of SoCs as the generated block design needs it."""
+    """The properties of a SoC family that the generated block design needs."""
 
     name: str
     ps_ip: str
@@ -37,7 +37,7 @@ class Platform:
     control_clock: str
     memory_slaves: tuple[str, ...]  # high-performance slaves of the PS
     memory_clocks: tuple[str, ...]
-    coherent_slaves: tuple[str, ...]  # the same, coherent with the processors' caches
+    coherent_slaves: tuple[str, ...]  # the same, but coherent with the processors' caches
     coherent_clocks: tuple[str, ...]
     clock_pins: tuple[str, ...]
     reset_pin: str
@@ -118,7 +118,7 @@ ZYNQMP = Platform(
 
 
 def device_of(part: str) -> str:
-    """The device of a full part name: ``xc7z020clg400-1`` is of ``xc7z020``, ``xck26-sfvc784-2LV-c`` of ``xck26``."""
+    """Return the device of a full part name, such as ``xc7z020`` of ``xc7z020clg400-1``."""
     found = re.match(r"(x[caq]7z\d{3}s?|x[caq]zu\d+(?:eg|ev|cg|dr)|xck\d+)", part)
     if found is None:
         raise BuildError(f"{part} is not part of the Zynq-7000 or Zynq UltraScale+ family (like xc7z020clg400-1)")
@@ -126,5 +126,5 @@ def device_of(part: str) -> str:
 
 
 def platform_of(part: str) -> Platform:
-    """The platform of a part; BuildError for other families."""
+    """Return the platform of a part. Raises BuildError for other families."""
     return ZYNQ7000 if "7z" in device_of(part) else ZYNQMP

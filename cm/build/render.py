@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Templates → text. One template per kind of file, in `templates/`; the same input gives the same bytes."""
+"""Renders templates, one per kind of file, in `templates/`; the same input gives the same bytes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 
 @lru_cache(maxsize=1)
 def _environment() -> Any:
-    """Templates, compiled when they are first used: that takes longer than all rendering."""
+    """The templates, compiled when they are first used, since that takes longer than all rendering."""
     try:
         import jinja2  # of the extra `build`
     except ImportError:
@@ -28,7 +28,7 @@ def _environment() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        autoescape=False,  # Tcl, Verilog and such, escaped by the filters below
+        autoescape=False,  # not HTML but Tcl, Verilog and the like, which the filters below escape
     )
 
     @jinja2.pass_context
@@ -52,14 +52,14 @@ def _environment() -> Any:
 
 
 class Renderer:
-    """Templates filled in for one output folder; paths in files are relative to `base` by ``$cm_source``."""
+    """Renders templates for one output folder; in files, paths below `base` are written with ``$cm_source``."""
 
     def __init__(self, base: Path, out: Path, banner: str) -> None:
         self._base, self._out, self._banner = base, out, banner
         self._environment = _environment()
 
     def render(self, template: str, context: Mapping[str, Any]) -> str:
-        """The text of `template`; exactly one newline at its end."""
+        """Return the text of `template`, with exactly one newline at its end."""
         given = {"renderer": self, "banner": self._banner, **context}
         text: str = self._environment.get_template(template).render(given)
         return text.rstrip("\n") + "\n"
@@ -69,7 +69,7 @@ class Renderer:
         return Path(os.path.relpath(path, self._out)).as_posix()
 
     def tcl(self, word: object) -> str:
-        """One word of Tcl: a path below the project's folder by ``$cm_source``, anything else as it is."""
+        """Write one word of Tcl: a path below the project's folder with ``$cm_source``, anything else unchanged."""
         if isinstance(word, Path):
             if word.is_relative_to(self._out):
                 return tcl_word(word.relative_to(self._out).as_posix())
@@ -79,25 +79,25 @@ class Renderer:
 
 
 def tcl_escape(text: str) -> str:
-    """`text` inside double quotes of Tcl."""
+    """Escape `text` for use inside double quotes in Tcl."""
     return re.sub(r'([\\"$\[\]{}])', r"\\\1", text).replace("\n", "\\n")
 
 
 def tcl_word(text: str) -> str:
-    """`text` as one word of Tcl: bare where nothing in it means anything."""
+    """Write `text` as one word of Tcl: bare if it has no special characters."""
     if re.fullmatch(r"[A-Za-z0-9_./:+=,@%~-]+", text):
         return text
     return f'"{tcl_escape(text)}"'
 
 
 def c_name(text: str) -> str:
-    """`text` as an upper-case identifier of C."""
+    """Convert `text` to an upper-case C identifier."""
     name = re.sub(r"\W", "_", text).upper()
     return name if not name[:1].isdigit() else f"_{name}"
 
 
 def yaml_text(value: object) -> str:
-    """A value as YAML on one line, quoted where it has to be."""
+    """Write a value as YAML on one line, quoted if necessary."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):
@@ -113,7 +113,7 @@ def yaml_text(value: object) -> str:
 
 
 def by_language(paths: Iterable[Path]) -> dict[str, list[Path]]:
-    """Sources sorted into the reading commands of the vendor's tool."""
+    """Group sources by the command with which the vendor's tool reads them."""
     kinds = {".sv": "systemverilog", ".svh": "header", ".vh": "header", ".h": "header", ".inc": "header"}
     kinds |= {".vhd": "vhdl", ".vhdl": "vhdl"}
     found: dict[str, list[Path]] = {"verilog": [], "systemverilog": [], "vhdl": [], "header": []}

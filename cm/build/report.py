@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `cm build check` says: as data for scripts, as lines for people."""
+"""The report of `cm build check`: as data for scripts, as lines for people."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _region_lines(region: str, boundary: Boundary, analysis: Analysis, system: S
 
 
 def _switch_lines(system: System) -> Iterator[str]:
-    """The stream switch, and what each mode puts in a row."""
+    """The stream switch, and the routes of each mode."""
     switch = system.switch
     if switch is None:
         return
@@ -161,7 +161,7 @@ def _clock_lines(region: RegionPlan, system: System) -> Iterator[str]:
 
 
 def _connected(region: RegionPlan) -> Iterator[tuple[str, str]]:
-    """Interface, or port of none, and what it is connected to, in words."""
+    """Yield each interface or single port with what it is connected to, in words."""
     for registers in region.registers:
         yield registers.interface.name, f" → {registers.window.size:#x} bytes at {registers.window.base:#x}"
     for stream in region.streams:

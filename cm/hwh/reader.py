@@ -47,7 +47,7 @@ def parse(data: bytes, name: str = ".hwh") -> Hwh:
     try:
         root = root_of(data)
     except ValueError as error:
-        raise HwhError(f"{name}: no XML: {error}") from error
+        raise HwhError(f"{name}: not XML: {error}") from error
     info = root.find("SYSTEMINFO")
     if root.tag != "EDKSYSTEM" or info is None:
         raise HwhError(f"{name}: no hardware handoff: EDKSYSTEM with SYSTEMINFO expected, found {root.tag}")

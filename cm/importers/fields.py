@@ -24,7 +24,7 @@ class Fields:
         try:
             values = json.loads(path.read_text(encoding="utf-8-sig"))
         except (ValueError, RecursionError) as error:
-            raise ImportRefused(f"{path}: no JSON: {error}") from error
+            raise ImportRefused(f"{path}: not JSON: {error}") from error
         if not isinstance(values, dict):
             raise ImportRefused(f"{path}: a JSON object expected, found {type(values).__name__}")
         return cls(path, values)

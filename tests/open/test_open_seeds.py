@@ -72,7 +72,7 @@ def test_where_a_module_cannot_be_routed_another_static_part_is_tried_and_rememb
 def test_after_three_static_parts_the_flow_ends_with_what_was_wrong(run: Run, project: Path) -> None:
     with pytest.raises(Unroutable, match=r"module edge could not be(?s:.*)seed 12(?s:.*)Failed") as told:
         run(edge=[(list(range(1, 13)), ARC)])
-    assert "so it was with all static parts, of seeds 1, 5, 9" in str(told.value)
+    assert "the same happened with every static part, of seeds 1, 5, 9" in str(told.value)
     assert not list((project / "build/bitstreams").glob("*.bit"))
 
 

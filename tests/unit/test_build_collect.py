@@ -126,7 +126,7 @@ def test_an_xsa_gives_description_and_bitstream(tmp_path: Path) -> None:
 
 def test_what_is_not_an_archive_is_reported(tmp_path: Path) -> None:
     (tmp_path / "a.xsa").write_bytes(b"PK nonsense")
-    with pytest.raises(BuildError, match="no XSA or HDF"):
+    with pytest.raises(BuildError, match="not an XSA or HDF"):
         collect([tmp_path / "a.xsa"])
 
 

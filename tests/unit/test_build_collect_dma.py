@@ -280,14 +280,14 @@ def test_a_directory_that_lies_about_a_length_is_refused(tmp_path: Path) -> None
     path = packed(tmp_path / "liar.xsa", ("top.bit", bytes(100_000)))
     data = path.read_bytes()
     path.write_bytes(data.replace((100_000).to_bytes(4, "little"), (10).to_bytes(4, "little")))
-    with pytest.raises(BuildError, match=r"liar\.xsa: no XSA or HDF"):
+    with pytest.raises(BuildError, match=r"liar\.xsa: not an XSA or HDF"):
         collect([path])
 
 
 def test_a_member_without_a_name_is_refused(tmp_path: Path) -> None:
     path = packed(tmp_path / "nameless.xsa", ("x", b"data"))
     path.write_bytes(path.read_bytes().replace(b"x", b"\0"))  # zipfile ends a name at a NUL
-    with pytest.raises(BuildError, match=r"nameless\.xsa: no XSA or HDF"):
+    with pytest.raises(BuildError, match=r"nameless\.xsa: not an XSA or HDF"):
         collect([path])
 
 
@@ -305,5 +305,5 @@ def test_an_archive_with_a_password_or_an_unknown_method_is_reported(tmp_path: P
         data = bytearray(plain)
         data[at] = value
         path.write_bytes(data)
-        with pytest.raises(BuildError, match=r"a\.xsa: no XSA or HDF"):
+        with pytest.raises(BuildError, match=r"a\.xsa: not an XSA or HDF"):
             collect([path])

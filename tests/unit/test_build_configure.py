@@ -85,5 +85,5 @@ def test_a_wrong_answer_is_reported(
 
 
 def test_a_value_given_for_nothing_is_reported() -> None:
-    with pytest.raises(BuildError, match="nothing of that name"):
+    with pytest.raises(BuildError, match="no such question"):
         answer_all([Question("a", "a", 1)], {"b": 2}, None, Path("file"))

@@ -231,7 +231,7 @@ def test_a_record_with_what_is_no_vector_says_which_field(tmp_path: Path, capsys
     package = PACKAGE.replace("data : word_t; strb", "data : integer; strb")
     assert main(["build", "check", str(of_records(tmp_path, package))]) == 1
     caught = capsys.readouterr()
-    assert "port s_axi_m2s.write.w.data is integer, no vector of bits" in caught.out + caught.err
+    assert "port s_axi_m2s.write.w.data is integer, not a vector of bits" in caught.out + caught.err
 
 
 @pytest.mark.parametrize(

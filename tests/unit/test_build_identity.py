@@ -144,7 +144,7 @@ def test_files_without_a_header_are_reported(ours: tuple[Design, Path]) -> None:
     found = gather(*ours)
     assert found.config.static is not None
     assert found.config.static.user_id is None
-    assert any("no header, so not known of which run" in note for note in found.notes)
+    assert any("no header, so the run that made it is not known" in note for note in found.notes)
 
 
 def test_a_static_part_that_was_generated_from_other_sources_is_not_collected(ours: tuple[Design, Path]) -> None:

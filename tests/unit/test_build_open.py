@@ -309,7 +309,7 @@ def test_missing_tools_are_reported_with_how_to_get_them(tmp_path: Path, monkeyp
 
 def test_a_program_that_finds_no_end_is_ended(tmp_path: Path) -> None:
     shell = Tool("nextpnr", ("/bin/sh", "-c"))
-    with pytest.raises(OpenStepEndless, match="module m: nextpnr found no end in 1 s of processor time"):
+    with pytest.raises(OpenStepEndless, match="module m: nextpnr did not finish within 1 s of processor time"):
         run_tool(shell, ["while :; do :; done"], tmp_path / "log", {}, "module m", seconds=1)
 
 

@@ -139,8 +139,8 @@ def test_a_stream_of_24_bits_gets_a_dma_of_32_and_a_converter(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ("shape: [4, 5]", "20 bytes: no whole number of the 3 bytes of a beat"),
-        ("shape: [4, 5], dtype: uint16", "4×5 uint16 has 40 bytes: no whole number"),
+        ("shape: [4, 5]", "20 bytes: not a whole number of beats of 3 bytes"),
+        ("shape: [4, 5], dtype: uint16", "4×5 uint16 has 40 bytes: not a whole number"),
         ("shape: [10, 3], max_length: 16", "30 bytes, max_length allows 16"),
     ],
 )

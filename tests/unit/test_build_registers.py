@@ -87,8 +87,8 @@ def test_systemrdl(tmp_path: Path) -> None:
     ("name", "text", "words"),
     [
         ("a.txt", "", "registers are read from"),
-        ("a.xml", "<spirit", "no XML"),
-        ("a.xml", '<?xml version="1.0" encoding="aTF-8"?><a/>', "no XML"),
+        ("a.xml", "<spirit", "not XML"),
+        ("a.xml", '<?xml version="1.0" encoding="aTF-8"?><a/>', "not XML"),
         ("a.xml", "<a/>", "describes no registers"),
         ("a.rdl", "addrmap {", "a.rdl"),
     ],

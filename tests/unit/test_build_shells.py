@@ -162,7 +162,7 @@ def test_one_module_is_run_by_name_with_what_it_needs(tmp_path: Path, monkeypatc
 def test_a_missing_module_is_reported_with_those_that_exist(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     made(tmp_path)
     assert main(["build", "run", "--dry-run", "--module", "tow", str(tmp_path / "build.yaml")]) == 1
-    assert "no step gives a bitstream of 'tow'; there are four, one, three, two" in capsys.readouterr().err
+    assert "no step makes a bitstream of 'tow'; there are four, one, three, two" in capsys.readouterr().err
 
 
 def test_check_says_which_modules_are_built_in_shells(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

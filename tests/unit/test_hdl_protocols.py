@@ -72,13 +72,13 @@ def test_module_with_the_other_directions_is_the_slave(tmp_path: Path) -> None:
         ("protocols:\n  - {name: a, signals: {b: up}}", r"p\.yaml:2:28: 'up' must be one of in, out, inout"),
         ("protocols:\n  - {name: a, signals: {b: in}, extra: 1}", "the key extra is not known; known are name"),
         ("protocols:\n  - {name: a, signals: {b: {direction: in, width: 0}}}", "must be a whole number from 1"),
-        (PIXELS + "  - {name: pixels, signals: {a: in}}", "stands there twice"),
+        (PIXELS + "  - {name: pixels, signals: {a: in}}", "is defined twice"),
         (
             PIXELS + "    bindings: [{module: m, name: x, mode: slave, ports: {q: a}}]",
             "pixels has no signal q; it has pix",
         ),
         (PIXELS + "    bindings: [{module: m, name: x, mode: slave, ports: {}}]", "pix must be given too"),
-        ("a: [", "no YAML"),
+        ("a: [", "not YAML"),
         ("x: 1\nx: 2", "the key x"),
     ],
 )
@@ -112,7 +112,7 @@ def test_comment_before_the_xml_declaration_is_forgiven(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "message"), [("", "no XML"), ("<a/>", "its root is <a>"), ("<a", "no XML"), ("\0\1", "no XML")]
+    ("text", "message"), [("", "not XML"), ("<a/>", "its root is <a>"), ("<a", "not XML"), ("\0\1", "not XML")]
 )
 def test_file_that_is_no_component_is_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "c.xml").write_text(text)

@@ -210,7 +210,7 @@ def test_connections_are_read() -> None:
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (b"not xml", "no XML"),
+        (b"not xml", "not XML"),
         ("<EDKSYSTEM/>".encode("utf-16"), "no UTF-8 text"),
         (b"<EDKSYSTEM/>", "no hardware handoff"),
         (b"<html><SYSTEMINFO/></html>", "found html"),
@@ -232,7 +232,7 @@ def test_refusal_names_the_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("encoding", ["aTF-8", "shift_jis", ""])
 def test_an_encoding_that_xml_is_not_read_in_is_refused(encoding: str) -> None:
-    with pytest.raises(HwhError, match="no XML"):
+    with pytest.raises(HwhError, match="not XML"):
         handoff.parse(f'<?xml version="1.0" encoding="{encoding}"?><EDKSYSTEM/>'.encode())
 
 

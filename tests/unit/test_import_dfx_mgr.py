@@ -233,7 +233,7 @@ def test_link_does_not_replace_a_file(base: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("text", "reason"),
-    [("{", "no JSON"), ("[]", "a JSON object expected"), ('{"shell_type": "AIE"}', "shell_type AIE")],
+    [("{", "not JSON"), ("[]", "a JSON object expected"), ('{"shell_type": "AIE"}', "shell_type AIE")],
 )
 def test_shell_that_is_not_understood_is_refused(base: Path, text: str, reason: str) -> None:
     (base / "shell.json").write_text(text)

@@ -23,12 +23,12 @@ from cm.build.project.model import ModuleSpec, Project, in_libraries
 from cm.build.project.where import fault
 
 _SUBJECT = re.compile(r"(?:port )?(\w+)(?:\.(\w+))?")
-_PRIMITIVE = re.compile(r"[A-Z][A-Z0-9_]*|xpm_\w+")  # of the vendor's library: BUFG, RAMB36E2, xpm_cdc_single
+_PRIMITIVE = re.compile(r"[A-Z][A-Z0-9_]*|xpm_\w+")  # in the vendor's library: BUFG, RAMB36E2, xpm_cdc_single
 
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """What the HDL says: `modules` by the project's name of the module, `boundaries` by region.
+    """What was found in the HDL: `modules` by their names in the project, `boundaries` by region.
 
     `differences` are those between extraction and IP-XACT, one sentence each, by module.
     """
@@ -54,7 +54,7 @@ class Analysis:
         return sum(problem.breaks for info in self.modules.values() for problem in info.problems)
 
     def placed(self, module: str, sentence: str) -> str:
-        """A sentence about a module with file and line of the port or interface that it begins with."""
+        """Put file and line before a sentence about a module: those of the port or interface that it begins with."""
         info = self.modules[module]
         if sentence.startswith(info.file):
             return sentence
@@ -74,7 +74,7 @@ class Analysis:
         return replace(project, modules=modules)
 
     def _named(self, spec: ModuleSpec) -> ModuleSpec:
-        """Vendor IP and wrappers by the name of the module that synthesis sees."""
+        """Return the module with the top that synthesis sees: that of its vendor IP or its wrapper."""
         if spec.name in self.flat:
             flat = self.flat[spec.name]
             return replace(spec, top=flat.name, parameters={}, flat=(flat.file, flat.text))
@@ -117,7 +117,7 @@ def analyse(project: Project) -> Analysis:
 
 
 def _elsewhere(spec: ModuleSpec, info: ModuleInfo) -> bool:
-    """Whether the top is VHDL in a library of its own, where the Verilog around it would not find it."""
+    """Whether the top is VHDL in a library other than the default, where the Verilog around it would not find it."""
     return info.language is Language.VHDL and Path(info.file) in in_libraries(spec.libraries)
 
 
@@ -142,7 +142,7 @@ def _key(spec: ModuleSpec, error: hdl.HdlError) -> tuple[str, ...]:
 
 
 def _boundary(project: Project, region: str, modules: Mapping[str, ModuleInfo]) -> Boundary:
-    """By the project's names: two modules may have one top with other parameters or sources."""
+    """Use the project's names, since two modules may have the same top with different parameters or sources."""
     names = [spec.name for spec in project.modules_of(region)]
     return boundary([modules[name] for name in names], labels=names)
 
@@ -173,7 +173,7 @@ def _module(spec: ModuleSpec, protocols: tuple[UserProtocol, ...]) -> tuple[Modu
 
 
 def _with_missing(info: ModuleInfo, spec: ModuleSpec, outside: Sequence[str]) -> ModuleInfo:
-    """A problem for each submodule that synthesis will not find; vendor IP may bring some, primitives always exist."""
+    """Add a problem for submodules that synthesis will not find; vendor IP may bring some, primitives always exist."""
     missing = [name for name in outside if not _PRIMITIVE.fullmatch(name)]
     if not missing or spec.ip or spec.tcl or spec.sim_sources:
         return info

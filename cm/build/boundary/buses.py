@@ -20,7 +20,7 @@ _FAILURES = "its data would be cut or padded: give both the same width, or put a
 
 @dataclass(slots=True)
 class Fitting:
-    """What is gathered for one module."""
+    """The connections, notes and refusals gathered for one module."""
 
     connections: list[Connection] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -49,7 +49,7 @@ def bus_ports(slot: Slot, modules: Sequence[ModuleInfo]) -> list[BoundaryPort]:
 
 
 def _width(how: Policy, widths: Sequence[int | None]) -> int:
-    """The width; 0: no port. A module that lacks a signal counts if every module must see it whole."""
+    """Bits of a boundary port, or 0 for no port. A module without the signal counts if all must see it whole."""
     known = [width for width in widths if width]
     if not known:
         return 0
@@ -87,7 +87,7 @@ def bus_interface(slot: Slot, ports: Sequence[BoundaryPort], clock: str | None, 
 
 
 def fit_bus(slot: Slot, ports: Sequence[BoundaryPort], module: ModuleInfo, fitting: Fitting) -> None:
-    """Connect one module at one slot, or say why it cannot be."""
+    """Connect one module at one slot, or record why that is impossible."""
     interface = slot.members.get(module.name)
     mine = {port.logical: port for port in ports if port.interface == slot.name}
     if interface is None:
@@ -143,7 +143,7 @@ def _width_note(where: str, have: int, want: int, fit: Fit, direction: PortDirec
         return f"{where}: {have} of {want} bits are read, the rest is dropped"
     if fit is Fit.EXTEND and direction is OUT:
         return f"{where}: {have} of {want} bits are driven, the rest is 0"
-    return ""  # an ID in full: zeros above, and zeros dropped again
+    return ""  # an ID: padded with zeros on one side, which are dropped again on the other
 
 
 def _lack(slot: Slot, interface: Interface, signal: str, port: BoundaryPort, fitting: Fitting) -> None:
@@ -160,7 +160,7 @@ def _lack(slot: Slot, interface: Interface, signal: str, port: BoundaryPort, fit
 
 
 def _surplus(module: ModuleInfo, interface: Interface, signal: str, name: str, fitting: Fitting) -> None:
-    """A signal that the boundary leaves out: an ID that another module does not have."""
+    """Handle a signal that the boundary leaves out: an ID that another module does not have."""
     port = module.port(name)
     if port.width is None:
         fitting.refused.append(f"the width of {interface.name}.{signal} could not be evaluated")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`boundary`: the union of what a region's modules need, widths reconciled, and each module's way to fit."""
+"""`boundary`: the union of what a region's modules need, with widths reconciled, and how each module is fitted."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES, labels: Se
 
     `names` gives for (module, interface) the interface of the boundary, where names and kinds do not decide. Modules
     that cannot be fitted are in the result with the reasons in `refused`; the others are still fitted. `labels` name
-    the modules in the result and in `names` instead of their own names, one each: needed where two of them have one top
-    with other parameters or other sources. Without labels, two that differ but have one name are refused.
+    the modules in the result and in `names`, one each, instead of their own names: needed where two have the same top
+    with different parameters or sources. Without labels, modules that differ but share a name are refused.
     """
     if labels is not None:
         modules = [replace(module, name=label) for module, label in zip(modules, labels, strict=True)]
@@ -59,7 +59,7 @@ def boundary(modules: Sequence[ModuleInfo], names: Names = _NO_NAMES, labels: Se
 
 
 def _distinct(modules: Sequence[ModuleInfo]) -> tuple[list[ModuleInfo], dict[str, list[str]]]:
-    """The first module of each name; if a later one has other ports, why one name cannot stand for both."""
+    """Return the first module of each name, and a reason where a later one of that name has other ports."""
     found: dict[str, ModuleInfo] = {}
     clashes: dict[str, list[str]] = {}
     for module in modules:
@@ -90,7 +90,7 @@ def _fit(
 
 
 def _interface(slot: Slot, ports: Sequence[BoundaryPort], clocks: Clocks, fittings: dict[str, Fitting]) -> Interface:
-    """The slot's clock is the first module's; a module that runs it on another is refused."""
+    """Give the slot the first module's clock; a module that runs it on another clock is refused."""
     clock: str | None = None
     owner = ""
     for module, interface in slot.members.items():

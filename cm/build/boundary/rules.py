@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How one signal of a bus may be adapted, and what is safe where a module lacks it.
+"""How one signal of a bus may be adapted, and what is safe if a module lacks it.
 
 Sources: IHI 0022 (AXI4), chapter A10 "Default signal values"; IHI 0051 (AXI4-Stream), 2.2 and 3.1 "Default values".
 What is not known to be safe is refused.
@@ -19,7 +19,7 @@ class Policy(str, Enum):
 
     SAME = "same"  # equal, or the module is refused
     WIDEST = "widest"  # zeros above what a module drives; high bits that a module does not read are dropped
-    NARROWEST = "narrowest"  # what comes in must come back whole, so every module has to see all of it
+    NARROWEST = "narrowest"  # must come back exactly as it came in, so every module has to see all of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ def policy(protocol: str, mode: Mode, signal: str) -> Policy:
 
 
 def lacks_output(protocol: str, mode: Mode, signal: str, present: Iterable[str]) -> Missing:
-    """The module should drive the signal and does not have it; `present` are those it has."""
+    """The rule for a signal that the module should drive but does not have; `present`: the signals it has."""
     if protocol == "axis":
         return _stream_output(signal)
     if protocol in ("axi4", "axi3", "axi4lite"):
@@ -67,7 +67,7 @@ def lacks_output(protocol: str, mode: Mode, signal: str, present: Iterable[str])
 
 
 def lacks_input(protocol: str, mode: Mode, signal: str, present: Iterable[str]) -> Missing:
-    """The module should read the signal and does not have it."""
+    """The rule for a signal that the module should read but does not have."""
     if protocol == "axis":
         return _stream_input(mode, signal)
     if protocol in ("axi4", "axi3", "axi4lite"):
@@ -111,7 +111,7 @@ def _master_output(signal: str, have: set[str]) -> Missing:
     if signal == "WLAST" and "AWLEN" not in have:
         return _ONES
     if channel and signal.endswith("BURST") and f"{channel}LEN" not in have:
-        return _ZERO  # one beat: the kind of burst has no meaning
+        return _ZERO  # single beats: the burst type is irrelevant
     return Missing(refusal=f"drives no {signal}, which has no safe default")
 
 
@@ -147,6 +147,6 @@ def _slave_input(signal: str) -> Missing:
 
 
 def _absent_half(signal: str, have: set[str]) -> bool:
-    """The signal is of channels that the module does not have at all."""
+    """Whether the signal belongs to channels of which the module has none."""
     write = signal.startswith(("AW", "W", "B"))
     return ("AWVALID" if write else "ARVALID") not in have

@@ -84,7 +84,9 @@ def _fit_reset(reset: Reset, clocks: Clocks, module: ModuleInfo, fitting: Fittin
         fitting.refused.append(f"{reset.port} is a reset that the module drives: name it as a signal")
         return ""
     if reset.polarity is None:
-        fitting.refused.append(f"the polarity of the reset {reset.port} is not known: X_INTERFACE_PARAMETER says it")
+        fitting.refused.append(
+            f"the polarity of the reset {reset.port} is not known: state it with X_INTERFACE_PARAMETER"
+        )
         return ""
     if not clocks.names:
         fitting.refused.append(f"the reset {reset.port} belongs to no clock: the region has none")
@@ -108,7 +110,7 @@ class Single:
 
     @property
     def width(self) -> int:
-        """Bits: as wide as the widest."""
+        """Bits of the widest member."""
         return max(port.width or 1 for port in self.members.values())
 
     def port(self) -> BoundaryPort:
@@ -187,5 +189,5 @@ def fit_single(single: Single, module: ModuleInfo, fitting: Fitting) -> None:
         fitting.notes.append(f"{port.name}: {have} of {want} bits are driven, the rest is 0")
         fitting.connections.append(Connection(single.name, port.name, OUT, Fit.EXTEND, want, have))
     else:
-        text = f"port {port.name} has {have} bits, another module's {single.name} {want}: name them apart"
+        text = f"port {port.name} has {have} bits, another module's {single.name} {want}: give them different names"
         fitting.refused.append(text)

@@ -74,7 +74,7 @@ def _by_name(interface: Interface, module: ModuleInfo, names: Mapping[str, str],
 
 
 def _only_choice(interface: Interface, rest: Sequence[Interface], module: ModuleInfo, result: Slots) -> bool:
-    """Pair where the module has one such interface left and the boundary one such slot that is free."""
+    """Pair them if the module has exactly one such interface left, and the boundary exactly one such free slot."""
     alike = [item for item in rest if (item.protocol, item.mode) == (interface.protocol, interface.mode)]
     free = [slot for slot in result.slots if slot.takes(interface) and module.name not in slot.members]
     if len(alike) != 1 or len(free) != 1:
@@ -96,7 +96,7 @@ def _new_slot(interface: Interface, module: ModuleInfo, result: Slots) -> None:
 
 
 def unique(name: str, taken: Iterable[str]) -> str:
-    """The name, with a number if it is taken."""
+    """Return the name, with a number appended if it is taken."""
     taken = set(taken)
     number = 2
     result = name

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rules that a design must keep, in place of Vivado, each with Vivado's message for it."""
+"""Checks that a design must pass, made here instead of in Vivado; each names the message that Vivado would give."""

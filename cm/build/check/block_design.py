@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The generated block design elaborated without Vivado: parameters, clocks of buses, addresses, interrupt lines.
 
-Engines have a module of their own (`cm.build.check.dma`). Sources of the other ranges: PG247 1.0, "Design Parameters"
+Engines are checked in `cm.build.check.dma`. Sources of the other ranges: PG247 1.0, "Design Parameters"
 (SmartConnect: NUM_SI and NUM_MI 1 to 16, NUM_CLKS 1 to 33; "Features": instances may be cascaded),
 the customisation of processing_system7 (FCLK_CLK: its table says "0.100000 : 250.000000" MHz; no page of PG082 was
 found), PG201 3.4, "Programmable Logic Clocks and Interrupts" (UltraScale+: 16 interrupts), UG585 7.2.3 (Zynq-7000).
@@ -19,7 +19,7 @@ from cm.build.check.finding import Finding
 from cm.build.plan.block_design import ClockPin, Segment
 from cm.build.plan.system import System
 
-PORTS = 16  # of a SmartConnect on either side
+PORTS = 16  # on either side of a SmartConnect
 _FCLK = re.compile(r"PCW_FPGA\d_PERIPHERAL_FREQMHZ")
 
 
@@ -46,7 +46,7 @@ def _settings(context: Mapping[str, Any]) -> Iterator[Finding]:
 
 
 def _buses(context: Mapping[str, Any]) -> Iterator[Finding]:
-    """Each interface port belongs to exactly one clock: else Vivado takes 100 MHz for its rate (BD 41-967, 41-237)."""
+    """Check that each interface port has exactly one clock: otherwise Vivado assumes 100 MHz (BD 41-967, 41-237)."""
     clocks: list[ClockPin] = context["clocks"]
     ports = {port.name: dma.clock for dma in context["dmas"] for port in dma.ports}
     ports |= {port.name: port.clock for port in context["axi_ports"]}

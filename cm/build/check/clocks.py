@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks of a region's modules: each gets what the build schema says, and none is tied to another unless it says so."""
+"""Clocks of a region's modules: the build schema must name a source for each; none is connected by guess."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from cm.build.plan.system import RegionPlan, System
 
 
 def check_clocks(system: System) -> Iterator[Finding]:
-    """A finding for each clock that nothing says of, and for buses on a clock that is not the region's."""
+    """Yield a finding for each clock whose source is not named, and for buses on a clock other than the region's."""
     for region in system.regions:
         key = ("regions", region.name, "clocks")
         for port in sorted(region.spec.clocks.keys() - region.clocks.keys()):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of DMA engines: which there are, and what they may be.
+"""Parameters of DMA engines: which exist, and which values they may have.
 
-Where each range stands, read on docs.amd.com unless another place is named:
+Sources of the ranges, read on docs.amd.com unless another place is named:
 
 - length register: PG021 7.1, "S2MM_LENGTH": 8 to 26 bits; of an MCDMA 8 to 26 by ``xlnx,sg-length-width`` of the
   kernel's binding (xilinx_dma.txt), which its driver reads for both;
@@ -13,7 +13,7 @@ Where each range stands, read on docs.amd.com unless another place is named:
 - channels of an MCDMA: the kernel's binding, "up to 16 independent transmit and receive channels"; groups as 16 binary
   digits: designs with 2, 4 and 16 channels, which set those of their channels;
 - read-only parameters: BD 41-737, reported for ``c_s_axis_s2mm_tdata_width`` of axi_vdma (Vivado 2025.2) and
-  ``c_prmry_is_aclk_async`` of axi_dma; parameters that there are not: BD 41-1276, for ``c_s2mm_fsync`` of axi_vdma.
+  ``c_prmry_is_aclk_async`` of axi_dma; parameters that do not exist: BD 41-1276, for ``c_s2mm_fsync`` of axi_vdma.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ def _channels(dma: DmaCell, values: Mapping[str, object], way: str) -> Iterator[
     count, group = values.get(f"c_num_{way}_channels"), str(values.get(f"c_group1_{way}", ""))
     if count is not None and re.fullmatch(r"[01]{16}", group) and group.count("1") != count:
         message = f": c_group1_{way} has {group.count('1')} channels, c_num_{way}_channels says {count}"
-        yield _finding(dma, message, "a channel of no group is never served")
+        yield _finding(dma, message, "a channel in no group is never served")
 
 
 def _frames(dma: DmaCell, values: Mapping[str, object]) -> Iterator[Finding]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rule has found: a sentence with its place in the build schema, and where the rule comes from."""
+"""What a check has found: a sentence, its place in the build schema, and where the rule comes from."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cm.schema.problems import KeyPath
 class Finding:
     """Something that Vivado would refuse (`error`) or that a designer should know.
 
-    `rule` is the message's number in Vivado, or a name of ours if Vivado has none; `docs/build-vivado.md` has
+    `rule` is the message's number in Vivado, or a name made up here if Vivado has none; `docs/build-vivado.md` has
     the sources.
     """
 

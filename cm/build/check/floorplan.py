@@ -56,7 +56,7 @@ def _kinds(region: RegionPlan, areas: list[Rectangle], system: System, device: D
 
 def _room(region: RegionPlan, areas: list[Rectangle], system: System, device: Device | None) -> Iterator[Finding]:
     if any(area.kind == CLOCK_REGION for area in areas):
-        return  # for a device without public data, the contents of clock regions are not known
+        return  # the contents of clock regions are not known for a device without public data
     have = holds(areas, device, system.platform.ultrascale)
     for what, need in _needs(region, system):
         for attribute, name in _NAMES:

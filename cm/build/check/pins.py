@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every port of the top has a package pin and an I/O standard: write_bitstream stops without (NSTD-1, UCIO-1)."""
+"""Every port of the top needs a package pin and an I/O standard, or write_bitstream stops (NSTD-1, UCIO-1)."""
 
 from __future__ import annotations
 

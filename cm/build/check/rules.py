@@ -14,7 +14,7 @@ from cm.build.plan.system import System
 
 
 def check_system(system: System) -> list[Finding]:
-    """What Vivado would refuse, and what a designer should know, in the order of the flow."""
+    """Return what Vivado would refuse and what a designer should know, in the order of the flow."""
     design = check_block_design(system, block_design.context(system))
     return [*check_clocks(system), *design, *check_floorplan(system), *check_pins(system)]
 

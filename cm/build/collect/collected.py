@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `cm build collect` is given, and what it makes."""
+"""The inputs and the result of `cm build collect`."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm build collect`: what a flow produced, ours or anyone's → runtime schema, .bin files, overlays, archive."""
+"""`cm build collect`: the output of our own flow or of any other → runtime schema, .bin files, overlays, archive."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _HEAD = "# SPDX-License-Identifier: Apache-2.0\n# Written by cm build collect.\n
 
 
 def gather(paths: Iterable[Path], work: Path) -> Inputs:
-    """Everything in `paths`: files, folders (not below), XSA and HDF archives unpacked to `work`."""
+    """Read all `paths`: files, folders (without subfolders), XSA and HDF archives, which are unpacked to `work`."""
     files: list[Path] = []
     for path in paths:
         if path.is_dir():
@@ -40,7 +40,7 @@ def gather(paths: Iterable[Path], work: Path) -> Inputs:
         else:
             raise BuildError(f"{path} does not exist")
     loose = {path.name for path in files}
-    sources: dict[Path, str] = {}  # of what was unpacked, for messages
+    sources: dict[Path, str] = {}  # where unpacked files came from, for messages
     for path in [path for path in files if path.suffix.lower() in handoff.ARCHIVES]:
         # a file that lies beside the archive under the same name is newer than the one inside
         inside = [entry for entry in handoff.unpack(path, work) if entry.name not in loose]
@@ -56,7 +56,7 @@ def gather(paths: Iterable[Path], work: Path) -> Inputs:
 
 
 def collect(paths: Iterable[Path], name: str | None = None) -> Collected:
-    """The configuration that files of any flow are; `name` is by default the design's."""
+    """Make a configuration from the files of any flow; `name` is the design's by default."""
     with tempfile.TemporaryDirectory() as work:
         inputs = gather(paths, Path(work))
         check_images(inputs.images, inputs.whole.device if inputs.whole else None)
@@ -64,7 +64,7 @@ def collect(paths: Iterable[Path], name: str | None = None) -> Collected:
 
 
 def collect_ours(paths: Iterable[Path], system: System, answers: Answers, generated: Path) -> Collected:
-    """The configuration that `system`'s flow produced; `generated` is its output folder (for the overlays)."""
+    """Make the configuration of `system` from its flow's bitstreams; `generated`: the output folder, for overlays."""
     system = identified(system)
     check_generated(system, generated)
     with tempfile.TemporaryDirectory() as work:
@@ -104,7 +104,7 @@ def _our_config(inputs: Inputs, system: System, answers: Answers, generated: Pat
 
 
 def _with_images(config: Config, files: Mapping[str, bytes], groups: Mapping[str, list[Image]]) -> Config:
-    """`config` with checksums of the files and the frames that the regions own."""
+    """Return `config` with the files' checksums, and with the frames that the regions own."""
     modules = {
         name: replace(module, sha256=hashlib.sha256(files[f"{name}.bin"]).hexdigest())
         for name, module in config.modules.items()
@@ -114,7 +114,7 @@ def _with_images(config: Config, files: Mapping[str, bytes], groups: Mapping[str
 
 
 def check_addresses(system: System, design: hwh.Hwh) -> None:
-    """BuildError if a DMA engine of the block design is not at its planned address: the files are of another build."""
+    """Raise BuildError if a DMA engine is not at its planned address, so that the files are from another build."""
     found = {design.modules[w.instance].name: w.base for w in hwh.windows(design) if w.instance in design.modules}
     wrong = [
         f"dma_{engine.name} is at {found[f'dma_{engine.name}']:#x}, planned at {engine.window.base:#x}"
@@ -126,13 +126,13 @@ def check_addresses(system: System, design: hwh.Hwh) -> None:
 
 
 def _loadable(collected: Collected) -> Collected:
-    """Load the schema as the CM will; `SchemaError` if it would be refused."""
+    """Check that the CM will load the schema. Raises SchemaError if not."""
     text = collected.files[f"{collected.config.name}.yaml"].decode()
     return replace(collected, config=loads(text, f"{collected.config.name}.yaml"))
 
 
 def write(collected: Collected, out: Path) -> tuple[Path, Path]:
-    """The folder and the archive beside it, below `out`."""
+    """Write the folder, and an archive beside it, below `out`; return both paths."""
     name = collected.config.name
     write_folder(out / name, collected.files)
     packed = out / f"{name}.tar.gz"

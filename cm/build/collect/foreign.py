@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A configuration from the files of another flow: .hwh, full and partial bitstreams."""
+"""Makes a configuration from the files of another flow: .hwh, full and partial bitstreams."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _NAME_LENGTH = 64
 
 
 def their_config(inputs: Inputs, name: str | None) -> Collected:
-    """The configuration in normal form with its files; BuildError if the files do not belong together."""
+    """Return the configuration in normal form, with its files. BuildError if the files do not belong together."""
     whole = inputs.whole
     full = [image for image in inputs.images if not image.report.partial]
     partial = [image for image in inputs.images if image.report.partial]
@@ -103,7 +103,7 @@ def _partial(inputs: Inputs, name: str, static: Image | None, partial: list[Imag
 
 
 def _common(inputs: Inputs, name: str, device: str | None, regions: frozenset[str]) -> dict[str, Any]:
-    """What the description of the whole design says."""
+    """The parts of a configuration that come from the description of the whole design."""
     whole = inputs.whole
     fields: dict[str, Any] = {"device": device or (whole.device if whole else None)}
     fields["registers"] = {}
@@ -122,7 +122,7 @@ def _region_instances(whole: hwh.Hwh | None) -> list[str]:
 
 
 def _named_groups(partial: list[Image], whole: hwh.Hwh | None) -> dict[str, list[Image]]:
-    """Bitstreams by region; a region has its name in the block design if all file names begin with it."""
+    """Group bitstreams by region; a region takes its name in the block design if all file names begin with it."""
     groups: dict[str, list[Image]] = {}
     for index, images in enumerate(by_region(partial)):
         names = [whole.modules[instance].name for instance in _region_instances(whole)] if whole else []

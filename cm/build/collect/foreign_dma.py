@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """DMA engines of other people's designs, from their .hwh, as the device-tree overlay needs them.
 
-Properties after the kernel's binding dma/xilinx/xilinx_dma.txt; the IP parameter for each is the one in
-Xilinx/device-tree-xlnx ac65e01, axi_dma.tcl and axi_vdma.tcl. An MCDMA has one clock for all but its
-registers, which stands under the three names that the driver looks for.
+Properties are those of the kernel's binding dma/xilinx/xilinx_dma.txt, each from the IP parameter that
+Xilinx/device-tree-xlnx ac65e01 (axi_dma.tcl and axi_vdma.tcl) uses. An MCDMA has one clock for everything but its
+registers; it is listed under the three names that the driver looks for.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _S2MM_FIRST = {"axi_mcdma": 16}  # the driver's number of the first S2MM channel
 PS_CLOCKS = {f"FCLK_CLK{i}": f"&clkc {15 + i}" for i in range(4)} | {
     f"pl_clk{i}": f"&zynqmp_clk {71 + i}" for i in range(4)
 }
-_LENGTH_BITS = 14  # of an axi_dma that does not say (PG021)
+_LENGTH_BITS = 14  # the default of an axi_dma (PG021)
 _NAME_LENGTH = 31  # of a node in /dev/cm_dma
 
 
@@ -63,13 +63,13 @@ class Engine:
     address_bits: int
     length_bits: int
     frames: int  # frame stores of a VDMA
-    flushes: bool  # it survives a frame of another size
+    flushes: bool  # it can recover from a frame of the wrong size
     clocks: tuple[ClockInput, ...]
     channels: tuple[Channel, ...]
 
     @property
     def type(self) -> int:
-        """As ``fpga-cm,types`` counts."""
+        """The engine's type, as numbered in ``fpga-cm,types``."""
         return KINDS[self.kind]
 
     @property
@@ -82,7 +82,7 @@ class Engine:
 
 @dataclass(slots=True)
 class Engines:
-    """What goes into the overlay, and a sentence about each channel that does not."""
+    """The engines for the overlay, and a sentence about each channel that is left out."""
 
     found: list[Engine] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -95,7 +95,7 @@ class Engines:
 
     @property
     def max_length(self) -> int:
-        """Most bytes of one transfer that every engine takes."""
+        """The largest transfer, in bytes, that every engine accepts."""
         bits = [engine.length_bits for engine in self.found if engine.kind != "axi_vdma"]
         return (1 << min(bits, default=23)) - 1
 
@@ -144,7 +144,7 @@ def engines(design: hwh.Hwh, platform: Platform) -> Engines:
 
 
 def _whole(there: tuple[Channel, ...], mine: list[hwh.DmaChannel]) -> tuple[tuple[Channel, ...], tuple[Channel, ...]]:
-    """Channels of directions whose channels all have an interrupt, and the others: the driver counts by interrupts."""
+    """Separate the directions in which every channel has an interrupt: the driver counts channels by interrupts."""
     wanted = Counter(channel.direction for channel in mine)
     whole = {way for way, count in Counter(c.direction for c in there).items() if count == wanted[way]}
     return tuple(c for c in there if c.direction in whole), tuple(c for c in there if c.direction not in whole)
@@ -192,7 +192,7 @@ def _engine(
 
 
 def _integer(module: hwh.ModuleInstance, name: str, default: int) -> int:
-    """A parameter of the core, or, if the file only has that, of its customisation (``c_addr_width``)."""
+    """Read a parameter of the core, or the one of its customisation (``c_addr_width``) if the file has only that."""
     text = module.parameters.get(name) or module.parameters.get(name.lower(), "")
     return int(text) if text.isdecimal() and int(text) else default
 

@@ -78,7 +78,7 @@ def _phandle(name: str) -> str:
 
 
 def _windows(design: hwh.Hwh, lines: ForeignInterrupts) -> Iterator[dict[str, Any]]:
-    """Windows that user space drives: all but those of DMA engines, each address once."""
+    """Windows for user space: all but those of DMA engines, each address once."""
     engines = {channel.instance for channel in hwh.dma_channels(design)}
     found = {window.base: window for window in hwh.windows(design) if window.instance not in engines}
     for window in found.values():

@@ -18,15 +18,15 @@ from cm.build.project.model import RegisterSpec
 from cm.schema.model import Clock, Direction, Register, Stream
 
 ARCHIVES = (".xsa", ".hdf", ".zip")
-MAX_MEMBER = 64 << 20  # bytes of a file in an archive
-# an exception for each kind of damage; RuntimeError is a password
+MAX_MEMBER = 64 << 20  # bytes of one file in an archive
+# one for each kind of damage; RuntimeError: a password is needed
 _DAMAGED = (zipfile.BadZipFile, OSError, EOFError, ValueError, zlib.error, lzma.LZMAError, RuntimeError, IndexError)
-MAX_ARCHIVE = 512 << 20  # bytes of all that is read from one
+MAX_ARCHIVE = 512 << 20  # bytes of all files read from an archive
 
 
 @dataclass(frozen=True, slots=True)
 class Handoff:
-    """A block design as the vendor's tool described it; `partial` has no processor and relative addresses."""
+    """A block design as the vendor's tool describes it; a `partial` one has no processor, and relative addresses."""
 
     name: str
     design: hwh.Hwh
@@ -38,7 +38,7 @@ class Handoff:
 
     @property
     def device(self) -> str:
-        """As in a runtime schema: ``xc7z020``."""
+        """The device as a runtime schema names it: ``xc7z020``."""
         name = self.design.device.lower()
         return name if name.startswith("x") else f"xc{name}"
 
@@ -52,7 +52,7 @@ def unpack(path: Path, folder: Path) -> list[Path]:
         with zipfile.ZipFile(path) as archive:
             return list(_members(archive, path, folder))
     except _DAMAGED as error:
-        raise BuildError(f"{path}: no XSA or HDF: {error}") from None
+        raise BuildError(f"{path}: not an XSA or HDF: {error}") from None
 
 
 def _members(archive: zipfile.ZipFile, path: Path, folder: Path) -> Iterator[Path]:
@@ -70,7 +70,7 @@ def _members(archive: zipfile.ZipFile, path: Path, folder: Path) -> Iterator[Pat
             raise BuildError(f"{path}: {names[name]} and {info.filename} have one name: unpack it and give one of them")
         names[name] = info.filename
         target = folder / name
-        # no more than the directory promised: zipfile stops there, and the checksum tells
+        # no more than the directory states: zipfile stops there, and the checksum shows what is missing
         target.write_bytes(archive.read(info))
         yield target
 
@@ -112,14 +112,14 @@ def _registers(instance: hwh.ModuleInstance, window: hwh.MemoryRange, region: st
             access=spec.access,
             reset=spec.reset,
             region=region,
-            # hardware may change what it describes: never verified after a write
+            # the hardware may change it, so it is never verified after a write
             volatile=True,
             doc=f"{spec.doc[:200]}{also}".strip(),
         )
 
 
 def _without_aliases(specs: Iterable[RegisterSpec]) -> Iterator[tuple[RegisterSpec, list[str]]]:
-    """Each register with the names of those at the same place: in a UART a bit elsewhere selects between them.
+    """Yield each register with the names of others at the same address (a bit in a UART selects between them).
 
     The first in the file keeps the place, since a schema has one register at each.
     """
@@ -138,7 +138,7 @@ def _overlap(one: RegisterSpec, other: RegisterSpec) -> bool:
 
 
 def module_registers(design: hwh.Hwh, base: int, region: str) -> dict[str, Register]:
-    """Registers of a module from its own .hwh: relative addresses, moved to `base` if they are below it."""
+    """Read a module's registers from its own .hwh; addresses below `base` are relative, and moved there."""
     found: dict[str, Register] = {}
     for window in hwh.windows(design):
         instance = design.modules.get(window.instance)
@@ -170,7 +170,7 @@ def streams(design: hwh.Hwh) -> dict[str, Stream]:
 
 
 def limits(design: hwh.Hwh) -> list[str]:
-    """A sentence about each stream whose engine has no scatter/gather."""
+    """Say for each stream what its engine cannot do, if it has no scatter/gather."""
     channels = hwh.dma_channels(design)
     names = stream_names(channels, design)
     return [f"stream {names[c]}: {c.instance} has {c.limits}" for c in channels if c.limits]

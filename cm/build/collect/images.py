@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bitstreams that a flow produced: checked, and sorted into regions by the frames that they write."""
+"""Bitstreams that a flow produced, checked and sorted into regions by the frames that they write."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from cm.build.errors import BuildError
 from cm.schema.model import FrameRange
 
 SUFFIXES = (".bit", ".bin")
-ALIKE = 0.5  # share of columns that two modules of one region have in common, at least
+ALIKE = 0.5  # the smallest share of columns that two modules of one region have in common
 
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """A bitstream and what it is."""
+    """A bitstream and the result of its inspection."""
 
     path: Path
     report: Report
@@ -39,7 +39,7 @@ class Image:
 
 
 def read_images(paths: Iterable[Path]) -> list[Image]:
-    """Inspect bitstreams; of a .bit and a .bin with one name the .bit is used, which contains more."""
+    """Inspect bitstreams; of a .bit and a .bin of the same name, the .bit is used, because it contains more."""
     by_name: dict[tuple[Path, str], Path] = {}
     for path in sorted(paths, key=lambda path: (path.suffix != ".bit", path.name)):
         name = path.name.removesuffix(".bin").removesuffix(".bit")
@@ -61,7 +61,7 @@ def check_images(images: Sequence[Image], device: str | None) -> None:
 
 
 def likeness(one: Image, other: Image) -> float:
-    """Columns that both write, as a share of those that either does; 1 for modules of one region."""
+    """The columns that both write as a share of those that either writes; 1 for modules of one region."""
     union = one.columns | other.columns
     return len(one.columns & other.columns) / len(union) if union else 0.0
 
@@ -115,5 +115,5 @@ def footprint(images: Sequence[Image]) -> tuple[FrameRange, ...]:
 
 
 def to_bin(image: Image) -> bytes:
-    """The words as PCAP and a DMA-fed ICAP read them."""
+    """Return the words in the byte order in which PCAP and a DMA-fed ICAP read them."""
     return convert(image.path, Container.BIN_SWAPPED)

@@ -13,7 +13,7 @@ from cm.build.errors import BuildError
 
 
 def write_folder(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write `files` flat below `folder`; names that leave it are refused, other files in it stay."""
+    """Write `files` into `folder`; names that would lead out of it are refused, and its other files stay."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, data in files.items():
         if Path(name).name != name:

@@ -15,9 +15,9 @@ QUIET = (
     "-Wno-avoid_default_addr_size",
     "-Wno-reg_format",
     "-Wno-interrupts_property",
-    # a DMA channel's address is that of its registers in the engine's window, which has the reg
+    # a DMA channel's unit address is that of its registers; the reg property is the engine's
     "-Wno-unit_address_vs_reg",
-    # a window that user space reads may be a bridge of the kernel's as well
+    # a window for user space may also be that of a bridge that the kernel drives
     "-Wno-unique_unit_address",
 )
 

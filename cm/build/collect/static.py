@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether bitstreams belong to one locked static part, and to the present one."""
+"""Checks that bitstreams belong to one locked static part, and that it is the present one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _IN_VERILOG = re.compile(r"\.STATIC_ID\(32'h([0-9A-Fa-f]{8})\)")
 
 
 def user_id_of(images: Sequence[Image], generated: Path) -> tuple[int | None, list[str]]:
-    """USERID of the flow that `images` are of, with notes; None if their headers do not say.
+    """Return the USERID of the flow that made `images`, with notes; None if their headers have none.
 
     Raises BuildError if they belong to several, or not to the locked static part below `generated`, if there is one.
     """
@@ -37,7 +37,7 @@ def user_id_of(images: Sequence[Image], generated: Path) -> tuple[int | None, li
 
 
 def user_id_from(checkpoint: Path) -> int:
-    """What the flow's ``cm_user_id`` makes of the checkpoint of the locked static part."""
+    """Compute the USERID from the checkpoint of the locked static part, as the flow's ``cm_user_id`` does."""
     value = int.from_bytes(hashlib.sha256(checkpoint.read_bytes()).digest()[:4], "big")
     return min(value, 0xFFFF_FFFE)  # all ones: not set
 
@@ -56,9 +56,9 @@ def check_generated(system: System, generated: Path) -> None:
 
 def _notes(images: Sequence[Image], found: int | None) -> list[str]:
     silent = [image.path.name for image in images if not image.report.header]
-    notes = [f"{', '.join(silent)}: no header, so not known of which run"] if silent else []
+    notes = [f"{', '.join(silent)}: no header, so the run that made it is not known"] if silent else []
     if found is None and len(silent) < len(images):
-        notes.append("the bitstreams have no USERID: not known that they share a locked static part")
+        notes.append("the bitstreams have no USERID: whether they share a locked static part is not known")
     return notes
 
 

@@ -2,7 +2,7 @@
 """Widths of the AXI ports between processing system and PL, as linux-xlnx's drivers set them.
 
 The boot loader sets them from the hardware description that it was built with; a design that is loaded later may need
-others. `block_design` fixes the widths that stand here.
+others. The widths here are those that `block_design` uses.
 
 - UltraScale+: ``config-afi`` of linux-xlnx's drivers/fpga/xilinx-afi.c, pairs of a register of PM_AFI and its value:
   2n and 2n+1 are AFIFM<n>.RDCTRL and WRCTRL (0, 1: HPC; 2 to 5: HP), 0 for 128 bits; 14 is FPD_SLCR.afi_fs, 0xa00

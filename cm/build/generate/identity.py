@@ -11,7 +11,7 @@ from pathlib import Path
 from cm.build.generate import inputs
 from cm.build.plan.system import System
 
-STEPS = ("system", "static", "run_1")  # whose inputs make the locked static part, beside the modules of run_1
+STEPS = ("system", "static", "run_1")  # steps whose inputs make the locked static part, beside run_1's
 
 
 def static_paths(system: System, out: Path) -> list[Path]:
@@ -23,7 +23,7 @@ def static_identity(system: System, out: Path, texts: Mapping[str, str]) -> int:
     """32 bits of SHA-256 over names and contents, and ``static: revision``; never 0 or all ones.
 
     `texts` are the generated files (path below `out` → text) with an identity of 0; the others are read, and one that
-    is not there counts as missing: `load_project` has refused it before.
+    is missing counts as such, although `load_project` would have refused it.
     """
     digest = hashlib.sha256()
     _add(digest, "revision", system.project.static.revision.encode())
@@ -45,6 +45,6 @@ def _content(system: System, path: Path, out: Path, texts: Mapping[str, str]) ->
 
 
 def _add(digest: hashlib._Hash, name: str, data: bytes) -> None:
-    """Lengths go before both, so that no two lists of files are the same bytes."""
+    """Add a file, with lengths before name and content, so that different lists of files never give the same bytes."""
     for part in (name.encode(), data):
         digest.update(len(part).to_bytes(8, "big") + part)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing generated files without overwriting what a user changed.
+"""Writes generated files without overwriting what a user changed.
 
-``.cm-manifest.json`` in the output folder holds the checksum of every file as it was generated. A file
-that still has it is replaced. One that the user changed stays, and the new text is put beside it as ``<file>.new`` if
-it differs from what was generated before, as packages do with configuration files;
-the generated text that the user began from is kept below ``.cm-orig/`` for a three-way merge
-(``git merge-file FILE .cm-orig/FILE FILE.new``). Below ``.cm-orig/`` there is a copy of ``<file>.new`` too. Once
-the user has deleted ``<file>.new``, which says that it is merged, that copy is what the next merge begins from; a
-``<file>.new`` that is not like its copy is the user's, and moves to ``<file>.new.1`` before another takes its place.
+``.cm-manifest.json`` in the output folder holds the checksum of every file as generated. A file that still matches
+is replaced. A file that the user changed stays; if the newly generated text differs from the last one, it is put
+beside the file as ``<file>.new``, as package managers do with configuration files. The generated text that the user
+started from is kept below ``.cm-orig/`` for a three-way merge (``git merge-file FILE .cm-orig/FILE FILE.new``), and
+so is a copy of ``<file>.new``. Deleting ``<file>.new`` marks it as merged: that copy is then the base of the next
+merge. A ``<file>.new`` that differs from its copy was edited by the user, and moves to ``<file>.new.1`` before it
+would be replaced.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Tree:
         self._before, self._ours = self._read()
 
     def behind(self, files: Mapping[str, str]) -> list[str]:
-        """The names whose text in `files` is not what was last generated."""
+        """Return the names whose text in `files` differs from what was last generated."""
         return sorted(
             name
             for name in files.keys() | self._before.keys()
@@ -59,7 +59,7 @@ class Tree:
         )
 
     def write(self, files: Mapping[str, str]) -> Written:
-        """Bring the folder to `files`; every other file in it stays as it is."""
+        """Write `files` into the folder and remove what is no longer generated; other files stay."""
         done = Written()
         self._folder.mkdir(parents=True, exist_ok=True)
         now = {name: digest(text.encode()) for name, text in files.items()}
@@ -75,7 +75,7 @@ class Tree:
         return done
 
     def _read(self) -> tuple[dict[str, str], dict[str, set[str]]]:
-        """Checksums of the last whole generation; and of everything that generation may have left here."""
+        """Read the checksums of the last complete generation, and of every version that may have been left here."""
         path = self._folder / MANIFEST
         if not path.exists():
             return {}, {}
@@ -112,7 +112,7 @@ class Tree:
             self._put(path, data)
 
     def _beside(self, name: str, data: bytes, done: Written) -> None:
-        """The user changed the file: put the new text beside it."""
+        """Put the new text beside a file that the user changed."""
         new, copy = (folder / f"{name}.new" for folder in (self._folder, self._folder / ORIGINALS))
         if copy.exists() and not new.exists():
             copy.replace(self._folder / ORIGINALS / name)
@@ -121,12 +121,12 @@ class Tree:
             return
         done.conflicts.append(name)
         self._withdraw(name, data)
-        # the copy last: a kill between the two must not look as if the user had deleted the new one
+        # the copy last: if killed between the two, it must not look as if the user had deleted the new file
         self._put(new, data)
         self._put(copy, data)
 
     def _withdraw(self, name: str, data: bytes) -> None:
-        """Remove ``<file>.new`` if generation wrote it (before, or just now as `data`), otherwise move it away."""
+        """Remove ``<file>.new`` if it was generated (earlier, or just now as `data`); otherwise move it away."""
         new, copy = (folder / f"{name}.new" for folder in (self._folder, self._folder / ORIGINALS))
         if new.exists() and new.read_bytes() not in (data, copy.read_bytes() if copy.exists() else data):
             number = 1
@@ -149,7 +149,7 @@ class Tree:
 
     @staticmethod
     def _put(path: Path, data: bytes) -> None:
-        """Write at once or not at all; a file that is the same keeps its time stamp by not being written."""
+        """Write a file atomically; an unchanged one is not written, so that it keeps its time stamp."""
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_name(f".{path.name}.part")
         part.write_bytes(data)

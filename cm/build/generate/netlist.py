@@ -48,7 +48,7 @@ class Signal:
     name: str
     width: int = 1
     direction: PortDirection | None = None
-    indexed: bool = False  # a vector even where it has one bit
+    indexed: bool = False  # a vector even if it has only one bit
 
     @property
     def declaration(self) -> str:

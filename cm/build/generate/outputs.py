@@ -27,7 +27,7 @@ from cm.build.runtime.answers import Answers
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """A file below the output folder, and what its template is given."""
+    """A file below the output folder, with the variables of its template."""
 
     path: str
     template: str

@@ -52,7 +52,7 @@ def software_outputs(system: System, answers: Answers) -> Iterator[Entry]:
 
 
 class _DeviceTree:
-    """What differs between the platforms' device trees."""
+    """Device-tree properties that differ between platforms."""
 
     def __init__(self, system: System) -> None:
         self._system = system
@@ -104,7 +104,7 @@ class _DeviceTree:
         return self._system.control.base + REGION_BLOCK + REGION_STRIDE * index
 
     def dma_clocks(self, engine: Engine) -> list[str]:
-        """Clock names of an engine's node: those of the pins, but an MCDMA's one stands for three to the driver."""
+        """Clock names of an engine's node: its pins; an MCDMA's one clock is listed as the three of its driver."""
         if engine.kind is EngineKind.MCDMA:
             return ["s_axi_lite_aclk", "m_axi_sg_aclk", *(f"m_axi_{way.value}_aclk" for way in engine.directions)]
         return list(clock_pins(engine))
@@ -119,7 +119,7 @@ class _DeviceTree:
 
     @property
     def streams(self) -> list[tuple[Dma, ...]]:
-        """Channels of streams, as many to a node as its binding allows."""
+        """Channels of streams, in groups as large as the node's binding allows."""
         found = [dma for dma in self._system.dmas if dma is not self._system.icap]
         return [tuple(found[start : start + CHANNELS]) for start in range(0, len(found), CHANNELS)]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The top: block design beside static part. Both sides name their ports alike, so most wiring is by name."""
+"""The top: block design beside static part. Both use the same port names, so most wiring is by name."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _is_free_stream(system: System, name: str) -> bool:
 
 
 def _missing(system: System, inner: dict[str, str | None]) -> Iterator[tuple[str, str]]:
-    """What the block design's AXI slave ports need although the module has no such signal."""
+    """Yield signals that the block design's AXI slave ports need but the module does not have."""
     for region in system.regions:
         for bus in region.memory:
             if bus.interface.protocol == "axi4lite":

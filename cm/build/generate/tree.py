@@ -57,7 +57,7 @@ def generate(design: Design, out: Path, answers: Answers | None = None) -> Writt
         loads(files[name], name)
     except SchemaError as error:
         raise BuildError(
-            f"what {out / ANSWERS} and {design.project.source} say does not go together:\n{error}"
+            f"{out / ANSWERS} and {design.project.source} contradict each other:\n{error}"
         ) from None
     return Tree(out).write(files)
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A module's wrapper to its region's boundary, and the region's black box.
 
-All wrappers of a region are Verilog modules of one name, that of the black box, in files of their own.
+All wrappers of a region are Verilog modules with the same name, that of the black box, each in its own file.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The clock and the reset of an interface: as declared, or by name, or the only one."""
+"""Finds the clock and the reset of an interface: as declared, or by name, or the only one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from cm.build.hdl.model import FoundBy, Interface, ModuleClock, Problem, Reset
 from cm.build.hdl.signals import stem, words
 
-_BARE = ("", "ap", "axi", "axis")  # what is left of aclk, ap_clk, axi_aclk
+_BARE = ("", "ap", "axi", "axis")  # the stems of aclk, ap_clk, axi_aclk
 _SIDES = frozenset(["s", "m", "i", "o", "in", "out", "slave", "master"])
 _PROTOCOL_WORDS = frozenset(["axi", "axis", "axil", "lite", "full", "stream", "bus", "data"])
 
@@ -48,8 +48,8 @@ def associate(
 
 def _no_clock(interface: Interface, clocks: Sequence[ModuleClock]) -> str:
     known = f"the clocks are {', '.join(clock.port for clock in clocks)}" if clocks else "no port is named as a clock"
-    hint = f'say it with X_INTERFACE_PARAMETER = "ASSOCIATED_BUSIF {interface.name}" on the clock'
-    return f"the clock of {interface.name} could not be told: {known}; {hint}"
+    hint = f'state it with X_INTERFACE_PARAMETER = "ASSOCIATED_BUSIF {interface.name}" on the clock'
+    return f"the clock of {interface.name} could not be determined: {known}; {hint}"
 
 
 def _with_interfaces(clock: ModuleClock, interfaces: Sequence[Interface]) -> ModuleClock:
@@ -101,7 +101,7 @@ def _by_name(name: str, ports: Sequence[str], *, sure: bool = True) -> str | Non
 
 
 def _score(name: str, other: str) -> int:
-    """How well two names fit: leading words that agree count most, then without s/m, then words in common."""
+    """Rate how well two names fit: by leading words that agree, then the same without s/m, then by words in common."""
     left, right = _normal(name), _normal(other)
     if common := _leading(left, right):
         return 8 * common + 4 * (len(left) == len(right))
@@ -112,7 +112,7 @@ def _score(name: str, other: str) -> int:
 
 
 def _leading(left: list[str], right: list[str]) -> int:
-    """Words in common, where one begins with the other."""
+    """Count the words in common if one name begins with the other."""
     common = min(len(left), len(right))
     return common if left[:common] == right[:common] else 0
 

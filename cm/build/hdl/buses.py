@@ -19,19 +19,19 @@ _ADDRESS_SIGNALS = ("ID", "ADDR", "LEN", "SIZE", "BURST", "LOCK", "CACHE", "PROT
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A logical signal: its direction at the master, and whether the bus is none without it."""
+    """A logical signal: its direction at the master, and whether the bus must have it."""
 
     name: str
     direction: PortDirection
     required: bool = False
-    handshake: bool = False  # one bit by its nature: more bits mean several buses side by side
-    spellings: tuple[str, ...] = ()  # further names it goes by in port names
-    width: int | None = None  # a user protocol may fix it
+    handshake: bool = False  # always one bit: more bits mean several buses side by side
+    spellings: tuple[str, ...] = ()  # alternative spellings in port names
+    width: int | None = None  # may be fixed by a user protocol
 
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """A bus protocol: `halves` are sets of signals of which one must be there whole (AXI: write, read)."""
+    """A bus protocol: of `halves`, sets of signals, at least one must be complete (AXI: write, read)."""
 
     name: str
     signals: Mapping[str, Signal]
@@ -39,14 +39,14 @@ class Protocol:
     vlnv: str = ""
     pattern: re.Pattern[str] = field(default=re.compile(r"(?!)"), repr=False)
     spelled: Mapping[str, str] = field(default_factory=dict, repr=False)  # spelling, lower case → logical name
-    company: bool = False  # one signal alone is not enough to tell the protocol
-    worth: tuple[frozenset[str], ...] = ()  # without any of these sets, ports are not said to look like the bus
+    company: bool = False  # one signal alone is not enough to recognise the protocol
+    worth: tuple[frozenset[str], ...] = ()  # ports with none of these sets are not reported as a near miss
 
 
 def make_protocol(
     name: str, signals: list[Signal], halves: tuple[frozenset[str], ...] = (), vlnv: str = "", company: bool = False
 ) -> Protocol:
-    """A protocol with the pattern by which its signals are told in port names: prefix, signal, tail."""
+    """Make a protocol with the pattern that finds its signals in port names: prefix, signal, tail."""
     spelled = {spelling: s.name for s in signals for spelling in (s.name.lower(), *s.spellings)}
     by_name = MappingProxyType({s.name: s for s in signals})
     return Protocol(name, by_name, halves, vlnv, _pattern(".*?", spelled), MappingProxyType(spelled), company)
@@ -71,7 +71,7 @@ def _address(channel: str) -> list[Signal]:
 
 
 def aximm() -> Protocol:
-    """AXI3, AXI4 and AXI4-Lite, which share their names; `axi_flavour` tells them apart."""
+    """AXI3, AXI4 and AXI4-Lite, which have the same signal names; `axi_flavour` tells them apart."""
     signals = [
         *_address("AW"),
         *_signals("WID WDATA WSTRB WUSER", _OUT),
@@ -104,7 +104,7 @@ def axis() -> Protocol:
 def axis_short() -> Protocol:
     """AXI4-Stream without the standard's T, where the prefix says axis: `i_axis_valid`, `m_axis_video_data`.
 
-    The names are common ones, so data, valid and ready must all be there.
+    These are common names, so data, valid and ready must all be present.
     """
     standard = axis()
     spelled = {name[1:].lower(): name for name in standard.signals}
@@ -121,10 +121,10 @@ _AXI3_LEN_BITS = 4  # AXI4 has 8
 
 
 def axi_flavour(ports: Mapping[str, Port]) -> str:
-    """axi4lite, axi3 or axi4, from the signals there are (IHI 0022, A10.3 and B1.1)."""
+    """Return axi4lite, axi3 or axi4, by the signals present (IHI 0022, A10.3 and B1.1)."""
     if not _FULL_ONLY & set(ports):
         return "axi4lite"
     lengths = [ports[name].width for name in ("AWLEN", "ARLEN") if name in ports]
-    if lengths:  # WID alone does not tell: HLS gives its AXI4 masters one
+    if lengths:  # WID alone does not mean AXI3: HLS gives it to AXI4 masters
         return "axi3" if all(width == _AXI3_LEN_BITS for width in lengths) else "axi4"
     return "axi3" if "WID" in ports else "axi4"

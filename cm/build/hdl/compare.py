@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the HDL says against what its IP-XACT description says."""
+"""Compares HDL with its IP-XACT description."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cm.build.hdl.model import Interface, ModuleInfo
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One disagreement: kind is missing, extra, ports, protocol, mode, clock or port; `name` what it is about."""
+    """One difference: `kind` is missing, extra, ports, protocol, mode, clock or port; `name`: what differs."""
 
     kind: str
     name: str
@@ -22,10 +22,10 @@ class Difference:
 
 
 def compare(extracted: ModuleInfo, ipxact: ModuleInfo) -> list[Difference]:
-    """All differences, of bus interfaces first; interfaces are matched by the ports they share, not by name.
+    """Return all differences, bus interfaces first; interfaces are matched by the ports they share, not by name.
 
-    Interfaces of kinds that are told by IP-XACT or attributes alone (gpio, bram, …) and that the
-    extraction did not find are no difference: names cannot tell them.
+    Interfaces that only IP-XACT or attributes can declare (gpio, bram, …) and that the extraction did not find
+    are no difference: port names do not reveal them.
     """
     return [*_interfaces(extracted, ipxact), *_ports(extracted, ipxact)]
 

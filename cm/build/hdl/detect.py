@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a module's ports to its interfaces, clocks, resets and interrupts; every port ends in one, or is left over."""
+"""Finds interfaces, clocks, resets and interrupts among a module's ports; each port is in one, or left over."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ NOTHING_KNOWN = "belongs to no bus, clock, reset or interrupt that could be reco
 
 
 class Detector:
-    """Finds interfaces in any number of modules; the protocols are prepared once."""
+    """Finds interfaces in any number of modules, with protocols that are prepared once."""
 
     def __init__(self, user: Sequence[UserProtocol] = ()) -> None:
         self._builtin: tuple[Protocol, ...] = (aximm(), axis(), axis_short())
         self._user = tuple(user)
 
     def detect(self, module: ModuleInfo) -> ModuleInfo:
-        """The module with everything found filled in."""
+        """Return the module with everything that was found."""
         return _Detection(module, self._builtin, self._user).result()
 
 
@@ -81,7 +81,7 @@ class _Detection:
         )
 
     def _rejections(self) -> Iterable[Problem]:
-        """Ports that looked like a bus but are none, unless another protocol has taken them since."""
+        """Report ports that looked like a bus but are not one, unless another protocol has taken them since."""
         for candidate, reason in self._rejected:
             first = next(iter(candidate.ports.values()))
             if first.name in self._reasons:
@@ -92,7 +92,7 @@ class _Detection:
             self._free.pop(name, None)
 
     def _bind(self) -> None:
-        """Interfaces that the protocols file names port by port."""
+        """Add the interfaces that the protocols file declares port by port."""
         for user in self._user:
             for binding in user.bindings:
                 if binding.module.lower() != self._module.name.lower():
@@ -128,7 +128,7 @@ class _Detection:
         self._take(tagged.rejected)
 
     def _completed(self, interface: Interface) -> Interface:
-        """If only some ports have attributes, the names of the others complete the bus."""
+        """Complete a bus of which only some ports have attributes by the names of the others."""
         protocol = next((p for p in self._builtin if p.vlnv == interface.vlnv), None)
         if protocol is None:
             return interface
@@ -213,7 +213,7 @@ class _Detection:
 
 
 def _worth_a_word(candidate: Candidate) -> bool:
-    """Ports may be named so by chance: one alone, or wdata and rdata without a handshake."""
+    """Whether to report ports: a single one, or wdata and rdata without a handshake, may be named so by chance."""
     worth = candidate.protocol.worth
     enough = any(marks <= set(candidate.ports) for marks in worth) if worth else True
     return enough and len(candidate.ports) > 1

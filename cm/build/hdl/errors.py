@@ -10,7 +10,7 @@ from cm.errors import CmError, NotFound
 
 
 class HdlError(CmError, ValueError):
-    """HDL, IP-XACT or a protocols file that could not be read; the sentence names file and line."""
+    """HDL, IP-XACT or a protocols file could not be read; the sentence names file and line."""
 
     code: ClassVar[str] = "hdl"
 

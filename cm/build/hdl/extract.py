@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From files to modules with their interfaces: each file is read and parsed once, whatever the languages."""
+"""Files → modules with their interfaces; each file is read and parsed once, in mixed languages too."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cm.build.hdl.protocols import UserProtocol
 from cm.build.hdl.verilog import VerilogReader
 from cm.build.hdl.vhdl import VHDL_SUFFIXES, VhdlReader
 
-_FEW = 8  # names in a sentence
+_FEW = 8  # most names that a sentence lists
 _NONE: Mapping[str, str] = MappingProxyType({})
 _NO_FILES: Mapping[Path, str] = MappingProxyType({})
 _ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECASE)
@@ -26,7 +26,7 @@ _ENCRYPTED = re.compile(r"(?:`|pragma\s+)protect\s+begin_protected", re.IGNORECA
 class Reading:
     """All modules asked for, and the problems of files that declare none of them.
 
-    `outside`: what the modules instantiate, at any depth, that no file declares (told of Verilog only).
+    `outside`: what the modules instantiate, at any depth, that no file declares (known for Verilog only).
     """
 
     modules: tuple[ModuleInfo, ...]
@@ -42,11 +42,11 @@ def extract(
     parameters: Mapping[str, str] = _NONE,
     protocols: Sequence[UserProtocol] = (),
 ) -> list[ModuleInfo]:
-    """The modules of these files in their order (with `top`: that one), with interfaces.
+    """Return the modules of these files in order (with `top`: only that one), with their interfaces.
 
     `defines` are Verilog macros; `parameters` are set on `top`, or on the modules that have them.
     Raises `HdlError` for files that cannot be read or hold no module, `ModuleNotFound` for `top`,
-    `ParserMissing` if a parser is not installed. What is wrong inside a module is in its problems.
+    `ParserMissing` if a parser is not installed. A module's `problems` say what is wrong inside it.
     """
     return list(read(files, top, include_dirs, defines, parameters, protocols).modules)
 
@@ -60,9 +60,9 @@ def read(
     protocols: Sequence[UserProtocol] = (),
     generated: Mapping[Path, str] = _NO_FILES,
 ) -> Reading:
-    """As `extract`, and tells the problems of files without modules too; `generated` are files that are texts yet."""
+    """Do as `extract`, and report problems of files without modules too; `generated`: text of files not yet written."""
     paths = [Path(file) for file in files]
-    # Headers are often given among the sources: their folders are searched last.
+    # Headers are often listed among the sources: their folders are searched last.
     folders = dict.fromkeys([*(Path(path) for path in include_dirs), *(path.parent for path in paths)])
     sources = _Sources(list(folders), defines)
     for path in paths:
@@ -77,13 +77,13 @@ def read(
 
 
 def roots(modules: Sequence[ModuleInfo]) -> list[ModuleInfo]:
-    """The modules that no other of these instantiates; all if each is instantiated by another."""
+    """Return the modules that no other of them instantiates; all of them if each is instantiated by another."""
     used = {name.lower() for module in modules for name in module.instantiates if name.lower() != module.name.lower()}
     return [module for module in modules if module.name.lower() not in used] or list(modules)
 
 
 class _Sources:
-    """Files of both languages, and which module is in which."""
+    """The files of both languages, and the file of each module."""
 
     def __init__(self, include_dirs: Sequence[Path], defines: Mapping[str, str]) -> None:
         self._include_dirs = include_dirs
@@ -104,7 +104,7 @@ class _Sources:
         if path.suffix.lower() in VHDL_SUFFIXES:
             self._vhdl = self._vhdl or VhdlReader()
             entities = self._vhdl.parse(path, text)
-            # architectures are searched, not parsed: too vague to say that something is missing
+            # architectures are searched, not parsed, which is too vague to report something as missing
             self._register([(entity.name, ()) for entity in entities], Language.VHDL, path)
             if not entities and "package" not in text.lower():
                 self.problems.append(Problem("no entity in this file", str(path)))
@@ -129,7 +129,7 @@ class _Sources:
                 self._below[name.lower()] = below
 
     def outside(self, modules: Iterable[str]) -> tuple[str, ...]:
-        """What `modules` instantiate, at any depth, that no file declares; VHDL entities answer in any case."""
+        """What `modules` instantiate, at any depth, that no file declares; VHDL entities match in any case."""
         found: dict[str, str] = {}
         seen: set[str] = set()
         todo = list(modules)
@@ -152,7 +152,7 @@ class _Sources:
             raise ModuleNotFound(f"no module {top} in {_few(self._paths)}; there are: {_few(self._found)}")
 
     def _name(self, top: str) -> str | None:
-        """Verilog names exactly, VHDL names without regard to case."""
+        """Find a module's name: Verilog's exactly, VHDL's regardless of case."""
         if top in self._found:
             return top
         vhdl = [name for name, (language, _) in self._found.items() if language is Language.VHDL]
@@ -171,7 +171,7 @@ class _Sources:
 
 
 def _few(names: Iterable[object]) -> str:
-    """The names in words; if there are many, only the first."""
+    """List names for a sentence; of many, only the first."""
     listed = [str(name) for name in names]
     return ", ".join(listed[:_FEW]) + (f" and {len(listed) - _FEW} more" if len(listed) > _FEW else "")
 

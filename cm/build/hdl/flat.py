@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Flat wrappers: a top with SystemVerilog interfaces or VHDL records as a module whose ports are vectors."""
+"""Flat wrappers: they present a top with SystemVerilog interfaces or VHDL records as a module with vector ports."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ IN, OUT = PortDirection.IN, PortDirection.OUT
 
 @dataclass(frozen=True, slots=True)
 class FlatPort:
-    """A port of a wrapper; `inner` is what it meets in the interface or record, "" for a port as it is."""
+    """A port of a wrapper; `inner`: its signal in the interface or record, or "" for a port passed through."""
 
     name: str
     direction: PortDirection
@@ -53,7 +53,7 @@ class Wanted:
 
 
 def needs_wrapper(info: ModuleInfo) -> bool:
-    """Whether ports are not vectors."""
+    """Whether any port is not a vector."""
     return any(not port.flat for port in info.ports)
 
 
@@ -63,7 +63,7 @@ def wrapper_name(top: str) -> str:
 
 
 def unique_ports(where: str, ports: Sequence[FlatPort]) -> None:
-    """Raise `HdlError` where two ports of a wrapper would have one name."""
+    """Raise `HdlError` if two ports of a wrapper would have the same name."""
     seen: set[str] = set()
     for port in ports:
         if port.name.lower() in seen:

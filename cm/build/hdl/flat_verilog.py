@@ -17,7 +17,7 @@ _PROBE = "cm_flat_probe"
 
 
 def flat_verilog(wanted: Wanted) -> Flat:
-    """The wrapper of `wanted.top`. `HdlError` says why there can be none."""
+    """Return the wrapper of `wanted.top`. Raises `HdlError` with the reason if none is possible."""
     reader = VerilogReader(wanted.include_dirs, wanted.defines)
     for path in wanted.sources:
         reader.parse(path, path.read_text(encoding="utf-8", errors="replace"))
@@ -47,7 +47,7 @@ def _is_interface(port: Any) -> bool:
 
 
 def _interface(top: str, port: Any) -> tuple[str, str, int | None]:
-    """Interface, modport, and how many there are of an array."""
+    """Return interface, modport, and the length of an array of them."""
     if port.interfaceDef is None:
         raise HdlError(f"{top}: port {port.name} is any interface, or one that no file given declares")
     if not port.modport:
@@ -76,7 +76,7 @@ def _signals(top: str, name: str, body: Any, modport: str, index: int | None) ->
             continue  # a task or function
         direction = _DIRECTIONS.get(signal.direction.name)
         if direction not in (IN, OUT):
-            raise HdlError(f"{top}: {name}.{signal.name} goes both ways: write a wrapper by hand")
+            raise HdlError(f"{top}: {name}.{signal.name} is bidirectional: write a wrapper by hand")
         if not signal.type.isIntegral or not signal.type.bitWidth:
             raise HdlError(f"{top}: {name}.{signal.name} is not a vector of bits ({signal.type}): wrap it by hand")
         yield FlatPort(f"{flat}_{signal.name}", direction, signal.type.bitWidth, f"{inner}.{signal.name}")

@@ -33,7 +33,7 @@ class _Scope:
 
 
 def flat_vhdl(wanted: Wanted) -> Flat:
-    """The wrapper of entity `wanted.top`. `HdlError` says why there can be none."""
+    """Return the wrapper of entity `wanted.top`. Raises `HdlError` with the reason if none is possible."""
     reader = VhdlReader()
     files = {path: "work" for path in wanted.sources if path.suffix.lower() in VHDL_SUFFIXES}
     files |= {path: library for library, paths in wanted.libraries.items() for path in paths}
@@ -53,7 +53,7 @@ def flat_vhdl(wanted: Wanted) -> Flat:
         kind = port.type.partition("(")[0].strip().lower().rpartition(".")[2]
         if kind in scope.records:
             if direction is PortDirection.INOUT:
-                message = f"port {port.name} is a record that goes both ways: write a wrapper by hand"
+                message = f"port {port.name} is a bidirectional record: write a wrapper by hand"
                 raise HdlError(f"{home}:{port.line}: {message}")
             records[port.name] = port.type
             ports += _fields(f"{home}:{port.line}: port {port.name}", port.name, port.type, direction, scope)
@@ -96,7 +96,7 @@ def _leaves(
     try:
         yield path, width_of(kind, scope.names, scope.subtypes), base_type(kind, scope.subtypes)
     except NotFlat:
-        raise HdlError(f"{where}.{'.'.join(path)} is {kind}, no vector of bits: wrap it by hand") from None
+        raise HdlError(f"{where}.{'.'.join(path)} is {kind}, not a vector of bits: wrap it by hand") from None
     except Unknown as error:
         raise HdlError(f"{where}.{'.'.join(path)} is {kind}: {error}") from None
 
@@ -125,7 +125,7 @@ def _plain(where: str, name: str, kind: str, direction: PortDirection, scope: _S
 
 
 def _context(text: str, top: str, library: str) -> list[str]:
-    """The library and use clauses that the entity stands under, with ``work`` by its name."""
+    """Return the library and use clauses before the entity, with ``work`` replaced by the library's name."""
     start = next(u.start for u in design_units(text) if u.kind == "entity" and u.name.lower() == top.lower())
     found = [" ".join(clause.split()) for clause in _CONTEXT.findall(text[:start])]
     named = [re.sub(r"\bwork\.", f"{library}.", clause, flags=re.IGNORECASE) for clause in found]
@@ -183,7 +183,7 @@ def _type(width: int, kind: str) -> str:
 
 
 def _convert(kind: str, name: str) -> str:
-    """A flat signal as the field's type."""
+    """Convert a flat signal to the field's type."""
     if kind in ("std_logic", "std_ulogic"):
         return name
     if kind in ("unsigned", "signed", "u_unsigned", "u_signed"):
@@ -204,7 +204,7 @@ def _plain_formal(port: FlatPort) -> str:
 
 
 def _value(value: str) -> str:
-    """A generic's value as VHDL: numbers, names of booleans, else text."""
+    """Write a generic's value in VHDL: a number, a boolean, or else a string."""
     if value in ("True", "False"):
         return value.lower()
     return value if re.fullmatch(r"[-+]?[\d.]+|'.'|\".*\"", value) else f'"{value}"'

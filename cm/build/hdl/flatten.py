@@ -17,7 +17,7 @@ from cm.build.hdl.protocols import UserProtocol
 
 
 def flatten(info: ModuleInfo, wanted: Wanted, protocols: Sequence[UserProtocol] = ()) -> tuple[ModuleInfo, Flat | None]:
-    """The wrapper of a module as read, and the wrapper; the module itself, with the reason, if there is none."""
+    """Return the wrapper, as a module and as text; or the module itself, with the reason, if it cannot be wrapped."""
     try:
         flat = flat_vhdl(wanted) if info.language is Language.VHDL else flat_verilog(wanted)
     except HdlError as why:

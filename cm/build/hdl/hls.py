@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HLS C++ → the ports that Vitis HLS gives the function: its arguments and `#pragma HLS INTERFACE` lines.
+"""HLS C++ → the ports that Vitis HLS gives a function, by its arguments and `#pragma HLS INTERFACE` lines.
 
-The rules are UG1399's ("Defining Interfaces"), the names those of files that Vitis HLS wrote: streams
+The rules are UG1399's ("Defining Interfaces"); the names are those in files that Vitis HLS wrote: streams
 are ``ARG_TDATA`` …, registers a slave ``s_axi_BUNDLE``, memory a master ``m_axi_BUNDLE``; names that are
-words of Verilog or VHDL get ``_r``. Types are looked up among typedefs, macros and constants of the
-files; nothing else of C++ is understood, and what is not is refused with the argument's name.
+keywords of Verilog or VHDL get ``_r``. Types are resolved through typedefs, macros and constants of the
+files; no other C++ is understood, and an argument of any other type is refused by name.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class _Function:
 
 
 def load_hls(spec: HlsSpec, top: str | None = None, protocols: Sequence[UserProtocol] = ()) -> ModuleInfo:
-    """The function `top` (default: the only one with interface pragmas) as a module. Raises `HdlError`."""
+    """Read the function `top` (default: the only one with interface pragmas) as a module. Raises `HdlError`."""
     function = _function(spec, top)
     ports = [Port(n, d, w, str(function.file), function.line) for n, d, w in _ports(function)]
     buses = {port.name.rpartition("_")[0] for port in ports if port.name.endswith(("_TVALID", "_ARVALID"))}
@@ -102,7 +102,7 @@ def _arg(
         packet = types.packet(declared.type)
     reads, writes = hls_text.uses(declared.name, body, text, bool(packet))
     if packet and reads == writes:
-        raise HdlError(f"{where}: whether the stream is read or written is not seen in {path.name}: use .read() or"
+        raise HdlError(f"{where}: whether the stream is read or written cannot be seen in {path.name}: use .read() or"
                        " .write() in it, or give the exported component.xml")  # fmt: skip
     return Arg(declared.name, width, declared.indirect, mode, said, writes and not declared.constant, reads, packet)
 
@@ -154,7 +154,7 @@ def _ports(function: _Function) -> Iterator[tuple[str, PortDirection, int]]:
 
 
 def _plain(function: _Function, arg: Arg) -> Iterator[tuple[str, PortDirection, int]]:
-    """A wire, and where it is written its valid signal (UG1399: ap_vld is the default of outputs)."""
+    """A wire, with its valid signal if it is written (UG1399: ap_vld is the default for outputs)."""
     name = rtl_name(arg.name)
     if arg.indirect and arg.reads and arg.writes:
         text = "is read and written through a wire of its own: give it s_axilite, or two arguments"
@@ -204,7 +204,7 @@ def _master(bundle: str, width: int) -> Iterator[tuple[str, PortDirection, int]]
 
 
 def hls_registers(spec: HlsSpec, top: str | None) -> dict[str, RegisterSpec]:
-    """Registers by argument; the control register as ``ap_ctrl`` where the function is started by one.
+    """Registers by argument; the control register is ``ap_ctrl``, if the function is started by one.
 
     Arguments of more than 32 bits have a register for each word, ``NAME_0`` and so on.
     """

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from cm.build.hdl.hls_types import Packet
 
-FIRST = 0x10  # after control, interrupt enables and status, whose places are reserved if there are none
+FIRST = 0x10  # after control, interrupt enable and interrupt status, whose addresses are reserved even if unused
 
 
 @dataclass(frozen=True, slots=True)
 class Arg:
-    """An argument: `said` are the settings of its pragma, `indirect` a pointer or reference."""
+    """An argument: `said`: the settings of its pragma; `indirect`: it is a pointer or reference."""
 
     name: str
     width: int
@@ -36,7 +36,7 @@ class Place:
 
 
 def places(args: Sequence[Arg]) -> Iterator[Place]:
-    """Where each argument is: its words, then one word that is reserved or tells that an output is valid."""
+    """Where each argument is: its words, then one word that is reserved or holds the valid flag of an output."""
     offset = FIRST
     for arg in args:
         pointer = arg.mode == "m_axi"

@@ -38,7 +38,7 @@ class Definition:
 
 
 def clean(text: str) -> str:
-    """Without comments; string literals (of includes too) stay, lines keep their numbers."""
+    """Remove comments; string literals (of includes too) and line numbers stay."""
     return _COMMENT.sub(lambda found: found[0] if found[0][0] == '"' else re.sub(r"[^\n]", " ", found[0]), text)
 
 
@@ -64,7 +64,7 @@ def definition(text: str, name: str) -> Definition | None:
 
 
 def _closing(text: str, start: int) -> int:
-    """The bracket that closes the one at `start`; -1 where there is none."""
+    """Find the bracket that closes the one at `start`; -1 if there is none."""
     depth = 0
     for index in range(start, len(text)):
         depth += (text[index] in "({[") - (text[index] in ")}]")
@@ -86,7 +86,7 @@ def _declared(text: str) -> Declared:
 
 
 def pragmas(body: str) -> dict[str, dict[str, str]]:
-    """By argument: its settings; two lines for one (m_axi and s_axilite) become one, with `lite` the slave's bundle."""
+    """Read the settings of each argument; m_axi and s_axilite of one are merged, with `lite` as the slave's bundle."""
     found: dict[str, dict[str, str]] = {}
     for line in _PRAGMA.findall(body):
         settings = {key.lower(): value for key, value in re.findall(r"(\w+)\s*=\s*([\w\"]+)", line)}
@@ -106,7 +106,7 @@ def _merge(have: dict[str, str], mode: str, settings: dict[str, str]) -> None:
         have.pop("bundle", None)
         have.update(settings, mode=mode)
     elif have.get("mode") == "s_axilite" and mode.startswith("ap_ctrl"):
-        return  # the protocol of a function whose control is registers
+        return  # the protocol of a function that is controlled by registers
     elif mode == "s_axilite" and have.get("mode", "").startswith("ap_ctrl"):
         have.update(settings, mode=mode)
     else:
@@ -114,7 +114,7 @@ def _merge(have: dict[str, str], mode: str, settings: dict[str, str]) -> None:
 
 
 def headers(path: Path, text: str, cflags: str) -> list[Path]:
-    """The included files that are there, each once, deepest first; folders of -I and of the file itself."""
+    """Find the included files, each once, deepest first, in the folders of -I and of the file itself."""
     folders = [path.parent, *(path.parent / name for name in re.findall(r"-I\s*(\S+)", cflags))]
     return list(_headers(text, folders, set()))
 
@@ -130,7 +130,7 @@ def _headers(text: str, folders: list[Path], seen: set[Path]) -> Iterator[Path]:
 
 
 def uses(name: str, body: str, text: str, stream: bool, depth: int = 0) -> tuple[bool, bool]:
-    """Whether `body` reads and writes the argument, itself or in functions of `text` that it hands it to.
+    """Whether `body` reads and writes the argument, directly or in functions of `text` that it passes it to.
 
     Anything that is not a `stream` counts as read wherever it occurs without being written.
     """

@@ -32,7 +32,7 @@ _MAX_WIDTH = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """What a stream carries: bits of data, and with `sideband` TKEEP, TSTRB, TLAST and the others' bits."""
+    """What a stream carries: bits of data and, with `sideband`, TKEEP, TSTRB, TLAST and the bits of the others."""
 
     data: int
     sideband: bool = False
@@ -108,7 +108,7 @@ class Types:
 
 
 def _plain(kind: str) -> str:
-    """A type without what says nothing of its width."""
+    """Return a type without the qualifiers that do not affect its width."""
     return " ".join(_NOISE.sub(" ", kind).split())
 
 
@@ -135,12 +135,12 @@ def _evaluate(node: ast.expr) -> int:
 
 
 def first_of(text: str) -> str:
-    """The first of a template's arguments; empty where there is none."""
+    """The first of a template's arguments; empty if there is none."""
     return next(iter(split(text)), "")
 
 
 def split(text: str, separator: str = ",") -> list[str]:
-    """Parts between separators that are in no bracket."""
+    """Split at the separators that are outside all brackets."""
     parts, depth, start = [], 0, 0
     for index, letter in enumerate(text):
         depth += (letter in "<([{") - (letter in ">)]}")

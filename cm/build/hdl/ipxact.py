@@ -43,9 +43,9 @@ _LEFT_OVER = "belongs to no bus interface of the component"
 
 
 def component_root(data: bytes) -> ElementTree.Element:
-    """The root element of a file's bytes. Raises ValueError for what is not XML.
+    """Parse a file's bytes and return the root element. Raises ValueError for what is not XML.
 
-    Files are met that have a licence comment before the declaration, which XML does not allow.
+    Real files have licence comments before the XML declaration, although XML does not allow that.
     """
     return root_of(data[max(data.find(b"<?xml"), 0) :])
 
@@ -61,9 +61,9 @@ def load_component_xml(path: str | Path) -> ModuleInfo:
     except OSError as error:
         raise HdlError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
-        raise HdlError(f"{path}: no XML: {error}") from error
+        raise HdlError(f"{path}: not XML: {error}") from error
     if _local(root.tag) != "component":
-        raise HdlError(f"{path}: no IP-XACT component: its root is <{_local(root.tag)}>, not <spirit:component>")
+        raise HdlError(f"{path}: not an IP-XACT component: its root is <{_local(root.tag)}>, not <spirit:component>")
     return _Component(root, str(path)).info()
 
 
@@ -240,9 +240,9 @@ def _bus_parameters(bus: ElementTree.Element) -> dict[str, str]:
 
 
 def _disabled(node: ElementTree.Element, what: str) -> bool:
-    """Vivado hides the port or interface with the component's parameters as they are: the HDL's instance has it not.
+    """Whether the component's parameters disable a port or interface, so that the HDL's instance does not have it.
 
-    Parameters of an interface have an enablement of their own, which says whether they may be changed.
+    Parameters of an interface have an enablement too, but that one says whether they may be changed.
     """
     for child in node.iter():
         if _local(child.tag) == "isEnabled" and (child.text or "").strip() == "false":

@@ -16,7 +16,7 @@ _SOURCES = ("verilogSource", "systemVerilogSource", "vhdlSource")
 
 @dataclass(slots=True)
 class ComponentFiles:
-    """Files in their order; VHDL of a library of its own by that library."""
+    """Files in order; VHDL that belongs to a named library is listed by library."""
 
     sources: list[Path] = field(default_factory=list)
     libraries: dict[str, list[Path]] = field(default_factory=dict)
@@ -27,7 +27,7 @@ class ComponentFiles:
 
 
 def component_files(path: Path) -> ComponentFiles:
-    """The files of synthesis; `HdlError` where one is missing, or another component is needed."""
+    """Return the files for synthesis. Raises `HdlError` if one is missing, or if another component is needed."""
     try:
         root = component_root(path.read_bytes())
     except (OSError, ValueError) as error:
@@ -47,7 +47,7 @@ def component_files(path: Path) -> ComponentFiles:
 
 
 def _synthesis(root: ElementTree.Element) -> list[str]:
-    """Names of the file sets of synthesis, each once; of a component in both languages those of Verilog."""
+    """Names of the file sets for synthesis, each once; Verilog's, for a component in both languages."""
     names: dict[str, None] = {}
     kinds = [_text(view, "envIdentifier") for view in _all(root, "view")]
     both = any(kind.startswith("verilogSource") and kind.endswith(":synthesis") for kind in kinds)

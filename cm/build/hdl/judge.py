@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judges candidates: a bus has directions that agree, handshakes of one bit, and all that the protocol needs."""
+"""Judges candidates: a bus has consistent directions, handshakes of one bit, and all that its protocol requires."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _TITLES = {"aximm": "AXI", "axis": "AXI4-Stream"}
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The mode if all is well, else the reason why these ports are not a bus."""
+    """The mode, or the reason why these ports are not a bus."""
 
     mode: Mode | None
     reason: str = ""
@@ -88,7 +88,7 @@ def make_interface(
     found_by: FoundBy,
     parameters: Mapping[str, str] | None = None,
 ) -> Interface:
-    """The interface of ports that were judged; logical signals in the protocol's order."""
+    """Make the interface of ports that were accepted; logical signals are in the protocol's order."""
     given = parameters or {}
     order = {signal: number for number, signal in enumerate(protocol.signals)}
     ordered = sorted(ports.items(), key=lambda item: order.get(item[0], len(order)))

@@ -56,7 +56,7 @@ class Polarity(str, Enum):
 
 
 class FoundBy(str, Enum):
-    """How an interface was told: what the designer wrote beats what a name suggests."""
+    """How an interface was found: what the designer wrote takes precedence over what a name suggests."""
 
     ATTRIBUTE = "attribute"  # X_INTERFACE_INFO (UG994)
     NAME = "name"  # naming convention
@@ -75,7 +75,7 @@ class Port:
     line: int = 0
     range: str = ""  # as in the source: "[DATA_WIDTH-1:0]", "(7 downto 0)"; empty for one bit
     type: str = ""  # as in the source: "wire", "logic", "std_logic_vector"
-    flat: bool = True  # False: interface, struct, unpacked array, record: cannot cross a boundary as it is
+    flat: bool = True  # False: interface, struct, unpacked array or record, which cannot cross a boundary as it is
     attributes: Mapping[str, str] = field(default_factory=_empty)  # keys in lower case
     default: str = ""  # default expression of an input, so that it may stay open
 
@@ -153,7 +153,7 @@ class ModuleClock:
 
 @dataclass(frozen=True, slots=True)
 class Reset:
-    """A reset; polarity None where neither attribute nor name tells it."""
+    """A reset; its polarity is None if neither attribute nor name tells it."""
 
     name: str
     port: str
@@ -176,7 +176,7 @@ class Interrupt:
 
 @dataclass(frozen=True, slots=True)
 class Leftover:
-    """A port that belongs to nothing that was found, and why."""
+    """A port that was not assigned to anything, and why."""
 
     port: str
     reason: str
@@ -184,10 +184,10 @@ class Leftover:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Something that could not be told or read.
+    """Something that could not be determined or read.
 
-    `fatal` where the module cannot be used in a region as it is; `breaks` where synthesis cannot succeed: a syntax
-    error, a file or module that is missing.
+    `fatal`: the module cannot be used in a region as it is; `breaks`: synthesis cannot succeed (a syntax error, a
+    missing file or module).
     """
 
     message: str

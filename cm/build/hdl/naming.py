@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Groups ports by name into candidates for one bus: `s_axi_awaddr`, `M_AXIS_0_tdata`, `i_axi_awvalid`, `tdata_i`.
 
-A port name is prefix, signal, tail. Ports of one bus share prefix and tail, but for an affix that only
-tells the port's direction (`i_`, `_o`), which is dropped where it does so for every port of the group.
+A port name is prefix, signal, tail. Ports of one bus share prefix and tail, except for an affix that only
+shows the port's direction (`i_`, `_o`); it is ignored if it does so for every port of the group.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _TRAILING = re.compile(r"_(i|in|o|out)$", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class _Named:
-    """A port whose name holds a signal of the protocol."""
+    """A port whose name contains a signal of the protocol."""
 
     port: Port
     signal: str
@@ -44,7 +44,7 @@ class _Named:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """Ports that by their names make one bus of a protocol; nothing is checked yet."""
+    """Ports that, by their names, make up one bus of a protocol; nothing is checked yet."""
 
     name: str
     protocol: Protocol
@@ -68,7 +68,7 @@ def candidates(ports: Iterable[Port], protocol: Protocol) -> Iterator[Candidate]
 
 
 def _split_group(group: list[_Named], protocol: Protocol) -> Iterator[Candidate]:
-    """With affixes kept; if signals are still there twice, case tells two buses apart."""
+    """Split a group by its affixes; if signals still occur twice, by the case of the names."""
     exact: dict[tuple[str, str], list[_Named]] = {}
     for item in group:
         exact.setdefault(item.key, []).append(item)
@@ -100,7 +100,7 @@ def _split(port: Port, protocol: Protocol) -> _Named | None:
 
 
 def _boundary(prefix: str, signal: str) -> bool:
-    """The signal begins a word: after `_`, at the start, or with a capital after a small letter or digit."""
+    """Whether the signal begins a word: after `_`, at the start, or with a capital after a small letter or digit."""
     if not prefix or prefix.endswith("_"):
         return True
     return signal[0].isupper() and (prefix[-1].islower() or prefix[-1].isdigit())

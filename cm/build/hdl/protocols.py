@@ -7,7 +7,7 @@ protocols:
       data:  {direction: out, width: 12, names: [pix]}
       valid: out
       ready: {direction: in, required: false}
-    bindings:                    # only where the ports' names do not tell
+    bindings:                    # only if the ports' names do not show it
       - {module: sensor, name: cam0, mode: slave, ports: {data: d, valid: dv}, clock: pclk}
 """
 
@@ -32,7 +32,7 @@ _MODES = {"master": Mode.MASTER, "slave": Mode.SLAVE}
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """One interface told port by port; `where` is "file:line" for messages."""
+    """One interface declared port by port; `where` is "file:line" for messages."""
 
     module: str
     name: str
@@ -45,7 +45,7 @@ class Binding:
 
 @dataclass(frozen=True, slots=True)
 class UserProtocol:
-    """A protocol of the user's, and the interfaces that are bound to it by hand."""
+    """A user's protocol, and the interfaces that are bound to it explicitly."""
 
     protocol: Protocol
     bindings: tuple[Binding, ...] = ()
@@ -67,11 +67,11 @@ def load_protocols(path: str | Path) -> tuple[UserProtocol, ...]:
 
 
 def parse_protocols(text: str, name: str = "protocols.yaml") -> tuple[UserProtocol, ...]:
-    """`load_protocols` for text; `name` stands in messages."""
+    """Do as `load_protocols`, for text; `name` is used in messages."""
     try:
         root = compose(text, name)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise HdlError(f"{name}: no YAML: {' '.join(str(error).split())}") from error
+        raise HdlError(f"{name}: not YAML: {' '.join(str(error).split())}") from error
     if root is None:
         raise HdlError(f"{name}: the file is empty; it needs a list `protocols:`")
     top = root.mapping(("protocols",), ("protocols",))
@@ -79,7 +79,7 @@ def parse_protocols(text: str, name: str = "protocols.yaml") -> tuple[UserProtoc
     names = [protocol.name for protocol in found]
     for index, protocol in enumerate(names):
         if protocol in names[:index]:
-            raise top["protocols"].sequence()[index].error(f"the protocol {protocol} stands there twice")
+            raise top["protocols"].sequence()[index].error(f"the protocol {protocol} is defined twice")
     return tuple(found)
 
 

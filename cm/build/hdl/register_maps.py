@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registers from what other tools wrote: IP-XACT, .hwh, headers of Vitis HLS, SystemRDL."""
+"""Reads registers from the files of other tools: IP-XACT, .hwh, headers of Vitis HLS, SystemRDL."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Registers = dict[str, RegisterSpec]
 
 
 def read_register_map(path: Path, module: str) -> Registers:
-    """The registers in `path`, by the kind of file; `module` picks one of several in a .hwh or .rdl file."""
+    """Read the registers in `path` according to its suffix; `module` selects one of several in a .hwh or .rdl file."""
     readers: Mapping[str, Callable[[Path, str], Registers]] = {
         ".xml": _ipxact,
         ".hwh": _hwh,
@@ -41,7 +41,7 @@ def identifier(name: str) -> str:
 
 
 def access_of(word: str, one_to_clear: bool = False) -> Access:
-    """IP-XACT's access words."""
+    """Convert IP-XACT's access words."""
     if one_to_clear:
         return Access.W1C
     return {"read-only": Access.RO, "write-only": Access.WO}.get(word, Access.RW)
@@ -56,7 +56,7 @@ def _ipxact(path: Path, module: str) -> Registers:
     try:
         root = component_root(data)
     except ValueError as error:
-        raise BuildError(f"{path}: no XML: {error}") from None
+        raise BuildError(f"{path}: not XML: {error}") from None
     found: Registers = {}
     for block in _all(root, "addressBlock"):
         base = _number(_text(block, "baseAddress"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clocks, resets and interrupts by the names people give them."""
+"""Recognises clocks, resets and interrupts by common names."""
 
 from __future__ import annotations
 
@@ -36,27 +36,27 @@ _NOT_INTERRUPT = _words("en enable mask clr clear ack pending status id num sel 
 
 
 def words(name: str) -> list[str]:
-    """The words of a name, lower case: "S_AXI_ACLK" and "sAxiAclk" have three."""
+    """Split a name into words, in lower case: "S_AXI_ACLK" and "sAxiAclk" have three."""
     return [word for word in _CAMEL.sub("_", name).lower().split("_") if word]
 
 
 def is_clock(port: Port) -> bool:
-    """A one-bit input named as clocks are; enables, selects and counters of clocks are none."""
+    """Whether a port is a one-bit input named like a clock; enables, selects and counters of clocks are not."""
     return port.direction is PortDirection.IN and port.width == 1 and _says(port.name, _CLOCK, _NOT_CLOCK)
 
 
 def drives_clock(port: Port) -> bool:
-    """A one-bit output named as clocks are."""
+    """Whether a port is a one-bit output named like a clock."""
     return port.direction is PortDirection.OUT and is_clock(replace(port, direction=PortDirection.IN))
 
 
 def is_reset(port: Port) -> bool:
-    """A one-bit input named as resets are."""
+    """Whether a port is a one-bit input named like a reset."""
     return port.direction is PortDirection.IN and port.width == 1 and _says(port.name, _RESET, _NOT_RESET)
 
 
 def _says(name: str, pattern: re.Pattern[str], other: frozenset[str]) -> bool:
-    """A word of the name fits, and neither what follows (`clk_req`) nor an enable makes it something else."""
+    """Whether a word of the name fits, and no later word (`clk_req`) or enable makes it something else."""
     found = words(name)
     place = next((number for number, word in enumerate(found) if pattern.fullmatch(word)), None)
     return place is not None and not other & set(found[place + 1 :]) and not _ENABLES & set(found)
@@ -75,7 +75,7 @@ def reset_polarity(name: str) -> Polarity:
 
 
 def interrupt_mode(port: Port) -> Mode | None:
-    """MASTER for an output named as interrupts are, SLAVE for an input, None for another port."""
+    """Return MASTER for an output named like an interrupt, SLAVE for such an input, None for any other port."""
     found = words(port.name)
     if _NOT_INTERRUPT & set(found) or not _says_interrupt(found):
         return None
@@ -89,7 +89,7 @@ def _says_interrupt(found: list[str]) -> bool:
 
 
 def stem(name: str) -> str:
-    """What remains of a clock's or reset's name without the words that say so: "s_axi_aclk" → "s_axi", "clk" → ""."""
+    """Remove the words that mean clock or reset from a name: "s_axi_aclk" → "s_axi", "clk" → ""."""
     rest = []
     for word in words(name):
         if _CLOCK.fullmatch(word) or _RESET.fullmatch(word) or word in _LOW_WORDS or word in _IO_WORDS:

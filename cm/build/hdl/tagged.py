@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the X_INTERFACE attributes of a module say, gathered into interfaces, clocks, resets and interrupts."""
+"""Gathers a module's X_INTERFACE attributes into interfaces, clocks, resets and interrupts."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _bus(group: list[Tag], protocols: Mapping[str, Protocol], result: Tagged) ->
         mode = stated or _guess(first.bus, ports)
         if stated is None:
             text = f"the mode of {first.bus} ({first.vlnv}) is a guess from its name and directions: {mode.value}"
-            result.problems.append(f"{text}; X_INTERFACE_MODE says it")
+            result.problems.append(f"{text}; state it with X_INTERFACE_MODE")
         protocol = make_protocol(first.kind, [], vlnv=first.vlnv)
         result.interfaces.append(make_interface(first.bus, protocol, mode, ports, FoundBy.ATTRIBUTE, parameters))
         return
@@ -98,7 +98,7 @@ def _bus(group: list[Tag], protocols: Mapping[str, Protocol], result: Tagged) ->
 
 
 def _guess(bus: str, ports: Mapping[str, Port]) -> Mode:
-    """For protocols whose directions are not known here: by the name, else by which side drives more."""
+    """Guess the mode for a protocol whose directions are not known here: by name, or by which side drives more."""
     words = bus.lower().split("_")
     if words[0] in ("m", "master", "source", "initiator"):
         return Mode.MASTER

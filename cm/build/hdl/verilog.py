@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verilog and SystemVerilog through slang (pyslang): modules with evaluated ports and parameters, no interfaces yet.
+"""Reads Verilog and SystemVerilog with slang (pyslang): modules with evaluated ports and parameters, no interfaces yet.
 
-All files of one call make one compilation, so that packages and macros of included headers are known.
+All files of one call form one compilation, so that packages and macros of included headers are known.
 Every module is elaborated as if it were a top, which evaluates its ports; bodies are not elaborated,
-so what a module instantiates need not be given.
+so the modules that a module instantiates need not be given.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from cm.build.hdl.model import Language, ModuleInfo, Problem
 from cm.build.hdl.verilog_ports import read_instance
 
 VERILOG_SUFFIXES = (".v", ".vh", ".vo", ".verilog")
-# `.v` files are Verilog-2005 to Vivado: `do`, `bit`, `final` are names there. On line 1, so that lines stay.
+# Vivado reads `.v` files as Verilog-2005, where `do`, `bit`, `final` are names. On line 1, to keep line numbers.
 _VERILOG_KEYWORDS = '`begin_keywords "1364-2005" '
 _NUMBER = re.compile(r"[-+~(\d'].*", re.DOTALL)
 _HINTS = {
     "DiagCode(CouldNotOpenIncludeFile)": ": name its folder (include_dirs:, or -I)",
     "DiagCode(UnknownDirective)": ": define it (defines:, or -D), or give the file that does before this one",
 }
-# what synthesis stops at inside a module, with Vivado's number
+# errors inside a module that stop synthesis, with Vivado's numbers
 _SEMANTIC = {
     "DiagCode(PortDoesNotExist)": "Synth 8-448",
     "DiagCode(UndeclaredIdentifier)": "Synth 8-1031",
@@ -41,13 +41,13 @@ _FLAGS = ("AllowUseBeforeDeclare", "IgnoreUnknownModules", "AllowTopLevelIfacePo
 
 @dataclass(frozen=True, slots=True)
 class Tree:
-    """One parsed file: slang's tree, what is wrong with it, and the modules it declares."""
+    """One parsed file: slang's tree, its problems, and the modules it declares."""
 
     path: Path
     language: Language
     syntax: Any
     errors: tuple[Problem, ...]
-    modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, names of what it instantiates
+    modules: tuple[tuple[str, tuple[str, ...]], ...]  # name, and the names of the modules that it instantiates
     interfaces: tuple[str, ...] = ()
 
 
@@ -72,12 +72,12 @@ def expression(value: str) -> str:
 
 
 def _utf8(path: Path) -> str:
-    """The path as text for slang, which takes UTF-8 whatever the locale is; other bytes become question marks."""
+    """Convert a path for slang, which expects UTF-8 in any locale; other bytes become question marks."""
     return os.fsencode(path).decode("utf-8", errors="replace")
 
 
 class VerilogReader:
-    """Parses files once each, then evaluates the modules asked for."""
+    """Parses each file once, then evaluates the modules asked for."""
 
     def __init__(self, include_dirs: Sequence[Path] = (), defines: Mapping[str, str] | None = None) -> None:
         self._slang = load_slang()
@@ -92,9 +92,9 @@ class VerilogReader:
 
     def parse(self, path: Path, text: str) -> Tree:
         """Parse one file and keep it for `read`."""
-        # A file of macros among the sources counts for those after it, as in Vivado's compilation order.
+        # A file of macros among the sources applies to the files after it, as in Vivado's compilation order.
         before = "".join(f'`include "{_utf8(header.resolve())}" ' for header in self._headers)
-        # so does a default_nettype that a file leaves behind
+        # so does a default_nettype that a file leaves set
         before += "`default_nettype none " if self._untyped else ""
         kinds = _NETTYPE.findall(_COMMENTS.sub(" ", text))
         self._untyped = kinds[-1] == "none" if kinds else self._untyped
@@ -110,7 +110,7 @@ class VerilogReader:
         tree = self._tree(path, _VERILOG_KEYWORDS + text, Language.VERILOG)
         if not tree.errors:
             return tree
-        # Many a `.v` file uses SystemVerilog all the same; the reading with fewer errors is the one that was meant.
+        # Many `.v` files use SystemVerilog all the same; the reading with fewer errors is taken as intended.
         other = self._tree(path, text, Language.SYSTEMVERILOG)
         return other if len(other.errors) < len(tree.errors) else tree
 
@@ -125,7 +125,7 @@ class VerilogReader:
         bag = self._slang.Bag([options])
         try:
             syntax = self._slang.syntax.SyntaxTree.fromText(text, self._sources, _utf8(path), name, bag)
-        except RuntimeError as error:  # slang's answer to nesting without end
+        except RuntimeError as error:  # what slang raises for endless nesting
             raise HdlError(f"{path}: the parser gave up: {error or 'too deeply nested'}") from error
         problems, root = tuple(self._problems(path, syntax)), syntax.root
         return Tree(path, language, syntax, problems, tuple(_modules(root)), tuple(_interfaces(root)))
@@ -140,7 +140,7 @@ class VerilogReader:
         try:
             message = str(self._engine.formatMessage(diagnostic))
             return message + _HINTS.get(str(diagnostic.code), "")
-        except UnicodeDecodeError:  # the message quotes a piece of a character
+        except UnicodeDecodeError:  # the message quotes part of a character
             return f"syntax error ({diagnostic.code})"
 
     def read(self, names: Iterable[str], parameters: Mapping[str, str] | None = None) -> list[ModuleInfo]:
@@ -173,7 +173,7 @@ class VerilogReader:
         return list(seen.values())
 
     def _semantic(self, compilation: Any, wanted: Iterable[str]) -> tuple[Problem, ...]:
-        """What is wrong in the module and all below it that synthesis stops at, once for each place."""
+        """Errors in the module and everything below it that stop synthesis, once for each place."""
         problems: dict[Problem, None] = {}
         names = {str(tree.path.resolve()): str(tree.path) for tree in self._below(wanted)}
         for diagnostic in compilation.getSemanticDiagnostics():
@@ -182,7 +182,7 @@ class VerilogReader:
                 continue
             said = str(self._sources.getFileName(diagnostic.location)).partition(" as ")[0]
             name = names.get(str(Path(said).resolve()))
-            if name is not None:  # of no module that is not used
+            if name is not None:  # not of modules that are unused
                 line = self._sources.getLineNumber(diagnostic.location)
                 problems[Problem(f"{self._message(diagnostic)} [{number}]", name, line, breaks=True)] = None
         return tuple(problems)
@@ -190,7 +190,7 @@ class VerilogReader:
     def elaborate(self, name: str, parameters: Mapping[str, str]) -> Any:
         """slang's body of a module as a top, with `parameters` as expressions. Raises `HdlError`."""
         compilation = self._compile({name}, parameters)
-        self._kept.append(compilation)  # what it hands out does not hold it
+        self._kept.append(compilation)  # what it returns does not keep it alive
         for instance in compilation.getRoot().topInstances:
             if instance.name == name:
                 return instance.body

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From slang's elaborated instance to `ModuleInfo`: ports and parameters with their values."""
+"""Converts slang's elaborated instance to `ModuleInfo`: ports and parameters with their values."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def read_instance(
     instantiates: tuple[str, ...],
     given: Mapping[str, str],
 ) -> ModuleInfo:
-    """One top instance as `ModuleInfo` without interfaces; its problems begin with those of its file."""
+    """Read one top instance as `ModuleInfo` without interfaces; its problems begin with those of its file."""
     body = instance.body
     problems = list(errors)
     parameters = tuple(_parameters(body, str(path), problems, given))
@@ -89,7 +89,7 @@ def _value(symbol: Any, text: str) -> int | float | str | None:
 
 
 def _integer(value: Any) -> int | None:
-    """A slang integer as a Python one; None where it has unknown bits or is not an integer (an array, a queue)."""
+    """Convert a slang integer to Python; None if it has unknown bits or is not an integer (an array, a queue)."""
     try:
         return int(value)
     except (TypeError, ValueError, RuntimeError):
@@ -97,7 +97,7 @@ def _integer(value: Any) -> int | None:
 
 
 def _source(node: Any) -> str:
-    """The source of a node without comments; empty where an included file is not in UTF-8."""
+    """The source of a node without comments; empty if an included file is not in UTF-8."""
     try:
         return " ".join(_COMMENT.sub(" ", str(node)).split()) if node is not None else ""
     except UnicodeDecodeError:

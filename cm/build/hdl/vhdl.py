@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""VHDL through tree-sitter: entities with evaluated ports and generics, no interfaces yet.
+"""Reads VHDL with tree-sitter: entities with evaluated ports and generics, no interfaces yet.
 
-The grammar reads entities and packages; names of packages' constants and subtypes are shared by all
-files of one call. Names are compared without regard to case, and kept as the source spells them.
+Entities and packages are parsed; the constants and subtypes of packages are visible to all files of one
+call. Names are compared regardless of case, and kept as the source spells them.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def load_parser() -> Any:
 
 
 class VhdlReader:
-    """Parses files once each, then evaluates the entities asked for."""
+    """Parses each file once, then evaluates the entities asked for."""
 
     def __init__(self) -> None:
         self._parser = load_parser()
@@ -229,7 +229,7 @@ def _interface_list(clause: Any | None, first: int) -> Iterator[Declaration]:
 
 
 def _declarations(node: Any, first: int) -> Iterator[Declaration]:
-    """The names of one `a, b : in T(7 downto 0) := "0"`; comments are blank already."""
+    """The names in one `a, b : in T(7 downto 0) := "0"`; comments are already blanked."""
     names, _, rest = _text(node).partition(":")
     left, _, default = rest.rstrip("; \n").partition(":=")
     words = left.split(None, 1)
@@ -251,7 +251,7 @@ def _errors(root: Any, path: Path, first: int) -> Iterator[Problem]:
 
 
 def _find(node: Any, kinds: tuple[str, ...]) -> Iterator[Any]:
-    """Nodes of these kinds in order, without those inside others of them."""
+    """Find nodes of these kinds in order, except those inside another one of them."""
     stack = [node]
     while stack:
         found = stack.pop()

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluates the VHDL expressions that stand in port ranges and generic defaults (IEEE 1076-2008, clause 9).
+"""Evaluates the VHDL expressions in port ranges and generic defaults (IEEE 1076-2008, clause 9).
 
-Integers, reals, booleans, strings; operators but for shifts; a few functions of ieee.math_real and
-the usual names of ceil(log2(n)). Whatever else stands in an expression makes it unknown: `Unknown` is raised.
+Supported are integers, reals, booleans and strings, all operators except shifts, a few functions of
+ieee.math_real, and the usual names of ceil(log2(n)). Anything else raises `Unknown`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _MAX_POWER = 4096
 
 
 class Unknown(ValueError):
-    """The expression's value cannot be told; the sentence says what stopped it."""
+    """The expression cannot be evaluated; the sentence says why."""
 
 
 def _clog2(value: float) -> int:
@@ -61,7 +61,7 @@ def evaluate(text: str, names: Mapping[str, Value | None]) -> Value:
 
 
 def integer(text: str, names: Mapping[str, Value | None]) -> int:
-    """`evaluate`, where only an integer will do."""
+    """Do as `evaluate`, where only an integer is acceptable."""
     value = evaluate(text, names)
     if isinstance(value, bool) or not isinstance(value, int):
         raise Unknown(f"{text.strip()} is not an integer")
@@ -189,7 +189,7 @@ def _sign(word: str, value: Value) -> Value:
             raise Unknown("not of a vector")
         return not value
     if isinstance(value, (str, bool)):
-        raise Unknown(f"{word} of what is not a number")
+        raise Unknown(f"{word} of something that is not a number")
     return -value if word == "-" else abs(value) if word == "abs" else value
 
 
@@ -198,7 +198,7 @@ def _apply(operator: str, left: Value, right: Value) -> Value:
         return str(left) + str(right)
     if operator in ("and", "or", "xor"):
         if not (isinstance(left, bool) and isinstance(right, bool)):
-            raise Unknown(f"{operator} of what is not boolean")
+            raise Unknown(f"{operator} of something that is not boolean")
         return {"and": left and right, "or": left or right, "xor": left != right}[operator]
     if operator in ("=", "/="):
         return (left == right) is (operator == "=")

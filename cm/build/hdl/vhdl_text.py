@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""VHDL as text: comments blanked, cut into design units, attributes and instances of architectures.
+"""VHDL as text: blanks comments, splits design units, and finds attributes and instances in architectures.
 
-Architectures are most of a file and hold only two things of interest, so they are searched, not parsed.
+Architectures are most of a file and contain only two things of interest, so they are searched, not parsed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Unit:
 
 
 def blank_comments(text: str) -> str:
-    """The text with every comment replaced by as many blanks, so that offsets and lines stay."""
+    """Replace every comment by as many blanks, so that offsets and lines stay."""
 
     def blank(match: re.Match[str]) -> str:
         found = match.group()
@@ -49,7 +49,7 @@ def blank_comments(text: str) -> str:
 
     if "/*" in text:
         return _COMMENT.sub(blank, text)
-    lines = text.split("\n")  # far faster on large files: few lines have a comment, and a string ends in its line
+    lines = text.split("\n")  # much faster on large files: few lines have a comment, and a string ends on its line
     return "\n".join(_COMMENT.sub(blank, line) if "--" in line else line for line in lines)
 
 

@@ -21,11 +21,11 @@ _MAX_CHAIN = 16
 
 
 class NotFlat(Unknown):
-    """The type is not a vector of bits, whatever its generics are."""
+    """The type is not a vector of bits, whatever the values of the generics."""
 
 
 def width_of(indication: str, names: Mapping[str, Value | None], subtypes: Subtypes, depth: int = 0) -> int:
-    """Bits of a port of this subtype. Raises `NotFlat`, or `Unknown` for a range without a value."""
+    """Return the bits of a port of this subtype. Raises `NotFlat`, or `Unknown` for a range without a value."""
     match = _INDICATION.fullmatch(indication.strip())
     if match is None or depth > _MAX_CHAIN:
         raise NotFlat(f"its type {indication} needs a flat wrapper")

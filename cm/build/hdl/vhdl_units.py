@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""VHDL libraries: which units files declare and use, and what is used but in no file of that library."""
+"""VHDL libraries: finds units that are used but declared in no file of their library."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _USED = re.compile(r"\buse\s+(?!entity\b)(\w+)\.(\w+)|\b(?:entity|context)\s+(\w
 
 
 def missing_units(libraries: Mapping[str, tuple[Path, ...]], sources: tuple[Path, ...]) -> Iterator[Problem]:
-    """A problem for each unit that is named with its library and is in no file of it.
+    """Yield a problem for each unit that is used by its library's name but is in no file of that library.
 
-    `libraries`: files by library; `sources` are in the default one. Names are compared without regard to case.
+    `libraries`: files by library; `sources` are in the default one. Names are compared regardless of case.
     """
     texts = {path: (WORK, _text(path)) for path in sources if path.suffix.lower() in VHDL_SUFFIXES}
     for library, paths in libraries.items():
@@ -39,7 +39,7 @@ def missing_units(libraries: Mapping[str, tuple[Path, ...]], sources: tuple[Path
             if library in _PROVIDED or (library, unit) in told or unit in declared.get(library, ()):
                 continue
             if found[1] and library not in declared and not _is_library(text, library):
-                continue  # a package that was made visible before: `use pkg.name`
+                continue  # a package made visible earlier: `use pkg.name`
             told.add((library, unit))
             line = text.count("\n", 0, found.start()) + 1
             yield Problem(_sentence(library, unit, declared), str(path), line, breaks=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vivado's IP instances (.xci) since 2020.2: JSON that has the instance's name and ports as customised."""
+"""Reads Vivado's IP instances (.xci) since 2020.2: JSON with the instance's name and ports as customised."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DIRECTIONS = {"in": PortDirection.IN, "out": PortDirection.OUT, "inout": PortDi
 
 
 def load_xci(path: Path, protocols: Sequence[UserProtocol] = ()) -> ModuleInfo:
-    """The instance as a module: only the ports that its customisation has. Raises `HdlError`.
+    """Read the instance as a module with the ports of its customisation. Raises `HdlError`.
 
     Older files are XML without ports; use their component.xml, or a module with the same ports, instead.
     """

@@ -37,7 +37,7 @@ class Node:
 
     @property
     def is_scalar(self) -> bool:
-        """A plain value, no list and no map."""
+        """Whether the node is a plain value: neither a list nor a map."""
         return isinstance(self.node, yaml.ScalarNode)
 
     def error(self, message: str) -> HdlError:
@@ -45,7 +45,7 @@ class Node:
         return HdlError(f"{self.where}: {message}")
 
     def items(self) -> list[tuple[Node, Node]]:
-        """Keys and values of a map, in order; a key may stand only once."""
+        """Keys and values of a map, in order; a key may occur only once."""
         if not isinstance(self.node, yaml.MappingNode):
             raise self.error("a map (key: value) is expected here")
         pairs = [(Node(key, self.file), Node(value, self.file)) for key, value in self.node.value]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the generated tree to bitstreams without a vendor's tool: yosys, nextpnr, Project X-Ray's database.
+"""The generated tree → bitstreams without a vendor's tool, by yosys, nextpnr and Project X-Ray's database.
 
-`docs/open-flow.md` has the walk-through, and what the tools lack.
+`docs/open-flow.md` has a walk-through, and the limits of these tools.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Static part and modules placed and routed, from one seed of the static part on."""
+"""Places and routes the static part and the modules, beginning with one seed of the static part."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ Run = Future[Features]
 _ROUTING = re.compile(r"ERROR: .*\brout(e|ing|able)\b", re.IGNORECASE)
 
 
-_TOO_NARROW = "give its region more columns, or a module less"
+_TOO_NARROW = "give its region more columns, or the module less logic"
 
 
 class Unroutable(OpenStepFailed):
-    """No seed gave a module whose routes hold; against another static part there may be one."""
+    """A module could not be routed with any seed; it may be possible against another static part."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How the flow runs: first seed, how many to try, how many programs at once, how many static parts to try."""
+    """Settings of a run: first seed, how many seeds to try, programs at once, static parts to try."""
 
     seed: int = 1
     tries: int = 4
@@ -47,7 +47,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Context:
-    """What all attempts share; `netlists` is the folder of yosys' results, `failed` the keys that cannot be placed."""
+    """What all attempts share; `netlists`: the folder of yosys' results; `failed`: keys that cannot be placed."""
 
     system: System
     database: Database
@@ -65,7 +65,7 @@ class Attempt:
     """One static part, and the modules against it."""
 
     def __init__(self, context: Context, number: int, ran: list[str]) -> None:
-        """`number` counts static parts from 0: the first one's files lie beside the netlists."""
+        """`number` counts static parts from 0; the files of number 0 lie beside the netlists."""
         self._context, self._settings = context, context.settings
         self.seed = context.settings.seed + number * context.settings.tries
         self._folder = context.netlists / f"seed_{self.seed}" if number else context.netlists
@@ -73,7 +73,7 @@ class Attempt:
         self._steps = Steps(self._folder, context.tell, ran)
 
     def run(self) -> tuple[Features, dict[str, Features]]:
-        """The features of the static part and, by name, of modules. Raises Unroutable, OpenStepFailed, BuildError."""
+        """Return features of the static part, and of modules by name. Raises Unroutable, OpenStepFailed, BuildError."""
         one = self._context
         static = self._static()
         features = static_features(one.database, one.layouts.values(), static)
@@ -108,7 +108,7 @@ class Attempt:
 
         try:
             self._placed(files, job, xdc, judge, "the static part")
-        except Unroutable as problem:  # more seeds of it would be those of another static part
+        except Unroutable as problem:  # with another seed it would be another static part
             raise OpenStepFailed(str(problem)) from None
         return read_side(one.database, files, inputs, static=True)
 
@@ -132,7 +132,7 @@ class Attempt:
         return found
 
     def _placed(self, files: Files, job: Job, xdc: str, judge: Judge, what: str) -> None:
-        """Place and route with one seed after another, until nothing is wrong with what came out."""
+        """Place and route with one seed after another, until the result passes all checks."""
         one, part = self._context, self._context.system.project.part
         key = key_of(job, xdc, one.rate, self.seed, one.tools.versions, files.file("json"), *SCRIPTS)
         if key in one.failed:
@@ -166,7 +166,7 @@ class Attempt:
 
 
 def _hopeless_first(runs: dict[str, Run]) -> list[tuple[str, Run]]:
-    """So that what another static part cannot mend is what is reported."""
+    """Order runs so that a failure that another static part would not cure is reported first."""
     return sorted(runs.items(), key=lambda run: isinstance(run[1].exception() or Unroutable(), Unroutable))
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The static part's DMA engines in the open flow: ``cm_axi_dma.v``, between the processing system and the streams.
 
-Each stream from memory has the read half of a port to memory to itself, each to memory the write half of one: nothing
-has to take turns, and there are four of either.
+Each stream from memory has the read half of a memory port to itself, and each stream to memory the write half of one:
+no arbitration is needed, and there are four of each.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ STREAM = ("tdata", "tkeep", "tlast", "tvalid", "tready")
 
 
 def halves(system: System) -> Mapping[Direction, tuple[Dma, ...]]:
-    """The channels of either direction, in the order of the ports to memory that they have."""
+    """The channels of each direction, in the order of their memory ports."""
     return {way: tuple(dma for dma in system.dmas if dma.direction is way) for way in Direction}
 
 
 def add_engines(net: Netlist, system: System, ports: Mapping[str, int]) -> None:
     """Add interconnect, engines and interrupt lines to the top; `ports` are those of the static part, with widths.
 
-    Wires ``ps_…`` lead to the processing system's registers, those of ``cm_open_system``'s ports to memory are
-    called as these are.
+    Wires ``ps_…`` belong to the register port of the processing system; wires to the memory ports of
+    ``cm_open_system`` have the names of those ports.
     """
     (domain,) = system.domains
     prefix = f"s_axi_{domain.clock}_"
@@ -43,7 +43,7 @@ def add_engines(net: Netlist, system: System, ports: Mapping[str, int]) -> None:
 
 
 def _registers(net: Netlist, domain: Domain, prefix: str, engines: tuple[Engine, ...]) -> None:
-    """The static part's windows and those of the engines behind the processing system's port."""
+    """Connect the windows of the static part and of the engines to the processing system's port."""
     windows: list[Window] = [domain.aperture, *(engine.window for engine in engines)]
     connections: dict[str, str | None] = {"clk": f"clk_{domain.clock}", "resetn": f"resetn_{domain.clock}"}
     for signal, _, width in LITE:
@@ -96,7 +96,7 @@ def _idle_streams() -> dict[str, str | None]:
 def _channel(
     net: Netlist, system: System, dma: Dma, pins: dict[str, str | None], ports: Mapping[str, int]
 ) -> Iterator[tuple[str, object]]:
-    """Connect a channel: half a port to memory, stream, interrupt. Gives its parameters."""
+    """Connect a channel (half a memory port, stream, interrupt), and return its parameters."""
     way = dma.direction.value
     half, stream = (READ, "m_axis") if dma.sends else (WRITE, "s_axis")
     number = halves(system)[dma.direction].index(dma)
@@ -117,5 +117,5 @@ def _bus(system: System, dma: Dma) -> StreamBus:
 
 
 def _ends(bus: StreamBus) -> bool:
-    """Whether a stream to memory says where its packets end; that of a switch always does."""
+    """Whether a stream to memory marks where its packets end; a switch's always does."""
     return "TLAST" in bus.interface.ports or not bus.interface.ports

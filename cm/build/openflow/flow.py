@@ -30,7 +30,7 @@ OWN_RTL = tuple(sorted((Path(__file__).parent / "rtl").glob("*.v")))
 
 
 class OpenFlow:
-    """A run of the flow over the tree that was generated in `out`; what is made between lies in ``open/`` there."""
+    """A run of the flow over the tree generated in `out`; intermediate files are in ``open/`` there."""
 
     def __init__(self, system: System, out: Path, tools: Tools, tell: Tell, settings: Settings) -> None:
         refuse_open(system)
@@ -48,7 +48,7 @@ class OpenFlow:
         self.rate = system.project.clocks[clock].rate
 
     def run(self) -> list[str]:
-        """Do what has to be done; returns the names of the steps that ran."""
+        """Run the steps that are not up to date; return their names."""
         self.folder.mkdir(parents=True, exist_ok=True)
         (self.out / "bitstreams").mkdir(exist_ok=True)
         with ThreadPoolExecutor(self.settings.jobs) as pool:
@@ -59,7 +59,7 @@ class OpenFlow:
         return self.steps.ran
 
     def _placed(self) -> tuple[Features, dict[str, Features]]:
-        """Static part and modules, with another static part where a module cannot be routed against the one before."""
+        """Place and route everything; if a module cannot be routed, start again with another static part."""
         known = self.folder / "unroutable.json"
         context = Context(
             self.system, self.database, self.wires, self.layouts, self.tools, self.settings, self.tell, self.folder,
@@ -75,7 +75,7 @@ class OpenFlow:
                 tried.append(str(attempt.seed))
                 if len(tried) >= self.settings.statics:
                     raise Unroutable(
-                        f"{problem}\n  so it was with all static parts, of seeds {', '.join(tried)}"
+                        f"{problem}\n  the same happened with every static part, of seeds {', '.join(tried)}"
                     ) from None
                 self.tell(
                     f"{str(problem).splitlines()[0].rstrip(':')} against the static part of seed {attempt.seed}: "

@@ -18,7 +18,7 @@ _EMPTY = bytes(404)
 
 
 def frames_of(database: Database, features: Iterable[Feature], what: str) -> dict[int, int]:
-    """Frames with checksums. Raises BuildError for features that are unknown, or want two values of a bit."""
+    """Return frames with checksums. Raises BuildError for features that are unknown or contradict each other."""
     encoded = encode(database, features)
     if encoded.unresolved:
         few = ", ".join(map(str, encoded.unresolved[:3]))
@@ -29,7 +29,7 @@ def frames_of(database: Database, features: Iterable[Feature], what: str) -> dic
 
 
 def outside(columns: Iterable[int], one: Mapping[int, int], other: Mapping[int, int]) -> list[int]:
-    """Addresses of frames outside the columns that differ."""
+    """Addresses of the differing frames that lie outside the columns."""
     inside = set(columns)
     return sorted(
         address
@@ -39,13 +39,13 @@ def outside(columns: Iterable[int], one: Mapping[int, int], other: Mapping[int, 
 
 
 def user_id(frames: Mapping[int, int]) -> int:
-    """A number of the static part, for the headers of all that belongs to it."""
+    """A number that identifies the static part, for the headers of all bitstreams that belong to it."""
     text = "".join(f"{address:08x}{frame:x};" for address, frame in sorted(frames.items()))
     return min(int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big"), 0xFFFF_FFFE)
 
 
 def full_image(device: str, part: str, name: str, frames: Mapping[int, int], number: int) -> bytes:
-    """A full bitstream: every frame of the device, rows in the order of their addresses, padding after each."""
+    """Make a full bitstream: every frame of the device, in order of address, with padding after each row."""
     geometry = _geometry(device)
     data = bytearray()
     for key in sorted(key for key in geometry.rows if key[0] < 2):
@@ -60,7 +60,7 @@ def full_image(device: str, part: str, name: str, frames: Mapping[int, int], num
 def partial_image(
     device: str, part: str, name: str, frames: Mapping[int, int], columns: Iterable[int], number: int
 ) -> bytes:
-    """A partial bitstream: every frame of the columns, neighbours in one run, a frame of padding after each run."""
+    """Make a partial bitstream: every frame of the columns, in runs of neighbours, each followed by a padding frame."""
     geometry = _geometry(device)
     runs: list[FrameRun] = []
     for first, many in _neighbours(sorted(columns)):

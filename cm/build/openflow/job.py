@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nextpnr gets besides the netlist: places, areas, pins, and wires that others use."""
+"""The input of nextpnr besides the netlist: places, areas, pins, and wires that are taken."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LEAF = "HCLK_LEAF_CLK_"
 
 
 def static_job(database: Database, layouts: Sequence[Layout]) -> Job:
-    """The static part keeps out of the regions; its anchors and harnesses stand in them."""
+    """Keep the static part out of the regions, except for its anchors and harnesses."""
     inside = {name for layout in layouts for name in layout.tiles}
     areas = {_harness(layout): _harness_places(layout) for layout in layouts}
     areas["static"] = [_at(tile) for tile in database.tiles.values() if tile.sites and tile.name not in inside]
@@ -28,7 +28,7 @@ def static_job(database: Database, layouts: Sequence[Layout]) -> Job:
 
 
 def module_job(database: Database, wires: Wires, layout: Layout, static: Routed, clock_buffer: str) -> Job:
-    """A module keeps to its region, and leaves alone what the static part uses there."""
+    """Keep a module inside its region and away from what the static part uses there."""
     passed = passing(database, wires, layout, static)
     areas = {_harness(layout): _free_places(layout, passed), "module": [_at(tile) for tile in layout.logic_tiles]}
     bels = [*_anchor_bels([layout]), ["cm_clock_buffer", clock_buffer]]
@@ -39,7 +39,7 @@ def module_job(database: Database, wires: Wires, layout: Layout, static: Routed,
 
 
 def fence(database: Database, wires: Wires, layout: Layout) -> set[str]:
-    """Wires that begin in a region and can be tapped outside it: nextpnr cannot confine routes, but leaves these."""
+    """Wires that begin in a region and can be tapped outside it; blocking them confines routes to the region."""
     found = set()
     for tile in layout.tiles.values():
         if not tile.kind.startswith("INT_"):
@@ -54,15 +54,15 @@ def fence(database: Database, wires: Wires, layout: Layout) -> set[str]:
 def passing(database: Database, wires: Wires, layout: Layout, static: Routed) -> set[str]:
     """Wires of the static part that touch the region.
 
-    Not those that only one look-up table can drive: an anchor's way out is the static part's as well as, in a
-    module's run, the harness's. Nor the clock's, which is the module's too.
+    Excluded are wires that only one look-up table can drive, since an anchor's output is used by the static part
+    and also, in a module's run, by the harness; and the clock's, which the module shares.
     """
     kept, _ = static.pips()
     found = set()
     for pip, wire in kept:
         place, _, name = wire.partition("/")
         if PASSED.fullmatch(pip.partition("/")[2]):
-            found.add(wire)  # a look-up table that the static part goes through
+            found.add(wire)  # a look-up table that the static part routes through
             continue
         tile = tile_of(database, place)
         if tile is None or "." in name or "LOGIC_OUTS" in name or tile.startswith(("CLB", "HCLK", "CLK")):
@@ -73,9 +73,9 @@ def passing(database: Database, wires: Wires, layout: Layout, static: Routed) ->
 
 
 def other_lanes(database: Database, wires: Wires, layout: Layout, static: Routed) -> set[str]:
-    """Lanes into the rows of clocks, and leaves outside the region, that the static part's clock does not take.
+    """Lanes into the clock rows, and leaves outside the region, that the static part's clock does not use.
 
-    A module's clock comes as it does: the frames in which those are switched are not the module's.
+    A module's clock must take the same ones: the frames that switch them do not belong to the module.
     """
     clocks = [net["wires"] for net in static.nets.values() if net["driver"].endswith(CLOCK)]
     used = {
@@ -104,7 +104,7 @@ def pins_xdc(placements: Iterable[Placement]) -> str:
 
 
 def labels(layouts: Iterable[Layout]) -> Mapping[bool, frozenset[str]]:
-    """The labels of all anchors by whether they lead into a region."""
+    """The labels of all anchors, by whether they lead into a region."""
     anchors = [anchor for layout in layouts for anchor in layout.anchors]
     return {into: frozenset(a.bit.label for a in anchors if a.bit.into == into) for into in (True, False)}
 
@@ -122,9 +122,9 @@ def _harness_places(layout: Layout) -> list[str]:
 
 
 def _free_places(layout: Layout, passed: set[str]) -> list[str]:
-    """Those beside interconnect whose ways into slices the static part leaves alone: the placer does not know of them.
+    """Places whose routes into slices the static part does not use, which the placer does not consider.
 
-    All, where too few are left.
+    If too few are left, all places.
     """
     taken = {wire.partition("/")[0] for wire in passed if wire.partition("/")[2].startswith(_INTO_SLICES)}
     free = [

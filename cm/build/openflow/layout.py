@@ -36,12 +36,12 @@ class BoundaryBit:
 
     @property
     def label(self) -> str:
-        """Names it among all wires of all regions."""
+        """A name that is unique among all wires of all regions."""
         return f"{self.region}_{self.index}"
 
     @property
     def signal(self) -> str:
-        """As Verilog has it."""
+        """The wire in Verilog."""
         return self.port if self.width == 1 else f"{self.port}[{self.bit}]"
 
 
@@ -56,12 +56,12 @@ class Anchor:
 
     @property
     def bel(self) -> str:
-        """As nextpnr names it."""
+        """The name that nextpnr uses."""
         return f"X{self.tile.x}Y{self.tile.y}/SLICE_X{self.site}Y0.{self.letter}6LUT"
 
     @property
     def site_name(self) -> str:
-        """As features name it: ``SLICEL_X0``."""
+        """The name that features use: ``SLICEL_X0``."""
         return f"{site_kind(self.tile, self.site)}_X{self.site}"
 
 
@@ -83,7 +83,7 @@ class Layout:
 
 
 def boundary_bits(region: RegionPlan, ports: Sequence[Signal]) -> tuple[BoundaryBit, ...]:
-    """All wires of a region's boundary but its clocks, in the order of its ports."""
+    """All wires of a region's boundary except its clocks, in the order of its ports."""
     clocks = set(region.clocks)
     wires = [(port, bit) for port in ports if port.name not in clocks for bit in range(port.width)]
     return tuple(
@@ -134,7 +134,7 @@ def plan_layout(database: Database, region: RegionPlan, bits: Sequence[BoundaryB
 
 
 def _anchors(bits: Sequence[BoundaryBit], column: Sequence[Tile]) -> tuple[Anchor, ...]:
-    """Spread over the whole height: crowded rows are hard to route."""
+    """Spread anchors over the whole height: crowded rows are hard to route."""
     rows = -(-len(bits) // len(LETTERS))
     chosen = [column[row * len(column) // rows] for row in range(rows)]
     return tuple(Anchor(bit, chosen[bit.index // 4], 0, LETTERS[bit.index % 4]) for bit in bits)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory in look-up tables as nextpnr packs it, in yosys' JSON.
+"""Rewrites distributed RAM in yosys' JSON into forms that nextpnr can pack.
 
-nextpnr 0.11 ends with an assertion at RAM64X1S. It looks for the contents of RAM32M and RAM64M under INITA, which
-UNISIM calls INIT_A, so that they begin with zeros; under that name those of RAM32M end it with an assertion.
-Therefore RAM64X1S with one address become a RAM64M, a RAM32M that does not begin with zeros two of them.
+nextpnr 0.11 fails an assertion on RAM64X1S. It looks for the contents of RAM32M and RAM64M under INITA, which
+UNISIM calls INIT_A, so that they are initialised with zeros; given as INITA, those of a RAM32M fail an assertion.
+Therefore RAM64X1S with the same address become a RAM64M, and a RAM32M with other contents than zeros two of them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Cell = dict[str, Any]
 
 
 class _Bit(NamedTuple):
-    """A column of a memory that is a bit wide: what it is read at, what is written, where it is read, contents."""
+    """A memory column of one bit: read address, written bit, read bit, contents."""
 
     address: list[object]
     data: list[object]
@@ -39,7 +39,7 @@ def packable(netlist: dict[str, Any], top: str) -> None:
         for at in range(0, len(names), len(_LETTERS)):
             few = names[at : at + len(_LETTERS)]
             bits = [_single(cells[name]) for name in few]
-            # The last is where all are written: an address without a use there would be another's
+            # Padding goes first: the last port has the write address of all, so it must be one that is in use
             bits = [_Bit(bits[0].address, ["0"], None, "0" * 64)] * (len(_LETTERS) - len(bits)) + bits
             cells[f"{few[0]}_cm_joined"] = _cell(cells[few[0]], bits)
             for name in few:
@@ -68,12 +68,12 @@ def _single(cell: Cell) -> _Bit:
 
 
 def _half(cell: Cell, number: int) -> Iterator[_Bit]:
-    """One of the two columns of each letter, in the lower half of a memory twice as deep."""
+    """One of the two columns of each letter, as the lower half of a memory that is twice as deep."""
     pins = cell["connections"]
     for letter, contents in zip(_LETTERS, _contents(cell), strict=True):
         own = "0" * 32 + "".join(contents[-1 - 2 * word - number] for word in reversed(range(32)))
         output = pins.get(f"DO{letter}")
-        data = pins.get(f"DI{letter}", ["0", "0"])  # none where nothing of the letter is read
+        data = pins.get(f"DI{letter}", ["0", "0"])  # none if nothing of the letter is read
         yield _Bit([*pins[f"ADDR{letter}"], "0"], [data[number]], output and [output[number]], own)
 
 

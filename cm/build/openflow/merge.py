@@ -24,12 +24,12 @@ class Side:
 
 
 def static_features(database: Database, layouts: Iterable[Layout], side: Side) -> frozenset[Feature]:
-    """The static part without what stood in the regions' place: all outside them; in them wires that pass, anchors."""
+    """The static part's features: all outside the regions, and in them only anchors and wires that pass through."""
     _, dropped = _pips(database, side.routed)
     regions = list(layouts)
     inside = {name for layout in regions for name in layout.tiles}
     own = {feature for feature in side.features if feature.tile not in inside}
-    # also leaves of the clock: a column of the static part may have its clock from the one beside it
+    # also leaves of the clock: a column of the static part may get its clock from the next column
     passing = {feature for feature in side.features if feature.tile in inside and feature.tile.startswith(_PASSING)}
     own |= passing - dropped
     own |= _through(database, side, inside)
@@ -37,7 +37,7 @@ def static_features(database: Database, layouts: Iterable[Layout], side: Side) -
 
 
 def module_features(database: Database, layout: Layout, side: Side) -> frozenset[Feature]:
-    """What a module adds: its region's tiles, without the harness."""
+    """The features that a module adds: its region's tiles, without the harness."""
     _, dropped = _pips(database, side.routed)
     taken = {tile.name for tile in layout.anchor_tiles}
     own = {f for f in side.features if f.tile in layout.tiles and f.tile not in taken} - dropped
@@ -45,7 +45,7 @@ def module_features(database: Database, layout: Layout, side: Side) -> frozenset
 
 
 def _through(database: Database, side: Side, tiles: set[str]) -> set[Feature]:
-    """Of tiles whose logic is left out, the tables that the router passes a signal of the design through."""
+    """Features of look-up tables that the design is routed through, in tiles whose logic is left out."""
     kept, _ = side.routed.pips()
     wanted = set()
     for pip, _wire in kept:
@@ -61,25 +61,25 @@ def _through(database: Database, side: Side, tiles: set[str]) -> set[Feature]:
 
 
 def strays(database: Database, layout: Layout, side: Side, static: frozenset[Feature]) -> list[str]:
-    """Sentences on ways of a module outside its region; its clock may come as it does in the static part."""
+    """Sentences about a module's routes outside its region; its clock may take the static part's route."""
     found = []
     for name, net in side.routed.nets.items():
         if any(cell.endswith(CLOCK) for cell, _, _ in net["users"]):
-            continue  # to the clock's buffer, which is the static part's
+            continue  # to the clock buffer, which belongs to the static part
         clock = net["driver"].endswith(CLOCK)
         for pip in side.routed.pips_of(net):
             feature = feature_of(database, pip)
             if feature is None or feature.tile in layout.tiles or feature in static:
                 continue
             if not _has_bits(database, feature):
-                continue  # between tiles that have no choice
+                continue  # connections between tiles that cannot be switched
             what = "the clock takes another route than in the static part" if clock else f"net {name} leaves the region"
             found.append(f"{what}: {feature}")
     return found
 
 
 def left_out(database: Database, side: Side, features: frozenset[Feature], tiles: Container[str]) -> list[str]:
-    """Sentences on switches in tiles that a side needs, and that are not among the features that it becomes."""
+    """Sentences about switches in these tiles that a side needs but that are missing from its features."""
     kept, _ = _pips(database, side.routed)
     missing = sorted(
         one for one in kept - features if one.tile in tiles and one in side.features and _has_bits(database, one)
@@ -88,7 +88,7 @@ def left_out(database: Database, side: Side, features: frozenset[Feature], tiles
 
 
 def two_drivers(database: Database, features: Iterable[Feature]) -> list[str]:
-    """Sentences on wires that two pips drive."""
+    """Sentences about wires that are driven by two pips."""
     wires = Wires(database)
     drivers: dict[tuple[str, str], Feature] = {}
     found = []
@@ -117,7 +117,7 @@ def _pips(database: Database, routed: Routed) -> tuple[frozenset[Feature], froze
 
 
 def _anchored(layout: Layout, side: Side) -> Iterator[Feature]:
-    """Of each anchor the table where this side gives its input, and the way out where it takes its output."""
+    """Features of each anchor: its look-up table if this side drives it, and its output if this side reads it."""
     sides = {(anchor.tile.name, anchor.site_name, anchor.letter): anchor for anchor in layout.anchors}
     names = {anchor.tile.name for anchor in layout.anchors}
     for feature in side.features:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Verilog that only this flow needs: the top, and both sides of a region's anchors.
+"""Verilog that only this flow needs: the top, and both sides of a region's anchors.
 
-A harness of flip-flops is placed on the other side of the anchors, so that paths begin and end there for the tools;
-it is left out of the bitstreams.
+Each side is placed with a harness of flip-flops behind the anchors, so that timing paths begin and end there;
+the harness is left out of the bitstreams.
 """
 
 from __future__ import annotations
@@ -65,13 +65,13 @@ def open_system(system: System) -> Netlist:
 
 
 def static_side(region: RegionPlan) -> Netlist:
-    """The region as the static part is placed with it: anchors, and the harness in the modules' place."""
+    """The region as it is placed with the static part: anchors, and the harness in place of the modules."""
     net = black_box(region)
     net.black_box = False
     net.doc = f"Region {region.name}: anchors of its boundary, and flip-flops in the place of a module."
     bits = bits_of_region(region)
     _harness_clock(net, region)
-    for number, clock in enumerate(region.clocks):  # a clock is brought to the region's rows, whatever stands there
+    for number, clock in enumerate(region.clocks):  # so that it reaches the region's rows, whatever is placed there
         _flip_flop(net, f"{HARNESS}{region.index}_spine{number}", "cm_toggle", None, clock)
     for bit in bits:
         if bit.into:
@@ -82,7 +82,7 @@ def static_side(region: RegionPlan) -> Netlist:
 
 
 def module_side(region: RegionPlan) -> Netlist:
-    """``cm_open_module``: a module's wrapper behind the anchors, and the harness in the static part's place."""
+    """``cm_open_module``: a module's wrapper behind the anchors, and the harness in place of the static part."""
     net = Netlist(MODULE_TOP, f"A module of region {region.name} behind the anchors of its boundary.")
     bits = bits_of_region(region)
     pins: dict[str, str | None] = dict.fromkeys(region.clocks, "cm_clock")
@@ -102,7 +102,7 @@ def module_side(region: RegionPlan) -> Netlist:
 
 
 def _arrives(net: Netlist, bit: BoundaryBit, signal: str) -> None:
-    """A signal ends here: anchor, a look-up table that keeps tools from packing it, a flip-flop."""
+    """End a signal: an anchor, a look-up table that keeps the tools from packing it, and a flip-flop."""
     anchored, hop = net.wire(f"cm_a{bit.label}"), net.wire(f"cm_h{bit.label}")
     _lut(net, f"{ANCHOR}{bit.label}", signal, anchored)
     _lut(net, f"{HARNESS}{bit.label}_lut", anchored, hop)
@@ -110,14 +110,14 @@ def _arrives(net: Netlist, bit: BoundaryBit, signal: str) -> None:
 
 
 def _departs(net: Netlist, bit: BoundaryBit, signal: str) -> None:
-    """A signal begins here: a flip-flop, then the anchor."""
+    """Begin a signal: a flip-flop, then the anchor."""
     begun = net.wire(f"cm_b{bit.label}")
     _flip_flop(net, f"{HARNESS}{bit.label}_ff", "cm_toggle", begun)
     _lut(net, f"{ANCHOR}{bit.label}", begun, signal)
 
 
 def _harness_clock(net: Netlist, region: RegionPlan) -> None:
-    """A clock of the harness's own, made of a look-up table: its paths are told apart by it."""
+    """Give the harness its own clock, made by a look-up table, so that its paths can be told apart in reports."""
     net.wire("cm_toggle_clock")
     net.wire("cm_toggle")
     net.wire("cm_toggle_next")

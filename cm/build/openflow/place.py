@@ -18,7 +18,7 @@ from cm.build.openflow.tools import Tool
 from cm.xray import Database, read_features
 
 INSIDE = Path(__file__).parent / "inside"
-_LONGEST = 300  # seconds of processor time: the router turns for hours where there are too few ways
+_LONGEST = 300  # seconds of processor time: with too few routes, the router runs for hours
 SCRIPTS = tuple(INSIDE / f"{name}.py" for name in ("place", "block", "dump"))
 
 
@@ -35,7 +35,7 @@ class Files:
 
     @property
     def outputs(self) -> tuple[Path, ...]:
-        """What a run leaves behind."""
+        """The files that a run writes."""
         return tuple(self.file(ending) for ending in ("fasm", "route.json", "report.json"))
 
 
@@ -57,7 +57,7 @@ def place_and_route(
 
 
 def read_side(database: Database, files: Files, inputs: frozenset[str], static: bool) -> Side:
-    """What a run gave; `inputs` are the labels of the anchors whose input side it has."""
+    """Read the result of a run; `inputs`: labels of the anchors whose input side it contains."""
     lines = files.file("fasm").read_text("utf-8").splitlines()
     routed = read_routed(files.file("route.json"), inputs)
     modules = json.loads(files.file("json").read_text("utf-8"))["modules"].values()
@@ -67,5 +67,5 @@ def read_side(database: Database, files: Files, inputs: frozenset[str], static: 
 
 
 def timing(files: Files) -> Timing:
-    """What nextpnr reports of a run."""
+    """Read nextpnr's timing report of a run."""
     return read_timing(files.file("report.json"))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands in for the block design where no vendor tool is: the processing system of a Zynq-7000.
+"""The processing system of a Zynq-7000, in place of the block design that needs the vendor's tool.
 
-One clock, its reset, one master port as AXI4-Lite, interrupts, and as many ports to memory (HP0 to HP3: AXI3, 64
-bits) as the DMA engines need. Pins of the memory and of MIO are the processing system's own and need no wire here.
+It has one clock, its reset, one master port as AXI4-Lite, interrupts, and as many memory ports (HP0 to HP3: AXI3, 64
+bits) as the DMA engines need. DDR and MIO pins are dedicated to the processing system and need no wires here.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from cm.build.hdl.model import PortDirection
 IN, OUT = PortDirection.IN, PortDirection.OUT
 INTERRUPTS = 16  # of the PL
 MEMORY_PORTS = 4
-WORD = 8  # bytes, of a port to memory
+WORD = 8  # bytes, of a memory port
 
 Pins = tuple[tuple[str, int], ...]
 _FROM_GP: Pins = (
@@ -31,7 +31,7 @@ _TO_GP: Pins = (
 
 @dataclass(frozen=True, slots=True)
 class Half:
-    """The read or the write half of a port to memory, as its master sees it."""
+    """The read or the write half of a memory port, as seen by its master."""
 
     asks: Pins
     answers: Pins
@@ -54,12 +54,12 @@ WRITE = Half(
 
 
 def memory_pin(number: int, signal: str) -> str:
-    """The port of ``cm_open_system`` for a signal of a port to memory."""
+    """The port of ``cm_open_system`` for a signal of a memory port."""
     return f"s_axi_hp{number}_{signal}"
 
 
 def processing_system(reads: int, writes: int) -> Netlist:
-    """``cm_open_system`` with the read half of the first `reads` ports to memory, the write half of `writes`."""
+    """``cm_open_system`` with the read halves of the first `reads` memory ports and the write halves of `writes`."""
     net = Netlist("cm_open_system", "The processing system for the open flow: clock, registers, memory, interrupts.")
     net.port("clk", OUT)
     net.port("resetn", OUT)
@@ -89,7 +89,7 @@ def processing_system(reads: int, writes: int) -> Netlist:
 
 
 def _half(net: Netlist, half: Half, number: int) -> dict[str, str | None]:
-    """The pins of half a port, which becomes a port of the netlist."""
+    """Make half a port a port of the netlist, and return its pins."""
     pins: dict[str, str | None] = {f"SAXIHP{number}{name.upper()}": value for name, value in half.constants}
     for direction, listed in ((IN, half.asks), (OUT, half.answers)):
         for name, width in listed:

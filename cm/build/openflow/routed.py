@@ -15,14 +15,14 @@ from cm.xray import Database, Feature
 
 _TABLE_PIN = re.compile(r"(X\d+Y\d+/SLICE_X\dY0)\.([A-D])([1-6])")
 _ONES = "$PACKER_VCC_NET"
-# A way through a look-up table, from an input (without its number where it goes on to the multiplexer) to its output.
+# A route through a look-up table, from an input (without its number if it goes on to the multiplexer) to the output.
 PASSED = re.compile(r"(CLBL[LM]_(?:LL|L|M))_([A-D])(MUX)?/\1_\2[1-6]?")
 Pip = tuple[str, str]  # name in nextpnr (X85Y13/DESTINATION/SOURCE), name of the wire it drives
 
 
 @dataclass(frozen=True)
 class Routed:
-    """The dump of `inside/dump.py`; `inputs` are the anchors (by label) whose input side this run has."""
+    """The dump of `inside/dump.py`; `inputs`: labels of the anchors whose input side this run contains."""
 
     cells: Mapping[str, tuple[str, str]]  # name → type, place
     nets: Mapping[str, Mapping[str, Any]]
@@ -33,7 +33,7 @@ class Routed:
         return next(place for name, (_, place) in self.cells.items() if _last(name) == last)
 
     def own(self, cell: str) -> bool:
-        """Whether a way to this cell belongs to the design."""
+        """Whether a route to this cell belongs to the design."""
         last = _last(cell)
         if last.startswith(HARNESS):
             return False
@@ -53,7 +53,7 @@ class Routed:
         return frozenset(pip for pip, _ in self._needed(net))
 
     def lost(self) -> list[str]:
-        """Sentences on inputs of the design that no way of their net leads to; what is not routed is 1 by itself."""
+        """Sentences about inputs of the design that their net does not reach; an unrouted input reads as 1."""
         return [
             f"net {name} does not reach pin {port} of {cell}"
             for name, net in self.nets.items()
@@ -93,8 +93,8 @@ def tile_of(database: Database, place: str) -> str | None:
 
 
 def _routed_to(wires: Mapping[str, Any], sink: str) -> str:
-    """Where the way to an input of a look-up table ends: the router exchanges them, and the cell's pins are renamed
-    after what they are in the slice, the wires are not."""
+    """The wire at which the route to a look-up table's input ends: the router may swap inputs, and then the cell's
+    pins are renamed after the slice's, but the wires are not."""
     table = _TABLE_PIN.fullmatch(sink)
     if table is None:
         return sink

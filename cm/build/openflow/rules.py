@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the open tools cannot do, reported before they run."""
+"""Reports what the open tools cannot do before they are run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cm.schema.model import Direction
 
 RULE = "open flow"
 DEVICES = ("xc7z010", "xc7z020")
-# What yosys gives and nextpnr places, tried in a region or in a static part
+# Cells that yosys emits and nextpnr places, and that have been tried in a region or in a static part
 CELLS = re.compile(
     r"LUT[1-6]|FD[RSCP]E(_1)?|CARRY4|MUXF[78]|INV|SRL16E|SRLC16E|SRLC32E|RAM(32|64|128|256)\w*|RAMB(18|36)E1|DSP48E1|BUFG|PS7|"
     r"[IO]BUF|GND|VCC|\$scopeinfo"
@@ -30,7 +30,7 @@ _WAYS = {Direction.MM2S: "from memory", Direction.S2MM: "to memory"}
 
 
 def check_open(system: System) -> list[Finding]:
-    """What of a system the open flow cannot do, with its place in the build schema."""
+    """Findings about what in a system the open flow cannot do."""
     found = [Finding(RULE, key, message, hint) for key, message, hint in _system(system)]
     for region in system.regions:
         found += [
@@ -43,14 +43,14 @@ def check_open(system: System) -> list[Finding]:
 
 
 def refuse_open(system: System) -> None:
-    """Raise BuildError with all that the open flow cannot do."""
+    """Raise BuildError with everything that the open flow cannot do."""
     told = [finding.text(system.project.source) for finding in check_open(system)]
     if told:
         raise BuildError("the open tools cannot build this design:\n  " + "\n  ".join(told))
 
 
 def check_cells(netlist: dict[str, Any], top: str, what: str, dsp: bool = False) -> None:
-    """Raise BuildError where synthesis gave cells that are not known to be tried, or DSP48 without `dsp`."""
+    """Raise BuildError for synthesised cells that have not been tried, or for DSP48 without `dsp`."""
     cells = netlist["modules"][top]["cells"]
     wrong = {name: cell["type"] for name, cell in cells.items() if not CELLS.fullmatch(cell["type"])}
     if wrong:

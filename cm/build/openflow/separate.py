@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A look-up table between an anchor and a flip-flop that it feeds, in yosys' JSON.
+"""Inserts a look-up table between an anchor and a flip-flop that it feeds, in yosys' JSON.
 
-nextpnr packs a look-up table with the flip-flop behind it into one cluster, and ends with `dict::at()` where
-the look-up table has a place of its own.
+nextpnr packs a look-up table and the flip-flop behind it into one cluster, and crashes in `dict::at()` if the
+look-up table has a fixed place.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _PASS = "cm_pass_"
 
 
 def separate(netlist: dict[str, Any], top: str) -> int:
-    """Change yosys' netlist in place; returns how many look-up tables were added."""
+    """Change yosys' netlist in place; return how many look-up tables were added."""
     module = netlist["modules"][top]
     cells, names = module["cells"], module["netnames"]
     sources = {

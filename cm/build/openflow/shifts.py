@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shift registers in look-up tables: what nextpnr 0.11 cannot do with them, or does wrongly."""
+"""Shift registers in look-up tables: workarounds for what nextpnr 0.11 cannot do with them, or does wrongly."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _LAST = {"SRLC32E": "Q31", "SRLC16E": "Q15"}
 
 
 def unchain(netlist: dict[str, Any], top: str) -> int:
-    """Change yosys' netlist in place: long ones do without the way from a table's last bit to the next table.
+    """Change yosys' netlist in place so that long shift registers do not use the cascade to the next look-up table.
 
-    nextpnr has no wire for that output (Q31, Q15) and ends with an error. A second look-up table with the same
-    input, always read at its end, gives the same signal. Returns how many were added.
+    nextpnr has no wire for that output (Q31, Q15) and stops with an error. A second look-up table with the same
+    input, always read at its last bit, gives the same signal. Returns how many were added.
     """
     cells = netlist["modules"][top]["cells"]
     used = {wire for cell in cells.values() for wire in _inputs(cell)}
@@ -62,10 +62,10 @@ def _inputs(cell: Cell) -> list[object]:
 def with_contents(
     features: Iterable[Feature], database: Database, netlist: Mapping[str, Any], places: Mapping[str, tuple[str, str]]
 ) -> frozenset[Feature]:
-    """nextpnr's features of shift registers with what they begin with.
+    """Correct the initial contents of shift registers in nextpnr's features.
 
-    It writes INIT as if it were a table's. In the slice each bit stands twice, the newest lowest (UG474; so in
-    Vivado's bitstreams, openXC7/nextpnr-xilinx issue 181); 16 bits are half a table.
+    nextpnr writes INIT like that of a look-up table. In the slice each bit occurs twice, the newest lowest (UG474;
+    Vivado's bitstreams agree, openXC7/nextpnr-xilinx issue 181); 16 bits are half a table.
     """
     kept = frozenset(features)
     for name, cell in netlist.items():

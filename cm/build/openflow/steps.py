@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Steps that are skipped if their input is unchanged: each keeps a hash of what it was made from."""
+"""Steps that are skipped if their input is unchanged: each keeps a hash of its input."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from cm.build.openflow.tools import Tool
 
 Tell = Callable[[str], None]
 _LINES = 6
-_OUT_OF_TIME = (-signal.SIGXCPU, -signal.SIGKILL)  # at the soft and the hard limit, which are the same
+_OUT_OF_TIME = (-signal.SIGXCPU, -signal.SIGKILL)  # at the soft and the hard limit, which are equal
 
 
 class OpenStepFailed(BuildError):
@@ -30,27 +30,27 @@ class OpenStepFailed(BuildError):
 
 
 class OpenStepEndless(OpenStepFailed):
-    """A program of the open flow used all the processor time that it had."""
+    """A program of the open flow used all the processor time that it was allowed."""
 
     code: ClassVar[str] = "step_endless"
 
 
 class Steps:
-    """The steps of a flow in a folder; `tell` gets a sentence when one begins and ends."""
+    """The steps of a flow in a folder; `tell` gets a sentence when a step begins and when it ends."""
 
     def __init__(self, folder: Path, tell: Tell, ran: list[str] | None = None) -> None:
-        """`ran` collects the names of the steps that were done."""
+        """`ran` collects the names of the steps that were run."""
         self.folder = folder
         self.ran = [] if ran is None else ran
         self._tell = tell
 
     def fresh(self, name: str, key: str, outputs: Iterable[Path]) -> bool:
-        """Whether a step was done with this key, and its outputs are there."""
+        """Whether a step was run with this key and its outputs exist."""
         stamp = self.folder / f"{name}.key"
         return stamp.is_file() and stamp.read_text("utf-8") == key and all(path.is_file() for path in outputs)
 
     def step(self, name: str, title: str, key: str, outputs: Sequence[Path], work: Callable[[], None]) -> None:
-        """Do `work` unless it was done; its stamp is written last, so that a killed step is begun anew."""
+        """Do `work` unless the step is fresh; the stamp is written last, so that a killed step starts again."""
         if self.fresh(name, key, outputs):
             return
         stamp = self.folder / f"{name}.key"
@@ -64,14 +64,14 @@ class Steps:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """Write a file at once or not at all."""
+    """Write a file atomically."""
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     aside.write_bytes(data)
     aside.rename(path)
 
 
 def key_of(*parts: object) -> str:
-    """A hash of numbers, texts, JSON values and the content of files; a file that is not there counts as empty."""
+    """Hash numbers, texts, JSON values and the contents of files; a missing file counts as empty."""
     total = hashlib.sha256()
     for part in parts:
         if isinstance(part, Path):
@@ -91,7 +91,7 @@ def run_tool(
     folder: Path | None = None,
     seconds: int | None = None,
 ) -> None:
-    """Run a program with its output in `log`, for so many seconds of processor time.
+    """Run a program for at most `seconds` of processor time, with its output in `log`.
 
     Raises OpenStepFailed with its errors, or its last lines; OpenStepEndless.
     """
@@ -115,7 +115,7 @@ def run_tool(
             process.wait()
             raise
     if status in _OUT_OF_TIME and seconds is not None:
-        raise OpenStepEndless(f"{what}: {tool.name} found no end in {seconds} s of processor time")
+        raise OpenStepEndless(f"{what}: {tool.name} did not finish within {seconds} s of processor time")
     said = log.read_text("utf-8", errors="replace").splitlines()
     errors = [line for line in said if "ERROR" in line or "what():" in line or "Error:" in line]
     if status or any(line.startswith("ERROR") for line in errors):

@@ -19,15 +19,15 @@ from cm.build.openflow.shifts import unchain
 from cm.build.openflow.steps import run_tool, write_whole
 from cm.build.openflow.tools import Tool
 
-# Read by nextpnr. The processing system has pins up to 50 tiles from where nextpnr thinks it is: a way to one is at
-# first looked for in vain, everywhere in a box that it leaves: with a wider box routing takes a sixth of the time.
+# Read by nextpnr. The processing system has pins up to 50 tiles from where nextpnr thinks it is, outside the box in
+# which a route is first searched for exhaustively: with a wider box, routing takes a sixth of the time.
 ROUTER = {"router2/bbMargin/x": "25", "router2/bbMargin/y": "60"}
 _PLAIN = re.compile(r"[^\s;\"']+")
 
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """What is read for a top: Verilog, SystemVerilog, folders of headers, macros; with I/O buffers, with DSP48."""
+    """What is read for a top: Verilog, SystemVerilog, header folders, macros; and whether it has I/O buffers, DSP48."""
 
     top: str
     verilog: tuple[Path, ...]
@@ -40,12 +40,12 @@ class Sources:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Everything whose content counts."""
+        """All files whose contents affect the result."""
         return (*self.verilog, *self.systemverilog, *self.headers)
 
 
 def script(sources: Sources, out: Path, folder: Path) -> str:
-    """The commands for yosys, with paths as seen from `folder`: they become part of names in the netlist."""
+    """The commands for yosys, with paths relative to `folder`, since they become part of names in the netlist."""
 
     def here(path: Path) -> str:
         return _word(os.path.relpath(path, folder))
@@ -66,10 +66,10 @@ def script(sources: Sources, out: Path, folder: Path) -> str:
 
 
 def _synthesis(sources: Sources) -> list[str]:
-    """synth_xilinx in two halves, with its shift registers of a fixed length in between.
+    """Run synth_xilinx in two halves, with shift registers of fixed length extracted in between.
 
     Before YosysHQ/yosys pull request 6059, xilinx_srl dropped the clock enable of such a chain, so that it shifted in
-    every cycle: only flip-flops whose enable is a constant may become one. (Those with a variable length keep theirs.)
+    every cycle: only flip-flops with a constant enable may become one. (Those of variable length keep their enable.)
     """
     every = (
         f"synth_xilinx -flatten -abc9 -noclkbuf -arch xc7 -top {sources.top}"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether paths meet their clock: within each run by nextpnr's report, over the anchors by the sum of both sides.
+"""Whether paths meet their clock: within each run by nextpnr's report, across anchors by the sum of both sides.
 
-In each run the harness stands for the other side, on a clock of its own. A path over an anchor is at most as
-long as the longest to the harness on one side and the longest from it on the other together: both count the
-anchor, so the sum is on the safe side.
+In each run the harness represents the other side, on its own clock. A path across an anchor is at most as long as
+the longest path to the harness on one side plus the longest from it on the other; both include the anchor, so the
+sum is on the safe side.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def read_timing(path: Path) -> Timing:
 
 
 def slacks(static: Timing, module: Timing, period: float) -> dict[str, float]:
-    """What is left of a period (ns) on each kind of path; below 0 it does not hold."""
+    """Return the slack in ns of each kind of path at this period (ns); a negative one is a violation."""
     found = {
         "static part": static.inside,
         "module": module.inside,
@@ -60,7 +60,7 @@ def slacks(static: Timing, module: Timing, period: float) -> dict[str, float]:
 
 
 def _counts(net: dict[str, Any], end: dict[str, Any]) -> bool:
-    """Leaves out the harness's own clock divider, and what has no clock on either side."""
+    """Whether a path counts: not the harness's own clock divider, nor a path without a clock on either side."""
     if "async" in net["event"] or "async" in end["event"]:
         return False
     own = end["cell"].rpartition(".")[2]

@@ -26,7 +26,7 @@ exec "$here/ld.so" --library-path "$libraries" "$usr/bin/yosys-abc" "$@"
 
 @dataclass(frozen=True, slots=True)
 class Tool:
-    """A program: how it is called, and what its environment needs beside ours."""
+    """A program: its command, and variables to add to the environment."""
 
     name: str
     command: tuple[str, ...]
@@ -38,7 +38,7 @@ class Tool:
 
 @dataclass(frozen=True, slots=True)
 class Tools:
-    """What the flow needs; `versions` by package where they were fetched, for the record."""
+    """The programs and data of the flow; `versions`: of fetched packages, for the record."""
 
     yosys: Tool
     nextpnr: Tool
@@ -47,12 +47,12 @@ class Tools:
 
 
 def fetch_tools(folder: Path | None = None, mirror: str | None = None) -> Tools:
-    """Fetch what is not there yet (some 50 MB), verified by apt's signed lists. Raises PackagesUnavailable."""
+    """Fetch what is missing (some 50 MB), verified by apt's signed lists. Raises PackagesUnavailable."""
     return _of_tree(fetch(PACKAGES, folder, mirror=mirror))
 
 
 def find_tools(folder: Path | None = None) -> Tools:
-    """Return the tools of PATH where all are there, else those that were fetched.
+    """Return the tools on PATH if all are there, otherwise those that were fetched.
 
     Raises MissingTool with one sentence for each that is missing.
     """
@@ -73,7 +73,7 @@ def find_tools(folder: Path | None = None) -> Tools:
 
 
 def fetched(folder: Path | None = None) -> PackageTree | None:
-    """Return the tree of fetched packages, if it is there; nothing is fetched."""
+    """Return the tree of packages if they have been fetched already; fetch nothing."""
     place = folder or default_folder()
     wanted = set(PACKAGES)
     for path in sorted(place.glob("*/packages.json")) if place.is_dir() else ():
@@ -97,10 +97,10 @@ def _of_tree(tree: PackageTree) -> Tools:
 
 
 def _own_loader(tree: PackageTree) -> Path:
-    """The tree's dynamic loader under a folder of its own.
+    """Put the tree's dynamic loader into a separate folder, and return it.
 
     The programs look for their data, and yosys for its ABC, beside the running program, which is the loader:
-    so there stand ``bin/ld.so``, ``bin/yosys-abc``, and ``share`` as it is in the tree.
+    so the folder has ``bin/ld.so``, ``bin/yosys-abc``, and ``share`` as in the tree.
     """
     place = tree.root / "run"
     loader = place / "bin" / "ld.so"

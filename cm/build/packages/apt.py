@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""apt-get with sources, lists and state of its own.
+"""apt-get with its own sources, lists and state.
 
 The lists are verified with Debian's archive keys, each package with the lists' hashes: apt does both.
 The machine's own settings (a proxy, say) stay; its sources, its lists and its state are not used.
@@ -18,11 +18,11 @@ from cm.errors import CmError
 
 KEYRING = Path("/usr/share/keyrings/debian-archive-keyring.gpg")
 _SECONDS = 1800.0  # for one call: a slow line, and packages of hundreds of megabytes
-_LINES = 8  # of a program's output that are shown if it fails
+_LINES = 8  # lines of a program's output that are shown if it fails
 
 
 class PackagesUnavailable(CmError):
-    """The packages cannot be had here: a program is missing, no network, or no such package."""
+    """Packages cannot be fetched: a program is missing, there is no network, or there is no such package."""
 
     code = "packages_unavailable"
 
@@ -41,7 +41,7 @@ class Apt:
         return self.state / "tmp"
 
     def prepare(self) -> None:
-        """Make the folders and the source; raises PackagesUnavailable without the keys to verify it."""
+        """Make the folders and the list of sources. Raises PackagesUnavailable if the keys to verify it are missing."""
         if not self.keyring.is_file():
             raise PackagesUnavailable(f"{self.keyring}: not there; install debian-archive-keyring to verify packages")
         shutil.rmtree(self._scratch, ignore_errors=True)
@@ -56,7 +56,7 @@ class Apt:
         run(self._command("apt-get", "update", "-q", "-oAPT::Update::Error-Mode=any"), self._scratch)
 
     def download(self, names: list[str], place: Path) -> list[Path]:
-        """Fetch packages and all that they depend on into `place`; returns the files."""
+        """Fetch packages and everything they depend on into `place`; return the files."""
         (place / "partial").mkdir(parents=True, exist_ok=True)
         options = [f"-oDir::Cache::archives={place}", "-q", "-y", "--no-install-recommends", "--download-only"]
         run(self._command("apt-get", "install", *options, "--", *names), self._scratch)
@@ -85,7 +85,7 @@ class Apt:
 
 
 def run(command: list[str], scratch: Path | None = None) -> str:
-    """Run a program; its output.
+    """Run a program and return its output.
 
     Raises PackagesUnavailable with its last lines if it fails. `scratch`: the folder for its temporary files, which a
     killed program leaves behind.
@@ -115,7 +115,7 @@ def run(command: list[str], scratch: Path | None = None) -> str:
 
 
 def own_mirror() -> str:
-    """Return the mirror that this machine has its Debian packages from. Raises PackagesUnavailable."""
+    """Return the mirror from which this machine gets its Debian packages. Raises PackagesUnavailable."""
     found = run(["apt-get", "indextargets", "--format", "$(REPO_URI)"]).split()
     mirror = next((uri.rstrip("/") for uri in found if re.search(r"/debian/?$", uri)), None)
     if mirror is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Packages by name, with their dependencies, unpacked into a folder that is complete or does not exist."""
+"""Unpacks packages and their dependencies into a folder that is either complete or does not exist."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from cm.build.packages.apt import PackagesUnavailable as PackagesUnavailable
 from cm.build.packages.tree import MANIFEST, PackageTree
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9+.-]*(?:=[A-Za-z0-9.+:~-]+)?")
-SUITE = "sid"  # nextpnr and prjxray are in no release yet
+SUITE = "sid"  # nextpnr and prjxray are not in a release yet
 
 
 def default_folder() -> Path:
-    """Return where trees lie if nothing else is said: below the user's cache folder."""
+    """Return the default place of trees: below the user's cache folder."""
     home = os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache")
     return Path(home) / "fpga-cm" / "packages"
 
@@ -35,14 +35,14 @@ def fetch(
     mirror: str | None = None,
     keyring: Path = KEYRING,
 ) -> PackageTree:
-    """Return a tree with these packages (``name`` or ``name=version``) and all that they depend on.
+    """Return a tree with these packages (``name`` or ``name=version``) and everything they depend on.
 
-    It lies below `folder` (`default_folder()`) under a name made from what was asked for; one that is
-    there is used as it is, without a network. apt's lists are checked with Debian's keys, packages
+    It is below `folder` (`default_folder()`), under a name derived from the request; an existing one
+    is used as it is, without a network. apt's lists are checked with Debian's keys, packages
     with the lists' hashes; no script of a package is run. A killed call leaves nothing that the next would take for
-    complete, and two at a time wait for each other. Remove the tree to have newer packages.
+    complete, and simultaneous calls wait for each other. Remove the tree to get newer packages.
 
-    `mirror`: None takes the machine's own. Raises PackagesUnavailable with the reason, OSError.
+    `mirror`: by default the machine's own. Raises PackagesUnavailable with the reason, OSError.
     """
     wanted = sorted(set(names))
     for name in wanted:
@@ -75,12 +75,12 @@ def _make(apt: Apt, names: list[str], root: Path) -> None:
     found = [_unpack(file, aside) for file in files]
     shutil.rmtree(archives)
     (aside / MANIFEST).write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    os.sync()  # hundreds of files: one call, before the name says that they are whole
+    os.sync()  # one call for hundreds of files, before the tree gets the name that marks it as complete
     aside.rename(root)
 
 
 def _unpack(file: Path, root: Path) -> dict[str, str]:
-    """Unpack one package; returns what it is, for the manifest."""
+    """Unpack one package; return its name and version for the manifest."""
     name, version = run(["dpkg-deb", "--show", "--showformat=${Package} ${Version}", str(file)]).split()
     run(["dpkg-deb", "--extract", str(file), str(root)])
     return {"package": name, "version": version, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
@@ -88,7 +88,7 @@ def _unpack(file: Path, root: Path) -> dict[str, str]:
 
 @contextlib.contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Hold a lock that other processes wait for; the system lets go of it with the process."""
+    """Hold a lock that other processes wait for; the kernel releases it when the process ends."""
     with path.open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An unpacked tree of packages, and how a program in it is run where it lies."""
+"""An unpacked tree of packages, whose programs can be run in place."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class PackageTree:
 
     @classmethod
     def at(cls, root: Path) -> PackageTree:
-        """Return the tree that lies whole at `root`, with what its manifest says. Raises OSError, ValueError."""
+        """Return the complete tree at `root`, by its manifest. Raises OSError, ValueError."""
         found = json.loads((root / MANIFEST).read_text(encoding="utf-8"))
         return cls(root, MappingProxyType({item["package"]: item["version"] for item in found}))
 
@@ -37,9 +37,9 @@ class PackageTree:
     def command(self, program: str, *arguments: str) -> list[str]:
         """Return the command line that runs a program of the tree with the tree's own libraries.
 
-        It runs through the tree's dynamic loader, so that the machine's C library may be older. What
-        the program starts in its turn, and what it looks for under /usr/share, is its own affair.
-        Raises FileNotFoundError where the tree has no such program.
+        It runs through the tree's dynamic loader, so that the machine's C library may be older. Programs that
+        it starts, and files that it looks for under /usr/share, are not redirected to the tree.
+        Raises FileNotFoundError if the tree has no such program.
         """
         found = next((path for folder in _PROGRAMS if (path := self.root / folder / program).is_file()), None)
         if found is None:

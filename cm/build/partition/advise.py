@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A project as the advisor's problem, and its present regions as a partition."""
+"""Converts a project to the advisor's problem, and its present regions to a partition."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def problem_of(
     budget: float = 1.0,
     regions: int | None = None,
 ) -> Problem:
-    """Modules, modes and part; `rate` in bytes per second (None: the limit of the ICAP).
+    """Make the problem of a project; `rate`: of the configuration port, in bytes per second (None: the ICAP's limit).
 
-    `static` is what the static part needs, `budget` the share of the part that regions may take, `regions` how
-    many there may be.
+    `static`: what the static part needs; `budget`: the share of the part that regions may take; `regions`: the most
+    regions that there may be.
 
     A module that fits several regions counts as one unit for each region that a mode puts it into.
     """
@@ -40,7 +40,7 @@ def problem_of(
         raise BuildError(f"resources: is missing for {', '.join(missing)} ({hint})")
     tied = bound(project, analysis)
     kinds: dict[tuple[str, str], str] = {}
-    for places in tied:  # they share a region already, whatever else they have
+    for places in tied:  # they share a region already, even if they have other interfaces
         kind = ", or ".join(sorted({_kind(project, analysis, *place) for place in places}))
         kinds |= dict.fromkeys(places, kind)
     units = {}
@@ -60,10 +60,10 @@ def problem_of(
 
 
 def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, dict[str, Path]]:
-    """`project` with the resources that Vivado's reports say, and which report was read for which module.
+    """Return `project` with the resources in Vivado's reports, and the report that was read for each module.
 
-    What stands under `resources:` goes first. A module's report is that of our flow,
-    ``synth_<module>.utilization.rpt``, or ``<module>.rpt``; of several folders the first that has one.
+    `resources:` in the build schema takes precedence. A module's report is that of the generated flow,
+    ``synth_<module>.utilization.rpt``, or ``<module>.rpt``, in the first folder that has one.
     """
     listed = list(folders)
     modules, read = dict(project.modules), {}
@@ -76,7 +76,7 @@ def with_reports(project: Project, folders: Iterable[Path]) -> tuple[Project, di
 
 
 def static_report(folders: Iterable[Path]) -> Path | None:
-    """The report of our flow on the static part, of several folders the first that has one."""
+    """The generated flow's report on the static part, in the first folder that has one."""
     paths = (folder / "static_synth.utilization.rpt" for folder in folders)
     return next((path for path in paths if path.is_file()), None)
 
@@ -88,12 +88,12 @@ def todays_groups(project: Project, problem: Problem) -> list[Group]:
 
 
 def unit_name(module: ModuleSpec, region: str) -> str:
-    """The module, with the region where it may go to several."""
+    """The module's name, with the region's if it may go to several."""
     return module.name if len(module.regions) == 1 else f"{module.name}_{region}"
 
 
 def _kind(project: Project, analysis: Analysis, module: str, region: str) -> str:
-    """Streams and memory ports of a module, and its region's clocks: only modules with the same share a region."""
+    """Streams and memory ports of a module, and its region's clocks: modules may share a region only if these agree."""
     found = sorted(
         f"{i.protocol} {i.mode.value} {i.data_width}"
         for i in analysis.modules[module].interfaces

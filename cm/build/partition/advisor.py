@@ -3,15 +3,15 @@
 
 A region must hold the largest of its modules in every resource, and loading it costs time in
 proportion to its configuration data, which grows with its size whatever is loaded. Modules that are
-active together cannot share a region, nor modules of different interfaces (that would make every
-region as wide as all). Choosing groups of compatible modules so that the worst or the mean time of a
+active together cannot share a region, nor can modules with different interfaces (every region would
+then need the interfaces of all). Choosing groups of compatible modules so that the worst or the mean time of a
 change of mode is smallest, under the part's resources, is the problem of Vipin and Fahmy, "Automated
 Partitioning for Partial Reconfiguration Design of Adaptive Systems" (IPDPSW 2013).
 
-They choose among all groups there are, which are too many from some twenty modules on. Two properties
-allow a program whose size is the square of the number of modules. A group is as large as its largest
-module alone: call that one its representative. And of a group at most one module is active in a mode,
-so what a change loads is a sum over modules. So it is a graph colouring by asymmetric representatives
+They choose among all possible groups, which are too many from about twenty modules on. Two properties
+allow a program whose size is quadratic in the number of modules. A group is only as large as its largest
+module, which is called its representative. And at most one module of a group is active in a mode, so
+what a change loads is a sum over modules. This makes it graph colouring by asymmetric representatives
 (Campêlo, Campos and Corrêa, "On the asymmetric representatives formulation for the vertex coloring
 problem", 2008), solved as a mixed-integer linear program by HiGHS (Huangfu and Hall 2018) through
 `scipy.optimize.milp`, which also says how much better another partition could be when time runs out.
@@ -29,10 +29,10 @@ SECONDS = 10.0
 
 
 def advise(problem: Problem, objective: str = "worst", seconds: float = SECONDS) -> Partition:
-    """The best partition by ``worst`` or ``mean`` time, of equally fast ones the smallest.
+    """Return the partition with the least ``worst`` or ``mean`` time; of equally fast ones, the smallest.
 
-    After `seconds` the best that was found until then; `bound` says how good another could be. BuildError
-    where none fits the part, or none was found in that time.
+    After `seconds`, return the best one found so far; its `bound` says how good another could be. Raises
+    BuildError if none fits the part, or none was found in that time.
     """
     if objective not in ("worst", "mean"):
         raise BuildError(f"{objective} is not an objective: worst or mean")
@@ -52,7 +52,7 @@ def advise(problem: Problem, objective: str = "worst", seconds: float = SECONDS)
 
 
 def first_fit(problem: Problem) -> list[list[str]]:
-    """A simple partition: from the largest module on, each to the first region that takes it; may not fit."""
+    """A simple partition: each module, largest first, goes to the first region that takes it; it may not fit."""
     groups: list[list[str]] = []
     bound = {name: sorted(names) for names in problem.together for name in names}
     placed: set[str] = set()

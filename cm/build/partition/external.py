@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modules that share something outside their region: pins of the board are in one place only."""
+"""Modules that share something outside their region, such as pins of the board."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def by_port(module: str, found: Boundary) -> dict[str, str]:
 
 
 def bound(project: Project, analysis: Analysis) -> list[frozenset[Place]]:
-    """Modules of one region that use the same ports of the top, with their region; sets without common members."""
+    """Sets of modules, with their region, that use the same ports of the top; the sets are disjoint."""
     sets: list[frozenset[Place]] = []
     for name, found in analysis.boundaries.items():
         uses = {module.name: set(by_port(module.name, found).values()) for module in project.modules_of(name)}
@@ -31,7 +31,7 @@ def bound(project: Project, analysis: Analysis) -> list[frozenset[Place]]:
 
 
 def _external(region: RegionSpec, found: Boundary) -> Iterator[str]:
-    """What of the boundary goes to ports of the top."""
+    """Interfaces and single ports of the boundary that go to ports of the top."""
     for interface in found.interfaces:
         given = region.interfaces.get(interface.name)
         connect = given.connect if given else None

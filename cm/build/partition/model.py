@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modules, modes and a part; regions as groups of modules, and what their loads cost.
+"""Modules, modes and a part; regions as groups of modules, and the costs of loading them.
 
 A region's size is the largest fraction of the part that any resource of it takes, rounded up to
 `GRAIN` of the device, as pblocks are; its data is that share of the device's frames.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from cm.build.project.model import Resources
 
-ROOM = 1.2  # what placement and routing need beyond the modules' resources
+ROOM = 1.2  # how much placement and routing need beyond the modules' resources
 GRAIN = 1 / 64
 NOTHING = Resources()
 
@@ -59,19 +59,19 @@ class Group:
 class Partition:
     """Regions with their figures; times in seconds for the changes of mode.
 
-    `bound`: no partition that fits has a smaller worst (or mean, whichever was asked for) time; None: not computed.
+    `bound`: a lower bound of the worst time (or mean time, if that was asked for) of any partition; None: not computed.
     """
 
     groups: tuple[Group, ...]
     worst: float
     worst_change: tuple[str, str]
     mean: float
-    share: float  # of the device, of the scarcest resource
+    share: float  # of the device, by the scarcest resource
     fits: bool
     bound: float | None = None
 
     def gap(self, objective: str) -> float:
-        """How far the time may be from the best there is, as a share of it; 0: proved to be the best."""
+        """How far the time may be from the optimum, as a share of it; 0: proved optimal."""
         time: float = getattr(self, objective)
         if self.bound is None or not time:
             return 0.0
@@ -80,10 +80,10 @@ class Partition:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """What is given: `rate` in bytes per second of the configuration port, `static` what the static part needs.
+    """The input: `rate`: of the configuration port, in bytes per second; `static`: what the static part needs.
 
-    `budget` is the share of the part that the regions may take together, at most; `regions` how many there
-    may be. The units of each set of `together` go to one region: they share something outside it.
+    `budget`: the largest share of the part that all regions together may take; `regions`: the most regions that
+    there may be. The units in each set of `together` go to one region, because they share something outside it.
     """
 
     part: Part
@@ -102,7 +102,7 @@ class Problem:
 
 
 def group_of(problem: Problem, modules: Sequence[str]) -> Group:
-    """The region that holds each of `modules`."""
+    """Return the region that can hold each of `modules`."""
     need = Resources()
     for name in modules:
         need = need.largest(problem.units[name].resources)
@@ -117,7 +117,7 @@ def group_of(problem: Problem, modules: Sequence[str]) -> Group:
 
 
 def evaluate(problem: Problem, groups: Sequence[Group]) -> Partition:
-    """The figures of a partition: worst and mean time over all ordered changes of mode."""
+    """Compute the figures of a partition: worst and mean time over all ordered pairs of modes."""
     worst, change, total, weight = 0.0, ("", ""), 0.0, 0.0
     for before, after in itertools.permutations(problem.modes, 2):
         time = sum(_loads(group, before, after) * group.bytes for group in groups) / problem.rate
@@ -133,10 +133,10 @@ def evaluate(problem: Problem, groups: Sequence[Group]) -> Partition:
 
 
 def _loads(group: Group, before: UsedMode, after: UsedMode) -> bool:
-    """Whether the change may load the region: `after` has one of its modules, which `before` has not.
+    """Whether the change may load the region: `after` has one of its modules that `before` does not have.
 
-    What `before` does not name is as an earlier mode left it, so a load is counted; but a region of one
-    module is loaded once and for all.
+    A region that `before` does not name is as an earlier mode left it, so a load is counted; but a region
+    with a single module is loaded only once.
     """
     wanted = [name for name in group.modules if name in after.modules]
     return len(group.modules) > 1 and bool(wanted) and not set(wanted) <= before.modules

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The advisor's problem as a mixed-integer linear program.
 
-Columns, for units m and l where m is not larger than l and may share its region: `in[m, l]`, m goes to
-the region whose largest unit is l (`in[l, l]`: there is such a region); `shared[l]`, it has a second
-unit, so that it is loaded at all; and the worst time. Times are counted in `GRAIN`s of the device.
+Columns, for units m and l where m is not larger than l and may share its region: `in[m, l]`: m goes to
+the region whose largest unit is l (`in[l, l]`: there is such a region); `shared[l]`: that region has a second
+unit, so that changes of mode load it; and the worst time. Times are counted in `GRAIN`s of the device.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from cm.build.errors import MissingTool
 from cm.build.partition.model import GRAIN, Problem, UsedMode, compatible, group_of
 
 INFINITE = float("inf")
-SCALE = 1000.0  # HiGHS ends at an absolute gap of 1e-6, which must be little beside a grain
-SMALLER = {"worst": 1e-3, "mean": 1e-5}  # what a grain of size counts beside one of time
+SCALE = 1000.0  # HiGHS stops at an absolute gap of 1e-6, which must be small compared with a grain
+SMALLER = {"worst": 1e-3, "mean": 1e-5}  # the weight of a grain of size relative to one of time
 
 Row = dict[int, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What the solver says: no group where it found none in its time; `bound` in seconds, as far as it came."""
+    """The solver's answer: no groups if it found none in time; `bound` in seconds, as far as it was proved."""
 
     groups: list[list[str]]
     bound: float
@@ -68,11 +68,11 @@ class Program:
 
     @property
     def seconds(self) -> float:
-        """What a grain's load takes."""
+        """The time to load one grain."""
         return self._problem.part.bytes * GRAIN / self._problem.rate
 
     def cost(self) -> Row:
-        """Time, and a little for size."""
+        """The objective: time, plus a small weight for size."""
         cost: Row = {self.worst: SCALE} if self.objective == "worst" else {}
         total = sum(before.share * after.share for before, after in self._changes()) or 1.0
         if self.objective == "mean":
@@ -85,7 +85,7 @@ class Program:
         return cost
 
     def bound(self, cost: float) -> float:
-        """Seconds that no partition can beat, from a bound of the cost: regions may be as large as the part."""
+        """Convert a bound of the cost to seconds that no partition can beat, even with regions as large as the part."""
         grains = max(0.0, cost / SCALE - SMALLER[self.objective])
         return (math.ceil(grains - 1e-6) if self.objective == "worst" else grains) * self.seconds
 
@@ -95,7 +95,7 @@ class Program:
             self.rows.append((row, 1.0, 1.0))
 
     def _regions(self) -> None:
-        """Units of a region: only where it is there, one of each mode; regions: as many and as large as may be."""
+        """Rows of regions: units only in those that exist, one unit per mode; limits on their number and size."""
         for (unit, home), column in self.places.items():
             if unit != home:
                 self.rows.append(({column: 1.0, self._shared[home]: -1.0}, -INFINITE, 0.0))
@@ -111,7 +111,7 @@ class Program:
             self.rows.append((dict.fromkeys(sizes, 1.0), -INFINITE, float(self._problem.regions)))
 
     def _tie(self, names: list[str]) -> None:
-        """All of `names` in one region, whichever is its largest."""
+        """Put all of `names` into one region, whichever unit is its largest."""
         for first, second in itertools.pairwise(names):
             for home in self._problem.units:
                 row = {self.places[first, home]: 1.0} if (first, home) in self.places else {}
@@ -121,7 +121,7 @@ class Program:
                     self.rows.append((row, 0.0, 0.0))
 
     def _time(self, loaded: Iterable[str]) -> Row:
-        """Grains that are loaded for `loaded`: nothing for a unit that has its region for itself."""
+        """Grains that are loaded for `loaded`; none for a unit that is alone in its region."""
         wanted = set(loaded)
         row: Row = {}
         for (unit, home), column in self.places.items():
@@ -143,7 +143,7 @@ class Program:
 
 
 def _largest(sets: Iterable[frozenset[str]]) -> list[frozenset[str]]:
-    """Those that no other one holds: what loads more takes longer."""
+    """The sets that no other one contains: loading more takes longer."""
     listed = sorted(set(sets), key=lambda names: (-len(names), sorted(names)))
     kept: list[frozenset[str]] = []
     for names in listed:
@@ -153,7 +153,7 @@ def _largest(sets: Iterable[frozenset[str]]) -> list[frozenset[str]]:
 
 
 def solve(program: Program, seconds: float) -> Answer:
-    """Run HiGHS; MissingTool where scipy is not installed."""
+    """Run HiGHS. Raises MissingTool if scipy is not installed."""
     try:
         import numpy
         from scipy.optimize import Bounds, LinearConstraint, milp

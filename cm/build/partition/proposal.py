@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A partition as a build schema: the regions proposed, with everything else as the build schema has it.
+"""Writes a partition as a build schema: with the proposed regions, and everything else as before.
 
-What changes with the regions is rewritten: which region a module goes to, the interfaces of the new
-boundaries (their streams named apart, since each is a DMA engine of its own), and the modes. A region
+Whatever depends on the regions is rewritten: the regions of modules, the interfaces of the new
+boundaries (their streams get different names, since each has its own DMA channel), and the modes. A region
 whose modules stay together keeps its pblock; the others get ``auto`` and the resources that they need.
 """
 
@@ -24,12 +24,12 @@ from cm.build.plan.floorplan import CLOCK_REGION, device_sites, holds, rectangle
 from cm.build.platforms import device_of, platform_of
 from cm.build.project.model import Project
 
-Place = tuple[str, str]  # module, region of today
+Place = tuple[str, str]  # module, present region
 _REMADE = ("pblock", "resources", "interfaces", "doc")
 
 
 def propose(project: Project, data: Mapping[str, Any], analysis: Analysis, found: Partition) -> dict[str, Any]:
-    """The data of a build schema with the regions of `found`; `data` is that of `project`."""
+    """Return the data of a build schema with the regions of `found`; `data`: that of `project`."""
     members = _named(project, found)
     kept = {name for name, places in members.items() if set(places) == _today(project).get(name)}
     streams = Streams(streams_of(project, analysis), kept)
@@ -50,7 +50,7 @@ def propose(project: Project, data: Mapping[str, Any], analysis: Analysis, found
 
 
 def _kept(project: Project, data: Mapping[str, Any], name: str, group: Group) -> dict[str, Any]:
-    """Today's region, in its place if that holds its modules."""
+    """Keep a present region, and its place if that is large enough for its modules."""
     spec = dict(data["regions"][name] or {})
     areas = [area for area in map(rectangle, project.regions[name].pblock) if area]
     room = holds(areas, device_sites(device_of(project.part)), platform_of(project.part).ultrascale)
@@ -84,7 +84,7 @@ def _today(project: Project) -> dict[str, set[Place]]:
 
 
 def _named(project: Project, found: Partition) -> dict[str, list[Place]]:
-    """Each group under the name of today's region: of its own, else made from that of its first module."""
+    """Name each group: by its present region, or by a name made from that of its first module."""
     places = {unit_name(m, region): (m.name, region) for m in project.modules.values() for region in m.regions}
     groups = [[places[name] for name in group.modules] for group in found.groups]
     today = _today(project)
@@ -121,6 +121,6 @@ def _region(
 
 
 def _same(module: str, new: Boundary, old: Boundary) -> dict[str, str]:
-    """Interfaces and single ports of `new` → those of `old` that the same port of `module` belongs to."""
+    """Map interfaces and single ports of `new` to those of `old` that belong to the same port of `module`."""
     before = by_port(module, old)
     return {name: before[port] for port, name in by_port(module, new).items() if port in before}

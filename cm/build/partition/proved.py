@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proposals that generate: a partition that the planner or the rules refuse is replaced by one of fewer regions."""
+"""Proposals that can be generated: if the planner or a check refuses a partition, one with fewer regions is tried."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from cm.schema.problems import SchemaError
 
 _HEAD = """\
 # yaml-language-server: $schema=build.schema.json
-# What `cm build partition` proposes: {name} with other regions. Regions that are new have `pblock: auto`;
-# streams that were one and are several now have names of their own, which programs have to use.
+# What `cm build partition` proposes: {name} with other regions. New regions have `pblock: auto`.
+# Where one stream has become several, each has a new name, which programs have to use.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """A partition that generates, as the text of a build schema; `notes` say what was refused before."""
+    """A partition that can be generated, as the text of a build schema; `notes`: what was refused before it."""
 
     partition: Partition
     text: str
@@ -41,9 +41,9 @@ class Proposal:
 def proposal(
     project: Project, analysis: Analysis, problem: Problem, objective: str = "worst", seconds: float = SECONDS
 ) -> Proposal:
-    """The best partition that can be generated; BuildError where there is none.
+    """Return the best partition that can be generated. Raises BuildError if there is none.
 
-    `seconds` are for all searches together, but each has one at least.
+    `seconds` is the limit of all searches together, but each gets at least one second.
     """
     data = project_data(project.source)
     notes: list[str] = []
@@ -62,13 +62,13 @@ def proposal(
 
 
 def schema_text(name: str, data: Mapping[str, Any]) -> str:
-    """Data as a build schema."""
+    """Write data as the text of a build schema."""
     body: str = yaml.safe_dump(dict(data), sort_keys=False, allow_unicode=True, width=110, default_flow_style=None)
     return _HEAD.format(name=name) + "\n" + body
 
 
 def refusals(project: Project, analysis: Analysis, text: str) -> list[str]:
-    """Why the build schema `text`, with the modules of `project`, cannot be generated; empty if it can."""
+    """Return why the build schema `text`, with the modules of `project`, cannot be generated; empty if it can."""
     try:
         other = load_project(project.source, text)
         boundaries = {}

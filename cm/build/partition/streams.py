@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of streams when regions change: each interface on a DMA engine has a stream of its own name."""
+"""Renames streams when regions change: each interface on a DMA engine has a stream with its own name."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Stream:
     dtype: str
 
     def in_mode(self, mode: ModeSpec) -> Stream:
-        """With what the mode says of it."""
+        """Return the stream with the frames that a mode gives it."""
         own = mode.streams.get(self.name)
         if own is None:
             return self
@@ -44,16 +44,16 @@ def streams_of(project: Project, analysis: Analysis) -> dict[End, Stream]:
 
 
 class Streams:
-    """Streams of today and of the regions that are `kept`, and those that are added for new regions."""
+    """The present streams, those of the regions that are `kept`, and those added for new regions."""
 
     def __init__(self, today: Mapping[End, Stream], kept: Iterable[str]) -> None:
         self._today = today
         names = set(kept)
         self._now = {end: stream for end, stream in today.items() if end[0] in names}
-        self._moved: dict[tuple[str, End], End] = {}  # module and interface of today → interface
+        self._moved: dict[tuple[str, End], End] = {}  # module and its present interface → new interface
 
     def connect(self, given: Mapping[str, Any] | None, before: End, now: End) -> dict[str, Any]:
-        """The connection of the new interface `now`, from that which `before` has in the build schema."""
+        """Return the connection of the new interface `now`, made from that of `before` in the build schema."""
         spec = copy.deepcopy(dict(given or {}))
         old = self._today.get(before)
         if old is not None:
@@ -64,11 +64,11 @@ class Streams:
         return spec
 
     def move(self, module: str, before: End, now: End) -> None:
-        """`module` has its interface `before` of today at `now`."""
+        """Record that `module` has its present interface `before` at `now`."""
         self._moved[module, before] = now
 
     def of_mode(self, mode: ModeSpec) -> dict[str, dict[str, Any]]:
-        """What `mode` says of streams: frames that differ from those of the new stream."""
+        """Return the streams section of `mode`: frames that differ from those of the new streams."""
         found: dict[str, dict[str, Any]] = {}
         for before, old in self._today.items():
             now = self._now.get(self._moved.get((mode.modules.get(before[0], ""), before), before))

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vivado's ``report_utilization`` as text → resources.
+"""Reads resources from the text of Vivado's ``report_utilization``.
 
-The tables are those of 7 series (``Slice LUTs``) and UltraScale+ (``CLB LUTs``); a module synthesised out of
-context or a whole design alike. Rows are known by
-name, columns by their heading, whose number differs from version to version.
+It reads the tables of 7 series (``Slice LUTs``) and UltraScale+ (``CLB LUTs``), for a module synthesised out of
+context and for a whole design. Rows are found by name and columns by heading, because the number of columns
+differs between versions.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _ROWS = {
     "Block RAM Tile": "bram",
     "DSPs": "dsp",
 }
-_LIMIT = 4 << 20  # bytes; real ones have some 10 KiB
+_LIMIT = 4 << 20  # bytes; real reports have some 10 KiB
 
 
 def read_utilisation(path: Path) -> Resources:
-    """Resources used; BuildError with the file's name where it is no such report."""
+    """Return the resources used. Raises BuildError, with the file's name, if it is not such a report."""
     try:
         if path.stat().st_size > _LIMIT:
             raise BuildError(f"{path} is not a utilisation report: it has {path.stat().st_size} bytes")
@@ -37,7 +37,7 @@ def read_utilisation(path: Path) -> Resources:
 
 
 def parse_utilisation(text: str, name: str = "report") -> Resources:
-    """The report's text; `name` is for messages. The first table that has a row counts."""
+    """Read a report's text; `name` is used in messages. For each row the first table that has it counts."""
     found: dict[str, float] = {}
     for site, used in _used(text):
         key = _ROWS.get(site)
@@ -52,7 +52,7 @@ def parse_utilisation(text: str, name: str = "report") -> Resources:
 
 
 def _used(text: str) -> Iterator[tuple[str, str]]:
-    """(site type, used) of every row below a heading that has both."""
+    """Yield (site type, used) of every row below a heading that has both."""
     column = 0
     for line in text.splitlines():
         if not line.startswith("|"):

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Project and boundaries → the system that is generated."""
+"""Plans the system that is generated from a project and its regions' boundaries."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Addresses in the PL's window of the processor, the same for the same build schema.
+"""Addresses in the processor's window to the PL, always the same for the same build schema.
 
-From the platform's base: 16 MiB per clock for the register windows that are reached on it (the
-control registers first), then 64 KiB per DMA engine from +64 MiB, then AXI4 windows from +128 MiB.
+From the platform's base: 16 MiB per clock for the register windows that run on it (the control
+registers first), 64 KiB per DMA engine from +64 MiB, and AXI4 windows from +128 MiB.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ WIDE_OFFSET = 0x0800_0000
 
 
 class Allocator:
-    """Hands out windows; each is aligned to its size."""
+    """Allocates windows, each aligned to its size."""
 
     def __init__(self, base: int, size: int, clocks: tuple[str, ...]) -> None:
         self._base, self._limit = base, base + size
@@ -43,7 +43,7 @@ class Allocator:
         window = Window(f"dma_{name}", self._dma, DMA_SIZE, doc)
         self._dma = window.end
         if self._dma > self._base + WIDE_OFFSET:
-            raise BuildError("more DMA engines than addresses are set aside for")
+            raise BuildError("more DMA engines than addresses are reserved for")
         return window
 
     def wide(self, name: str, size: int) -> Window:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the block-design template needs: settings of the processing system, ports, addresses, interrupts."""
+"""The variables of the block-design template: settings of the processing system, ports, addresses, interrupts."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cm.build.plan.window import Window
 
 @dataclass(frozen=True, slots=True)
 class ClockPin:
-    """A clock of the processing system in use."""
+    """A clock of the processing system that is in use."""
 
     name: str
     pin: str
@@ -168,7 +168,7 @@ def _settings(interface: Interface) -> tuple[tuple[str, object], ...]:
         settings += [("ID_WIDTH", interface.id_width or 0), ("NUM_READ_OUTSTANDING", 8), ("NUM_WRITE_OUTSTANDING", 8)]
         for signal in ("LOCK", "CACHE", "QOS", "REGION"):
             there = any(f"{channel}{signal}" in interface.ports for channel in ("AW", "AR"))
-            # the top drives AxCACHE where the module has none
+            # the top drives AxCACHE if the module does not have it
             settings.append((f"HAS_{signal}", int(there or signal == "CACHE")))
     if not (interface.reads and interface.writes):
         settings.append(("READ_WRITE_MODE", "READ_ONLY" if interface.reads else "WRITE_ONLY"))
@@ -176,7 +176,7 @@ def _settings(interface: Interface) -> tuple[tuple[str, object], ...]:
 
 
 def _control(masters: list[str]) -> tuple[list[str], list[Branch]]:
-    """What is at the control interconnect's ports; beyond 16, further interconnects behind its last ones."""
+    """Assign the control interconnect's ports; beyond 16, further interconnects are put behind its last ones."""
     if len(masters) <= MAX_SLAVES:
         return masters, []
     count = -(-(len(masters) - MAX_SLAVES) // (MAX_SLAVES - 1))
@@ -190,7 +190,7 @@ def _control(masters: list[str]) -> tuple[list[str], list[Branch]]:
 
 
 def _memories(system: System, dmas: list[DmaCell]) -> Iterator[MemoryInterconnect]:
-    """Masters to memory, as many as an interconnect takes on each port of the processing system."""
+    """Distribute masters to memory over the processing system's ports, with one interconnect per port."""
     found = {dma.name: [f"[get_bd_intf_pins {dma.cell}/{pin}]" for pin in dma.memory_pins] for dma in dmas}
     last = found.pop(system.icap.name) if system.icap else []
     sources = [source for listed in found.values() for source in listed]
@@ -203,7 +203,7 @@ def _memories(system: System, dmas: list[DmaCell]) -> Iterator[MemoryInterconnec
 
 
 def _interrupts(system: System) -> Iterator[InterruptBundle]:
-    """Line 0 is the control registers', the others are channels', or what the static part has joined of several."""
+    """Line 0 is the control registers'; the others are channels', each one's or several joined by the static part."""
     crowded = system.crowded
     cells = {channel.name: f"dma_{engine.name}" for engine in system.engines for channel in engine.channels}
     by_line = {0: "[get_bd_ports irq]"}
@@ -221,7 +221,7 @@ def _interrupts(system: System) -> Iterator[InterruptBundle]:
 
 
 def _joined(system: System) -> Iterator[tuple[str, str, int]]:
-    """Channels whose interrupt goes through the static part: port of the block design, pin, line."""
+    """Channels whose interrupt passes through the static part: port of the block design, pin, line."""
     crowded = system.crowded
     for engine in system.engines:
         for channel in engine.channels:

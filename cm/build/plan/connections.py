@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the interfaces, interrupts and single signals of a region are connected to."""
+"""Plans what the interfaces, interrupts and single signals of a region are connected to."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ class _Region:
     memory: list[MemoryBus] = field(default_factory=list)
     external: list[BoundaryPort] = field(default_factory=list)
     unused: list[BoundaryPort] = field(default_factory=list)
-    undecided: list[str] = field(default_factory=list)  # single signals that the build schema says nothing of
+    undecided: list[str] = field(default_factory=list)  # single signals that the build schema does not mention
 
 
 class RegionPlanner:
-    """Plans regions one after the other; `bits` are the interrupts of all so far, `notes` what a designer should know.
+    """Plans regions one after another; `bits`: the interrupts so far; `notes`: what a designer should know.
 
-    `width` is that of the stream switch.
+    `width`: of the stream switch.
     """
 
     def __init__(self, project: Project, addresses: Allocator, width: int) -> None:
@@ -52,7 +52,7 @@ class RegionPlanner:
         self.notes: list[str] = []
 
     def plan(self, index: int, spec: RegionSpec, boundary: Boundary) -> RegionPlan:
-        """The region with everything around it, but for DMA engines, which it may share with others."""
+        """Plan a region with everything around it, except DMA engines, which it may share with other regions."""
         names = [interface.name for interface in boundary.interfaces]
         names += [port.name for port in boundary.ports if port.role in (Role.INTERRUPT, Role.SIGNAL)]
         for name in spec.interfaces:
@@ -130,7 +130,7 @@ class RegionPlanner:
     def _single(
         self, region: RegionSpec, port: BoundaryPort, boundary: Boundary, lines: list[Line], parts: _Region
     ) -> None:
-        """Ports that belong to no bus."""
+        """Plan a port that belongs to no bus."""
         if port.role is Role.INTERRUPT and port.direction is PortDirection.OUT:
             connect = region.interfaces.get(port.name, ConnectionSpec()).connect or "interrupt"
             if connect == "interrupt":
@@ -151,13 +151,13 @@ class RegionPlanner:
             name = f"{region.name}_{own}" if several else own
             if port.width > 1:
                 name += f"_{index}"
-            # one clock of a module must not be missed, so a rising edge is what counts
+            # a pulse of one clock must not be missed, so interrupts are edge-triggered
             yield Line(name, port.name, index, self.bits, edge=True)
             self.bits += 1
 
 
 def _name_in_modules(port: BoundaryPort, boundary: Boundary) -> str:
-    """What the modules call `port` where they agree: the boundary may have given it a plainer name."""
+    """The modules' name for `port` if they agree, as the boundary may have given it a plainer name."""
     names = {
         connection.module
         for adaptation in boundary.adaptations

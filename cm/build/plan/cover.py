@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The fewest implementation runs that cover all modules and respect the allowed modes.
 
-Every run places one module into each region (or leaves it empty), so no fewer runs than the
-largest number of modules of a region can do. Without modes in the build schema every combination
+Every run places one module into each region (or leaves it empty), so at least as many runs are needed
+as the region with the most modules has. Without modes in the build schema every combination
 is allowed and that bound is reached. With modes, a run must be a state the system can be in:
 modes applied one after the other, each leaving the regions it does not name as they are. Choosing
 the fewest of them is a minimum set cover (Karp 1972), solved exactly by branch and bound on the
@@ -23,7 +23,7 @@ MAX_STEPS = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Cover:
-    """The runs, each region → module; `bound` no solution can beat; `exact`: proved fewest."""
+    """The runs, each as region → module; `bound`: a lower bound of their number; `exact`: proved to be the fewest."""
 
     runs: tuple[Mapping[str, str], ...]
     bound: int
@@ -38,10 +38,10 @@ class Cover:
 def cover(
     regions: Mapping[str, Sequence[str]], modes: Iterable[Mapping[str, str]], free: bool, first: Mapping[str, str]
 ) -> Cover:
-    """The fewest runs for `regions` (region → its modules).
+    """Find the fewest runs for `regions` (region → its modules).
 
-    `modes` are the allowed combinations (region → module), all combinations where `free`. `first`
-    is to be part of the first run: the mode the system starts in.
+    `modes`: the allowed combinations (region → module); if `free`, all are allowed. `first`: the mode in which the
+    system starts, which the first run must contain.
     """
     bound = max((len(modules) for modules in regions.values()), default=0)
     if free:
@@ -62,7 +62,7 @@ def cover(
 
 
 def _in_turn(regions: Mapping[str, Sequence[str]], first: Mapping[str, str]) -> tuple[Mapping[str, str], ...]:
-    """Every region goes through its modules, that of `first` at the beginning; the last one stays."""
+    """Give every region its modules in turn, beginning with that of `first`; the last one stays."""
     order = {name: sorted(modules, key=lambda module: module != first.get(name)) for name, modules in regions.items()}
     count = max((len(modules) for modules in regions.values()), default=0)
     return tuple(
@@ -74,10 +74,10 @@ def _in_turn(regions: Mapping[str, Sequence[str]], first: Mapping[str, str]) -> 
 def _in_sequence(
     names: list[str], modes: list[Mapping[str, str]], possible: set[Pair], first: Mapping[str, str], bound: int
 ) -> tuple[list[State], bool]:
-    """States that hold all of `possible`, each built from its last mode back; True where they are as few as `bound`.
+    """Find states that cover `possible`, each built backwards from its last mode; also whether they are only `bound`.
 
-    A mode that comes before others counts in the regions that those do not name, so that every state built
-    so is one that the system can be in, and none need be listed. The first run ends with the mode `first`.
+    An earlier mode determines the regions that later ones do not name, so that every state built this way is one
+    that the system can be in, without listing all states. The first run ends with the mode `first`.
     """
     left = set(possible)
     chosen: list[State] = []
@@ -99,7 +99,7 @@ def _in_sequence(
 
 
 def _reachable(names: list[str], modes: list[Mapping[str, str]]) -> tuple[dict[State, int], bool]:
-    """States after any sequence of modes, in the order of their finding; False where there are too many to list."""
+    """States after any sequence of modes, in the order in which they are found; False if there are too many to list."""
     empty: State = (None,) * len(names)
     seen = {empty: 0}
     queue = [empty]
@@ -115,7 +115,7 @@ def _reachable(names: list[str], modes: list[Mapping[str, str]]) -> tuple[dict[S
 
 
 def _fullest(seen: dict[State, int]) -> list[State]:
-    """States that no other one contains more than; for a cover the others are never better."""
+    """States that no other state contains; for a cover the others are never better."""
     by_size = sorted(seen, key=lambda state: (sum(name is None for name in state), seen[state]))
     kept: list[State] = []
     full = {state for state in by_size if None not in state}
@@ -140,7 +140,7 @@ def _as_mapping(names: list[str], state: State) -> dict[str, str]:
 def _fewest(
     possible: set[Pair], states: list[State], first: Mapping[str, str], names: list[str], known: list[State]
 ) -> tuple[list[State], bool]:
-    """The fewest states that hold all of `possible`; the one that fits `first` best comes first."""
+    """The fewest states that cover `possible`; the one that fits `first` best comes first."""
     holders = {pair: [state for state in states if state[pair[0]] == pair[1]] for pair in possible}
     search = _Search(holders)
     start = min(_greedy(possible, states), known, key=len)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cells of DMA engines in the block design: parameters, clock pins, ports of their streams.
 
-Every parameter is one that published block designs set. What a core derives from what it is connected to is left to
-it: a VDMA refuses the width of its S2MM stream (BD 41-737), an MCDMA has it from its port.
+Every parameter is one that published block designs set. What a core derives from its connections is left to it: a
+VDMA refuses the width of its S2MM stream (BD 41-737), and an MCDMA takes it from its port.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ MC_GROUP_BITS = 16
 
 @dataclass(frozen=True, slots=True)
 class StreamPort:
-    """A port of the block design at a stream pin of an engine; `mode` as seen from outside."""
+    """A port of the block design for a stream pin of an engine; `mode`: as seen from outside."""
 
     name: str
     mode: str
@@ -112,7 +112,7 @@ def _mcdma(engine: Engine, address_bits: int) -> Iterator[Setting]:
     for way in engine.directions:
         count, channel = len(engine.of(way)), _widest(engine, way)
         yield f"c_num_{way.value}_channels", count
-        yield f"c_group1_{way.value}", f"{(1 << count) - 1:0{MC_GROUP_BITS}b}"  # all take turns
+        yield f"c_group1_{way.value}", f"{(1 << count) - 1:0{MC_GROUP_BITS}b}"  # one group of all channels
         if way is Direction.MM2S:
             yield "c_m_axis_mm2s_tdata_width", channel.width
         yield f"c_m_axi_{way.value}_data_width", channel.memory_width
@@ -146,7 +146,7 @@ def _port(system: System, engine: Engine, way: Direction) -> StreamPort:
 
 
 def _port_settings(system: System, engine: Engine) -> Iterator[Setting]:
-    """What comes in: a port cannot know it, and the core takes its widths from here."""
+    """Settings of an input port, which cannot derive them; the core takes its widths from there."""
     names = {channel.name for channel in engine.of(Direction.S2MM)}
     buses = [bus for bus in system.streams if bus.dma and bus.dma.name in names]
     keep = engine.channels[0].shared or any(bus.converted or "TKEEP" in bus.interface.ports for bus in buses)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """DMA engines and their channels: every stream has a channel, and streams may share an engine.
 
-What an engine is follows from its channels: one in either direction is an AXI DMA (PG021), more are an AXI MCDMA
-(PG288, 16 each way), and video streams have an AXI VDMA (PG020).
+The kind of an engine follows from its channels: at most one in each direction is an AXI DMA (PG021), more are an
+AXI MCDMA (PG288, 16 each way), and video streams have an AXI VDMA (PG020).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from enum import Enum
 from cm.build.plan.window import Window
 from cm.schema.model import Direction
 
-MC_CHANNELS = 16  # each way of an MCDMA
+MC_CHANNELS = 16  # of an MCDMA, in each direction
 
 
 class EngineKind(str, Enum):
@@ -31,15 +31,15 @@ class EngineKind(str, Enum):
 
     @property
     def scattered(self) -> bool:
-        """It fetches descriptors through a port to memory of its own."""
+        """Whether it fetches descriptors, through a separate memory port."""
         return self is not EngineKind.VDMA
 
 
 @dataclass(frozen=True, slots=True)
 class Dma:
-    """A DMA channel; `line` is the interrupt line of the PL that it is told on, which several may share.
+    """A DMA channel; `line`: its interrupt line of the PL, which several channels may share.
 
-    `number` counts the channels of one direction of an engine: an MCDMA tells them apart by it, in TDEST.
+    `number` counts the channels of one direction of an engine: an MCDMA distinguishes them by it, in TDEST.
     """
 
     name: str
@@ -47,36 +47,36 @@ class Dma:
     window: Window
     line: int
     clock: str
-    width: int  # bits of TDATA on the static side: 8 << n, of a VDMA any number of bytes
+    width: int  # bits of TDATA on the static side: 8 << n, or any number of bytes for a VDMA
     length_bits: int = 26
-    engine: str = ""  # empty: one of its own
+    engine: str = ""  # empty: not shared
     kind: EngineKind = EngineKind.DMA
     number: int = 0
 
     @property
     def sends(self) -> bool:
-        """From memory to the stream."""
+        """Whether it moves data from memory to the stream."""
         return self.direction is Direction.MM2S
 
     @property
     def memory_width(self) -> int:
-        """Bits of its way to memory: a power of two, at least 32, and no narrower than the stream."""
+        """Bits of its memory port: a power of two, at least 32, and no narrower than the stream."""
         return max(32, 1 << (self.width - 1).bit_length())
 
     @property
     def shared(self) -> bool:
-        """Its stream goes through the engine's only one of this direction."""
+        """Whether its stream shares the engine's only port of this direction."""
         return self.kind is EngineKind.MCDMA
 
     @property
     def cell(self) -> int:
-        """The kernel's number of the channel: MCDMA's driver counts S2MM from 16 on, the others have 0 and 1."""
+        """The kernel's number of the channel: the MCDMA driver counts S2MM from 16; other engines have 0 and 1."""
         first = MC_CHANNELS if self.shared else 1
         return self.number if self.sends else first + self.number
 
     @property
     def interrupt_pin(self) -> str:
-        """Its interrupt's pin at the cell."""
+        """The pin of its interrupt on the cell."""
         channel = f"_ch{self.number + 1}" if self.shared else ""
         return f"{self.direction.value}{channel}_introut"
 
@@ -100,17 +100,17 @@ class Engine:
 
     @property
     def clock(self) -> str:
-        """All of it runs on this one."""
+        """The clock on which all of it runs."""
         return self.channels[0].clock
 
     @property
     def length_bits(self) -> int:
-        """Of the length register."""
+        """Bits of the length register."""
         return max(channel.length_bits for channel in self.channels)
 
     @property
     def directions(self) -> tuple[Direction, ...]:
-        """Those it has, MM2S first."""
+        """The directions that it has, MM2S first."""
         return tuple(way for way in (Direction.MM2S, Direction.S2MM) if self.of(way))
 
     def of(self, direction: Direction) -> tuple[Dma, ...]:
@@ -119,7 +119,7 @@ class Engine:
 
     @property
     def masters(self) -> int:
-        """Its ports to memory."""
+        """The number of its memory ports."""
         return len(self.directions) + self.kind.scattered
 
     def port(self, direction: Direction) -> str:

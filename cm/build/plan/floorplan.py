@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rectangles of sites on a device: what a region's pblock holds, and where two of them meet."""
+"""Rectangles of sites on a device: what a region's pblock contains, and where two of them overlap."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Rectangle:
     top: int
 
     def meets(self, other: Rectangle) -> bool:
-        """Sites in common; a RAMB36 is two RAMB18."""
+        """Whether two rectangles have sites in common; a RAMB36 is two RAMB18."""
         one, two = self.in_half(), other.in_half()
         if one.kind != two.kind:
             return False
@@ -42,7 +42,7 @@ class Rectangle:
         return across and one.bottom <= two.top and two.bottom <= one.top
 
     def in_half(self) -> Rectangle:
-        """A rectangle of RAMB36 as one of RAMB18."""
+        """Convert a rectangle of RAMB36 to RAMB18."""
         if self.kind != "RAMB36":
             return self
         return Rectangle("RAMB18", self.left, 2 * self.bottom, self.right, 2 * self.top + 1)
@@ -57,7 +57,7 @@ class Rectangle:
 
 
 def rectangle(text: str) -> Rectangle | None:
-    """The rectangle that a range means; None for what is none."""
+    """Parse a range; None if it is not a rectangle of sites."""
     found = _RANGE.fullmatch(text)
     if found is None:
         return None
@@ -66,7 +66,7 @@ def rectangle(text: str) -> Rectangle | None:
 
 
 class Device:
-    """Sites of a device, where public data tells them."""
+    """The sites of a device, from public data."""
 
     def __init__(self, data: Mapping[str, Any]) -> None:
         self._sites: dict[str, list[Rectangle]] = {}
@@ -80,7 +80,7 @@ class Device:
         self._heights: Mapping[str, int] = data["rows"]
 
     def count(self, area: Rectangle) -> int:
-        """Sites that are really there."""
+        """Count the sites that really exist."""
         found = 0
         for run in self._sites.get(area.kind, ()):
             wide = min(area.right, run.right) - max(area.left, run.left) + 1
@@ -89,7 +89,7 @@ class Device:
         return found
 
     def limits(self, kind: str) -> Rectangle | None:
-        """The rectangle round all sites of a kind."""
+        """The bounding rectangle of all sites of a kind."""
         runs = self._sites.get(kind)
         if not runs:
             return None
@@ -97,7 +97,7 @@ class Device:
                          max(r.right for r in runs), max(r.top for r in runs))  # fmt: skip
 
     def unfold(self, area: Rectangle) -> Iterator[Rectangle]:
-        """Clock regions as ranges of sites; another rectangle as it is."""
+        """Yield clock regions as ranges of sites, and any other rectangle unchanged."""
         if area.kind != CLOCK_REGION:
             yield area
             return
@@ -115,13 +115,13 @@ def _devices() -> Mapping[str, Any]:
 
 
 def device_sites(name: str) -> Device | None:
-    """What is known of a device's sites; None where no public data tells."""
+    """The sites of a device; None if no public data exists."""
     data = _devices().get(name)
     return Device(data) if data is not None else None
 
 
 def holds(areas: list[Rectangle], device: Device | None, ultrascale: bool) -> Resources:
-    """What a pblock of these rectangles holds; of an unknown device an upper bound."""
+    """The resources in a pblock of these rectangles; an upper bound for an unknown device."""
     count = dict.fromkeys(KINDS[ultrascale], 0)
     for area in areas:
         if area.kind in count:

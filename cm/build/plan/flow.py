@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The steps of the vendor's flow: what each reads, what it needs before it, what it leaves behind."""
+"""The steps of the vendor's flow: the inputs, prerequisites and outputs of each."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """An implementation run: cell → checkpoint, and the regions that stay empty."""
+    """An implementation run: a checkpoint for each cell, and the regions that stay empty."""
 
     name: str
     number: int
     modules: dict[str, str]  # region → implementation
     cells: tuple[tuple[str, str], ...]
     greybox: tuple[str, ...]
-    partials: tuple[Implementation, ...]  # whose bitstreams this run is the first to give
+    partials: tuple[Implementation, ...]  # whose bitstreams this run is the first to make
 
     @property
     def doc(self) -> str:
-        """The modules, for people."""
+        """The modules, for messages."""
         return ", ".join(f"{region}: {module}" for region, module in self.modules.items())
 
 
@@ -55,7 +55,7 @@ def runs(system: System) -> tuple[Run, ...]:
 
 
 def shelled(system: System) -> tuple[Implementation, ...]:
-    """The modules that are placed and routed in abstract shells: those that are not in the first run."""
+    """The modules that are placed and routed in abstract shells: those not in the first run."""
     if not system.project.static.abstract_shells:
         return ()
     first = set(runs(system)[0].modules.items())
@@ -63,7 +63,7 @@ def shelled(system: System) -> tuple[Implementation, ...]:
 
 
 def needed(steps: tuple[Step, ...], wanted: Iterable[str]) -> set[str]:
-    """Names of steps with all that come before them."""
+    """Names of the wanted steps and of all their prerequisites."""
     by_name, found = {step.name: step for step in steps}, set[str]()
     left = list(wanted)
     while left:
@@ -75,7 +75,7 @@ def needed(steps: tuple[Step, ...], wanted: Iterable[str]) -> set[str]:
 
 
 def steps(system: System) -> tuple[Step, ...]:
-    """All steps, each after those it needs."""
+    """All steps, each after its prerequisites."""
     planned = runs(system)
     found = [
         Step("system", "block design", (), ()),
@@ -102,7 +102,7 @@ def steps(system: System) -> tuple[Step, ...]:
 
 
 def _shell_steps(system: System, first: str) -> Iterator[Step]:
-    """A shell of each region, then each module in its region's, to its bitstream."""
+    """Steps that make a shell of each region, then the bitstream of each module in its region's shell."""
     for region in system.regions:
         outputs = tuple(f"checkpoints/shell_{region.name}.{kind}" for kind in ("dcp", "id"))
         yield Step(f"shell_{region.name}", f"abstract shell of {region.name}", (first,), outputs)

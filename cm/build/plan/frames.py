@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the frames that a build schema describes can be what a stream carries."""
+"""Checks that a stream can carry the frames that a build schema describes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cm.build.project.model import Project
 from cm.build.project.where import fault
 from cm.schema.problems import KeyPath
 
-MAX_LINES, MAX_LINE = (1 << 13) - 1, (1 << 16) - 1  # of a VDMA: VSIZE, HSIZE (xaxivdma_hw.h of Xilinx/embeddedsw)
+MAX_LINES, MAX_LINE = (1 << 13) - 1, (1 << 16) - 1  # a VDMA's VSIZE, HSIZE (xaxivdma_hw.h of Xilinx/embeddedsw)
 
 
 def item_bytes(dtype: str) -> int:
@@ -27,7 +27,7 @@ Frame = tuple[Sequence[int] | None, str | None]
 
 
 def check_frames(project: Project, regions: tuple[RegionPlan, ...], switch: SwitchPlan | None) -> None:
-    """Frames must be whole beats, and no longer than a transfer; those of each mode too."""
+    """Check that frames, of each mode too, are whole beats and no longer than a transfer."""
     for key, who, bus, (shape, dtype) in _frames(project, regions, switch):
         problem = frame_problem(bus, shape, dtype)
         if problem:
@@ -37,7 +37,7 @@ def check_frames(project: Project, regions: tuple[RegionPlan, ...], switch: Swit
 def _frames(
     project: Project, regions: tuple[RegionPlan, ...], switch: SwitchPlan | None
 ) -> Iterator[tuple[KeyPath, str, StreamBus, Frame]]:
-    """Place, name and frame of every stream in every mode."""
+    """Yield place, name and frame of every stream in every mode."""
     for region in regions:
         for bus in region.streams:
             key: KeyPath = ("regions", region.name, "interfaces", bus.interface.name)
@@ -61,7 +61,7 @@ def _of_modes(
 
 
 def _of_routes(project: Project, switch: SwitchPlan) -> Iterator[tuple[KeyPath, str, StreamBus, Frame]]:
-    """Frames of the switch's streams as the regions have them that a mode puts at their ends."""
+    """Yield the frames of the switch's streams, at the regions that a mode routes them to."""
     ends = {bus.name: bus for bus in switch.streams}
     for mode in project.modes.values():
         for sink, source in mode.routes.items():
@@ -75,7 +75,7 @@ def _of_routes(project: Project, switch: SwitchPlan) -> Iterator[tuple[KeyPath, 
 
 
 def frame_problem(bus: StreamBus, shape: Sequence[int] | None, dtype: str | None) -> tuple[str, str] | None:
-    """What is wrong with frames of `shape` × `dtype` on this stream, and what would be right; else None."""
+    """Return what is wrong with frames of `shape` × `dtype` on this stream and what would be right, or None."""
     if bus.dma is None or not shape:
         return None
     if bus.dma.kind is EngineKind.VDMA:
@@ -89,12 +89,12 @@ def frame_problem(bus: StreamBus, shape: Sequence[int] | None, dtype: str | None
     beat = bus.bytes
     if size % beat and "TKEEP" not in bus.interface.ports:
         hint = f"give {bus.interface.name} a TKEEP, or write a shape of whole beats"
-        return f"{text}: no whole number of the {beat} bytes of a beat, and there is no TKEEP to say so", hint
+        return f"{text}: not a whole number of beats of {beat} bytes, and there is no TKEEP", hint
     return None
 
 
 def _video_problem(dma: Dma, shape: Sequence[int], dtype: str) -> tuple[str, str] | None:
-    """What a VDMA cannot do: without realignment lines are whole words of its way to memory (AR 54934)."""
+    """What a VDMA cannot do: without realignment, lines must be whole words of its memory port (AR 54934)."""
     lines, line = shape[0], math.prod(shape[1:]) * item_bytes(dtype)
     beat, word = dma.width // 8, dma.memory_width // 8
     if len(shape) < 2:

@@ -20,7 +20,7 @@ _PORTS = re.compile(r"get_ports\s+(?:-\w+\s+)*(\{[^}]*\}|[^\]\s]+(?:\[\d+\])?)")
 
 @dataclass(frozen=True, slots=True)
 class External:
-    """A port of the top that a region's interface brings out: `signal` empty for a single signal."""
+    """A port of the top for a signal of a region's interface; `signal` is empty for a single signal."""
 
     port: str
     width: int
@@ -33,13 +33,13 @@ class External:
 class Placement:
     """A bit of a port on a package pin."""
 
-    target: str  # as get_ports takes it
+    target: str  # as an argument of get_ports
     pin: Pin
 
 
 @dataclass(frozen=True, slots=True)
 class PinFault:
-    """Why a port has no pin or the wrong one; `missing`: it has none at all."""
+    """A port without a pin (`missing`) or with a wrong one, and the reason."""
 
     key: KeyPath
     port: str
@@ -71,7 +71,7 @@ def _stream(region: RegionPlan, name: str, bus: str, widths: Mapping[str, int | 
 
 
 def placements(system: System) -> tuple[list[Placement], list[PinFault]]:
-    """Pins of all ports, and what is wrong with them."""
+    """The pins of all ports, and the faults in them."""
     found: list[Placement] = []
     faults: list[PinFault] = []
     elsewhere = _in_constraints(system.project.static.constraints)
@@ -99,7 +99,7 @@ def _place(system: System, port: External, given: tuple[str, ...]) -> Iterator[P
 
 
 def _pins(system: System, text: str, iostandard: str | None) -> tuple[Pin, ...]:
-    """Of the board, or of the package."""
+    """Find pins by their name on the board or on the package."""
     if _RAW.fullmatch(text):
         if iostandard is None:
             raise BuildError(f"{text} is a package pin: iostandard: must say its voltage, such as LVCMOS33")
@@ -110,7 +110,7 @@ def _pins(system: System, text: str, iostandard: str | None) -> tuple[Pin, ...]:
 
 
 def _unknown(system: System) -> Iterator[PinFault]:
-    """Signals in `pins` that the interface has not."""
+    """Faults for signals in `pins` that the interface does not have."""
     known: dict[KeyPath, set[str]] = {}
     for port in externals(system):
         known.setdefault(port.key, set()).add(port.signal)
@@ -133,7 +133,7 @@ def _twice(found: list[Placement]) -> Iterator[PinFault]:
 
 
 def _in_constraints(paths: tuple[Path, ...]) -> set[str]:
-    """Patterns of ports to which the user's own XDC files give both a pin and a standard."""
+    """Patterns of ports for which the user's XDC files give both a pin and a standard."""
     located: set[str] = set()
     standard: set[str] = set()
     for path in paths:

@@ -31,11 +31,11 @@ from cm.build.project.model import ConnectionSpec, Project
 from cm.build.project.where import fault
 from cm.schema.model import Direction, LoaderKind
 
-MAX_INTERRUPTS = 128  # of all modules: cm_control.v
+MAX_INTERRUPTS = 128  # of all modules together: cm_control.v
 
 
 def plan_system(project: Project, boundaries: Mapping[str, Boundary]) -> System:
-    """The system around `project`'s regions; BuildError where something cannot be connected."""
+    """Plan the system around `project`'s regions. Raises BuildError if something cannot be connected."""
     return _Planner(project).plan(boundaries)
 
 
@@ -91,15 +91,15 @@ class _Planner:
         return plan_switch(self._project, regions, window, own)
 
     def _check_coherence(self) -> None:
-        """Only UltraScale+ has coherent ports as wide as those that the block design uses."""
+        """Check coherence: only UltraScale+ has coherent ports as wide as those that the block design uses."""
         if self._project.static.coherent and not self._platform.coherent_slaves:
             message = f"{self._platform.name} has no coherent port that the generated block design uses"
-            hint = "leave it away: the DMA goes through HP ports then, and the runtime syncs each frame"
+            hint = "leave it out: the DMA goes through HP ports then, and the runtime syncs each frame"
             raise fault(self._project.source, ("static", "coherent"), message, hint)
         if self._project.static.coherent:
             self._notes.append(
                 "HPC ports snoop only with broadcasting on: the boot loader has to write 3 to LPD_SLCR.lpd_apu "
-                "(0xff41a040) before the processors start, a [init] file of bootgen does (UG1085)"
+                "(0xff41a040) before the processors start, which an [init] file of bootgen can do (UG1085)"
             )
 
     def _icap(self, clock: str) -> Dma | None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which ports of the processing system connect the design to memory."""
+"""Chooses the ports of the processing system that connect the design to memory."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from cm.build.errors import BuildError
 from cm.build.plan.system import System
 
-MAX_SLAVES = 16  # of one SmartConnect (PG247)
-HPM_WIDTH = 128  # bits of UltraScale+'s ports for registers
-WIDTH = {False: 64, True: 128}  # bits of a port for memory, by UltraScale+
+MAX_SLAVES = 16  # at one SmartConnect (PG247)
+HPM_WIDTH = 128  # bits of UltraScale+'s register ports
+WIDTH = {False: 64, True: 128}  # bits of a memory port; the key: UltraScale+ or not
 
 
 @dataclass(frozen=True, slots=True)
 class MemoryPort:
-    """A slave port of the processing system; `setting` is the number that its parameters have, `afi` that of its AFI.
+    """A slave port of the processing system; `setting`: its number in parameters; `afi`: the number of its AFI.
 
-    `prefix` begins the names of its pins; only those of coherent ports are ever named.
+    `prefix`: how the names of its pins begin, needed for coherent ports only.
     """
 
     slave: str
@@ -28,20 +28,20 @@ class MemoryPort:
 
     @property
     def prefix(self) -> str:
-        """How the names of its signals begin: ``saxigp0``."""
+        """The beginning of its signals' names: ``saxigp0``."""
         return f"saxigp{self.setting}"
 
 
 def memory_ports(system: System) -> list[tuple[MemoryPort, int]]:
-    """Ports with the number of masters on each: the regions' and their engines', and last the configuration port's.
+    """Return ports with their number of masters: first those of regions and their engines, last that of the ICAP.
 
-    The ICAP's engine has a port of its own, the last one, where one is left: loads do not wait for streams then. On
-    Zynq-7000 that is HP3, which shares its way into the memory controller with HP2 alone (UG585, chapter 5).
+    If a port is left, the ICAP's engine has the last one to itself, so that loads do not wait for streams. On
+    Zynq-7000 that is HP3, which shares its path to the memory controller with HP2 only (UG585, chapter 5).
     """
     platform, coherent = system.platform, system.project.static.coherent
     slaves = platform.coherent_slaves if coherent else platform.memory_slaves
     clocks = platform.coherent_clocks if coherent else platform.memory_clocks
-    # UltraScale+: S_AXI_GP0 and GP1 are HPC0 and HPC1, GP2 to GP5 HP0 to HP3, and the AFIs are counted alike (UG1085)
+    # UltraScale+: S_AXI_GP0 and GP1 are HPC0 and HPC1, GP2 to GP5 are HP0 to HP3; AFIs have the same numbers (UG1085)
     first = 2 if platform.ultrascale and not coherent else 0
     masters = sum(engine.masters for engine in system.engines) + sum(len(region.memory) for region in system.regions)
     own = system.engines[0].masters if system.icap else 0

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streams of regions → DMA channels and engines: who shares an engine, with registers and interrupt lines.
+"""Assigns the streams of regions to DMA channels and engines, with registers and interrupt lines.
 
-Interrupts of the PL are few (16). Where channels are more, neighbours share a line: the kernel's driver asks for
-shared interrupts (``IRQF_SHARED``), and looks which of its channels has one.
+The PL has few interrupt lines (16). If there are more channels, neighbours share a line: the kernel's driver requests
+shared interrupts (``IRQF_SHARED``), and checks which of its channels raised one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from cm.build.project.where import fault
 from cm.schema.model import Direction
 from cm.schema.problems import KeyPath
 
-MAX_STREAM = 1024  # bits of TDATA that an AXI DMA takes
+MAX_STREAM = 1024  # bits of TDATA that an AXI DMA supports
 LONGEST = (1 << 26) - 1  # bytes that its length register can hold
 _NAMES = {
     EngineKind.DMA: "AXI DMA (PG021)",
@@ -32,7 +32,7 @@ _NOWHERE = Window("", 0, 0)
 
 
 def dma_width(bits: int) -> int:
-    """TDATA of the DMA for a stream of `bits` (at most `MAX_STREAM`): the next of 8, 16, 32 … 1024."""
+    """Bits of the DMA's TDATA for a stream of `bits` (at most `MAX_STREAM`): the next of 8, 16, 32 … 1024."""
     width = 8
     while width < bits:
         width *= 2
@@ -40,7 +40,7 @@ def dma_width(bits: int) -> int:
 
 
 def stream_bus(project: Project, region: RegionSpec, interface: Interface, spec: ConnectionSpec) -> StreamBus:
-    """The stream of an interface with its channel, which `place` gives registers and an interrupt line."""
+    """Make the stream of an interface, with a channel to which `place` assigns registers and an interrupt line."""
     video = spec.connect == "vdma"
     name = spec.stream or f"{region.name}_{interface.name}"
     key: KeyPath = ("regions", region.name, "interfaces", interface.name)
@@ -64,7 +64,7 @@ def stream_bus(project: Project, region: RegionSpec, interface: Interface, spec:
 
 
 def _video_problem(interface: Interface, spec: ConnectionSpec, width: int) -> tuple[str, str] | None:
-    """Why a VDMA cannot serve an interface, and what would be right; else None."""
+    """Return why a VDMA cannot serve an interface and what would be right, or None."""
     needed = ["TLAST", "TUSER"] if interface.mode is Mode.MASTER else ["TLAST"]
     missing = [signal for signal in needed if signal not in interface.ports]
     if missing:
@@ -85,9 +85,9 @@ def place(
     addresses: Allocator,
     lines: int,
 ) -> tuple[tuple[RegionPlan, ...], tuple[StreamBus, ...], Dma | None]:
-    """The same regions, streams of the switch and configuration port with engines, registers and interrupt lines.
+    """Return the regions, the switch's streams and the configuration port with engines, registers and interrupt lines.
 
-    `lines` are those from the PL; line 0 is the control registers' own, which no driver may share.
+    `lines`: how many the PL has; line 0 belongs to the control registers, and no driver may share it.
     """
     buses = [
         _Member(("regions", region.name, "interfaces", bus.interface.name), f"{region.name}.{bus.interface.name}", bus)
@@ -115,7 +115,7 @@ def place(
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """A stream of an engine: its place in the build schema, and what it is called there."""
+    """A stream of an engine: its place and its name in the build schema."""
 
     key: KeyPath
     who: str
@@ -133,7 +133,7 @@ def _with(streams: tuple[StreamBus, ...], placed: Mapping[str, Dma]) -> tuple[St
 
 
 def _kind(project: Project, name: str, members: list[_Member]) -> EngineKind:
-    """What the engine is; a fault where its streams cannot share one."""
+    """Return the kind of an engine, or raise a fault if its streams cannot share one."""
     channels = [member.dma for member in members]
     counts = [sum(dma.direction is way for dma in channels) for way in Direction]
     video = {dma.kind is EngineKind.VDMA for dma in channels}
@@ -158,7 +158,7 @@ def _kind(project: Project, name: str, members: list[_Member]) -> EngineKind:
 
 
 def _unending(members: Iterable[_Member]) -> tuple[str, str] | None:
-    """Streams take turns packet by packet, so each must have an end."""
+    """Find a stream without TLAST: streams are interleaved packet by packet, so packets must end."""
     for member in members:
         if not member.dma.sends and "TLAST" not in member.bus.interface.ports:
             hint = "streams of an MCDMA take turns at TLAST: give it one, or an engine of its own"
@@ -167,7 +167,7 @@ def _unending(members: Iterable[_Member]) -> tuple[str, str] | None:
 
 
 def _channels(members: list[_Member], kind: EngineKind) -> Iterator[Dma]:
-    """Channels numbered by direction; those that share a stream have the width of the widest."""
+    """Number channels by direction; channels that share a port all get the width of the widest."""
     channels = [member.dma for member in members]
     bits = max(dma.length_bits for dma in channels)
     for way in Direction:
@@ -179,7 +179,7 @@ def _channels(members: list[_Member], kind: EngineKind) -> Iterator[Dma]:
 
 
 def crowding(regions: tuple[RegionPlan, ...], own: tuple[StreamBus, ...], lines: int) -> Iterator[str]:
-    """A note where channels share interrupt lines."""
+    """Yield a note if channels share interrupt lines."""
     buses = (*(bus for region in regions for bus in region.streams), *own)
     used = [bus.dma.line for bus in buses if bus.dma]
     if len(set(used)) < len(used):
@@ -190,7 +190,7 @@ def crowding(regions: tuple[RegionPlan, ...], own: tuple[StreamBus, ...], lines:
 
 
 def _lines(channels: list[Dma], first: int, count: int) -> Iterator[int]:
-    """A line for each channel from `first` on; where they are too few, neighbours share one."""
+    """Yield a line for each channel, from `first` on; if there are too few, neighbours share one."""
     room = count - first
     if not channels:
         return

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stream switch between regions: which streams meet at it, and what a mode's routes are in its registers.
+"""The stream switch between regions: the streams that it connects, and the register values of a mode's routes.
 
-Registers as in PG085 ("MI_MUX[0-15] Register", "Control Register"): one for each sink names its source; a write to
-CONTROL makes them count. Names of ends are ``region.interface``, or those of the switch's own streams.
+Registers are those of PG085 ("MI_MUX[0-15] Register", "Control Register"): one for each sink selects its source, and
+a write to CONTROL commits them. Ends are named ``region.interface``, or as the switch's own streams.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ COMMIT = "route_update"  # the name of CONTROL in the runtime schema
 
 
 def switch_width(project: Project, ends: Iterable[Interface]) -> int:
-    """Bits of TDATA inside: the widest of the regions' streams, as a DMA engine could have it."""
+    """Bits of the switch's TDATA: those of the widest stream of the regions, rounded up to a width of DMA engines."""
     return max((dma_width(interface.data_width or 8) for interface in ends), default=8 if project.switch else 0)
 
 
@@ -39,7 +39,7 @@ def own_streams(project: Project, width: int) -> tuple[StreamBus, ...]:
 
 
 def _end(name: str, mode: Mode, width: int) -> Interface:
-    """What a DMA engine meets: as a region's interface of the switch's width."""
+    """The end of a DMA engine's stream, described like a region's interface of the switch's width."""
     widths = {"TVALID": 1, "TREADY": 1, "TLAST": 1, "TDATA": width, "TKEEP": width // 8}
     return Interface(name, "axis", mode, {signal: f"{name}_{signal.lower()}" for signal in widths}, widths=widths)
 
@@ -47,7 +47,7 @@ def _end(name: str, mode: Mode, width: int) -> Interface:
 def plan_switch(
     project: Project, regions: tuple[RegionPlan, ...], window: Window, own: tuple[StreamBus, ...]
 ) -> SwitchPlan:
-    """The switch with its ends numbered: the switch's own streams first, then regions in their order."""
+    """Plan the switch and number its ends: its own streams first, then the regions' in order."""
     spec = project.switch
     assert spec is not None
     named = {bus.name: bus for bus in own}
@@ -80,7 +80,7 @@ def _check_clock(project: Project, region: RegionPlan, bus: StreamBus) -> None:
 
 
 def check_switched(project: Project, region: RegionSpec, interface: Interface) -> None:
-    """Faults of an interface with ``connect: switch``."""
+    """Raise the faults of an interface with ``connect: switch``."""
     key: KeyPath = ("regions", region.name, "interfaces", interface.name, "connect")
     who = f"{region.name}.{interface.name}"
     if project.switch is None:
@@ -101,21 +101,21 @@ def _check_routes(project: Project, mode: ModeSpec, plan: SwitchPlan) -> None:
         if source not in plan.sources:
             raise fault(project.source, key, f"the switch has no source {source!r}", did_you_mean(source, plan.sources))
         if source in taken:
-            hint = "a source goes to one sink (PG085): put a module between that has two streams out"
+            hint = "a source goes to one sink (PG085): insert a module with two output streams"
             raise fault(project.source, key, f"{source} goes to {taken[source]} already", hint)
         taken[source] = sink
 
 
 def register_name(sink: str) -> str:
-    """Name of a sink's register in the runtime schema."""
+    """The name of a sink's register in the runtime schema."""
     return f"route_{sink.replace('.', '_')}"
 
 
 def route_values(plan: SwitchPlan, modes: Mapping[str, ModeSpec]) -> Iterator[tuple[str, dict[str, int]]]:
-    """Mode → values of the switch's registers, the update last.
+    """Yield each mode with the values of the switch's registers, REG_UPDATE last.
 
-    Bits above REG_UPDATE are reserved and not looked at; they number the sets of routes, so that a manager which
-    writes what differs from what it wrote last writes the update with every set.
+    Bits above REG_UPDATE are reserved and ignored by the hardware; here they number the sets of routes, so that a
+    manager that writes only changed values writes the update with every set.
     """
     numbers: dict[tuple[tuple[str, str], ...], int] = {}
     order = list(plan.sources)
@@ -126,7 +126,7 @@ def route_values(plan: SwitchPlan, modes: Mapping[str, ModeSpec]) -> Iterator[tu
 
 
 def chain_of(plan: SwitchPlan, mode: ModeSpec, stream: str) -> list[str]:
-    """The regions that a stream of the switch passes through in a mode, in its direction; they may be none."""
+    """The regions that a stream of the switch passes through in a mode, in order; possibly none."""
     source_of, found = dict(mode.routes), []
     sink_of = {source: sink for sink, source in source_of.items()}
     end = sink_of.get(stream) if stream in plan.sources else source_of.get(stream)

@@ -20,7 +20,7 @@ from cm.build.project.model import ConnectionSpec, ModuleSpec, Project, RegionSp
 
 @dataclass(frozen=True, slots=True)
 class RegisterBus:
-    """An AXI4-Lite (`full`: AXI4) slave interface of a region and the window it answers in."""
+    """An AXI4-Lite (`full`: AXI4) slave interface of a region, and its window."""
 
     interface: Interface
     window: Window
@@ -29,43 +29,43 @@ class RegisterBus:
 
 @dataclass(frozen=True, slots=True)
 class StreamBus:
-    """An AXI4-Stream interface of a region; `dma` None: it goes to ports of the top."""
+    """An AXI4-Stream interface of a region; if `dma` is None, it goes to ports of the top."""
 
     interface: Interface
     name: str
     dma: Dma | None
     spec: ConnectionSpec
-    switched: int = 0  # bits of the stream switch that it goes to; 0: it does not
+    switched: int = 0  # bits of the stream switch that it goes to; 0 for none
 
     @property
     def bytes(self) -> int:
-        """Bytes of a beat on the region's side; 0 where there is no TDATA of known width."""
+        """Bytes of a beat on the region's side; 0 if there is no TDATA of known width."""
         return -(-(self.interface.data_width or 0) // 8)
 
     @property
     def converted(self) -> bool:
-        """A width converter stands between the DMA engine, or the switch, and the region."""
+        """Whether a width converter is between the region and the DMA engine or the switch."""
         return self.width != 0 and self.width != 8 * self.bytes
 
     @property
     def width(self) -> int:
-        """Bits of TDATA on the static side; 0 at ports of the top, which are as the region is."""
+        """Bits of TDATA on the static side; 0 for ports of the top, which are as wide as the region's."""
         return self.dma.width if self.dma else self.switched
 
     @property
     def external(self) -> bool:
-        """It goes to ports of the top."""
+        """Whether it goes to ports of the top."""
         return self.dma is None and not self.switched
 
     @property
     def inner(self) -> bool:
-        """Its static side ends within the static part: at the switch, or where streams share an engine's port."""
+        """Whether it ends within the static part: at the switch, or at a port that streams of an engine share."""
         return self.switched > 0 or (self.dma is not None and self.dma.shared)
 
 
 @dataclass(frozen=True, slots=True)
 class SwitchPlan:
-    """The stream switch: `streams` come from memory or go there; ends by name, in the order of their numbers."""
+    """The stream switch: `streams` come from memory or go there; its ends are named in the order of their numbers."""
 
     clock: str
     window: Window
@@ -105,7 +105,7 @@ class RegionPlan:
     memory: tuple[MemoryBus, ...] = ()
     lines: tuple[Line, ...] = ()
     external: tuple[BoundaryPort, ...] = ()  # to ports of the top
-    unused: tuple[BoundaryPort, ...] = ()  # not connected: inputs 0, outputs open
+    unused: tuple[BoundaryPort, ...] = ()  # not connected: inputs are 0, outputs open
 
     @property
     def name(self) -> str:
@@ -114,7 +114,7 @@ class RegionPlan:
 
     @property
     def clocks(self) -> Mapping[str, str | None]:
-        """What each clock port of the boundary gets: a clock, ``external``, or None where nothing says.
+        """The source of each clock port of the boundary: a clock, ``external``, or None if it is not given.
 
         The only clock, or the one called ``aclk``, is the region's own.
         """
@@ -129,13 +129,13 @@ class RegionPlan:
 
     @property
     def module(self) -> str:
-        """Name of the black box, and of every wrapper that goes there."""
+        """Name of the black box, and of every wrapper that takes its place."""
         return f"cm_region_{self.name}"
 
 
 @dataclass(frozen=True, slots=True)
 class Domain:
-    """A clock and the register windows that are reached on it; `aperture` covers them all."""
+    """A clock and the register windows that run on it; `aperture` covers them all."""
 
     clock: str
     index: int
@@ -154,7 +154,7 @@ class Implementation:
 
     @property
     def name(self) -> str:
-        """Module, or module and region where it may go to several."""
+        """The module's name, with the region's if it may go to several."""
         return self.module.name if len(self.module.regions) == 1 else f"{self.module.name}_{self.region.name}"
 
 
@@ -194,7 +194,7 @@ class System:
 
     @property
     def crowded(self) -> tuple[int, ...]:
-        """Interrupt lines that several DMA channels share: the static part joins their levels."""
+        """Interrupt lines that several DMA channels share: the static part ORs their levels."""
         lines = [dma.line for dma in self.dmas]
         return tuple(sorted({line for line in lines if lines.count(line) > 1}))
 
@@ -213,7 +213,7 @@ class System:
 
 
 def used_clocks(system: System) -> list[str]:
-    """Clocks that something runs on, in the order of the build schema."""
+    """Clocks that are in use, in the order of the build schema."""
     used = {domain.clock for domain in system.domains} | {region.spec.clock for region in system.regions}
     used |= {system.switch.clock} if system.switch else set()
     used |= {clock for region in system.regions for clock in region.clocks.values() if clock}

@@ -17,5 +17,5 @@ class Window:
 
     @property
     def end(self) -> int:
-        """First address behind it."""
+        """The first address after it."""
         return self.base + self.size

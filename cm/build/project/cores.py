@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A module whose files a FuseSoC core lists."""
+"""Modules whose files are listed in a FuseSoC core."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from cm.build.project.model import ModuleSpec
 
 
 def with_core(module: ModuleSpec, path: Path, target: str, roots: Iterable[Path], named: bool) -> ModuleSpec:
-    """`module` with the files of the core before its own; what the build schema says of values goes first.
+    """Return `module` with the core's files before its own; values in the build schema take precedence.
 
-    `named`: the build schema says the top. BuildError for what the core lacks.
+    `named`: the build schema names the top. Raises BuildError for what the core lacks.
     """
     found = core_files(path, target, roots)
     if found.missing:

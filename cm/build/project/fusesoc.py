@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""FuseSoC core files (`.core`, CAPI2) → the files of a target with those of the cores that it depends on.
+"""FuseSoC core files (`.core`, CAPI2) → the files of a target, with those of the cores that it depends on.
 
-As FuseSoC reads them (its user guide, "CAPI2 reference"): `filesets` of a target in order, those of
-dependencies before; `_append` keys; `flag ? (…)` and `!flag ? (…)` in names, with the flags that
-`tool: vivado` sets. Dependencies are looked for below given folders: nothing is fetched, no generator run.
+They are read as FuseSoC does (its user guide, "CAPI2 reference"): `filesets` of a target in order, those of
+dependencies first; `_append` keys; `flag ? (…)` and `!flag ? (…)` in names, with the flags that
+`tool: vivado` sets. Dependencies are looked for below given folders; nothing is fetched, and no generator is run.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from cm.build.errors import BuildError
 _TOKEN = re.compile(r"\s*(?:(!?)([\w+-]+)\s*\?\s*\(|(\))|([^\s()]+))")
 _RELATION = re.compile(r"(>=|<=|>|<|=|~|\^)?(.*)")
 _HDL = ("verilogSource", "systemVerilogSource", "vhdlSource")
-_LIMIT = 1 << 20  # bytes; real ones have some KiB
+_LIMIT = 1 << 20  # bytes; real files have some KiB
 
 
 @dataclass(slots=True)
 class CoreFiles:
-    """What a target brings, dependencies first; `missing` are sentences about what is not there."""
+    """The files of a target, dependencies first; `missing`: sentences about what does not exist."""
 
     sources: list[Path] = field(default_factory=list)
     libraries: dict[str, list[Path]] = field(default_factory=dict)
@@ -50,7 +50,7 @@ class _Core:
 
 
 def core_files(path: Path, target: str = "default", roots: Iterable[Path] = ()) -> CoreFiles:
-    """The files of a core's target; BuildError where it is not a core file or has no such target."""
+    """Return the files of a core's target. Raises BuildError if it is not a core file or has no such target."""
     core = _read(path)
     targets = core.data.get("targets") or {}
     if target not in targets:
@@ -70,20 +70,20 @@ def _read(path: Path) -> _Core:
         raise BuildError(f"{path}: cannot be read: {error.strerror}") from None
     first, _, rest = raw[:_LIMIT].decode("utf-8", errors="replace").partition("\n")
     if len(raw) > _LIMIT or not re.fullmatch(r"CAPI\s*=\s*2\s*:?\s*", first.lstrip("\ufeff")):
-        what = "a CAPI1 core, which FuseSoC 2 does not read either" if "[main]" in rest else "no FuseSoC core file"
+        what = "a CAPI1 core, which FuseSoC 2 does not read either" if "[main]" in rest else "not a FuseSoC core file"
         raise BuildError(f"{path}: {what}: the first line is not CAPI=2:")
     try:
         data = yaml.safe_load(rest)
     except yaml.YAMLError as error:
         raise BuildError(f"{path}: {' '.join(str(error).split())}") from None
     if not isinstance(data, dict) or not isinstance(data.get("name"), str):
-        raise BuildError(f"{path}: no FuseSoC core file: it has no name:")
+        raise BuildError(f"{path}: not a FuseSoC core file: it has no name:")
     name, version = _vlnv(data["name"])
     return _Core(path, name, version, data)
 
 
 def _vlnv(text: str) -> tuple[str, tuple[int, ...]]:
-    """``vendor:library:name`` and the version as numbers, 0 where there is none."""
+    """Split a VLNV into ``vendor:library:name`` and the version as numbers, 0 if there is none."""
     parts = text.strip().split(":")
     if len(parts) == 1:
         parts = ["", "", *parts]
@@ -94,7 +94,7 @@ def _vlnv(text: str) -> tuple[str, tuple[int, ...]]:
 
 
 def names(text: object, flags: frozenset[str]) -> list[str]:
-    """The words of an expression that hold under `flags`."""
+    """The words of an expression that apply under `flags`."""
     found: list[str] = []
     holds = [True]
     for negated, flag, closing, word in _TOKEN.findall(str(text)):
@@ -116,7 +116,7 @@ class _Reader:
         self._seen: set[str] = set()
 
     def add(self, core: _Core, name: str, *, top: bool = False) -> None:
-        """A core's target with its dependencies before it."""
+        """Add a core's target, after its dependencies."""
         if core.name in self._seen:
             return
         self._seen.add(core.name)
@@ -180,7 +180,7 @@ class _Reader:
         kind = str(settings.get("file_type", ""))
         found = self.found
         if not kind.startswith(_HDL) and kind not in ("xdc", "tclSource", "xci"):
-            return  # of another tool, or for people
+            return  # for another tool, or documentation
         if not path.exists():
             fetched = " (its provider would fetch it: fusesoc fetch)" if core.data.get("provider") else ""
             found.missing.append(f"{core.path}: {path.relative_to(core.path.parent)} does not exist{fetched}")
@@ -211,7 +211,7 @@ class _Reader:
 
 
 def _value(name: str, text: str, spec: Mapping[str, Any]) -> Any:
-    """What `name=text` of a target gives a parameter; ValueError where it is not a value."""
+    """Convert the value of `name=text` in a target. Raises ValueError if it does not fit the parameter."""
     if spec.get("datatype") in ("str", "file"):
         return text
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A build schema from its file: YAML → `cm.build.project.model.Project`, every problem with its position."""
+"""Reads a build schema: YAML → `cm.build.project.model.Project`, every problem with its position."""
 
 from __future__ import annotations
 
@@ -45,25 +45,25 @@ class Reporter:
         self.problems: list[Problem] = []
 
     def at(self, mark: Mark, code: str, message: str, hint: str = "", key: str = "") -> None:
-        """A problem at a position."""
+        """Report a problem at a position."""
         self.problems.append(Problem(self.path, mark.line, mark.column, key, code, message, hint))
 
     def key(self, path: KeyPath, code: str, message: str, hint: str = "") -> None:
-        """A problem with the key at `path`."""
+        """Report a problem with the key at `path`."""
         self.at(locate(self.root, path), code, message, hint, key_path(path))
 
     def fitted(self, mark: Mark, path: KeyPath, code: str, message: str, hint: str) -> None:
-        """A problem that the walk along the schema found."""
+        """Report a problem that the walk along the schema found."""
         self.at(mark, code, message, hint, key_path(path))
 
     def stop(self) -> None:
-        """Raise what was found, in the order of the file."""
+        """Raise the problems that were found, if any, in the order of the file."""
         if self.problems:
             raise SchemaError(sorted(self.problems, key=lambda problem: (problem.line, problem.column)))
 
 
 def load_project(path: Path | str, text: str | None = None) -> Project:
-    """The build schema in `path`, or `text` as if it stood there; `SchemaError` lists all that is wrong with it."""
+    """Load the build schema in `path`, or `text` as if it were there. Raises SchemaError with every problem."""
     path = Path(path).absolute()
     report = Reporter(path)
     data = _data(path, text, report)
@@ -74,13 +74,13 @@ def load_project(path: Path | str, text: str | None = None) -> Project:
 
 
 def project_data(path: Path | str) -> dict[str, Any]:
-    """The build schema in `path` as plain data in normal form; `SchemaError` as `load_project`."""
+    """Load the build schema in `path` as plain data in normal form. Raises SchemaError as `load_project` does."""
     path = Path(path).absolute()
     return _data(path, None, Reporter(path))
 
 
 def check_project(path: Path | str) -> list[Problem]:
-    """What is wrong with the build schema in `path`; empty where all is well."""
+    """Return the problems of the build schema in `path`; empty if there are none."""
     try:
         load_project(path)
     except SchemaError as error:
@@ -105,7 +105,7 @@ def _structure(text: str, report: Reporter) -> dict[str, Any]:
     try:
         report.root = read(text, report.at)
     except Refused as refused:
-        hint = refused.hint.replace("config:", "project: (or with cm build init)")  # of a runtime schema
+        hint = refused.hint.replace("config:", "project: (or with cm build init)")  # that of a runtime schema
         report.at(refused.mark, refused.code, str(refused), hint)
         return {}
     tree = structure.fit(report.root, report.fitted)
@@ -150,7 +150,7 @@ class _Builder:
         )
 
     def _board(self, head: dict[str, Any]) -> BoardDefinition | None:
-        """The board of the library; a Vivado board part is taken as it is."""
+        """Find the board in the library; a Vivado board part is used as it is."""
         name, part = head.get("board", ""), head.get("part")
         kit = boards().get(name)
         if kit is None and name and ":" not in name:
@@ -202,7 +202,7 @@ class _Builder:
         )
 
     def _ranges(self, region: str, given: Iterable[str]) -> Iterator[str]:
-        """Ranges, with those of the board library in place of their names."""
+        """Yield ranges; names of the board library are replaced by their ranges."""
         known = self._kit.pblocks if self._kit else {}
         for index, text in enumerate(given):
             word, _, name = text.partition(":")
@@ -286,7 +286,7 @@ class _Builder:
 
 
 def _implied_modes(modules: dict[str, ModuleSpec]) -> dict[str, ModeSpec]:
-    """Without modes in the file: each module by itself; with several possible regions, one mode for each."""
+    """Make modes if the file has none: one for each module, or one for each region it may go to."""
     modes = {}
     for module in modules.values():
         for region in module.regions:

@@ -31,13 +31,13 @@ class Resources:
     dsp: int = 0
 
     def largest(self, other: Resources) -> Resources:
-        """What holds either of both."""
+        """The resources that suffice for either of the two."""
         return Resources(
             max(self.lut, other.lut), max(self.ff, other.ff), max(self.bram, other.bram), max(self.dsp, other.dsp)
         )
 
     def values(self) -> tuple[int, int, float, int]:
-        """In the order lut, ff, bram, dsp."""
+        """The numbers in the order lut, ff, bram, dsp."""
         return self.lut, self.ff, self.bram, self.dsp
 
     def __bool__(self) -> bool:
@@ -81,7 +81,7 @@ DTYPES = (
 
 @dataclass(frozen=True, slots=True)
 class ConnectionSpec:
-    """What an interface of a region's boundary is connected to; None: what its protocol suggests."""
+    """What an interface of a region's boundary is connected to; None: the default for its protocol."""
 
     connect: str | None = None
     stream: str | None = None
@@ -90,8 +90,8 @@ class ConnectionSpec:
     slots: int = 8
     rate: float | None = None
     max_length: int | None = None
-    engine: str | None = None  # of DMA: streams that name the same one share it
-    pins: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # by signal; "" of a single signal
+    engine: str | None = None  # of the DMA: streams with the same name share one
+    pins: Mapping[str, tuple[str, ...]] = field(default_factory=empty)  # by signal; "" for a single signal
     iostandard: str | None = None
 
 
@@ -106,11 +106,11 @@ class SwitchSpec:
 
 @dataclass(frozen=True, slots=True)
 class RegionSpec:
-    """A region: `pblock` is empty for auto; `window` are the bytes of each of its register windows."""
+    """A region: `pblock` is empty for auto; `window`: bytes of each of its register windows."""
 
     name: str
     clock: str
-    clocks: Mapping[str, str] = field(default_factory=empty)  # of further clock ports: a clock, or "external"
+    clocks: Mapping[str, str] = field(default_factory=empty)  # for further clock ports: a clock, or "external"
     pblock: tuple[str, ...] = ()
     resources: Resources = Resources()
     decoupling: bool = True
@@ -127,7 +127,7 @@ def in_libraries(libraries: Mapping[str, tuple[Path, ...]]) -> tuple[Path, ...]:
 
 @dataclass(frozen=True, slots=True)
 class HlsSpec:
-    """C++ of a module: `sources` hold the function; `cflags` go to Vitis HLS, whose -I and -D are obeyed here too."""
+    """C++ of a module: `sources` contain the function; `cflags` are for Vitis HLS; -I and -D are used here too."""
 
     sources: tuple[Path, ...]
     cflags: str = ""
@@ -146,7 +146,7 @@ class ModuleSpec:
     defines: Mapping[str, str] = field(default_factory=empty)
     parameters: Mapping[str, int | float | str | bool] = field(default_factory=empty)
     interface_parameters: Mapping[str, Mapping[str, int | str]] = field(default_factory=empty)  # by port
-    flat: tuple[str, str] | None = None  # file and text of a generated wrapper, which is the top then
+    flat: tuple[str, str] | None = None  # file and text of a generated wrapper, which is then the top
     hls: HlsSpec | None = None
     ip: tuple[Path, ...] = ()
     ip_repositories: tuple[Path, ...] = ()
@@ -163,13 +163,13 @@ class ModuleSpec:
 
     @property
     def readable(self) -> tuple[Path, ...]:
-        """The files to find the interfaces in: vendor IP cannot be parsed, its stand-ins can."""
+        """The files in which to find the interfaces: vendor IP cannot be parsed, but its simulation models can."""
         return self.sim_sources if self.ip and self.sim_sources else (*in_libraries(self.libraries), *self.sources)
 
 
 @dataclass(frozen=True, slots=True)
 class ModeStreamSpec:
-    """What is different about a stream in a mode; None: as the interface says."""
+    """What differs for a stream in a mode; None: as the interface has it."""
 
     shape: tuple[int, ...] | None = None
     dtype: str | None = None
@@ -177,7 +177,7 @@ class ModeStreamSpec:
 
 @dataclass(frozen=True, slots=True)
 class ModeSpec:
-    """A mode: region to module; regions that are not named keep theirs."""
+    """A mode: region → module; regions that are not named keep their modules."""
 
     name: str
     modules: Mapping[str, str]
@@ -185,12 +185,12 @@ class ModeSpec:
     streams: Mapping[str, ModeStreamSpec] = field(default_factory=empty)
     share: float = 1.0
     doc: str = ""
-    routes: Mapping[str, str] = field(default_factory=empty)  # through the switch: sink to source
+    routes: Mapping[str, str] = field(default_factory=empty)  # through the switch: sink → source
 
 
 @dataclass(frozen=True, slots=True)
 class ClockSpec:
-    """A PL clock from the processing system; `rate` in Hz, `tolerance` the percent by which it may be off."""
+    """A PL clock from the processing system; `rate` in Hz; `tolerance`: by how many percent it may deviate."""
 
     name: str
     rate: int
@@ -200,7 +200,7 @@ class ClockSpec:
 
 @dataclass(frozen=True, slots=True)
 class StaticSpec:
-    """What the user adds to the static part; `coherent`: its masters see the processors' caches."""
+    """What the user adds to the static part; `coherent`: its masters are coherent with the processors' caches."""
 
     sources: tuple[Path, ...] = ()
     libraries: Mapping[str, tuple[Path, ...]] = field(default_factory=empty)
@@ -209,7 +209,7 @@ class StaticSpec:
     constraints: tuple[Path, ...] = ()
     registers: Mapping[str, RegisterSpec] = field(default_factory=empty)
     coherent: bool = False
-    revision: str = ""  # goes into the identity
+    revision: str = ""  # part of the identity
     abstract_shells: bool = False  # modules beyond the first run are implemented without the static design
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small parts of a build schema: connections, registers, what a mode says of a stream, macros' values."""
+"""Small parts of a build schema: connections, registers, streams of modes, values of macros."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _register(name: str, spec: dict[str, Any]) -> RegisterSpec:
 
 
 def macro(value: object) -> str:
-    """A macro's value as the preprocessor takes it."""
+    """Write a macro's value as the preprocessor expects it."""
     if value is None or value is True:
         return "1"
     return "0" if value is False else str(value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""File names of a build schema: relative to its folder, `*` for files in sorted order."""
+"""File names in a build schema: relative to its folder; `*` matches files, in sorted order."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Report = Callable[[KeyPath, str, str, str], None]
 
 
 class PathReader:
-    """Turns names into absolute paths, and reports those that are not there."""
+    """Turns names into absolute paths, and reports those that do not exist."""
 
     def __init__(self, folder: Path, report: Report) -> None:
         self._folder, self._report = folder, report
@@ -25,7 +25,7 @@ class PathReader:
         return tuple(found)
 
     def one(self, name: str | None, key: KeyPath) -> Path | None:
-        """One file, or None where no name is given."""
+        """One file, or None if no name is given."""
         return next(iter(self._expand(name, key)), None) if name else None
 
     def _expand(self, name: str, key: KeyPath) -> list[Path]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names in a build schema that must mean something, and values that must fit each other."""
+"""Checks that names in a build schema refer to something, and that values are consistent."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ Report = Callable[[KeyPath, str, str, str], None]
 
 
 def check(project: Project, report: Report) -> None:
-    """Report everything in `project` that does not fit together."""
+    """Report every inconsistency in `project`."""
     if not project.part:
-        return  # told already
+        return  # already reported
     try:
         platform = platform_of(project.part)
         if len(project.clocks) > len(platform.clock_pins):
@@ -42,7 +42,7 @@ def check(project: Project, report: Report) -> None:
 
 
 def unknown(report: Report, key: KeyPath, kind: str, name: str, known: Iterable[str]) -> None:
-    """Report a name that means nothing."""
+    """Report a name that refers to nothing."""
     report(key, f"unknown_{kind}", f"there is no {kind} {name!r}", did_you_mean(name, known))
 
 
@@ -63,12 +63,12 @@ def _region(project: Project, region: RegionSpec, report: Report) -> None:
 
 
 def _range(text: str, ranges: tuple[str, ...], key: KeyPath, report: Report) -> None:
-    """A range has two sites of one kind, the lower left one first."""
+    """Check a range: it has two sites of one kind, the lower left one first."""
     if text == "auto":
         report(key, "bad_value", f"auto is combined with {len(ranges) - 1} ranges", "write auto alone, or ranges")
         return
     first, last = (_SITE.fullmatch(site) for site in (text.split(":")[0], text.split(":")[-1]))
-    if first is None or last is None:  # the JSON Schema has told
+    if first is None or last is None:  # reported by the JSON Schema
         return
     if first[1] != last[1]:
         report(key, "bad_value", f"{text} is from {first[1]} to {last[1]}", "both ends are sites of one kind")
@@ -79,7 +79,7 @@ def _range(text: str, ranges: tuple[str, ...], key: KeyPath, report: Report) -> 
 
 
 def _streams(project: Project, report: Report) -> None:
-    """Each stream is one DMA channel."""
+    """Check that each stream is one DMA channel."""
     switch = project.switch
     first = dict.fromkeys((*switch.inputs, *switch.outputs), "the switch") if switch else {}
     for name in switch.outputs if switch else ():
@@ -114,7 +114,7 @@ def _module(project: Project, module: ModuleSpec, report: Report) -> None:
 
 
 def _lists_ports(path: Path) -> bool:
-    """An .xci of Vivado 2020.2 or newer; an older one has no ports."""
+    """Whether a file is an .xci of Vivado 2020.2 or newer; older ones have no ports."""
     return path.is_file() and path.read_text(encoding="utf-8", errors="replace").lstrip().startswith("{")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes that show only once the HDL is read: told with the place in the build schema, as all others are."""
+"""Mistakes that show only after the HDL is read, reported with their place in the build schema like all others."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from cm.schema.tree import Mark, locate
 
 
 def fault(source: Path, key: KeyPath, message: str, hint: str = "") -> BuildError:
-    """The error for a value of the build schema in `source`: file, line, column and key before the sentence.
+    """Make the error for a value of the build schema in `source`: file, line, column and key before the sentence.
 
-    Of a key that is not written there the nearest above it is told.
+    For a key that is not in the file, the nearest one above it is named.
     """
     mark = _mark(source, key)
     return BuildError(str(Problem(source, mark.line, mark.column, key_path(key), "build_failed", message, hint)))
@@ -23,5 +23,5 @@ def fault(source: Path, key: KeyPath, message: str, hint: str = "") -> BuildErro
 def _mark(source: Path, key: KeyPath) -> Mark:
     try:
         return locate(read(source.read_text(encoding="utf-8"), lambda *_: None), key)
-    except (OSError, UnicodeDecodeError, Refused):  # it was read before, so it has just gone or changed
+    except (OSError, UnicodeDecodeError, Refused):  # it was read before, so it has just been removed or changed
         return Mark(0, 0)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The generated flow, run by make."""
+"""Runs the generated flow, by make."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm build run`: the generated flow, step by step, by make; steps whose inputs did not change are left out."""
+"""`cm build run`: runs the generated flow by make, skipping steps whose inputs did not change."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ Tell = Callable[[str], None]
 
 
 class StepFailed(BuildError):
-    """A step of the flow failed; the sentence holds what its log says."""
+    """A step of the flow failed; the sentence contains an excerpt of its log."""
 
     code: ClassVar[str] = "step_failed"
 
 
 @dataclass(slots=True)
 class _Progress:
-    """Turns make's lines into sentences."""
+    """Turns lines of make's output into sentences."""
 
     flow: Flow
     tell: Tell
@@ -56,10 +56,10 @@ class _Progress:
 
 
 def run_flow(folder: Path, vivado: Vivado, jobs: int, tell: Tell, modules: Sequence[str] = ()) -> list[Planned]:
-    """Run what has to be run below `folder`, at most `jobs` steps at once; returns what was planned.
+    """Run the outdated steps below `folder`, at most `jobs` at once; return what was planned.
 
-    With `modules` only what leads to their bitstreams.
-    Raises `StepFailed` with an excerpt of the log. Started again, it goes on where it ended.
+    With `modules`, only the steps that lead to their bitstreams.
+    Raises `StepFailed` with an excerpt of the log. Run again, it continues where it stopped.
     """
     make = shutil.which("make")
     if make is None:
@@ -84,12 +84,12 @@ def run_flow(folder: Path, vivado: Vivado, jobs: int, tell: Tell, modules: Seque
 
 
 def _word(path: Path) -> str:
-    """A path as a variable of make that a recipe gives to its shell as one word."""
+    """Write a path as a make variable that a recipe passes to its shell as one word."""
     return shlex.quote(str(path)).replace("$", "$$")
 
 
 def _make(command: list[str], folder: Path, progress: _Progress) -> int:
-    """Run make in a process group of its own, which is ended with us."""
+    """Run make in its own process group, which is ended together with this process."""
     environment = {key: value for key, value in os.environ.items() if key not in ("MAKEFLAGS", "MAKELEVEL")}
     process = subprocess.Popen(
         command,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The generated flow on disk: its steps, and which of them have to run."""
+"""The generated flow on disk: its steps, and which of them are outdated."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ class Flow:
         )
 
     def plan(self, modules: Sequence[str] = ()) -> list[Planned]:
-        """The steps in order, each with its state; the same answer that make would come to.
+        """Return the steps in order, each with its state, as make would determine it.
 
-        With `modules` only those that their bitstreams need.
+        With `modules`, only the steps that their bitstreams need.
         """
         states: dict[str, State] = {}
         wanted = needed(self.steps, self.ends_of(modules) if modules else [step.name for step in self.steps])
@@ -59,18 +59,18 @@ class Flow:
         return [Planned(step, states[step.name]) for step in self.steps if step.name in wanted]
 
     def ends_of(self, modules: Sequence[str]) -> list[str]:
-        """The steps that give modules' bitstreams; BuildError where no step gives one's."""
+        """Return the steps that make the bitstreams of modules. Raises BuildError if there is none for a module."""
         found = []
         for name in modules:
             ends = [step.name for step in self.steps if f"bitstreams/{name}.bin" in step.outputs]
             if not ends:
                 known = {Path(path).stem for step in self.steps for path in step.outputs if path.endswith(".bin")}
-                raise BuildError(f"no step gives a bitstream of {name!r}; there are {', '.join(sorted(known))}")
+                raise BuildError(f"no step makes a bitstream of {name!r}; there are {', '.join(sorted(known))}")
             found += ends
         return found
 
     def unfinished(self) -> list[Planned]:
-        """The steps that have to run before the bitstreams are those of one flow; none where it ran elsewhere."""
+        """The steps that must still run for the bitstreams to be consistent; none if the flow ran elsewhere."""
         if not (self.folder / "stamps").is_dir():
             return []
         return [entry for entry in self.plan() if entry.state is not State.DONE]
@@ -97,7 +97,7 @@ class Flow:
         return State.DONE
 
     def checksums(self, step: Step) -> str:
-        """What ``sha256sum`` says of the step's inputs; a file that is not there shows as missing."""
+        """The output of ``sha256sum`` for the step's inputs; a missing file is shown as missing."""
         names = (self.folder / f"inputs/{step.name}.list").read_text(encoding="utf-8").splitlines()
         return "".join(f"{self._digest(name)}  {name}\n" for name in names)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What another host made of a packed flow, back into the folder that it was packed from.
+"""Unpacks what another host made of a packed flow into the folder that it was packed from.
 
-Nothing is written unless every file that the steps read is what it was when it was packed, here and there. Stamps are
-written last: a flow that was half unpacked has its steps still to run.
+Nothing is written unless every file that the steps read is unchanged since it was packed, on both hosts. Stamps are
+written last: if unpacking is interrupted, the steps still count as not run.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from cm.build.errors import BuildError
 from cm.build.run.pack import BACK, PACK, VERSION, digest
 from cm.build.run.steps import Flow
 
-MOST = 16 << 30  # bytes of all files that come back
+MOST = 16 << 30  # bytes of all returned files
 STAMPS = "stamps"
 
 
 @dataclass(frozen=True, slots=True)
 class Unpacked:
-    """Steps that have come back done, those that have not, and how many files were written."""
+    """The steps that were run on the other host, those that were not, and how many files were written."""
 
     done: tuple[str, ...]
     left: tuple[str, ...]
@@ -35,9 +35,9 @@ class Unpacked:
 
 
 def unpack(source: Path, out: Path) -> Unpacked:
-    """Take the files of `source`, an archive or a folder, into `out`.
+    """Copy the files of `source`, an archive or a folder, into `out`.
 
-    BuildError where it is not a packed flow, is of another state of the files, or has names that lead elsewhere.
+    Raises BuildError if it is not a packed flow, was packed from other files, or has names that lead elsewhere.
     """
     if source.is_dir():
         return _take(source, out)
@@ -47,7 +47,7 @@ def unpack(source: Path, out: Path) -> Unpacked:
 
 
 def _extract(archive: Path, folder: Path) -> None:
-    """Plain files of an archive below `folder`."""
+    """Extract the regular files of an archive into `folder`."""
     total = 0
     try:
         with tarfile.open(archive) as tar:
@@ -85,7 +85,7 @@ def _take(folder: Path, out: Path) -> Unpacked:
         target.parent.mkdir(parents=True, exist_ok=True)
         new = target.with_name(f"{target.name}.new")
         shutil.copy2(path, new)
-        if path.parent.name == STAMPS:  # in the steps' order, so that none is older than one before it
+        if path.parent.name == STAMPS:  # in the steps' order, so that none is older than an earlier one's
             new.touch()
         new.replace(target)
         count += 1
@@ -93,7 +93,7 @@ def _take(folder: Path, out: Path) -> Unpacked:
 
 
 def _find(folder: Path) -> tuple[Path, dict[str, Any]]:
-    """The output folder in what came back, and what was packed."""
+    """Find the output folder in what came back, and the description of what was packed."""
     found = sorted(folder.rglob(PACK), key=lambda path: len(path.parts))
     if not found:
         raise BuildError(f"{folder} holds no {PACK}: it is not a flow that cm build pack has packed")
@@ -110,7 +110,7 @@ _KEYS = {"project": str, "steps": list, "files": dict}
 
 
 def _check_here(out: Path, told: dict[str, Any]) -> None:
-    """Every file is here what it was when it was packed."""
+    """Check that every file on this host is unchanged since it was packed."""
     changed = [name for name, known in told["files"].items() if digest(out / name) != known]
     if changed:
         few = ", ".join(sorted(changed)[:5]) + (f" and {len(changed) - 5} more" if len(changed) > 5 else "")
@@ -120,7 +120,7 @@ def _check_here(out: Path, told: dict[str, Any]) -> None:
 
 
 def _check_there(base: Path, flow: Flow, told: dict[str, Any]) -> tuple[list[str], list[str]]:
-    """Steps that were run there, of the files that were packed, and those that were not."""
+    """Return the steps that the other host ran, on the files that were packed, and those that it did not."""
     known = {step.name: step for step in flow.steps}
     done, left = [], []
     for name in told["steps"]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vivado on this machine: where it is, which version, and what its log says when it fails."""
+"""Vivado on this machine: its path, its version, and excerpts of its logs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Vivado:
 def find_vivado(setting: str | None, environment: Mapping[str, str], wanted: str | None = None) -> Vivado:
     """Vivado by `setting` (the program, or an installation's folder), by XILINX_VIVADO or by PATH.
 
-    Raises `MissingTool` where there is none, `BuildError` where its version does not do.
+    Raises `MissingTool` if there is none, `BuildError` if its version is too old or not the wanted one.
     """
     path = _locate(setting, environment)
     version = _version(path)
@@ -58,7 +58,7 @@ def _locate(setting: str | None, environment: Mapping[str, str]) -> Path:
     found = shutil.which("vivado", path=environment.get("PATH", ""))
     if found is None:
         raise MissingTool(
-            "Vivado was not found: source its settings64.sh, or say --vivado FOLDER. "
+            "Vivado was not found: source its settings64.sh, or give --vivado FOLDER. "
             "Everything before this step works without it; `make` in the output folder runs the flow elsewhere"
         )
     return Path(found)
@@ -76,7 +76,7 @@ def _version(path: Path) -> tuple[int, int]:
 
 
 def excerpt(log: Path, most: int = 12) -> list[str]:
-    """The lines of a log that say what went wrong, or its last ones."""
+    """Return the lines of a log that say what went wrong, or else its last lines."""
     try:
         lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runtime schema of a system."""
+"""Makes the runtime schema of a system."""

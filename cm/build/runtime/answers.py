@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the user can say about a configuration; `cm build configure` asks it.
+"""What only the user can decide about a configuration; `cm build configure` asks for it.
 
 The file (``answers.yaml`` in the output folder, or any given) is a flat map, so that it can be written by hand:
 
@@ -34,7 +34,7 @@ class StreamAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """`registers` has defaults by (implementation, register); None and {}: as in the build schema."""
+    """`registers`: defaults by (implementation, register); None and {}: as in the build schema."""
 
     default_mode: str | None = None
     static_overlay: bool = True
@@ -43,12 +43,12 @@ class Answers:
 
 
 def load_answers(path: Path) -> Answers:
-    """The answers in a file; none where there is no such file."""
+    """Load the answers in a file; none if it does not exist."""
     return parse_answers(read_answers(path), path)
 
 
 def read_answers(path: Path) -> dict[str, Any]:
-    """The file's map from question to answer."""
+    """Read the file's map from question to answer."""
     if not path.exists():
         return {}
     try:
@@ -63,7 +63,7 @@ def read_answers(path: Path) -> dict[str, Any]:
 
 
 def parse_answers(data: Mapping[str, Any], source: Path) -> Answers:
-    """Answers from the flat map; BuildError names the key that is not understood."""
+    """Convert the flat map to answers. Raises BuildError with the key that is not understood."""
     streams: dict[str, dict[str, Any]] = {}
     registers: dict[tuple[str, str], int] = {}
     default_mode: str | None = None
@@ -84,7 +84,7 @@ def parse_answers(data: Mapping[str, Any], source: Path) -> Answers:
 
 
 def at_key(source: Path, key: str) -> str:
-    """``file:line: key``; without the line where the file does not have the key at the beginning of one."""
+    """Return ``file:line: key``; without the line if no line of the file begins with the key."""
     try:
         lines = source.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):

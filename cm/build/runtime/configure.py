@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm build configure`: the questions that a runtime schema leaves open, asked or answered from a file."""
+"""`cm build configure`: asks what a runtime schema leaves open, or takes the answers from a file."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Ask = Callable[[str], str]
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """`key` as in the file of answers; `default` is taken where the answer is empty."""
+    """`key`: as in the file of answers; `default`: used if the answer is empty."""
 
     key: str
     text: str
@@ -33,10 +33,10 @@ class Question:
 
 
 def questions(system: System) -> Iterator[Question]:
-    """Everything there is to decide, in a fixed order."""
+    """Yield everything that is to be decided, in a fixed order."""
     config = runtime_config(system, Answers())
     yield Question("default_mode", "mode after start", config.default_mode, tuple(config.modes))
-    text = "devices of the static part by an overlay of the CM (no: they are in the board's own tree)"
+    text = "devices of the static part by an overlay of the CM (no: they are in the board's device tree)"
     yield Question("static_overlay", text, True)
     for name, stream in config.streams.items():
         shape = list(stream.shape) if stream.shape else []
@@ -59,16 +59,16 @@ def answer_all(
     source: Path,
     earlier: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """An answer to every question: as `given`, else from `ask` (None: as `earlier`, else the default).
+    """Answer every question: as `given`, else from `ask` (None: as `earlier`, else the default).
 
-    `earlier` are the answers of the last time, offered in place of the default. Raises BuildError for a given key
-    that is not asked, or a value that does not do.
+    `earlier`: the previous answers, offered in place of the defaults. Raises BuildError for a given key
+    that is not asked for, or an invalid value.
     """
     known = {question.key for question in asked}
     for key in given:
         if key not in known:
             hint = did_you_mean(key, sorted(known))
-            raise BuildError(f"{at_key(source, key)}: nothing of that name is asked ({hint})")
+            raise BuildError(f"{at_key(source, key)}: there is no such question ({hint})")
     answers: dict[str, Any] = {}
     for question in asked:
         if question.key in given:
@@ -85,7 +85,7 @@ def answer_all(
 
 
 def _ask(question: Question, offered: Any, ask: Ask) -> Any:
-    """Ask until the answer does."""
+    """Ask until the answer is valid."""
     note = ""
     while True:
         choices = f" ({', '.join(question.choices)})" if question.choices else ""
@@ -116,7 +116,7 @@ def _integer(text: str) -> Any:
 
 
 def problem(question: Question, value: Any) -> str:
-    """What is wrong with an answer; empty where nothing is."""
+    """Say what is wrong with an answer; empty if nothing is."""
     if question.choices and value not in question.choices:
         return f"{value!r} is none of {', '.join(question.choices)}"
     if isinstance(question.default, bool):
@@ -145,7 +145,7 @@ def _shown(default: Any) -> str:
 
 
 def as_text(answers: Mapping[str, Any], asked: list[Question]) -> str:
-    """The file of answers: those that differ from the build schema; the others as comments."""
+    """Write the file of answers: those that differ from the build schema, and the others as comments."""
     lines = ["# SPDX-License-Identifier: Apache-2.0", "# Answers to cm build configure; cm build generate reads them."]
     for question in asked:
         value = answers[question.key]
@@ -156,6 +156,6 @@ def as_text(answers: Mapping[str, Any], asked: list[Question]) -> str:
 
 
 def to_answers(answers: Mapping[str, Any], asked: list[Question], source: Path) -> Answers:
-    """What differs from the build schema, as `generate` takes it."""
+    """Return the answers that differ from the build schema, in the form that `generate` takes."""
     default = {question.key: question.default for question in asked}
     return parse_answers({key: value for key, value in answers.items() if value != default[key]}, source)

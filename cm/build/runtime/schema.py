@@ -37,12 +37,12 @@ from cm.schema.problems import did_you_mean
 REGION_BLOCK = 0x100  # of cm_control.v
 REGION_STRIDE = 0x10
 IDENTITY = 0xC
-IRQ_STATUS, IRQ_BANK = 0x08, 0x10  # lines 32 and up: 0x20, 0x24, and every 0x10 behind
+IRQ_STATUS, IRQ_BANK = 0x08, 0x10  # lines 32 and up: at 0x20, 0x24, and so on every 0x10
 STATIC_ID = 0x1C
 
 
 def runtime_config(system: System, answers: Answers) -> Config:
-    """The configuration that `system` is on the target."""
+    """Return the configuration that `system` gives on the target."""
     project = system.project
     overlays = (Overlay(f"{project.name}_static"),) if answers.static_overlay else ()
     streams = {stream.name: stream for stream in _streams(system, answers)}
@@ -71,7 +71,7 @@ def _static(system: System) -> StaticIdentity | None:
 
 
 def register_base(source: Path, region: RegionPlan, module: ModuleSpec) -> int:
-    """Address that the offsets of the module's registers count from; `source` is the build schema."""
+    """The address to which the offsets of the module's registers are relative; `source`: the build schema."""
     buses = {bus.interface.name: bus for bus in region.registers}
     if module.interface is not None:
         if module.interface not in buses:
@@ -157,7 +157,7 @@ def _mode(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> Mode
 
 
 def _routes(system: System, mode: ModeSpec) -> dict[str, Register]:
-    """The switch's registers as a mode sets them."""
+    """The switch's registers, with the values of a mode."""
     if system.switch is None:
         return {}
     values = dict(route_values(system.switch, system.project.modes))[mode.name]
@@ -166,20 +166,20 @@ def _routes(system: System, mode: ModeSpec) -> dict[str, Register]:
 
 
 def _switch_registers(switch: SwitchPlan) -> dict[str, Register]:
-    """Registers of the switch, CONTROL last: they are written in this order."""
+    """Registers of the switch in the order in which they are written, CONTROL last."""
     order = ", ".join(f"{number} {name}" for number, name in enumerate(switch.sources))
     found = {}
     for number, sink in enumerate(switch.sinks):
         doc = f"source of {sink}: {order}, {NONE:#x} none"
         offset = MUX + 4 * number
         found[register_name(sink)] = Register(register_name(sink), switch.window.base, offset, default=NONE, doc=doc)
-    doc = "2 in the lowest bits: the routes count from now on; the others number the set of routes"
+    doc = "2 in the lowest bits commits the routes; the others number the set of routes"
     found[COMMIT] = Register(COMMIT, switch.window.base, CONTROL, access=Access.WO, default=UPDATE, doc=doc)
     return found
 
 
 def _mode_streams(system: System, mode: ModeSpec, streams: Mapping[str, Stream]) -> dict[str, Stream]:
-    """Streams that differ in a mode; those of the switch say what they pass through, and stop when that changes."""
+    """Streams that differ in a mode; a switch's stream names what it passes through, and stops when that changes."""
     source = system.project.source
     found = dict(_mode_stream(source, mode, name, spec, streams) for name, spec in mode.streams.items())
     for bus in system.switch.streams if system.switch else ():
@@ -225,7 +225,7 @@ def _interrupt_bank(base: int, bank: int, lines: int) -> dict[str, Register]:
     status, enable = _bank_name("irq_status", bank), _bank_name("irq_enable", bank)
     doc = "interrupts that happened, write 1 to clear"
     at = IRQ_BANK * (bank + 1) if bank else IRQ_STATUS
-    told = Register(enable, base, at + 4, default=mask, maximum=mask, doc="interrupts that are told")
+    told = Register(enable, base, at + 4, default=mask, maximum=mask, doc="interrupts that are enabled")
     return {status: Register(status, base, at, access=Access.W1C, volatile=True, doc=doc), enable: told}
 
 

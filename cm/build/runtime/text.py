@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The runtime schema as text, with a comment at everything that the user should decide."""
+"""The runtime schema as text, with a comment wherever the user should decide something."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _KEY = re.compile(r"( *)(?:- )?([^\s:#][^:]*):")
 
 
 def runtime_text(system: System, config: Config) -> str:
-    """`config` in normal form; a comment stands above the key that it is about."""
+    """Write `config` in normal form; each comment is above the key that it is about."""
     notes = dict(_notes(system, config))
     lines: list[str] = []
     stack: list[tuple[int, str]] = []

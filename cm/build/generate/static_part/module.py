@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The static part in Verilog: regions, what stands between them and the block design, the control registers."""
+"""The static part in Verilog: regions, the logic between them and the block design, and the control registers."""
 
 from __future__ import annotations
 

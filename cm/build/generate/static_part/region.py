@@ -16,7 +16,7 @@ IN, OUT, INOUT = PortDirection.IN, PortDirection.OUT, PortDirection.INOUT
 
 
 def add_region(net: Netlist, system: System, region: RegionPlan) -> None:
-    """Add a region to the static part, in the order in which the file reads well."""
+    """Add a region to the static part, in an order in which the file reads well."""
     site = Site(net, system, region)
     _declare(site)
     _control(site)
@@ -48,7 +48,7 @@ def _declare(site: Site) -> None:
 
 
 def _control(site: Site) -> None:
-    """Decoupling and reset, brought to the region's clock; identity, brought back."""
+    """Synchronise decoupling and reset to the region's clock, and the identity back."""
     net, index = site.net, site.region.index
     request, hold = net.wire(f"{site.name}_request", 2), net.wire(f"{site.name}_hold")
     reset, busy = net.wire(f"{site.name}_resetn_out"), net.wire(f"{site.name}_busy")
@@ -68,7 +68,7 @@ def _control(site: Site) -> None:
 
 
 def _clocks(site: Site, reset: str) -> None:
-    """Each clock of the modules and the reset beside it; on another clock the reset is brought to that."""
+    """Connect each clock of the modules, with the reset synchronised to it."""
     for port in site.region.boundary.ports:
         if port.role is Role.CLOCK and port.direction is IN:
             clock = site.region.clocks.get(port.name)
@@ -89,7 +89,7 @@ def _reset_of(clock: str) -> str:
 
 
 def _interrupts(site: Site) -> None:
-    """Interrupt lines, silent while the region is cut off, long enough for the control registers' clock."""
+    """Pass on interrupts: masked while the region is cut off, and long enough for the control registers' clock."""
     by_port: dict[str, int] = {line.port: 0 for line in site.region.lines}
     cycles = _stretch(site)
     for port in by_port:
@@ -115,13 +115,13 @@ def _interrupts(site: Site) -> None:
 
 
 def _stretch(site: Site) -> int:
-    """Clocks of the region that the control registers' clock cannot miss; 0 on the same clock."""
+    """Pulse length, in clocks of the region, that the control registers' clock cannot miss; 0 on the same clock."""
     own, main = site.system.project.clocks[site.region.spec.clock], site.system.domains[0]
     return 0 if own.name == main.clock else min(255, 2 * -(-own.rate // main.rate) + 2)
 
 
 def _external(site: Site) -> None:
-    """Ports of the top; outputs read as idle while the region is cut off."""
+    """Connect ports of the top; outputs read as idle while the region is cut off."""
     for port in site.region.external:
         site.done.add(port.name)
         if port.direction is INOUT:
@@ -136,7 +136,7 @@ def _external(site: Site) -> None:
 
 
 def _rest(site: Site) -> None:
-    """Inputs that nothing drives are 0 (TSTRB: 1), outputs that nothing reads are marked."""
+    """Tie undriven inputs to 0 (TSTRB: 1), and mark outputs that nothing reads."""
     for port in site.region.boundary.ports:
         if port.name in site.done or port.direction is INOUT:
             continue

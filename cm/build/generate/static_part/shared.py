@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What streams share: the switch, the ports of an MCDMA, and interrupt lines where channels are more than lines."""
+"""What streams share: the switch, the ports of an MCDMA, and interrupt lines if there are more channels than lines."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _streams(net: Netlist, engine: Engine, way: Direction) -> None:
 
 
 def _lanes(net: Netlist, names: Iterable[str], signal: str, width: int, given: bool) -> str:
-    """The streams' signals side by side, the first lowest; `given`: to the streams, not from them."""
+    """Concatenate the streams' signals, the first one lowest; `given`: they go to the streams, not from them."""
     there = {signal.name for signal in (*net.wires, *net.ports)}
     return concat(reversed([_lane(net, f"axis_{name}_{signal}", width, given, there) for name in names]))
 
@@ -86,7 +86,7 @@ def _switch(net: Netlist, system: System, switch: SwitchPlan) -> None:
 
 
 def _own_stream(net: Netlist, bus: StreamBus, widths: dict[str, int]) -> None:
-    """A stream between the switch and memory; where it shares an engine's port the join or split is behind it."""
+    """Connect a stream between switch and memory; the join or split of a shared engine's port follows behind it."""
     assert bus.dma
     for signal in ("tvalid", "tready", "tdata", "tkeep", "tlast"):
         name, width = f"axis_{bus.name}_{signal}", widths.get(signal, 1)

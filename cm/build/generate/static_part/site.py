@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a region meets the static part: what the builders of its decouplers share."""
+"""The interface between a region and the static part, shared by the builders of its decouplers."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ class Site:
         return f"clk_{self.system.domains[0].clock}"
 
     def cm_sync(self, name: str, clock: str, source: str, target: str, width: int = 1) -> None:
-        """Bring levels to another clock."""
+        """Synchronise levels to another clock."""
         connections: dict[str, str | None] = {"clk": clock, "d": source, "q": target}
         self.net.instance("cm_sync", f"sync_{name}", connections, {"WIDTH": width})
 
     def to_control(self, target: str, expression: str, index: int) -> None:
-        """A bit of the region to the control registers."""
+        """Pass a bit of the region to the control registers."""
         wire = self.net.wire(f"{self.name}_{target}")
         self.net.assign(wire, expression)
         self.cm_sync(f"{self.name}_{target}", self.main, wire, f"{target}[{index}]")
 
     def pin(self, interface: Interface, logical: str, missing: str | None) -> str | None:
-        """The region's wire of a signal, or what stands for it."""
+        """Return the region's wire of a signal, or `missing` if it has none."""
         if logical not in interface.ports:
             return missing
         port = interface.ports[logical]
@@ -62,6 +62,6 @@ class Site:
         self.net.instance(kind, name, common | connections, parameters, comment)
 
     def take(self, field: axi.Field) -> str:
-        """The region's wire of a payload signal, which counts as connected from now on."""
+        """Return the region's wire of a payload signal, and count it as connected."""
         self.done.add(field.port)
         return self.wire(field.port)

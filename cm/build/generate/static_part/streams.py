@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """AXI4-Streams of a region: decoupler between a DMA engine, or ports of the top, and the module.
 
-A DMA engine has 8, 16, 32 … bits. A stream of other bytes gets a converter (``cm_axis_width.v``) on the static
-side of its decoupler, so that what lies in memory is what passes, byte for byte.
+A DMA engine is 8, 16, 32 … bits wide. A stream of another width gets a converter (``cm_axis_width.v``) on the static
+side of its decoupler, so that memory holds exactly the bytes of the stream.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ IN, OUT = PortDirection.IN, PortDirection.OUT
 
 
 def add_stream(site: Site, bus: StreamBus) -> None:
-    """The decoupler of a stream in either direction, with a converter where the DMA's width is another."""
+    """Add the decoupler of a stream in either direction, with a converter if the DMA's width differs."""
     interface = bus.interface
     sends = interface.mode.value == "master"
     packed = axi.fields(interface, _kept(bus))
@@ -97,7 +97,7 @@ class _Ports:
         return wide
 
     def finish(self) -> None:
-        """Nothing is left to do."""
+        """Do nothing: there is no converter to add."""
 
 
 class _Converted:
@@ -131,7 +131,7 @@ class _Converted:
         return low_bits(name, width, field.width)
 
     def finish(self) -> None:
-        """The converter."""
+        """Add the converter."""
         net, bus = self._site.net, self._bus
         dma_bytes, inside, outside = bus.width // 8, "s" if self._sends else "m", "m" if self._sends else "s"
         pins: dict[str, str | None] = {"clk": self._site.clock, "resetn": self._site.reset}

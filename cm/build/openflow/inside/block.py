@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run inside nextpnr, before routing: wires that this run must leave alone are occupied by a net without cells."""
+"""Runs inside nextpnr before routing: occupies the wires that this run must not use with a net without cells."""
 
 import json
 import os
@@ -15,7 +15,7 @@ if job["blocked"]:
 
 
 def tie(sink, net):
-    """Bind the way from a tile's own constant to a pin: the router looks for each far and wide."""
+    """Bind the route from a tile's own constant to a pin, for which the router would search the whole device."""
     seen = {sink}
     ways = [(sink, ())]
     while ways:
@@ -51,6 +51,6 @@ tied = [
 ]
 for cell, port, pin in tied:  # pins with no short way (clocks) are left to the router
     if tie(pin, ground):
-        # A net of their own without a driver: router2 ends with an assertion on a constant net routed in part.
+        # A separate net without a driver: router2 fails an assertion on a constant net that is partly routed.
         ctx.disconnectPort(cell, port)
         ctx.connectPort("cm_ground", cell, port)

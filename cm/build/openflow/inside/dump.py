@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run inside nextpnr, after routing: where each cell is, and the way of each net, as JSON."""
+"""Runs inside nextpnr after routing: writes the place of each cell and the route of each net as JSON."""
 
 import json
 import os

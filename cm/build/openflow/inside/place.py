@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run inside nextpnr, before placement: anchors to their places, all other cells to the areas they may use.
+"""Runs inside nextpnr before placement: fixes anchors in their places, and other cells to their areas.
 
 `ctx` is nextpnr's. The job is a JSON file, which CM_OPEN_JOB names.
 """
@@ -12,7 +12,7 @@ LOGIC = ("SLICE_", "CARRY", "SELMUX", "F7", "F8", "RAMB", "RAMD", "RAMS", "DSP",
 
 job = json.loads(Path(os.environ["CM_OPEN_JOB"]).read_text())
 
-# The net that takes wires which this run must leave alone (block.py). A net without a driver is left alone by
+# The net that occupies wires this run must not use (block.py). A net without a driver is left alone by
 # the routers; one without a user may have no wires.
 ctx.createNet("cm_blocked")
 ctx.cells["$PACKER_GND_DRV"].addInput("CM_BLOCKED")

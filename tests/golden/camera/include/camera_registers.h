@@ -8,7 +8,7 @@
 #define CAMERA_CONTROL_CM_ID 0x00u /* 32 bit, ro: 0x434D3031: the generated static part */
 #define CAMERA_CONTROL_CM_SHAPE 0x04u /* 32 bit, ro: regions, interrupt lines */
 #define CAMERA_CONTROL_IRQ_STATUS 0x08u /* 32 bit, w1c: interrupts that happened, write 1 to clear */
-#define CAMERA_CONTROL_IRQ_ENABLE 0x0Cu /* 32 bit, rw: interrupts that are told */
+#define CAMERA_CONTROL_IRQ_ENABLE 0x0Cu /* 32 bit, rw: interrupts that are enabled */
 
 /* default: Pictures as they are */
 #define CAMERA_DEFAULT_BASE 0x40010000u
