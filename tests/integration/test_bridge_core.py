@@ -78,7 +78,7 @@ def commands(manager: Manager) -> Iterator[Commands]:
     made.close()
 
 
-def test_a_follower_tells_what_is_there_and_then_what_changes(manager: Manager, board: cm.Board) -> None:
+def test_a_follower_reports_the_present_state_and_then_changes(manager: Manager, board: cm.Board) -> None:
     with following(manager) as told:
         assert told.until("link") == ""
         first = told.until("config")

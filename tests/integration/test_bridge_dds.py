@@ -138,7 +138,7 @@ def test_register_writes_by_any_client_are_reported_and_so_are_interrupts(
     assert interrupt["name"] == "frame_done"
 
 
-def test_services_do_what_they_say_and_say_why_not(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
+def test_services_act_as_documented_and_give_reasons_for_refusals(bridge: Bridge, peer: Peer, board: cm.Board) -> None:
     def call(name: str, kind: str, **request: Any) -> dict[str, Any]:
         return peer.call(f"/lab/cm/{name}", f"cm_interfaces/srv/{kind}", **request)
 
@@ -331,7 +331,7 @@ def _node_of(peer: Peer, namespace: str, name: str) -> dict[str, Any]:
     raise AssertionError("no such node")
 
 
-def test_a_sample_that_is_no_message_is_refused_and_the_node_goes_on(
+def test_an_invalid_sample_is_refused_and_the_node_goes_on(
     bridge: Bridge, peer: Peer, board: cm.Board
 ) -> None:
     from cyclonedds._clayer import ddspy_write

@@ -128,7 +128,7 @@ def test_the_graph_of_others_has_topics_services_hashes_and_quality(bridge: Brid
     assert (quality.durability.name, quality.history_depth) == ("TRANSIENT_LOCAL", 1)
 
 
-def test_others_get_the_latched_status_late(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
+def test_a_late_subscriber_of_another_implementation_gets_the_latched_status(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
     definition = (REPOSITORY / "ros2" / "cm_interfaces" / "msg" / "Status.msg").read_text()
     came: list[Any] = []
 
@@ -182,7 +182,7 @@ def peer_header(sdk: Sdk) -> Any:
     return types["std_msgs/msg/Header"](types["builtin_interfaces/msg/Time"](1, 2), "eye")
 
 
-def test_others_call_services_and_hear_why_not(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
+def test_others_call_services_and_get_reasons_for_refusals(bridge: Bridge, sdk: Sdk, board: cm.Board) -> None:
     set_mode = sdk.client("/lab/cm/set_mode", "cm_interfaces/srv/SetMode")
     assert set_mode.call(mode="edge_detection", lease="").success
     assert board.mode == "edge_detection"
@@ -244,7 +244,7 @@ def test_the_action_tells_its_progress_and_is_cancelled(
         assert status == 0, said
 
 
-def test_a_request_that_is_none_is_refused_and_the_service_goes_on(bridge: Bridge, peer: Peer) -> None:
+def test_an_invalid_request_is_refused_and_the_service_goes_on(bridge: Bridge, peer: Peer) -> None:
     name, kind = "/lab/cm/plan", "cm_interfaces/srv/Plan"
     assert "attachment" in peer.ask(name, kind, b"\0\1\0\0", None).err.payload.to_string()
     whole = bytes(8) + bytes(8) + b"\x10" + bytes(16)

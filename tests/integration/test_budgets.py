@@ -147,7 +147,7 @@ def test_a_client_that_asks_for_many_answers_before_it_reads_loses_none(
         assert (decode_reply(reply).error is None) == (number % 2 == 0)
 
 
-def test_what_waits_of_a_client_has_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_a_clients_waiting_requests_have_a_limit_in_bytes(manager: Manager, context: zmq.Context[Any]) -> None:
     write = encode_request(rq.WriteData("big", bytes(4 * MIB)))
     with manager.connected() as board:
         before = resident_mib(manager.pid)

@@ -106,7 +106,7 @@ def test_a_full_disk_keeps_every_frame_that_has_room(board: cm.Board, manager: M
     assert out.stat().st_size == 128 + 3 * 307200
 
 
-def test_what_has_no_shape_is_no_picture_one_pixel_high(
+def test_a_frame_without_a_shape_is_not_saved_as_a_picture_one_pixel_high(
     board: cm.Board, manager: Manager, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("PIL.Image")

@@ -87,7 +87,7 @@ def change(number: int) -> rq.ChangeMode:
     return rq.ChangeMode("camera", ("edge_detection", "colorise", "default")[number % 3], no_wait=True)
 
 
-def test_who_fills_the_queue_of_changes_leaves_places_to_others(
+def test_a_client_that_fills_the_queue_of_changes_leaves_places_to_others(
     served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes_on, ended, turn = threading.Event(), [], Worker._turn
@@ -111,7 +111,7 @@ def test_who_fills_the_queue_of_changes_leaves_places_to_others(
     until(lambda: len(ended) == 15)
 
 
-def test_a_plan_waits_for_one_work_of_another_client_and_not_for_all_of_them(
+def test_a_plan_waits_for_one_task_of_another_client_and_not_for_all(
     served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     goes_on, began, done, run = threading.Event(), threading.Event(), [], Aside._run
@@ -135,7 +135,7 @@ def test_a_plan_waits_for_one_work_of_another_client_and_not_for_all_of_them(
     assert len(done) == 61
 
 
-def test_a_long_configuration_is_described_beside_the_loop(
+def test_a_long_configuration_is_described_outside_the_loop(
     served: Daemon, hostile: Client, other: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For 24,000 registers it takes 0.15 s."""
@@ -167,7 +167,7 @@ def test_a_long_configuration_is_described_beside_the_loop(
     assert threads.count("cm-files_0") == len(threads) - 2  # a short one, and none, are not worth it
 
 
-def test_settings_are_read_again_after_one_work_however_many_wait(
+def test_settings_are_reread_after_one_task_however_many_wait(
     served: Daemon, hostile: Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else who is to lose a right could put that off."""
@@ -190,7 +190,7 @@ def test_settings_are_read_again_after_one_work_however_many_wait(
     assert hostile.codes(30) == ["ok"] * 30
 
 
-def test_who_connects_to_the_data_socket_without_end_pushes_out_nobody_else(served: Daemon) -> None:
+def test_a_client_that_keeps_connecting_to_the_data_socket_displaces_nobody(served: Daemon) -> None:
     path = served.folder / "run" / "data"
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as ours:
         ours.settimeout(60)

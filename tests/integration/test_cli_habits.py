@@ -100,7 +100,7 @@ def test_writes_of_registers_are_watched_by_name(board: cm.Board, manager: Manag
     assert int(second.split()[1]) == int(first.split()[1]) % 15 + 1
 
 
-def test_registers_are_looked_at_every_so_often(board: cm.Board, manager: Manager) -> None:
+def test_registers_are_polled_at_an_interval(board: cm.Board, manager: Manager) -> None:
     scratch = board.registers["scratch"]
     with told(manager, "reg", "watch", "scratch", "focus", "--every", "0.01", "--json") as watch:
         seen = [json.loads(line) for line in lines(watch, 2)]

@@ -117,7 +117,7 @@ def test_configurations_can_be_listed_and_described(board: Any) -> None:
         board.config("camra")
 
 
-def test_a_mode_is_gone_to(board: Any) -> None:
+def test_a_mode_can_be_entered(board: Any) -> None:
     assert board.set_mode("edge_detection", timeout=60) > 0
     assert board.mode == "edge_detection"
 
@@ -134,7 +134,7 @@ def test_an_unknown_mode_is_refused_with_its_name(board: Any) -> None:
 
 
 @pytest.mark.parametrize("mode", [None, "", 3, True])
-def test_what_is_no_name_of_a_mode_is_an_error_and_changes_nothing(board: Any, mode: Any) -> None:
+def test_an_invalid_mode_name_is_an_error_and_changes_nothing(board: Any, mode: Any) -> None:
     board.set_mode("edge_detection")
     with pytest.raises(InvalidRequest, match="mode is named by a word"):
         board.set_mode(mode)
@@ -175,7 +175,7 @@ def test_a_plan_says_what_would_be_done(board: Any) -> None:
     assert board.mode == "default"
 
 
-def test_watching_begins_with_what_is(board: Any) -> None:
+def test_watching_begins_with_the_present_status(board: Any) -> None:
     with board.watch(timeout=60) as watch:
         assert watch.next().config_name == "camera"
         board.set_mode("edge_detection")
@@ -240,12 +240,12 @@ def test_within_a_lease_its_holders_own_calls_pass_and_others_do_not(board: Any,
         ("memories:x", "scratchpad"),
     ],
 )
-def test_a_lease_on_what_no_configuration_has_is_refused(board: Any, scope: str, says: str) -> None:
+def test_a_lease_on_an_unknown_scope_is_refused(board: Any, scope: str, says: str) -> None:
     with pytest.raises(RequestNotFound, match=says):
         board.lease(scope).take()
 
 
-def test_several_leases_go_along_together(board: Any, other: Any) -> None:
+def test_several_leases_are_used_together(board: Any, other: Any) -> None:
     with board.lease("region:prr0"), board.lease("registers:focus"):
         board.set_mode("edge_detection")
         board.registers.write({"focus": 3})
@@ -283,7 +283,7 @@ def test_an_unknown_register_is_an_error_or_the_default(board: Any) -> None:
 
 
 @pytest.mark.parametrize("value", [2.9, True, "3", None, -1, 1 << 64, np.float64(2), np.bool_(True)])
-def test_a_value_that_would_be_turned_into_another_is_refused(board: Any, value: Any) -> None:
+def test_a_value_that_would_be_converted_is_refused(board: Any, value: Any) -> None:
     board.registers.write({"focus": 2})
     with pytest.raises(InvalidRequest, match="focus"):
         board.registers.write({"focus": value})
@@ -309,7 +309,7 @@ def test_a_fields_value_is_written_by_its_name(board: Any) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "says"), [("led.blink", "fsat", "did you mean 'fast'"), ("focus", "3", "integer")]
 )
-def test_a_name_that_a_value_has_not_is_refused(board: Any, name: str, value: str, says: str) -> None:
+def test_an_unknown_name_of_a_value_is_refused(board: Any, name: str, value: str, says: str) -> None:
     before = board.registers.read(name)
     with pytest.raises(RequestInvalid, match=says):
         board.registers.write({name: value})
@@ -409,7 +409,7 @@ def _pictures(focus: int) -> Iterator[bytes]:
         yield camera.frame(photo, focus=focus).tobytes()
 
 
-def test_a_write_that_is_still_to_come_is_waited_for_as_long_as_was_said(board: Any) -> None:
+def test_waiting_for_a_later_write_lasts_as_long_as_requested(board: Any) -> None:
     with board.stream("camera", timeout=60) as frames:
         with pytest.raises(Timeout, match=r"generation \d+ within 0\.3 s"):
             frames.after(board.registers.generation + 1, timeout=0.3)
@@ -507,7 +507,7 @@ def test_memories_are_arrays_by_name(board: Any) -> None:
 # ---- the end --------------------------------------------------------------------------------------
 
 
-def test_after_its_end_a_board_says_so_whatever_is_asked(reach: tuple[str, dict[str, Any]]) -> None:
+def test_every_call_on_a_closed_board_says_that_it_is_closed(reach: tuple[str, dict[str, Any]]) -> None:
     kind, how = reach
     with connected(kind, timeout=60, **how) as board:
         board.load("camera", "default")
@@ -779,7 +779,7 @@ def test_a_stream_of_a_board_that_has_no_name_goes_on(both: tuple[Manager, SimBo
     gc.collect()
 
 
-def test_what_is_dropped_without_a_word_ends_at_the_next_collection(both: tuple[Manager, SimBoard]) -> None:
+def test_objects_dropped_without_close_are_closed_at_garbage_collection(both: tuple[Manager, SimBoard]) -> None:
     """In a process of its own: what it tries would hang, and its end must not wait either."""
     script = f"""
 import gc, cm

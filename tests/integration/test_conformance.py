@@ -104,7 +104,7 @@ def test_the_page_has_every_action_and_no_other() -> None:
     assert f"{len(list(cases()))} passed, 0 failed" in page
 
 
-def test_a_driver_or_a_manager_has_to_be_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_driver_or_a_manager_must_be_given(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["conformance"]) == 1
     assert main(["conformance", "--case", "nothing", "--", sys.executable]) == 1
     assert "no case nothing" in capsys.readouterr().err

@@ -96,7 +96,7 @@ def test_1500_bare_connections_to_a_port_with_keys_leave_room_for_a_client(guard
         assert works(board)
 
 
-def test_the_last_descriptors_are_no_connections(guarded: Guarded) -> None:
+def test_the_last_descriptors_are_not_used_for_connections(guarded: Guarded) -> None:
     before = descriptors(guarded.pid)
     guarded.allow(before + 200)
     with idle_connections(guarded.manager.runtime / "req", 250, 2) as kept:
@@ -189,7 +189,7 @@ def test_half_messages_of_250_connections_take_no_more_than_those_of_two(guarded
         for _ in range(100):
             assert works(board)
         assert resident_mib(guarded.pid) < before + 64
-        test_a_message_as_long_as_may_be_arrives(guarded)  # of who waits, those who keep others waiting are ended
+        test_a_message_of_the_maximum_length_arrives(guarded)  # of who waits, those who keep others waiting are ended
         assert works(board)
     assert resident_mib(guarded.pid) < before + 64
 
@@ -226,7 +226,7 @@ def test_a_million_subscriptions_are_cut_off_after_some_thousand(guarded: Guarde
     assert resident_mib(guarded.pid) < before + 64
 
 
-def test_who_connects_again_and_again_may_subscribe_no_more_often(guarded: Guarded) -> None:
+def test_reconnecting_does_not_allow_more_subscriptions(guarded: Guarded) -> None:
     """Else each time anew to as many as one connection may, which libzmq takes apart in one go when it ends."""
     some = b"".join(bytes([0, 11]) + b"\x01cm_%07d" % i for i in range(900))
     for _ in range(100):
@@ -238,7 +238,7 @@ def test_who_connects_again_and_again_may_subscribe_no_more_often(guarded: Guard
         assert next(iter(board.watch(timeout=60))).mode == "default"  # another client, who does
 
 
-def test_a_message_as_long_as_may_be_arrives(guarded: Guarded) -> None:
+def test_a_message_of_the_maximum_length_arrives(guarded: Guarded) -> None:
     with zmq.Context() as context, context.socket(zmq.REQ) as client:
         client.linger = 0
         client.connect(f"ipc://{guarded.manager.runtime}/req")
@@ -305,7 +305,7 @@ def test_an_encrypted_message_that_is_too_long_is_ended(guarded: Guarded) -> Non
     assert resident_mib(guarded.pid) < before + 32
 
 
-def test_what_is_encrypted_and_within_bounds_arrives_however_much_it_is(guarded: Guarded) -> None:
+def test_encrypted_messages_within_bounds_arrive_in_any_number(guarded: Guarded) -> None:
     """64 MiB in messages of 4: no more than 16 wait at a time."""
     before = resident_mib(guarded.pid)
     with with_keys(guarded) as peer:

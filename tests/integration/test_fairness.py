@@ -296,7 +296,7 @@ def test_a_client_that_keeps_opening_streams_waits_behind_others(order: Order) -
         assert mine.requests >= 20
 
 
-def test_more_than_may_wait_for_their_turn_are_refused_on_the_data_socket(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connections_beyond_the_limit_of_the_queue_are_refused_on_the_data_socket(monkeypatch: pytest.MonkeyPatch) -> None:
     with serving() as (server, runtime), hostile(runtime, 40) as flood, ExitStack() as opened:
         data = [opened.enter_context(data_socket(runtime)) for _ in range(20)]
         until(lambda: len(server._acceptor._newcomers) == 20)

@@ -280,7 +280,7 @@ def test_the_examples_of_the_reference_run(
 # ---- ends ---------------------------------------------------------------------------------
 
 
-def test_a_bridge_killed_in_the_middle_of_it_comes_back_to_the_fleets_mode(boards: Boards, fleet: Fleet) -> None:
+def test_a_bridge_killed_during_a_change_comes_back_to_the_fleets_mode(boards: Boards, fleet: Fleet) -> None:
     """It had prepared, and heard nothing of the rest; the others are enough."""
     killed = threading.Event()
 
@@ -351,7 +351,7 @@ def _is_free(status: BoardStatus | ErrorInfo) -> bool:
     return isinstance(status, BoardStatus) and status.fleet is not None and status.fleet.state in ("old", "new")
 
 
-def test_a_router_that_is_killed_in_the_middle_of_it_ends_in_one_mode(
+def test_all_boards_end_in_one_mode_if_the_router_is_killed_during_a_change(
     boards: Boards, three: tuple[Router, Boards, Fleet], fleet: Fleet
 ) -> None:
     router, asked = three[0], []

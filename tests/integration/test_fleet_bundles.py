@@ -33,7 +33,7 @@ def joined(router: Router) -> Any:
     return session(Network(connect=(router.endpoint,)))
 
 
-def test_what_has_come_is_not_fetched_again(router: Router, packed: Path, tmp_path: Path) -> None:
+def test_parts_that_have_arrived_are_not_fetched_again(router: Router, packed: Path, tmp_path: Path) -> None:
     bundle = described(packed, 20_000)
     parts = Parts(tmp_path / "parts")
     with joined(router) as ours, joined(router) as theirs:
@@ -47,7 +47,7 @@ def test_what_has_come_is_not_fetched_again(router: Router, packed: Path, tmp_pa
         assert (tmp_path / "whole").read_bytes() == packed.read_bytes()
 
 
-def test_a_part_that_is_not_what_its_hash_says_is_not_taken(router: Router, packed: Path, tmp_path: Path) -> None:
+def test_a_part_with_a_wrong_hash_is_not_accepted(router: Router, packed: Path, tmp_path: Path) -> None:
     bundle = described(packed, 20_000)
     changed = tmp_path / "changed"
     changed.write_bytes(packed.read_bytes()[:30_000] + b"x" + packed.read_bytes()[30_001:])

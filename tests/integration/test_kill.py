@@ -109,7 +109,7 @@ def test_going_to_the_mode_that_is_loaded_asks_the_board_whether_it_is_there(own
 
 
 @pytest.mark.parametrize("port", [True, False])
-def test_the_board_is_asked_by_its_port_or_else_by_a_window(own: Own, port: bool) -> None:
+def test_the_board_is_probed_by_its_port_or_otherwise_by_a_window(own: Own, port: bool) -> None:
     _, sim = own
     if not port:
         (sim.root / "dev/cm_icap0").rename(sim.root / "dev/elsewhere")
@@ -187,7 +187,7 @@ def test_a_stopped_manager_leaves_nothing_but_its_state(runtime) -> None:  # typ
     assert sorted(p.name for p in (runtime / "run").iterdir()) == ["lock", "state"]
 
 
-def test_a_manager_that_is_told_to_end_while_its_board_starts_takes_it_along(runtime) -> None:  # type: ignore[no-untyped-def]
+def test_a_manager_that_is_stopped_while_its_board_starts_stops_the_board_too(runtime) -> None:  # type: ignore[no-untyped-def]
     command = child.command("cm.cli.main", "serve", "--sim", "--runtime-dir", str(runtime / "run"))
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment()) as served:
         until((runtime / "run/board").exists)
@@ -197,7 +197,7 @@ def test_a_manager_that_is_told_to_end_while_its_board_starts_takes_it_along(run
     assert not (runtime / "run/board").exists()
 
 
-def test_what_was_learned_of_a_region_outlives_a_killed_manager(runtime) -> None:  # type: ignore[no-untyped-def]
+def test_what_was_learned_about_a_region_survives_a_killed_manager(runtime) -> None:  # type: ignore[no-untyped-def]
     """A module that was built for the other region is refused, though it is the first one after the restart."""
     written(runtime, ("duo",))
     with SimBoard([runtime / "duo.yaml"], root=runtime / "board") as sim:

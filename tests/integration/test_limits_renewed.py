@@ -101,7 +101,7 @@ def test_no_signal_is_needed(limited: Limited, board: cm.Board) -> None:
         until(lambda: refused(board) == "too_many_leases", 60)
 
 
-def test_slots_of_a_stream_that_runs_are_those_of_the_file(limited: Limited, board: cm.Board) -> None:
+def test_the_slots_of_a_running_stream_follow_the_settings(limited: Limited, board: cm.Board) -> None:
     with board.stream("camera", depth=8, timeout=60) as first:
         first.read()
         limited.reload(slots_each=8)
@@ -114,7 +114,7 @@ def test_slots_of_a_stream_that_runs_are_those_of_the_file(limited: Limited, boa
             assert first.read().sequence >= 0
 
 
-def test_memory_for_masters_is_for_each_process_and_reported(limited: Limited, board: cm.Board) -> None:
+def test_memory_for_masters_is_limited_per_process_and_reported(limited: Limited, board: cm.Board) -> None:
     limited.reload(memory_each_mib=2, memory_mib=3)
     kept = board.allocate(2 * MIB)
     with pytest.raises(RequestBusy, match=r"2 MiB for one process \(limits.memory_each_mib\); pid \d+"):
@@ -128,7 +128,7 @@ def test_memory_for_masters_is_for_each_process_and_reported(limited: Limited, b
     until(lambda: not any(client.memory_bytes for client in board.clients()), 60)
 
 
-def test_pieces_of_memory_are_counted_however_small(limited: Limited, board: cm.Board) -> None:
+def test_allocations_are_counted_however_small(limited: Limited, board: cm.Board) -> None:
     kept = [board.allocate(1) for _ in range(64)]
     with pytest.raises(RequestBusy, match="has 64 pieces of memory for masters in the PL"):
         board.allocate(1)
@@ -169,7 +169,7 @@ def test_uploads_and_quotas_are_those_of_the_file(limited: Limited, board: cm.Bo
         board.write("camera", bytes(5 * MIB))
 
 
-def test_what_takes_a_restart_is_said(limited: Limited) -> None:
+def test_settings_that_need_a_restart_are_reported(limited: Limited) -> None:
     limited.reload(message_mib=4)
     assert b"limits.message_mib has changed; it counts after a restart" in limited.log()
 

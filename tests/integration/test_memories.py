@@ -84,7 +84,7 @@ def noise(length: int, dtype: str = "uint8") -> np.ndarray[Any, Any]:
     return np.random.default_rng(length).integers(0, 256, length, np.uint8).view(dtype)
 
 
-def test_an_array_that_was_written_is_read_in_its_form(board: cm.Board) -> None:
+def test_a_written_array_is_read_back_with_its_shape_and_dtype(board: cm.Board) -> None:
     taps = board.memories["taps"]
     values = noise(0x1000, "int16").reshape(32, 64)
     assert taps.write(values) == 0x1000
@@ -166,7 +166,7 @@ def test_values_that_a_memory_cannot_hold_are_refused(board: cm.Board) -> None:
     assert board.memories["floats"].read(0, 8).tolist() == [1.0, 2.0]
 
 
-def test_what_there_is_can_be_listed(board: cm.Board) -> None:
+def test_memories_can_be_listed(board: cm.Board) -> None:
     assert sorted(board.memories) == ["big", "floats", "log", "scratch", "taps"]
     info = board.memories.info["taps"]
     assert (info.address, info.size, info.dtype, info.shape, info.access) == (0x21000, 0x1000, "int16", (32, 64), "rw")

@@ -107,7 +107,7 @@ def test_a_read_only_register_cannot_be_written(board: cm.Board) -> None:
         board.registers["version"] = 1
 
 
-def test_a_register_of_another_mode_is_said_to_be_there(board: cm.Board) -> None:
+def test_the_error_for_a_register_of_another_mode_names_that_mode(board: cm.Board) -> None:
     with pytest.raises(RequestNotFound, match="modes edge_detection have it"):
         _ = board.registers["threshold"]
 
@@ -155,7 +155,7 @@ def test_a_plan_says_what_would_be_loaded_and_touches_nothing(board: cm.Board) -
     assert board.mode == "default"
 
 
-def test_going_where_the_board_is_does_nothing(board: cm.Board) -> None:
+def test_a_change_to_the_present_mode_does_nothing(board: cm.Board) -> None:
     assert board.plan("default").steps == ()
 
 
@@ -207,13 +207,13 @@ def test_asyncio_twin_does_the_same(board: cm.Board, manager: Manager) -> None:
     assert asyncio.run(session()) == ("edge_detection", 3, (480, 640))
 
 
-def test_nothing_loaded_is_said_in_words(own: tuple[Manager, SimBoard]) -> None:
+def test_an_empty_board_is_described_in_words(own: tuple[Manager, SimBoard]) -> None:
     with own[0].connected() as fresh, pytest.raises(RequestFailed, match="nothing is loaded") as caught:
         _ = fresh.registers["focus"]
     assert caught.value.code == "nothing_loaded"
 
 
-def test_the_first_mode_may_leave_a_region_alone_that_holds_nothing(own: tuple[Manager, SimBoard]) -> None:
+def test_the_first_mode_need_not_name_an_empty_region(own: tuple[Manager, SimBoard]) -> None:
     """Its registers answer for nobody yet; they get their defaults when a module comes."""
     with own[0].connected() as board:
         board.load("camera", "loopback")

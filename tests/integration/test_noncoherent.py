@@ -215,7 +215,7 @@ def test_zeromq_reads_and_writes_are_synchronised_by_the_manager(apart: Setup) -
     assert (to_pl, from_pl) == ({"write_starts": 5, "write_ends": 5}, {"read_starts": 5, "read_ends": 5})
 
 
-def test_one_tap_serves_all_subscribers_and_each_reader_its_own(apart: Setup) -> None:
+def test_all_subscribers_share_one_reader_and_each_local_reader_has_its_own(apart: Setup) -> None:
     _, _, from_pl = loop(
         apart,
         """
@@ -262,7 +262,7 @@ def test_what_is_held_when_its_stream_stops_is_synchronised_when_it_is_given_bac
     assert not added, "unpaired, held, early, or written"
 
 
-def test_a_writer_whose_stream_stops_under_its_hands_ends_what_it_began(apart: Setup) -> None:
+def test_a_writer_whose_stream_stops_ends_the_access_that_it_began(apart: Setup) -> None:
     _, to_pl, _ = loop(
         apart,
         """

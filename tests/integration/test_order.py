@@ -140,7 +140,7 @@ def test_no_sender_waits_for_another_senders_change(
     until(lambda: not board.status.fpga_busy)
 
 
-def test_what_looks_never_waits_and_a_cancel_overtakes(
+def test_reads_never_wait_and_a_cancel_overtakes(
     board: cm.Board, sender: Sender, slow: tuple[Manager, SimBoard]
 ) -> None:
     with stalled(slow[1]):
@@ -175,13 +175,13 @@ def test_a_memory_is_written_before_the_register_behind_it(board: cm.Board, send
     assert bytes(read.payload[0]) == values.tobytes()
 
 
-def test_what_names_nothing_is_refused_whatever_is_under_way(board: cm.Board, sender: Sender) -> None:
+def test_an_unknown_name_is_refused_even_during_a_change(board: cm.Board, sender: Sender) -> None:
     sender.send(TO_EDGE, rq.WriteData("nothing", memoryview(b"1234")), write("nothing", 1))
     codes = [reply.error.code if reply.error else "" for reply in sender.replies(3)]
     assert codes == ["", "unknown_stream", "unknown_register"]
 
 
-def test_more_than_may_wait_is_refused(board: cm.Board, sender: Sender) -> None:
+def test_requests_beyond_the_limit_of_the_queue_are_refused(board: cm.Board, sender: Sender) -> None:
     sender.send(TO_EDGE, *[write("focus", 1)] * 400)
     refused = [reply.error for reply in sender.replies(401) if reply.error is not None]
     assert {problem.code for problem in refused} <= {"busy"}

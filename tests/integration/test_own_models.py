@@ -149,7 +149,7 @@ def test_a_kernel_works_on_memory_by_its_address_and_raises_its_interrupt(kernel
     assert kernel.registers.read("start", "state") == {"start": 0, "state": 2}
 
 
-def test_a_kernel_that_is_sent_where_no_memory_is_ends_and_the_board_goes_on(kernel: cm.Board) -> None:
+def test_a_kernel_given_an_address_without_memory_stops_and_the_board_goes_on(kernel: cm.Board) -> None:
     kernel.registers.write({"first": 0x1000, "second": 0x1000, "sum": 0x1000, "count": 4, "start.go": 1})
     with kernel.interrupts["done"].events() as done, pytest.raises(Timeout):
         done.next(timeout=0.3)

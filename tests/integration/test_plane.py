@@ -192,7 +192,7 @@ def test_other_libraries_take_frames_as_they_are(board: cm.Board) -> None:
             assert taken.__array_interface__["data"][0] == frame.__array_interface__["data"][0]
 
 
-def test_the_newest_frame_is_what_a_slow_reader_gets_if_it_wants(board: cm.Board) -> None:
+def test_a_slow_reader_can_ask_for_the_newest_frame(board: cm.Board) -> None:
     with board.stream("camera", newest=True, timeout=60) as stream, board.stream("camera", timeout=60) as other:
         first = stream.read().sequence
         assert any(frame.sequence >= first + 3 for frame in other)
@@ -320,14 +320,14 @@ def test_what_cannot_be_opened_is_refused_with_the_reason(board: cm.Board) -> No
 
 
 @pytest.mark.parametrize("first", [b"x", b"\0" * 32, Descriptor(kind=packets.RELEASE).pack(), b"\xff" * 4096])
-def test_nonsense_at_the_door_is_refused(board: cm.Board, raw: Callable[..., Raw], first: bytes) -> None:
+def test_an_invalid_first_packet_is_refused(board: cm.Board, raw: Callable[..., Raw], first: bytes) -> None:
     peer = raw(first)
     assert peer.socket.recv(packets.PACKET_MAX)[2] == packets.REFUSED
     assert peer.hung_up()
     assert board.status.mode == "default"
 
 
-def test_connections_that_stay_silent_do_not_keep_others_out(board: cm.Board, manager: Manager) -> None:
+def test_silent_connections_do_not_keep_others_out(board: cm.Board, manager: Manager) -> None:
     before = fds(manager)
     with contextlib.ExitStack() as stack:
         for _ in range(200):
@@ -341,7 +341,7 @@ def test_connections_that_stay_silent_do_not_keep_others_out(board: cm.Board, ma
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.one_of(st.binary(max_size=200), packet_like), min_size=1, max_size=4), st.booleans())
-def test_no_packets_whatsoever_bring_the_plane_down(
+def test_no_sequence_of_packets_brings_the_plane_down(
     board: cm.Board, manager: Manager, sent: list[bytes], opened: bool
 ) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as peer:
@@ -366,7 +366,7 @@ def test_a_client_that_breaks_the_rules_later_is_disconnected(
         assert [f.sequence for f in islice(other, 3)]
 
 
-def test_what_is_not_held_cannot_be_given_back(board: cm.Board, raw: Callable[..., Raw]) -> None:
+def test_a_slot_that_is_not_held_cannot_be_given_back(board: cm.Board, raw: Callable[..., Raw]) -> None:
     peer = raw(Open("camera", depth=1))
     frame = peer.next(packets.FRAME)
     peer.socket.send(frame._replace(kind=packets.RELEASE).pack())
@@ -376,7 +376,7 @@ def test_what_is_not_held_cannot_be_given_back(board: cm.Board, raw: Callable[..
     assert peer.next(packets.LATE).slot == 65535
 
 
-def test_a_writer_cannot_send_what_is_not_its_own(loop: cm.Board, raw: Callable[..., Raw]) -> None:
+def test_a_writer_cannot_send_a_slot_that_it_does_not_hold(loop: cm.Board, raw: Callable[..., Raw]) -> None:
     peer = raw(Open("to_pl", write=True, depth=1))
     grant = peer.next(packets.GRANT)
     for wrong in (
@@ -575,7 +575,7 @@ def test_a_killed_reader_gives_everything_back(board: cm.Board, shared: tuple[Ma
     assert sim.control.state()["channels"]["camera"]["open"] is False
 
 
-def test_the_manager_going_away_is_reported(own: tuple[Manager, SimBoard]) -> None:
+def test_the_end_of_the_manager_is_reported(own: tuple[Manager, SimBoard]) -> None:
     manager, _ = own
     with manager.connected() as board:
         board.load("camera", "default")
@@ -590,7 +590,7 @@ def test_the_manager_going_away_is_reported(own: tuple[Manager, SimBoard]) -> No
     assert os.path.exists(manager.runtime / "data")  # noqa: PTH110
 
 
-def test_an_error_of_the_door_is_our_kind(board: cm.Board) -> None:
+def test_an_error_of_the_data_socket_is_a_documented_exception(board: cm.Board) -> None:
     with pytest.raises(RequestFailed) as caught:
         board.stream("nix", timeout=60).open()
     assert caught.value.code == "unknown_stream"

@@ -151,7 +151,7 @@ def test_leases_are_shown(loop: cm.Board, manager: Manager, reader: Path, writer
     assert [line.rpartition(" ")[2] for line in text.splitlines()[:5]] == ["0.0", "1.0", "2.0", "3.0", "4.0"]
 
 
-def test_a_library_of_before_finds_all_it_called(installed: Path) -> None:
+def test_functions_of_older_versions_of_the_library_are_still_exported(installed: Path) -> None:
     """The ABI grows only; nothing of the inside can be called."""
     command = ["nm", "-D", "--defined-only", installed / "lib" / "libcm_plane.so.0"]
     names = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()[2::3]

@@ -10,7 +10,7 @@ from plane_stress import HUNG, stress
 from cm.sim import Board as SimBoard
 
 
-def test_killed_readers_stall_no_others_see_nothing_torn_and_leave_nothing(shared: tuple[Manager, SimBoard]) -> None:
+def test_killed_readers_stall_nobody_leave_nothing_and_see_no_torn_frame(shared: tuple[Manager, SimBoard]) -> None:
     outcome = stress(*shared, seconds=4.0, seed=1)
     assert outcome.longest_gap < HUNG
     assert outcome.kills > KILLS

@@ -107,7 +107,7 @@ def test_a_stream_whose_board_is_stopped_ends_and_goes_on_with_it(board: cm.Boar
         assert board.read("camera", timeout=60).shape == (480, 640)
 
 
-def test_registers_are_an_error_after_a_while_and_at_once_then(board: cm.Board, own: Own) -> None:
+def test_registers_fail_after_a_time_out_and_then_at_once(board: cm.Board, own: Own) -> None:
     board.registers["focus"] = 2
     with stopped(own[1]):
 

@@ -212,7 +212,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("wrong", "why"), WRONG)
-def test_what_cannot_be_is_refused_and_changes_nothing(board: cm.Board, wrong: dict[str, Any], why: str) -> None:
+def test_impossible_settings_are_refused_and_change_nothing(board: cm.Board, wrong: dict[str, Any], why: str) -> None:
     before = settings(board, "camera")
     with pytest.raises(InvalidRequest, match=why):
         board.configure_stream("camera", enable=True, **{"slots": 9, "backpressure": True, **wrong})

@@ -28,7 +28,7 @@ config:
 """
 
 
-def test_a_mode_that_leaves_a_region_alone_leaves_its_streams_as_they_are(board: cm.Board) -> None:
+def test_a_mode_that_does_not_name_a_region_leaves_its_streams_unchanged(board: cm.Board) -> None:
     board.load("camera", "colorise")
     with board.stream("camera", timeout=30) as stream:
         coloured = stream.read()

@@ -91,13 +91,13 @@ def test_incomplete_uploads_are_not_used(manager: Manager, context: zmq.Context[
     assert [code(reply) for reply in replies] == ["", "unknown_upload", "unknown_upload", "invalid_request", ""]
 
 
-def test_more_than_may_lie_unused_is_refused_and_others_go_on(manager: Manager, context: zmq.Context[Any]) -> None:
+def test_uploads_beyond_the_limit_are_refused_and_others_go_on(manager: Manager, context: zmq.Context[Any]) -> None:
     big = rq.Upload("e", 200 * MIB, 0, bytes(10))
     replies = ask(context, manager, big, rq.Upload("f", 200 * MIB, 0, bytes(10)), rq.Upload("e", 0, discard=True))
     assert [code(reply) for reply in replies] == ["", "too_much_uploaded", ""]
 
 
-def test_a_manager_that_knows_no_parts_gets_all_in_one_message() -> None:
+def test_a_manager_without_uploads_gets_everything_in_one_message() -> None:
     flow = uploads.upload(bytes(10 * MIB))
     next(flow)
     from cm.client.errors import RequestInvalid

@@ -96,7 +96,7 @@ def test_the_board_and_its_frames_are_shown(page: Any, camera: tuple[Manager, Si
     shoot(page, "dark")
 
 
-def test_it_fits_a_telephone(server: WebServer, browser: Any, page: Any) -> None:
+def test_the_page_fits_a_phone(server: WebServer, browser: Any, page: Any) -> None:
     with page_of(browser, server, width=390, height=844, color_scheme="light") as small:
         watch(small)
         assert small.evaluate("document.documentElement.scrollWidth") <= 390

@@ -138,7 +138,7 @@ def test_without_the_token_nothing_is_reported(looking: WebServer, first: str) -
 
 
 @pytest.mark.parametrize("message", ["[]", "7", '{"watch": 3}', '{"do": "read"}', "x" * 70_000, '{"do": 1, "id": "x"}'])
-def test_what_no_page_would_send_ends_its_connection_and_no_other(looking: WebServer, message: str) -> None:
+def test_messages_that_no_page_would_send_end_only_their_own_connection(looking: WebServer, message: str) -> None:
     async def attempt() -> None:
         async with page(looking) as strange, page(looking) as good:
             await strange.socket.send_str(message)
@@ -149,7 +149,7 @@ def test_what_no_page_would_send_ends_its_connection_and_no_other(looking: WebSe
     asyncio.run(attempt())
 
 
-def test_beyond_this_machine_it_takes_tls_or_a_word(camera: tuple[Manager, SimBoard]) -> None:
+def test_serving_beyond_this_machine_needs_tls_or_an_explicit_option(camera: tuple[Manager, SimBoard]) -> None:
     from cm.cli.main import main
 
     assert main(["web", "--runtime-dir", str(camera[0].runtime), "--listen", "0.0.0.0:0"]) == 1
@@ -195,7 +195,7 @@ def test_a_page_with_control_writes_registers_by_name_and_value(controlling: Web
         ("format_disk", {}, "invalid_request"),
     ],
 )
-def test_what_cannot_be_is_an_error_with_its_code(
+def test_impossible_requests_are_errors_with_their_codes(
     controlling: WebServer, what: str, words: dict[str, Any], code: str
 ) -> None:
     async def attempt() -> Any:
@@ -219,7 +219,7 @@ def test_a_lease_of_another_keeps_the_page_off(camera: tuple[Manager, SimBoard],
 # ---- streams --------------------------------------------------------------------------------
 
 
-def test_however_many_watch_a_stream_has_one_reader_more_and_others_lose_nothing_by_it(
+def test_any_number_of_pages_add_one_reader_to_a_stream_and_others_lose_nothing(
     camera: tuple[Manager, SimBoard], looking: WebServer
 ) -> None:
     async def attempt(board: cm.Board) -> None:

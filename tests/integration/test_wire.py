@@ -186,7 +186,7 @@ def test_an_error_is_logged_once(own: tuple[Manager, SimBoard]) -> None:
         max_size=5,
     )
 )
-def test_no_frames_whatsoever_bring_the_manager_down(peer: Peer, frames: list[bytes]) -> None:
+def test_no_sequence_of_frames_brings_the_manager_down(peer: Peer, frames: list[bytes]) -> None:
     peer.req.send_multipart(frames)
     pb.Reply.FromString(peer.req.recv_multipart()[1])
     assert peer.ask(b"cm_status", b"").status.config_name == "camera"
@@ -196,7 +196,7 @@ ENVELOPES = [[b"cm_client_7"], [b"cm_"], [b"cm_status_of_mine", b"cm_x"], [b"\0\
 
 
 @pytest.mark.parametrize("envelope", ENVELOPES)
-def test_frames_of_ones_own_may_begin_as_a_topic_does(peer: Peer, manager: Manager, envelope: list[bytes]) -> None:
+def test_payload_frames_may_begin_like_a_topic(peer: Peer, manager: Manager, envelope: list[bytes]) -> None:
     dealer = peer.dealer(manager)
     before = [*envelope, b""] if envelope else []
     for command in ([b"cm_status", b""], [b"cm_read_reg", pb.ReadReg(names=["focus"]).SerializeToString()]):
@@ -222,7 +222,7 @@ def test_the_list_of_configurations_has_their_modes(peer: Peer) -> None:
     assert "edge_detection" in camera.modes
 
 
-def test_while_a_change_runs_the_mode_is_that_of_before(peer: Peer, board: cm.Board) -> None:
+def test_while_a_change_runs_the_mode_is_the_previous_one(peer: Peer, board: cm.Board) -> None:
     peer.status_until(lambda status: status.mode == "default")
     change = pb.WriteConfig(mode="edge_detection", no_wait=True).SerializeToString()
     number = peer.ask(b"cm_write_config", change).change.number

@@ -76,7 +76,7 @@ def test_after_three_static_parts_the_flow_ends_with_what_was_wrong(run: Run, pr
     assert not list((project / "build/bitstreams").glob("*.bit"))
 
 
-def test_another_static_part_is_not_tried_for_what_it_cannot_mend(run: Run) -> None:
+def test_another_static_part_is_not_tried_for_errors_that_it_cannot_cure(run: Run) -> None:
     with pytest.raises(OpenStepFailed, match="no BELs remaining") as told:
         run(edge=[([1, 2, 3, 4], PLACE)], colorise=[([1, 2, 3, 4], ARC)])
     assert not isinstance(told.value, Unroutable)

@@ -87,7 +87,7 @@ def ended(process: subprocess.Popen[str]) -> Any:
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("name", attacks.ATTACKS)
-def test_a_neighbour_loses_nothing(guarded: Served, name: str) -> None:
+def test_another_client_loses_nothing(guarded: Served, name: str) -> None:
     with running("-c", NEIGHBOUR, guarded.manager.runtime, first="begun") as client:
         alone = ended(client)
     before, had = resident_mib(guarded.pid), descriptors(guarded.pid)

@@ -49,7 +49,7 @@ def test_a_goal_looks_at_the_ratio_where_there_is_a_baseline() -> None:
     assert Result("x", 0.4, "s", "").met is None
 
 
-def test_what_is_not_available_stays_in_the_file(tmp_path: Path) -> None:
+def test_unavailable_results_are_recorded_in_the_file(tmp_path: Path) -> None:
     report.write(tmp_path / "x.json", [unavailable("x", "µs", "what would run", "no such thing", Goal(2))], {})
     found = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))["x"]
     assert found["missing"] == "no such thing"
@@ -73,7 +73,7 @@ def test_a_baseline_echoes_what_it_is_sent(tmp_path: Path) -> None:
         assert far.trip() == b"\x5a" * 5000
 
 
-def test_a_name_that_is_not_there_is_refused_with_those_that_are(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_name_is_refused_with_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "frames"]) == 1
     assert NAMES[0] in capsys.readouterr().err
 

@@ -54,7 +54,7 @@ def test_a_module_fills_its_columns_one_after_the_other() -> None:
     assert sum(item.frames for item in found) == 80 + len(found), "each run ends with a frame of padding"
 
 
-def test_sections_are_at_most_as_many_as_runs() -> None:
+def test_there_are_at_most_as_many_sections_as_runs() -> None:
     with pytest.raises(ValueError, match="runs cannot fill"):
         assemble("xc7z020", [FrameRun(HERE, frames(1))], sections=2)
     with pytest.raises(ValueError, match="runs cannot fill"):
@@ -66,7 +66,7 @@ def test_names_that_do_not_fit_a_frame_are_refused_with_their_limit() -> None:
         assemble_module("x" * 300)
 
 
-def test_what_a_schema_says_of_a_static_image_is_expected_of_it() -> None:
+def test_a_static_image_must_match_its_schema() -> None:
     config = replace(load(CAMERA), sha256="0" * 64, idcode=0x123, allow_encrypted=True)
     expect = expect_static(config)
     assert (expect.device, expect.sha256, expect.idcode) == ("xc7z020", "0" * 64, 0x123)

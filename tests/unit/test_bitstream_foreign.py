@@ -50,12 +50,12 @@ def checked(*before: int, after: tuple[int, ...] = ()) -> bytes:
 
 
 @pytest.mark.parametrize("value", [0x00B, 0x26B])
-def test_how_a_flash_is_read_may_stand_before_the_first_crc(value: int) -> None:
+def test_flash_settings_may_stand_before_the_first_crc(value: int) -> None:
     assert codes(checked(0x3003E001, value, 0x30008001, 0x12)) == []
 
 
 @pytest.mark.parametrize("flip", range(32))
-def test_no_flip_of_it_may(flip: int) -> None:
+def test_flash_settings_with_a_flipped_bit_are_refused(flip: int) -> None:
     assert codes(checked(0x3003E001, 0x26B ^ 1 << flip, 0x30008001, 0x12)) == ["crc_missing"]
 
 
@@ -155,13 +155,13 @@ def test_versal_image_that_ends_in_its_header_is_refused() -> None:
 
 
 @pytest.mark.parametrize("partial", [True, False])
-def test_two_images_behind_each_other_are_refused(partial: bool) -> None:
+def test_two_concatenated_images_are_refused(partial: bool) -> None:
     one = convert(small(partial=partial), Container.BIN_SWAPPED)
     assert codes(one) == []
     assert codes(one + one) == ["bitstream_container"]
 
 
-def test_file_that_is_no_bitstream_is_refused_from_its_head() -> None:
+def test_file_that_is_not_a_bitstream_is_refused_from_its_head() -> None:
     with pytest.raises(NoSync, match=r"/dev/zero: neither a \.bit"):
         inspect(Path("/dev/zero"))  # has no end
 

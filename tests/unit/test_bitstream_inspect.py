@@ -161,11 +161,11 @@ def test_stream_without_frames_is_refused() -> None:
         pytest.param((0x30002001, 0x80000000), id="no frame address"),
     ],
 )
-def test_packet_that_must_not_stand_there_is_refused(words: tuple[int, ...]) -> None:
+def test_packet_in_a_wrong_place_is_refused(words: tuple[int, ...]) -> None:
     assert "bitstream_packet" in codes(bit(*RCRC, *IDCODE, *words, *FDRI, *DESYNC))
 
 
-def test_words_behind_the_last_crc_are_refused() -> None:
+def test_words_after_the_last_crc_are_refused() -> None:
     crc = slow_crc(2, [0] * 101, slow_crc(12, [0x03727093]))
     checked = (*RCRC, *IDCODE, *FDRI, 0x30000001, crc)
     assert codes(bit(*checked, *DESYNC)) == set()

@@ -32,7 +32,7 @@ def written_to(address: FrameAddress, count: int = 1) -> bytes:
     return assemble("xc7z020", [FrameRun(address, frames(count))])
 
 
-def test_what_fits_is_not_refused() -> None:
+def test_matching_bitstreams_are_not_refused() -> None:
     report = inspect(small())
     expect = Expectation("xc7z020", 0x13727093, True, OWNED, sha256=report.sha256.upper())
     assert refusals(report, expect) == ()

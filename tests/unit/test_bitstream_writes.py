@@ -79,7 +79,7 @@ def test_frames_outside_the_rows_are_passed_over() -> None:
     assert loaded(assemble("xc7z020", runs)) == {encode_far(HERE, Family.SERIES7): frames(2)[:FRAME_BYTES]}
 
 
-def test_two_frames_behind_a_row_go_nowhere() -> None:
+def test_two_frames_after_a_row_are_discarded() -> None:
     last = FrameAddress(0, 0, 73, 41)
     data = frames(5)
     assert loaded(assemble("xc7z020", [FrameRun(last, data)])) == {

@@ -212,13 +212,13 @@ def test_master_without_write_channels_writes_nothing(make) -> None:
     assert values == {"awvalid": 0, "wvalid": 0, "bready": 1}
 
 
-def test_full_and_lite_of_one_name_do_not_meet(make) -> None:
+def test_full_and_lite_interfaces_of_the_same_name_are_not_joined(make) -> None:
     full = make("full", CLOCKED + lite("s_axi_") + "input [7:0] s_axi_awlen; input [7:0] s_axi_arlen")
     result = boundary([make("lite", CLOCKED + lite("s_axi_")), full])
     assert "s_axi is axi4 slave, but the s_axi of lite is axi4lite slave" in result.adaptation("full").refused[0]
 
 
-def test_resets_of_both_polarities_hang_on_one(make) -> None:
+def test_resets_of_both_polarities_share_one(make) -> None:
     result = boundary([make("low", "input clk; input rst_n"), make("high", "input clk; input rst; input reset")])
     assert [(p.name, p.role) for p in result.ports] == [("aclk", Role.CLOCK), ("aresetn", Role.RESET)]
     assert [(c.module, c.fit) for c in result.adaptation("high").connections] == [
@@ -285,7 +285,7 @@ def test_user_protocol_meets_by_name_and_its_missing_signals_read_zero(make) -> 
     assert (at(result.adaptation("two"), "cam_err").fit, at(result.adaptation("two"), "cam_err").value) == (Fit.TIE, 0)
 
 
-def test_nothing_is_the_boundary_of_nothing() -> None:
+def test_the_boundary_of_no_modules_is_empty() -> None:
     assert boundary([]) == Boundary()
 
 

@@ -60,7 +60,7 @@ def test_each_bound_has_an_error_of_its_own(topic: bytes, message: bytes, code: 
     assert code_of(topic, message) == code
 
 
-def test_as_many_as_may_be_are_taken() -> None:
+def test_requests_of_the_maximum_length_are_accepted() -> None:
     for message in (writes(bounds.ENTRIES), mapping(bounds.ENTRIES)):
         request = decode_request([b"cm_write_reg", message])
         assert isinstance(request, WriteReg)
@@ -88,12 +88,12 @@ WRONG = (
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_what_is_no_mapping_of_integers_is_refused(text: bytes) -> None:
+def test_what_is_not_a_mapping_of_integers_is_refused(text: bytes) -> None:
     with pytest.raises(InvalidRequest, match="cm_write_reg: "):
         parse_registers(text)
 
 
-def test_a_text_is_read_once_over_however_it_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_text_is_read_in_a_single_pass_whatever_it_contains(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its time grows with its length: so many entries are matched as there are, up to the first beyond the bound."""
     calls: list[int] = []
     check = bounds.check_count

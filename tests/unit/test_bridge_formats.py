@@ -93,7 +93,7 @@ def test_pixels_have_the_bytes_that_ros_says(name: str, length: int) -> None:
         ((2, 3, 4, 5), "uint8", None, ""),
     ],
 )
-def test_frames_are_what_was_said_where_that_fits_and_else_what_they_look_like(
+def test_frames_have_the_stated_encoding_if_it_fits_and_otherwise_a_guessed_one(
     shape: tuple[int, ...], dtype: str, said: str | None, encoding: str
 ) -> None:
     assert encoding_of(shape, dtype, said) == encoding
@@ -105,7 +105,7 @@ def status(mode: str = "default", dtype: str = "uint8") -> Status:
     return Status("eye", mode, streams=streams, regions=regions, board="b1", started_ns=7, configs=("eye", "other"))
 
 
-def test_what_runs_says_of_each_stream_what_the_mode_says() -> None:
+def test_each_stream_is_described_as_the_mode_has_it() -> None:
     info = ConfigInfo("eye", mode="default", schema=SCHEMA)
     record = config_record(status(), info, 5)
     assert (record.board.name, record.board.started_ns, record.stamp_ns, record.configs) == (
@@ -122,7 +122,7 @@ def test_what_runs_says_of_each_stream_what_the_mode_says() -> None:
     assert deep.encoding == "16UC1"
 
 
-def test_a_schema_that_this_version_cannot_read_leaves_what_the_status_says() -> None:
+def test_with_an_unreadable_schema_the_status_alone_is_used() -> None:
     record = config_record(status(), ConfigInfo("eye", schema="config: {name: eye, of_the_future: 1}"), 0)
     assert [stream.encoding for stream in record.streams] == ["mono8", ""]
 
@@ -146,7 +146,7 @@ def test_a_frame_has_wall_time_and_rows() -> None:
     assert record.dtype == "uint8"
 
 
-def test_a_frame_that_is_no_picture_has_no_rows() -> None:
+def test_a_frame_that_is_not_a_picture_has_no_rows() -> None:
     array = np.zeros(24, np.float32)
     info = FrameInfo("samples", 0, 0, array.nbytes, array.shape, "float32")
     record = frame_record("b1", stream_format(StreamStatus("samples", "samples", "s2mm"), None), array, info, 0)

@@ -72,7 +72,7 @@ def test_two_regions_that_are_apart_are_good(tmp_path: Path) -> None:
         ("SLICE_X0Y0:SLICE_X21Y49", "BUFGCTRL_X0Y0:BUFGCTRL_X0Y15", "UG909: BUFGCTRL sites cannot be reconfigured"),
     ],
 )
-def test_a_floorplan_that_cannot_be_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
+def test_an_impossible_floorplan_is_refused(old: str, new: str, said: str, tmp_path: Path) -> None:
     assert any(said in text for text in found(tmp_path, TWO.replace(old, new)))
 
 
@@ -142,7 +142,7 @@ def test_pins_by_the_boards_names_are_written_as_constraints(tmp_path: Path) -> 
         ("tlast: Y18", "tlast: Y18, tuser: Y19", "m_axis has no tuser"),
     ],
 )
-def test_pins_that_cannot_be_are_reported(old: str, new: str, said: str, tmp_path: Path) -> None:
+def test_impossible_pins_are_reported(old: str, new: str, said: str, tmp_path: Path) -> None:
     text = PINNED.replace("tvalid: led", 'tvalid: "led[3]"').replace("tready: btn", 'tready: "btn[0]"')
     messages = found(tmp_path, text.replace(old, new), one=STREAM_MODULE.format(name="one", high=7))
     assert any(said in message for message in messages)

@@ -48,7 +48,7 @@ def test_a_mistake_in_the_schema_ends_every_command(tmp_path: Path, capsys: pyte
         assert f"{path}:3:10: regions.prr0.pblok: unknown key 'pblok' (did you mean pblock?)" in capsys.readouterr().err
 
 
-def test_a_mode_cannot_change_a_stream_that_there_is_not(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_mode_cannot_change_a_stream_that_does_not_exist(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     schema = copy_examples(tmp_path) / "camera/build.yaml"
     schema.write_text(schema.read_text().replace("streams: {camera:", "streams: {camra:"))
     assert main(["build", "generate", str(schema)]) == 1

@@ -247,7 +247,7 @@ def test_a_full_bitstream_for_a_module_is_refused(ours: tuple[Design, Path]) -> 
         run(*ours)
 
 
-def test_a_description_of_another_build_is_refused(ours: tuple[Design, Path]) -> None:
+def test_a_description_from_another_build_is_refused(ours: tuple[Design, Path]) -> None:
     ps = module("ps", "zynq_ultra_ps_e", memory(("dma_icap", 0xA0770000, 0x10000)))
     text = hwh(ps, module("dma_icap", "axi_dma"), device="xck26")
     (ours[1] / "bitstreams/two_regions.hwh").write_bytes(text)

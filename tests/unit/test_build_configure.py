@@ -26,7 +26,7 @@ def test_the_runtime_schema_marks_what_is_to_be_decided(camera: tuple[Design, Pa
     assert "    # decide: shape, dtype and slots of a frame\n    camera:" in text
 
 
-def test_questions_are_asked_with_defaults_until_the_answer_does(camera: tuple[Design, Path]) -> None:
+def test_questions_are_asked_with_defaults_until_the_answer_is_valid(camera: tuple[Design, Path]) -> None:
     asked = list(questions(camera[0].system))
     replies = {"mode after start": ["night", "colorise"], "stream camera: shape": ["240x320x4"]}
     shown: list[str] = []
@@ -84,6 +84,6 @@ def test_a_wrong_answer_is_reported(
     assert words in capsys.readouterr().err
 
 
-def test_a_value_given_for_nothing_is_reported() -> None:
+def test_a_value_for_an_unknown_question_is_reported() -> None:
     with pytest.raises(BuildError, match="no such question"):
         answer_all([Question("a", "a", 1)], {"b": 2}, None, Path("file"))

@@ -22,7 +22,7 @@ def test_without_modes_the_region_with_most_modules_decides() -> None:
     assert {run["b"] for run in found.runs} == {"b1", "b2"}
 
 
-def test_full_modes_are_the_only_runs_there_can_be() -> None:
+def test_full_modes_are_the_only_possible_runs() -> None:
     modes = [{"a": f"a{i}", "b": "b1"} for i in (1, 2, 3)] + [{"a": "a3", "b": "b2"}, {"a": "a3", "b": "b3"}]
     found = cover(REGIONS | {"b": ["b1", "b2", "b3"]}, modes, False, modes[1])
     assert (len(found.runs), found.bound, found.exact) == (4, 3, True)  # a3 goes with b2 and b3, a1 and a2 with b1
@@ -78,7 +78,7 @@ def test_the_runs_are_reachable_cover_all_and_are_the_fewest(system: tuple[dict,
 
 @given(systems())
 @settings(max_examples=200, deadline=None)
-def test_where_states_are_too_many_to_list_the_runs_are_reachable_and_cover_all(system: tuple[dict, list]) -> None:
+def test_with_too_many_states_to_list_the_runs_are_reachable_and_cover_all(system: tuple[dict, list]) -> None:
     regions, modes = system
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("cm.build.plan.cover.MAX_STATES", 0)

@@ -71,7 +71,7 @@ def test_interfaces_get_a_wrapper_that_verilator_elaborates(tmp_path: Path) -> N
 
 
 @needs("verilator")
-def test_an_array_of_interfaces_is_so_many_buses(tmp_path: Path) -> None:
+def test_an_array_of_interfaces_becomes_as_many_buses(tmp_path: Path) -> None:
     top = TOP.replace("stream_if.snk s_axis,", "stream_if.snk s_axis [2],").replace("s_axis.", "s_axis[1].")
     out = written(
         of_interfaces(tmp_path, top.replace("assign level", "assign s_axis[0].tready = 1;\n    assign level"))
@@ -100,7 +100,7 @@ def test_init_takes_a_top_with_interfaces(tmp_path: Path) -> None:
     assert "top: " not in path.read_text()
 
 
-def test_an_interface_inside_a_module_is_no_module_that_is_missing(
+def test_an_interface_inside_a_module_is_not_reported_as_a_missing_module(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
     path = of_interfaces(tmp_path, TOP.replace("assign level", "stream_if between ();\n    assign level"))
@@ -118,7 +118,7 @@ def test_an_interface_inside_a_module_is_no_module_that_is_missing(
         (("output wire [3:0] level", "output wire s_axis_tdata"), "would have two ports s_axis_tdata"),
     ],
 )
-def test_where_there_can_be_no_wrapper_check_says_why(
+def test_if_no_wrapper_is_possible_check_says_why(
     tmp_path: Path, capsys: pytest.CaptureFixture, change: tuple[str, str], said: str
 ) -> None:
     assert main(["build", "check", str(of_interfaces(tmp_path, TOP.replace(*change)))]) == 1
@@ -126,7 +126,7 @@ def test_where_there_can_be_no_wrapper_check_says_why(
     assert said in caught.out + caught.err
 
 
-def test_a_parameter_of_an_interface_that_is_no_port_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_interface_parameters_for_an_unknown_port_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     path = of_interfaces(tmp_path)
     path.write_text(path.read_text().replace("{s_axis:", "{s_axix:"))
     assert main(["build", "check", str(path)]) == 1
@@ -202,7 +202,7 @@ def test_check_shows_the_bus_of_records(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 @needs("ghdl")
-def test_a_top_in_a_library_of_its_own_is_reached_through_a_wrapper(tmp_path: Path) -> None:
+def test_a_top_in_a_separate_library_is_reached_through_a_wrapper(tmp_path: Path) -> None:
     pytest.importorskip("tree_sitter_vhdl", reason="needs tree-sitter-vhdl: the extra [build] is not installed")
     vector = "std_logic_vector(31 downto 0)"
     ports = f"aclk, aresetn, s_axis_tvalid, s_axis_tlast, m_axis_tready : in bit_t; s_axis_tdata : in {vector}; "
@@ -227,7 +227,7 @@ def test_a_top_in_a_library_of_its_own_is_reached_through_a_wrapper(tmp_path: Pa
     assert subprocess.run(["ghdl", "-e", "--std=08", "cm_flat_one"], cwd=tmp_path, check=False).returncode == 0
 
 
-def test_a_record_with_what_is_no_vector_says_which_field(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_record_with_a_field_that_is_not_a_vector_names_the_field(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     package = PACKAGE.replace("data : word_t; strb", "data : integer; strb")
     assert main(["build", "check", str(of_records(tmp_path, package))]) == 1
     caught = capsys.readouterr()

@@ -87,7 +87,7 @@ def test_a_core_brings_its_target_with_what_it_depends_on_before_it(tmp_path: Pa
     assert found.missing == []
 
 
-def test_a_target_gives_a_parameter_text_as_it_is_and_no_number_that_is_none(tmp_path: Path) -> None:
+def test_a_target_passes_text_parameters_unchanged_and_refuses_bad_numbers(tmp_path: Path) -> None:
     core = cores(tmp_path)
     core.write_text(CORE.replace("parameters: [HIGH", "parameters: [HIGH=*x"))
     with pytest.raises(BuildError, match=r"the parameter HIGH is given '\*x', which is not a value"):
@@ -106,7 +106,7 @@ def test_a_target_gives_a_parameter_text_as_it_is_and_no_number_that_is_none(tmp
         ("x? (tool_vivado? (a.v)) b.v", ["b.v"]),
     ],
 )
-def test_flags_of_a_core_hold_for_vivado(text: str, held: list[str]) -> None:
+def test_flags_of_a_core_are_those_of_vivado(text: str, held: list[str]) -> None:
     assert names(text, frozenset(["tool_vivado"])) == held
 
 

@@ -73,7 +73,7 @@ def test_a_file_that_was_there_before_is_never_overwritten(tmp_path: Path) -> No
     assert (tmp_path / "a").read_text() == "mine\n"
 
 
-def test_what_is_no_longer_generated_goes_unless_it_was_changed(tmp_path: Path) -> None:
+def test_files_no_longer_generated_are_removed_unless_changed(tmp_path: Path) -> None:
     Tree(tmp_path).write({"a": "one\n", "b": "one\n"})
     (tmp_path / "b").write_text("mine\n")
     done = Tree(tmp_path).write({"c": "one\n"})
@@ -89,7 +89,7 @@ def test_a_damaged_manifest_is_an_error_that_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("writes", range(1, 8))
-def test_a_generation_that_is_killed_anywhere_is_made_good_by_the_next(
+def test_the_next_generation_repairs_one_that_was_killed_anywhere(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
 ) -> None:
     """What the killed one wrote is never taken for the user's, even where the input has changed again since."""
@@ -144,7 +144,7 @@ def test_a_new_file_that_the_user_changed_is_moved_and_not_lost(tmp_path: Path) 
     assert (tmp_path / "a.new.1").read_text() == "half merged\n"
 
 
-def test_what_is_behind_is_what_would_be_generated_otherwise(tmp_path: Path) -> None:
+def test_outdated_files_are_those_that_would_be_generated_differently(tmp_path: Path) -> None:
     Tree(tmp_path).write({"a": "one\n", "b": "one\n", "c": "one\n"})
     (tmp_path / "a").write_text("mine\n")
     assert Tree(tmp_path).behind({"a": "one\n", "b": "two\n", "d": "one\n"}) == ["b", "c", "d"]

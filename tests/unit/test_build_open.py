@@ -181,7 +181,7 @@ def test_a_flip_flop_behind_an_anchor_gets_a_look_up_table_of_its_own() -> None:
     assert cells["free"]["connections"]["D"] == [4]
 
 
-def test_only_what_the_design_needs_of_a_net_is_kept(tmp_path: Path) -> None:
+def test_only_the_part_of_a_net_that_the_design_needs_is_kept(tmp_path: Path) -> None:
     """A net to a register of the design and to the harness: the way that only the harness needs is dropped."""
     nets = {
         "data": {
@@ -209,7 +209,7 @@ def test_only_what_the_design_needs_of_a_net_is_kept(tmp_path: Path) -> None:
     assert routed.place("cm_clock_buffer") == "X9Y9/B"
 
 
-def test_inputs_of_tables_are_found_though_the_router_exchanged_them(tmp_path: Path) -> None:
+def test_inputs_of_look_up_tables_are_found_although_the_router_swapped_them(tmp_path: Path) -> None:
     """nextpnr renames the cell's pins after the slice's, and not the wires: pin A4 is reached over wire A1."""
     wires = {
         "X1Y1/SLICE_X0Y0.A1": ["X1Y1/SLICE_X0Y0.A1/CLBLL_LL_A4", "X1Y1/CLBLL_LL_A4"],
@@ -307,7 +307,7 @@ def test_missing_tools_are_reported_with_how_to_get_them(tmp_path: Path, monkeyp
     assert str(told.value).count("cm build tools --fetch") == 3
 
 
-def test_a_program_that_finds_no_end_is_ended(tmp_path: Path) -> None:
+def test_a_program_that_exceeds_its_processor_time_is_ended(tmp_path: Path) -> None:
     shell = Tool("nextpnr", ("/bin/sh", "-c"))
     with pytest.raises(OpenStepEndless, match="module m: nextpnr did not finish within 1 s of processor time"):
         run_tool(shell, ["while :; do :; done"], tmp_path / "log", {}, "module m", seconds=1)
@@ -384,7 +384,7 @@ SLICES = SimpleNamespace(name="CLBLM_R_X3Y4", x=7, y=8, sites={"SLICE_X4Y4": "SL
     ("kind", "element", "init", "low"),
     [("SRL16E", "A6LUT", 0x8001, 32), ("SRL16E", "B5LUT", 0x0002, 0), ("SRLC32E", "C6LUT", 0x8000_0001, 0)],
 )
-def test_what_a_shift_register_begins_with_stands_twice_in_its_table(
+def test_the_initial_bits_of_a_shift_register_occur_twice_in_its_look_up_table(
     kind: str, element: str, init: int, low: int
 ) -> None:
     length = 16 if kind == "SRL16E" else 32

@@ -56,7 +56,7 @@ def told(folder: Path, text: str, module: str) -> str:
     return "\n".join(finding.text(path) for finding in check_open(load_design(path).system))
 
 
-def test_two_regions_on_one_clock_are_nothing_to_refuse(tmp_path: Path) -> None:
+def test_two_regions_on_one_clock_are_accepted(tmp_path: Path) -> None:
     assert told(tmp_path, PLAIN, AXIL_MODULE) == ""
 
 

@@ -78,7 +78,7 @@ def test_every_overlay_compiles_and_applies_over_the_static_one(built: tuple[Sys
         assert "cm-streams" in fdtget(tree, "-l", "/"), name
 
 
-def test_nothing_stands_below_a_bus_that_an_overlay_brings(built: tuple[System, Path], tmp_path: Path) -> None:
+def test_overlays_put_nothing_below_a_bus_that_they_add(built: tuple[System, Path], tmp_path: Path) -> None:
     """The kernel would make no devices of it: of_platform_notify looks at the parent of each new node only."""
     system, out = built
     _, overlays = compiled(system, out, tmp_path)
@@ -136,7 +136,7 @@ def test_the_static_overlay_has_a_channel_for_every_stream_of_the_schema(
     assert have == [stream.direction.value for stream in config.streams.values()]
 
 
-def test_decouplers_lie_where_the_runtime_schema_has_them(built: tuple[System, Path], tmp_path: Path) -> None:
+def test_decouplers_have_the_addresses_in_the_runtime_schema(built: tuple[System, Path], tmp_path: Path) -> None:
     system, out = built
     base, overlays = compiled(system, out, tmp_path)
     tree = apply(base, overlays[f"{system.project.name}_static"])

@@ -101,7 +101,7 @@ def test_the_same_flow_packs_to_the_same_bytes(tmp_path: Path) -> None:
     assert one == other
 
 
-def test_a_folder_that_is_copied_back_does_as_well(tmp_path: Path) -> None:
+def test_a_folder_can_be_copied_back_instead_of_an_archive(tmp_path: Path) -> None:
     schema = two_regions(tmp_path)
     elsewhere = there(packed(schema, tmp_path / "flow.tar.gz"), tmp_path / "there")
     make(elsewhere)
@@ -143,7 +143,7 @@ def test_steps_that_did_not_run_are_reported_and_the_others_are_kept(
     assert done == {"system", "static"}
 
 
-def test_what_was_done_before_goes_along_and_is_not_run_again(tmp_path: Path) -> None:
+def test_finished_steps_are_packed_and_not_run_again(tmp_path: Path) -> None:
     schema = two_regions(tmp_path)
     first = there(packed(schema, tmp_path / "flow.tar.gz"), tmp_path / "there")
     make(first)
@@ -228,7 +228,7 @@ def archive_of(folder: Path, **files: str) -> Path:
         ({"pack.json": '{"version": 1, "project": "x", "steps": ["gone"], "files": {}}'}, "no step gone any more"),
     ],
 )
-def test_what_is_no_packed_flow_is_refused(files: dict[str, str], said: str, tmp_path: Path) -> None:
+def test_what_is_not_a_packed_flow_is_refused(files: dict[str, str], said: str, tmp_path: Path) -> None:
     _, out = made(tmp_path / "p")
     with pytest.raises(BuildError) as caught:
         unpack(archive_of(tmp_path, **files), out)
@@ -236,7 +236,7 @@ def test_what_is_no_packed_flow_is_refused(files: dict[str, str], said: str, tmp
     assert [path.name for path in out.parent.iterdir() if path.name.startswith(".cm-unpack")] == []
 
 
-def test_a_file_that_is_no_archive_is_refused(tmp_path: Path) -> None:
+def test_a_file_that_is_not_an_archive_is_refused(tmp_path: Path) -> None:
     _, out = made(tmp_path / "p")
     (tmp_path / "back.tar.gz").write_bytes(b"no archive")
     with pytest.raises(BuildError, match="cannot be read"):

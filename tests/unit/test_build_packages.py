@@ -104,7 +104,7 @@ def fetched(repository: Repository, folder: Path, *names: str):  # type: ignore[
 
 
 @needs_apt
-def test_packages_lie_in_a_tree_of_their_own(repository: Repository, tmp_path: Path) -> None:
+def test_packages_are_unpacked_into_a_separate_tree(repository: Repository, tmp_path: Path) -> None:
     tree = fetched(repository, tmp_path / "trees", "alpha", "beta")
     assert dict(tree.versions) == {"alpha": "1.0", "beta": "1.0"}
     assert tree.path("usr/share/beta").read_text() == "one"
@@ -114,7 +114,7 @@ def test_packages_lie_in_a_tree_of_their_own(repository: Repository, tmp_path: P
 
 
 @needs_apt
-def test_a_tree_that_is_there_needs_no_repository(repository: Repository, tmp_path: Path) -> None:
+def test_an_existing_tree_needs_no_repository(repository: Repository, tmp_path: Path) -> None:
     first = fetched(repository, tmp_path / "trees", "alpha")
     shutil.rmtree(repository.folder / "dists")
     assert fetched(repository, tmp_path / "trees", "alpha") == first
@@ -135,7 +135,7 @@ def test_the_remains_of_a_killed_fetch_are_not_taken_for_complete(repository: Re
 
 @needs_apt
 @pytest.mark.parametrize("what", ["package", "list", "key"])
-def test_what_is_not_as_it_was_signed_is_refused(repository: Repository, tmp_path: Path, what: str) -> None:
+def test_files_that_differ_from_what_was_signed_are_refused(repository: Repository, tmp_path: Path, what: str) -> None:
     if what == "package":
         repository.add("alpha", "another")  # and not published
     elif what == "list":
@@ -157,13 +157,13 @@ def test_a_mirror_that_hands_out_no_files_is_no_tree(repository: Repository, tmp
 
 
 @needs_apt
-def test_a_package_that_is_nowhere_is_named(repository: Repository, tmp_path: Path) -> None:
+def test_a_package_that_does_not_exist_is_named(repository: Repository, tmp_path: Path) -> None:
     with pytest.raises(PackagesUnavailable, match="gamma"):
         fetched(repository, tmp_path / "trees", "gamma")
 
 
 @pytest.mark.parametrize("name", ["", "-oDebug=1", "a/b", "A", "a b"])
-def test_a_name_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
+def test_an_invalid_name_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(PackagesUnavailable, match="not a name of a Debian package"):
         fetch([name], tmp_path)
 

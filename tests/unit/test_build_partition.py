@@ -94,7 +94,7 @@ def test_modules_that_change_often_do_not_share_with_a_big_one() -> None:
     ]
 
 
-def test_where_there_is_room_every_module_stays_loaded() -> None:
+def test_if_there_is_room_every_module_stays_loaded() -> None:
     units = {name: Unit(name, Resources(100)) for name in "ab"}
     found = advise(Problem(PART, units, [UsedMode(name, frozenset(name)) for name in "ab"], 1e6))
     assert (len(found.groups), found.worst) == (2, 0.0)
@@ -132,7 +132,7 @@ def test_thirty_modules_twenty_modes_and_four_slots_are_solved(objective: str) -
     assert getattr(found, objective) <= getattr(obvious, objective)
 
 
-def test_without_time_the_gap_to_the_best_is_said() -> None:
+def test_when_time_runs_out_the_gap_to_the_optimum_is_reported() -> None:
     units, modes = thirty_modules(7)
     problem = Problem(part_of("xc7z020"), units, modes, 4e8)
     found = advise(problem, "worst", 0.001)

@@ -151,7 +151,7 @@ def test_frames_must_be_what_the_stream_can_carry(keys: str, said: str, tmp_path
     assert said in str(caught.value)
 
 
-def test_the_frames_of_a_mode_are_looked_at_too(tmp_path: Path) -> None:
+def test_the_frames_of_a_mode_are_checked_too(tmp_path: Path) -> None:
     text = MINIMAL.replace("{pblock: auto}", "{interfaces: {m_axis: {shape: [4, 3]}}}")
     text += "modes: {only: {modules: [one], streams: {prr0_m_axis: {shape: [4]}}}}\n"
     with pytest.raises(BuildError, match=r"modes.only.streams.prr0_m_axis"):
@@ -186,7 +186,7 @@ def test_a_region_without_decoupling_is_reported_in_the_schema(tmp_path: Path) -
         ("{interfaces: {m_axis: {connect: memory}}}", "dma or vdma or switch or external or none"),
     ],
 )
-def test_a_connection_that_cannot_be_is_refused(region: str, words: str, tmp_path: Path) -> None:
+def test_an_impossible_connection_is_refused(region: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(BuildError, match=words):
         design(tmp_path, MINIMAL.replace("{pblock: auto}", region))
 

@@ -40,7 +40,7 @@ def test_modules_on_the_same_pins_stay_in_one_region(tmp_path: Path) -> None:
     assert list(proposed(copy_examples(tmp_path) / "camera" / "build.yaml")["regions"]) == ["prr0"]
 
 
-def test_a_region_that_is_divided_gives_its_streams_names_of_their_own(tmp_path: Path) -> None:
+def test_a_region_that_is_divided_gives_each_stream_its_own_name(tmp_path: Path) -> None:
     data = proposed(copy_examples(tmp_path) / "two_regions" / "build.yaml", "--budget", "5")
     streams = [spec["stream"] for region in data["regions"].values() for spec in region["interfaces"].values()
                if "stream" in spec]  # fmt: skip
@@ -80,7 +80,7 @@ def test_regions_that_become_one_keep_the_frames_of_each_mode(tmp_path: Path) ->
     }
 
 
-def test_a_proposal_that_cannot_be_generated_gives_way_to_one_of_fewer_regions(
+def test_a_proposal_that_cannot_be_generated_is_replaced_by_one_with_fewer_regions(
     tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def at_most_three(system: System) -> list[Finding]:
@@ -96,7 +96,7 @@ def test_a_proposal_that_cannot_be_generated_gives_way_to_one_of_fewer_regions(
     assert "note: 6 regions cannot be generated: three is the limit [full]" in capsys.readouterr().out
 
 
-def test_a_proposal_whose_block_design_cannot_be_gives_way_too(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_a_proposal_with_an_impossible_block_design_is_replaced_too(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     # forty streams with an engine each have more masters than the ports to memory take
     text = "project: {name: many, part: xc7z020clg400-1}\nregions: {prr0: {}}\nmodules:\n"
     names = [f"m{index}" for index in range(20)]

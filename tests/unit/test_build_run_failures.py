@@ -153,7 +153,7 @@ def test_several_failures_at_once_are_all_reported(out: Path, monkeypatch: pytes
     assert f"{out}/logs/system.out says" in text
 
 
-def test_what_is_no_longer_of_the_flow_is_not_collected(out: Path, capsys: pytest.CaptureFixture) -> None:
+def test_outdated_results_of_the_flow_are_not_collected(out: Path, capsys: pytest.CaptureFixture) -> None:
     """A changed module leaves bitstreams of the flow before: they are not packed with those of the new one."""
     schema = str(out.parent / "build.yaml")
     run_flow(out, VIVADO, 1, lambda _: None)
@@ -173,7 +173,7 @@ def test_a_flow_that_was_generated_from_other_input_is_not_run(out: Path, capsys
     assert "note: " in capsys.readouterr().out
 
 
-def test_changes_of_the_users_to_generated_files_are_run(out: Path) -> None:
+def test_generated_files_that_the_user_changed_are_run(out: Path) -> None:
     path = out / "tcl/floorplan.tcl"
     path.write_text(path.read_text() + "# mine\n")
     assert main(["build", "run", str(out.parent / "build.yaml"), "--vivado", str(FAKE)]) == 0

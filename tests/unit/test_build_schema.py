@@ -33,7 +33,7 @@ def test_a_mode_may_list_modules_that_fit_one_region_each(tmp_path: Path) -> Non
     assert found.modes["first"].modules == {"prr0": "one"}
 
 
-def test_a_pattern_stands_for_files_in_sorted_order(tmp_path: Path) -> None:
+def test_a_pattern_matches_files_in_sorted_order(tmp_path: Path) -> None:
     path = project(tmp_path, MINIMAL.replace("[one.v]", "['*.v']"), b="", a="")
     assert [file.name for file in load_project(path).modules["one"].sources] == ["a.v", "b.v", "one.v"]
 
@@ -129,7 +129,7 @@ def test_editors_that_take_the_json_schema_find_no_fault_with_the_examples(name:
     validate(yaml.safe_load((EXAMPLES / name / "build.yaml").read_text()))
 
 
-def test_one_file_may_stand_without_a_list(tmp_path: Path) -> None:
+def test_a_single_file_needs_no_list(tmp_path: Path) -> None:
     found = load_project(project(tmp_path, MINIMAL.replace("[one.v]", "one.v")))
     assert [path.name for path in found.modules["one"].sources] == ["one.v"]
 

@@ -144,7 +144,7 @@ def test_the_wrapper_of_an_ip_instance_elaborates(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_an_ip_instance_without_ports_says_what_would_tell_them(tmp_path: Path) -> None:
+def test_an_ip_instance_without_ports_says_how_to_provide_them(tmp_path: Path) -> None:
     (tmp_path / "old.xci").write_text("<spirit:design/>\n")
     path = project(tmp_path, MINIMAL.replace("sources: [one.v]", "ip: [old.xci]"))
     with pytest.raises(SchemaError, match=r"give component: \(IP-XACT\) or sim_sources"):

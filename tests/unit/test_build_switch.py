@@ -126,7 +126,7 @@ def test_a_stream_without_an_end_cannot_go_to_the_switch(tmp_path: Path) -> None
         built(tmp_path, one=source)
 
 
-def test_more_ends_than_the_switch_has_are_refused(tmp_path: Path) -> None:
+def test_more_streams_than_the_switch_has_ports_are_refused(tmp_path: Path) -> None:
     regions = "".join(
         f"  r{i}: {{interfaces: {{s_axis: {{connect: switch}}, m_axis: {{connect: switch}}}}}}\n" for i in range(16)
     )

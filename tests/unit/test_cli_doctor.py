@@ -36,7 +36,7 @@ def test_a_simulated_board_is_usable(board: Board, tmp_path: Path, capsys: pytes
     assert states(found, "icap") == states(found, "uio") == states(found, "dma") == {"ok"}
 
 
-def test_a_board_without_a_way_to_configure_it_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_board_that_cannot_be_configured_is_not_usable(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, found = doctor(capsys, "--root", str(tmp_path), "--runtime-dir", str(tmp_path))
     assert status == 1
     assert "no way to configure the PL" in found["problems"][0]

@@ -96,7 +96,7 @@ def test_ctrl_c_ends_quietly(command: Any, capsys: pytest.CaptureFixture[str]) -
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_mistake_of_ours_is_not_hidden(command: Any) -> None:
+def test_a_defect_of_the_program_is_not_hidden(command: Any) -> None:
     command(fails_with(ZeroDivisionError()))
     with pytest.raises(ZeroDivisionError):
         main(["try"])
@@ -151,7 +151,7 @@ def test_help_is_as_wide_as_the_terminal(
     assert longest - 15 < max(map(len, capsys.readouterr().out.splitlines())) <= longest
 
 
-def test_help_of_what_is_no_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
+def test_help_for_an_unknown_command_names_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     assert "there is no command rge; did you mean reg?" in usage_error(["help", "rge"], capsys)
 
 
@@ -168,7 +168,7 @@ def test_help_of_what_is_no_command_names_the_nearest(capsys: pytest.CaptureFixt
         ("bitstream verify", "usage: cm bitstream verify [-h]"),
     ],
 )
-def test_wrong_usage_shows_the_usage_of_the_command_that_it_is_of(
+def test_wrong_usage_shows_the_usage_of_that_command(
     line: str, usage: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("CM_ROOT", raising=False)
@@ -225,7 +225,7 @@ def test_the_manager_starts_without_numpy() -> None:
     assert run_python(code).stdout.endswith("[]\n")
 
 
-def test_a_reader_that_goes_away_is_no_traceback() -> None:
+def test_a_reader_that_goes_away_causes_no_traceback() -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "cm", "check", "--print-schema"],
         stdout=subprocess.PIPE,
@@ -266,7 +266,7 @@ def test_check_reads_from_stdin(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert capsys.readouterr().out.startswith("-:1:35: config.x: unknown key 'x'")
 
 
-def test_check_refuses_what_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_check_refuses_a_missing_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", str(tmp_path / "none.yaml"), str(tmp_path)]) == 1
     out = capsys.readouterr().out.splitlines()
     assert out[0] == f"{tmp_path}/none.yaml: no such file"

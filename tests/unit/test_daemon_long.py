@@ -61,7 +61,7 @@ def uploaded(daemon: Daemon) -> int:
 # ---- what is sent in parts ---------------------------------------------------------------------
 
 
-def test_what_came_in_parts_is_written_once(flowing: Daemon) -> None:
+def test_a_frame_sent_in_parts_is_written_once(flowing: Daemon) -> None:
     assert flowing.done(Upload("a", FRAME, 0, PICTURE[:1000])) == UploadInfo("a", FRAME, 1000)
     assert flowing.done(Upload("a", FRAME, 1000, PICTURE[1000:])) == UploadInfo("a", FRAME, FRAME)
     assert uploaded(flowing) == FRAME
@@ -74,7 +74,7 @@ def test_what_came_in_parts_is_written_once(flowing: Daemon) -> None:
     assert (code, "there is no upload of that name" in message) == ("unknown_upload", True)
 
 
-def test_what_is_not_all_there_is_not_used_until_it_is(flowing: Daemon) -> None:
+def test_an_incomplete_upload_is_not_used_until_it_is_complete(flowing: Daemon) -> None:
     flowing.done(Upload("a", FRAME, 0, PICTURE[:10]))
     code, message = flowing.refused(rq.WriteData("to_pl", upload="a"))
     assert (code, f"10 of {FRAME} bytes are there" in message) == ("unknown_upload", True)
@@ -93,7 +93,7 @@ def test_what_is_not_all_there_is_not_used_until_it_is(flowing: Daemon) -> None:
         (Upload("b", 100, 10, b"x"), "unknown_upload", "begin with offset 0"),
     ],
 )
-def test_a_part_that_does_not_follow_is_refused_and_changes_nothing(
+def test_a_part_out_of_order_is_refused_and_changes_nothing(
     camera: Daemon, part: Upload, code: str, words: str
 ) -> None:
     camera.done(Upload("a", 100, 0, bytes(10)))
@@ -103,7 +103,7 @@ def test_a_part_that_does_not_follow_is_refused_and_changes_nothing(
     camera.done(Upload("a", discard=True))
 
 
-def test_so_many_bytes_may_lie_unused_and_no_more(camera: Daemon) -> None:
+def test_unused_uploads_are_limited_in_bytes(camera: Daemon) -> None:
     assert camera.done(Upload("a", MOST - 10, 0, b"x")).got == 1
     assert camera.refused(Upload("b", 11, 0, b"x"))[0] == "too_much_uploaded"
     camera.done(Upload("b", 10, 0, b"x"))
@@ -113,7 +113,7 @@ def test_so_many_bytes_may_lie_unused_and_no_more(camera: Daemon) -> None:
     assert uploaded(camera) == 0
 
 
-def test_so_many_may_lie_unused_however_short(camera: Daemon) -> None:
+def test_unused_uploads_are_limited_in_number_however_short(camera: Daemon) -> None:
     for number in range(256):
         camera.done(Upload(f"n{number}"))
     code, message = camera.refused(Upload("one more"))
@@ -124,7 +124,7 @@ def test_so_many_may_lie_unused_however_short(camera: Daemon) -> None:
     camera.done(Upload("one more", discard=True))
 
 
-def test_what_is_not_gone_on_with_is_forgotten(camera: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_abandoned_upload_is_forgotten(camera: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     camera.done(Upload("kept", 100, 0, bytes(10)))
     with monkeypatch.context() as patched:
         patched.setattr("cm.daemon.uploads.IDLE", -1.0)  # it is over before the next part comes
@@ -154,7 +154,7 @@ def send_config(daemon: Daemon) -> bytes:
     return image
 
 
-def test_a_configuration_comes_with_files_that_were_sent_before_and_goes_again(camera: Daemon) -> None:
+def test_a_configuration_uses_files_uploaded_before_and_can_be_removed(camera: Daemon) -> None:
     image = send_config(camera)
     (stored,) = (camera.folder / "state").rglob("given.bit")
     assert stored.read_bytes() == image
@@ -187,7 +187,7 @@ def values(told: RegValues) -> list[int]:
     return [value.value for value in told.values]
 
 
-def test_many_registers_are_read_as_few_are(camera: Daemon) -> None:
+def test_many_registers_are_read_like_a_few(camera: Daemon) -> None:
     few = camera.done(ReadReg(("focus", "zoom")))
     many = camera.done(ReadReg(("focus", "zoom") * (MANY // 2)))
     assert values(many) == values(few) * (MANY // 2)
@@ -204,7 +204,7 @@ def test_many_writes_take_effect_in_their_order_and_are_published(camera: Daemon
     seen.close()
 
 
-def test_what_comes_behind_many_writes_of_its_sender_sees_them(camera: Daemon) -> None:
+def test_a_request_after_many_writes_of_the_same_sender_sees_them(camera: Daemon) -> None:
     camera.send(WriteReg(tuple(RegWrite("focus", number % 16) for number in range(MANY))))
     camera.send(ReadReg(("focus",)))
     first, second = camera.reply(), camera.reply()
@@ -214,7 +214,7 @@ def test_what_comes_behind_many_writes_of_its_sender_sees_them(camera: Daemon) -
     assert values(second.body) == [(MANY - 1) % 16]
 
 
-def test_a_wrong_one_among_many_is_refused_before_any_is_written(camera: Daemon) -> None:
+def test_one_wrong_write_among_many_is_refused_before_any_is_made(camera: Daemon) -> None:
     camera.done(WriteReg((RegWrite("focus", 3),)))
     writes = [RegWrite("focus", number % 16) for number in range(MANY)]
     code, message = camera.refused(WriteReg((*writes, RegWrite("focsu", 1))))
@@ -260,7 +260,7 @@ def memory_used(daemon: Daemon) -> int:
     return int(daemon.board.control.state()["memory"])
 
 
-def test_memory_has_an_address_and_goes_with_its_client(camera: Daemon) -> None:
+def test_memory_has_an_address_and_is_freed_with_its_client(camera: Daemon) -> None:
     until(lambda: memory_used(camera) == 0)
     with contextlib.closing(Allocated(camera, PAGE + 1)) as client:
         geometry = packets.decode_geometry(client.next(packets.GEOMETRY)[1])
@@ -275,7 +275,7 @@ def test_memory_has_an_address_and_goes_with_its_client(camera: Daemon) -> None:
     until(lambda: memory_used(camera) == 0)
 
 
-def test_memory_of_other_clients_lies_elsewhere(camera: Daemon) -> None:
+def test_clients_get_separate_memory(camera: Daemon) -> None:
     with contextlib.ExitStack() as stack:
         made = [stack.enter_context(contextlib.closing(Allocated(camera, PAGE))) for _ in range(3)]
         addresses = {client.next(packets.ADDRESS)[0].sequence for client in made}
@@ -287,13 +287,13 @@ def test_memory_of_other_clients_lies_elsewhere(camera: Daemon) -> None:
     ("length", "code", "words"),
     [(0, "invalid_request", "at least one byte"), (8 * PAGE + 1, "busy", "MiB for one process")],
 )
-def test_memory_that_cannot_be_is_refused(camera: Daemon, length: int, code: str, words: str) -> None:
+def test_an_impossible_allocation_is_refused(camera: Daemon, length: int, code: str, words: str) -> None:
     with contextlib.closing(Allocated(camera, length)) as client:
         found, message = packets.decode_refused(client.next(packets.REFUSED)[1])
     assert (found, words in message) == (code, True), message
 
 
-def test_as_much_memory_as_may_be_is_given(camera: Daemon) -> None:
+def test_memory_is_given_up_to_the_limit(camera: Daemon) -> None:
     until(lambda: memory_used(camera) == 0)
     with contextlib.closing(Allocated(camera, 8 * PAGE)) as client:
         assert client.next(packets.ADDRESS)[0].length == 8 * PAGE

@@ -84,7 +84,7 @@ def names(daemon: Daemon) -> set[str]:
 # ---- configurations ----------------------------------------------------------------------------
 
 
-def test_what_is_new_is_there_and_what_is_gone_goes(served: Daemon, source: Source, reload: Any) -> None:
+def test_new_configurations_appear_and_removed_ones_disappear(served: Daemon, source: Source, reload: Any) -> None:
     reload(Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE))
     until(lambda: names(served) == {"camera", "other"})
     reload(Reloaded({"camera": source.camera}, OPERATE))
@@ -92,7 +92,7 @@ def test_what_is_new_is_there_and_what_is_gone_goes(served: Daemon, source: Sour
     assert served.refused(ChangeMode("other", "default"))[0] == "unknown_config"
 
 
-def test_what_is_loaded_keeps_its_schema_until_another_is(served: Daemon, source: Source, reload: Any) -> None:
+def test_a_loaded_configuration_keeps_its_schema_until_it_is_unloaded(served: Daemon, source: Source, reload: Any) -> None:
     served.load("default")
     reload(Reloaded({"other": source.named("other")}, OPERATE))
     until(lambda: names(served) == {"camera", "other"})
@@ -101,7 +101,7 @@ def test_what_is_loaded_keeps_its_schema_until_another_is(served: Daemon, source
     until(lambda: names(served) == {"other"})
 
 
-def test_a_loaded_one_that_was_changed_counts_when_it_is_loaded_no_more(
+def test_a_changed_schema_of_the_loaded_configuration_applies_once_it_is_unloaded(
     served: Daemon, source: Source, reload: Any
 ) -> None:
     served.load("default")
@@ -115,7 +115,7 @@ def test_a_loaded_one_that_was_changed_counts_when_it_is_loaded_no_more(
     assert served.refused(ChangeMode("camera", "colorise"))[0] == "unknown_mode"
 
 
-def test_a_folder_with_a_damaged_schema_makes_nothing_go(served: Daemon, source: Source, reload: Any) -> None:
+def test_a_folder_with_a_damaged_schema_removes_no_configuration(served: Daemon, source: Source, reload: Any) -> None:
     reload(Reloaded({"camera": source.camera, "other": source.named("other")}, OPERATE))
     until(lambda: names(served) == {"camera", "other"})
     reload(Reloaded({"camera": source.camera, "third": source.named("third")}, OPERATE, whole=False))
@@ -123,7 +123,7 @@ def test_a_folder_with_a_damaged_schema_makes_nothing_go(served: Daemon, source:
 
 
 @pytest.mark.parametrize("problem", [OSError(5, "no"), InvalidRequest("wrong")])
-def test_what_cannot_be_read_changes_nothing(
+def test_an_unreadable_file_changes_nothing(
     served: Daemon, source: Source, reload: Any, problem: Exception, caplog: pytest.LogCaptureFixture
 ) -> None:
     reload(problem)

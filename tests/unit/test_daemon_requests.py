@@ -80,7 +80,7 @@ def test_a_description_counts_the_interrupts_that_came(camera: Daemon) -> None:
     assert camera.done(rq.ReadIrq("frame_done")).count >= count
 
 
-def test_an_interrupt_that_is_none_gets_a_suggestion(camera: Daemon) -> None:
+def test_an_unknown_interrupt_gets_a_suggestion(camera: Daemon) -> None:
     code, message = camera.refused(rq.ReadIrq("frame_don"))
     assert (code, "did you mean 'frame_done'?" in message) == ("unknown_interrupt", True)
 
@@ -95,7 +95,7 @@ def test_a_change_is_answered_when_it_has_ended(camera: Daemon) -> None:
     assert camera.status.mode == "edge_detection"
 
 
-def test_a_change_is_answered_at_once_where_it_is_not_waited_for(camera: Daemon) -> None:
+def test_a_change_that_is_not_waited_for_is_answered_at_once(camera: Daemon) -> None:
     seen = Subscriber(camera)
     told = camera.done(ChangeMode("camera", "colorise", no_wait=True))
     assert not told.done
@@ -104,7 +104,7 @@ def test_a_change_is_answered_at_once_where_it_is_not_waited_for(camera: Daemon)
     seen.close()
 
 
-def test_a_change_to_no_mode_is_refused(camera: Daemon) -> None:
+def test_a_change_to_an_unknown_mode_is_refused(camera: Daemon) -> None:
     code, message = camera.refused(ChangeMode("camera", "edges_detection"))
     assert code == "unknown_mode"
     assert "edge_detection" in message
@@ -196,14 +196,14 @@ def test_fields_are_reported_beside_the_value(camera: Daemon) -> None:
     assert values(camera, "led") == [0x1A]
 
 
-def test_the_same_read_again_gets_the_value_of_now(camera: Daemon) -> None:
+def test_a_repeated_read_gets_the_current_value(camera: Daemon) -> None:
     for value in (3, 4, 5, 6):
         camera.done(written("focus", value))
         assert values(camera, "focus") == [value]
         assert values(camera, "focus", "led")[0] == value
 
 
-def test_a_read_again_after_a_change_of_mode_is_of_that_mode(camera: Daemon) -> None:
+def test_a_repeated_read_after_a_change_of_mode_is_of_the_new_mode(camera: Daemon) -> None:
     assert values(camera, "ident") == [0xCA3E0001]
     assert values(camera, "ident") == [0xCA3E0001]
     camera.load("edge_detection")
@@ -234,7 +234,7 @@ def test_a_read_again_after_a_change_of_mode_is_of_that_mode(camera: Daemon) -> 
         (rq.DefineMemory("block", 0x1000, 3), "invalid_request", "4"),
     ],
 )
-def test_what_cannot_be_is_refused_with_its_code(camera: Daemon, request_: rq.Request, code: str, words: str) -> None:
+def test_impossible_requests_are_refused_with_their_codes(camera: Daemon, request_: rq.Request, code: str, words: str) -> None:
     found, message = camera.refused(request_)
     assert (found, words in message) == (code, True), message
 
@@ -316,7 +316,7 @@ def test_a_reply_comes_back_in_the_envelope_of_its_request(
     dealer.close(linger=0)
 
 
-def test_a_message_that_is_no_request_is_answered(camera: Daemon) -> None:
+def test_a_message_that_is_not_a_request_is_answered(camera: Daemon) -> None:
     for frames, words in (([b"cm_nothing", b""], "unknown topic"), ([b"cm_status", b"", b"x"], "payload")):
         error = camera.raw(*frames).error
         assert error is not None
@@ -347,7 +347,7 @@ def test_more_than_may_wait_behind_a_change_is_refused(tmp_path: Path) -> None:
 # ---- life ----------------------------------------------------------------------------------------------
 
 
-def test_what_was_named_is_loaded_at_the_start_and_known_after_the_next(tmp_path: Path) -> None:
+def test_the_configuration_named_at_the_start_is_loaded_and_known_after_a_restart(tmp_path: Path) -> None:
     with daemon(load="camera/colorise") as first:
         seen = Subscriber(first)
         seen.until(Status, lambda status: status.mode == "colorise" and not status.fpga_busy)
@@ -359,7 +359,7 @@ def test_what_was_named_is_loaded_at_the_start_and_known_after_the_next(tmp_path
         again.close()
 
 
-def test_nothing_loaded_is_said(tmp_path: Path) -> None:
+def test_the_status_says_that_nothing_is_loaded(tmp_path: Path) -> None:
     with daemon() as fresh:
         assert fresh.status.config_name == ""
         assert fresh.refused(ReadReg(("focus",)))[0] == "nothing_loaded"

@@ -144,7 +144,7 @@ def test_no_turn_of_the_loop_makes_more_than_eight_slots(
     assert slots.given <= 2 * AT_ONCE
 
 
-def test_a_setting_is_answered_when_its_slots_are_made_by_turns(slots: Allocator, camera: Daemon) -> None:
+def test_a_setting_is_answered_once_its_slots_are_made_turn_by_turn(slots: Allocator, camera: Daemon) -> None:
     told = camera.done(ConfigureStream("camera", slots=200, enable=True, force=True))
     assert (told.slots, told.open) == (200, True)
     assert slots.all == 200
@@ -165,7 +165,7 @@ def test_requests_are_served_while_slots_are_made(
     assert reads(reader) == [0, 1, 2, 3, 4]
 
 
-def test_an_echo_is_made_by_turns(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
+def test_an_echo_gets_its_slots_turn_by_turn(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
     echo = client(camera, Open("", echo=True, length=100, depth=16))
     assert echo.geometry().depth == 16
     assert slots.given <= AT_ONCE
@@ -188,7 +188,7 @@ def test_a_reader_that_hangs_up_half_way_leaves_nothing(
     assert reads(client(camera, Open("camera", depth=4)), 4) == [0, 1, 2, 3]  # later ones may be dropped
 
 
-def test_slots_for_a_reader_that_hangs_up_half_way_are_given_back_beside_another(
+def test_slots_for_a_reader_that_hangs_up_half_way_are_freed_while_another_reads(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
     other = client(camera, Open("camera", depth=4))
@@ -233,7 +233,7 @@ def test_a_stream_that_is_stopped_half_way_goes_on_when_it_may(
     assert reads(reader) == [0, 1, 2, 3, 4]
 
 
-def test_a_board_that_goes_half_way_is_told(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
+def test_a_board_that_goes_half_way_is_reported(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
     slots.hold(20)
     reader = client(camera, Open("camera", depth=DEPTH))
     slots.held()
@@ -294,7 +294,7 @@ def test_a_reader_with_its_slots_does_not_wait_for_one_without_end(
     reads(slow)
 
 
-def test_what_waits_for_slots_counts_as_held(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
+def test_slots_that_a_client_waits_for_count_as_held(slots: Allocator, camera: Daemon, client: Callable[..., Client]) -> None:
     slots.hold(20)
     client(camera, Open("camera", depth=DEPTH))
     slots.held()
@@ -323,7 +323,7 @@ def test_the_daemon_ends_while_slots_are_made(slots: Allocator, camera: Daemon, 
 # ---- faults --------------------------------------------------------------------------------------
 
 
-def test_where_a_slot_cannot_be_had_half_way_all_are_given_back(
+def test_if_a_slot_cannot_be_allocated_half_way_all_are_freed(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
     before = memory(camera)
@@ -336,7 +336,7 @@ def test_where_a_slot_cannot_be_had_half_way_all_are_given_back(
     assert reads(client(camera, Open("camera", depth=DEPTH))) == [0, 1, 2, 3, 4]
 
 
-def test_where_a_slot_cannot_be_had_other_readers_go_on(
+def test_if_a_slot_cannot_be_allocated_other_readers_go_on(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
     other = client(camera, Open("camera", depth=4))
@@ -351,7 +351,7 @@ def test_where_a_slot_cannot_be_had_other_readers_go_on(
     assert client(camera, Open("camera", depth=60)).geometry().depth == 60
 
 
-def test_where_a_stream_gets_no_slots_at_all_everyone_is_told_why(
+def test_if_a_stream_gets_no_slots_at_all_everyone_is_told_why(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
     slots.fails_at = 3
@@ -362,7 +362,7 @@ def test_where_a_stream_gets_no_slots_at_all_everyone_is_told_why(
     assert closed(camera)
 
 
-def test_a_setting_whose_slots_cannot_be_had_is_none(slots: Allocator, camera: Daemon) -> None:
+def test_a_setting_whose_slots_cannot_be_allocated_is_not_applied(slots: Allocator, camera: Daemon) -> None:
     camera.done(ConfigureStream("camera", rate=50.0))
     before = camera.stream("camera")
     slots.fails_at = 100
@@ -374,7 +374,7 @@ def test_a_setting_whose_slots_cannot_be_had_is_none(slots: Allocator, camera: D
     assert camera.ask(rq.ReadData("camera", 30.0)).error is None
 
 
-def test_who_waited_for_a_mode_and_gets_no_slots_is_hung_up_on(
+def test_a_client_that_waited_for_a_mode_and_gets_no_slots_is_disconnected(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
     reader = client(camera, Open("camera", depth=DEPTH))
@@ -453,7 +453,7 @@ def test_memory_for_a_client_that_has_gone_is_given_back(
     until(lambda: memory(camera) < before + MIB + SPARE)
 
 
-def test_memory_that_cannot_be_had_is_refused_and_counts_no_more(
+def test_memory_that_cannot_be_allocated_is_refused_and_no_longer_counts(
     gate: Gate, camera: Daemon, client: Callable[..., Client]
 ) -> None:
     gate.error = DeviceError(errno.ENOMEM, "cannot allocate: no memory in one piece")

@@ -121,7 +121,7 @@ def test_written_frames_are_numbered_and_counted(flowing: Daemon) -> None:
         (ConfigureStream("to_pl", compression="zip"), "invalid_request", "'zip'; there is 'lz4'"),
     ],
 )
-def test_what_cannot_be_is_refused(loop: Daemon, request_: rq.Request, code: str, words: str) -> None:
+def test_impossible_requests_are_refused(loop: Daemon, request_: rq.Request, code: str, words: str) -> None:
     found, message = loop.refused(request_)
     assert (found, words in message) == (code, True), message
 
@@ -138,7 +138,7 @@ def test_a_transfer_that_fails_is_reported_to_its_writer_and_in_the_status(flowi
     assert write(flowing, PICTURE).error is None
 
 
-def test_writes_that_find_no_room_wait_and_too_many_are_refused(loop: Daemon) -> None:
+def test_writes_without_a_free_slot_wait_and_too_many_are_refused(loop: Daemon) -> None:
     loop.done(ConfigureStream("to_pl", slots=2))
     for _ in range(36):  # nothing reads the loop's end, so the hardware takes none of them
         loop.send(rq.WriteData("to_pl", PICTURE))
@@ -264,7 +264,7 @@ def loop_is_open(daemon: Daemon, name: str) -> bool:
         (b"short", "invalid_request", "at least 32 bytes"),
     ],
 )
-def test_what_a_connection_cannot_have_is_refused(
+def test_impossible_requests_of_a_connection_are_refused(
     camera: Daemon, client: Callable[..., Client], wanted: Open | bytes, code: str, words: str
 ) -> None:
     found, message = client(camera, wanted).refusal()
@@ -358,7 +358,7 @@ def test_a_stride_keeps_lines_apart_in_the_slot_and_together_over_zeromq(loop: D
     assert [bytes(reply.payload[0]) for reply in replies if reply.payload] == [PICTURE]
 
 
-def test_a_cyclic_frame_comes_again_and_again(flowing: Daemon) -> None:
+def test_a_cyclic_frame_is_repeated(flowing: Daemon) -> None:
     assert flowing.done(ConfigureStream("to_pl", cyclic=True)).cyclic
     seen = Subscriber(flowing, b"cm_stream/from_pl")
     write(flowing, PICTURE)

@@ -302,7 +302,7 @@ def test_a_wait_runs_signal_handlers_and_goes_on(uio: tuple[device.Uio, Memory, 
     assert seen == [signal.SIGALRM]
 
 
-def test_a_board_that_dies_is_gone_for_every_call(uio: tuple[device.Uio, Memory, FakeNode]) -> None:
+def test_after_a_board_dies_every_call_raises_gone(uio: tuple[device.Uio, Memory, FakeNode]) -> None:
     regs, _, node = uio
     node.close()
     for use in (lambda: regs.read(0), regs.take, lambda: regs.wait(5), regs.enable_interrupt):
@@ -512,7 +512,7 @@ def test_an_overlay_name_that_is_a_path_is_refused(tmp_path: Path, name: str) ->
         device.Overlays(tmp_path).apply(name, DTBO)
 
 
-def test_what_is_no_overlay_is_refused_before_anything_is_made(tmp_path: Path) -> None:
+def test_what_is_not_an_overlay_is_refused_before_anything_is_created(tmp_path: Path) -> None:
     (tmp_path / OVERLAYS).mkdir(parents=True)
     with pytest.raises(device.DeviceInvalid, match="dtc"):
         device.Overlays(tmp_path).apply("camera", b"/dts-v1/;")

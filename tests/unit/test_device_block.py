@@ -71,7 +71,7 @@ def test_anything_with_bytes_in_a_row_can_be_written(mapped: device.Uio, kind: t
     assert mapped.read_block(8, 8) == b"12345678"
 
 
-def test_what_was_read_is_ones_own(mapped: device.Uio) -> None:
+def test_data_that_were_read_belong_to_the_caller(mapped: device.Uio) -> None:
     found = np.frombuffer(mapped.read_block(0, 16), "<u4")
     found[:] = 7
     assert mapped.read(0) == 0

@@ -97,7 +97,7 @@ def petalinux(tmp_path: Path) -> Tree:
     return tree.device("a0000000.dma-controller", "xlnx,axi-dma-1.00.a", xlnx_sg__length__width=bits)
 
 
-def test_a_machine_that_is_no_zynq_is_asked_nothing(tmp_path: Path) -> None:
+def test_nothing_is_checked_on_a_machine_that_is_not_a_zynq(tmp_path: Path) -> None:
     tree = Tree(tmp_path).put("proc/device-tree/compatible", "raspberrypi,4-model-b\0brcm,bcm2711\0")
     kinds = {finding.kind for finding in survey(tree.root).findings}
     assert kinds == {"uio", "dma", "icap", "overlays", "fpga_manager"}
@@ -162,7 +162,7 @@ def test_uio_that_is_not_loaded_is_missing(petalinux: Tree) -> None:
 
 
 @pytest.mark.parametrize(("kib", "state"), [(16384, State.WRONG), (131072, State.OK)])
-def test_contiguous_memory_below_64_mib_is_little(pynq: Tree, kib: int, state: State) -> None:
+def test_contiguous_memory_below_64_mib_is_reported(pynq: Tree, kib: int, state: State) -> None:
     pynq.put("proc/meminfo", f"CmaTotal: {kib} kB\nCmaFree: 4096 kB\n")
     assert pynq.one("cma").state is state
 
@@ -182,7 +182,7 @@ def test_an_icap_whose_driver_did_not_bind_says_what_the_pmu_firmware_needs(kria
     assert "loader: auto" in found.advice
 
 
-def test_the_pmu_firmware_is_no_matter_on_zynq_7000(pynq: Tree) -> None:
+def test_the_pmu_firmware_does_not_matter_on_zynq_7000(pynq: Tree) -> None:
     assert pynq.found("pmufw") == ()
 
 
@@ -211,7 +211,7 @@ def test_a_node_that_its_driver_refused_points_to_the_log(pynq: Tree) -> None:
     assert "of_id" in found.advice
 
 
-def test_a_bound_node_is_no_finding(pynq: Tree) -> None:
+def test_a_bound_node_is_not_a_finding(pynq: Tree) -> None:
     assert pynq.device("40000000.control", "fpga-cm,uio", driver="uio_pdrv_genirq").found("unbound") == ()
 
 
@@ -293,7 +293,7 @@ def test_everything_that_is_wrong_has_advice(petalinux: Tree) -> None:
 # ---- the report ---------------------------------------------------------------------
 
 
-def test_the_report_is_a_form_with_what_could_be_found_out(
+def test_the_report_is_a_form_filled_in_as_far_as_possible(
     pynq: Tree, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     main(["doctor", "--report", "--root", str(pynq.root), "--runtime-dir", str(tmp_path / "none")])

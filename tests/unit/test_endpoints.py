@@ -56,7 +56,7 @@ def port(address: str) -> int:
     return int(address.rpartition(":")[2])
 
 
-def test_three_ports_in_a_row_are_bound_for_port_0(sockets: Sockets) -> None:
+def test_port_0_binds_three_consecutive_ports(sockets: Sockets) -> None:
     bound = sockets.bind_tcp("tcp://127.0.0.1:0", None)
     first = port(bound.pub)
     assert (port(bound.sub), port(bound.req)) == (first + 1, first + 2)
@@ -65,7 +65,7 @@ def test_three_ports_in_a_row_are_bound_for_port_0(sockets: Sockets) -> None:
         socket.create_connection(("127.0.0.1", number), timeout=60).close()
 
 
-def test_a_port_that_is_named_is_bound_with_the_two_behind_it(sockets: Sockets, context, tmp_path: Path) -> None:
+def test_a_given_port_is_bound_with_the_next_two(sockets: Sockets, context, tmp_path: Path) -> None:
     free = port(sockets.bind_tcp("tcp://127.0.0.1:0", None).pub)
     other = Sockets(context, tmp_path / "other", waiting=1)
     try:
@@ -81,7 +81,7 @@ def test_the_sockets_in_the_folder_replace_those_that_a_killed_manager_left(sock
     assert all((tmp_path / name).is_socket() for name in ("pub", "sub", "req"))
 
 
-def test_what_is_listened_on_is_announced_and_taken_away_at_the_end(context, tmp_path: Path) -> None:
+def test_endpoints_are_announced_and_removed_at_the_end(context, tmp_path: Path) -> None:
     made = Sockets(context, tmp_path, waiting=1)
     made.bind_ipc()
     tcp = made.bind_tcp("tcp://127.0.0.1:0", None)
@@ -95,7 +95,7 @@ def test_what_is_listened_on_is_announced_and_taken_away_at_the_end(context, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_publishing_keeps_so_many_messages_and_tells_of_a_full_queue(sockets: Sockets) -> None:
+def test_publishing_queues_a_limited_number_of_messages_and_reports_a_full_queue(sockets: Sockets) -> None:
     assert sockets.pub.getsockopt(zmq.SNDHWM) == 7
     assert [s.getsockopt(zmq.LINGER) for s in sockets.all] == [0, 0, 0]
 
@@ -112,7 +112,7 @@ def test_a_subscriber_that_comes_again_is_noticed_again(sockets: Sockets, contex
 
 
 @pytest.mark.usefixtures("everybody")
-def test_only_topics_of_ours_are_taken_from_publishers(sockets: Sockets, context) -> None:
+def test_only_known_topics_are_accepted_from_publishers(sockets: Sockets, context) -> None:
     sockets.bind_ipc()
     with context.socket(zmq.PUB) as client:
         client.connect(sockets.ipc.sub)

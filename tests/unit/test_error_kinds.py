@@ -42,6 +42,6 @@ def refusals() -> list[type[CmError]]:
 
 
 @pytest.mark.parametrize("kind", refusals(), ids=lambda kind: kind.code)
-def test_a_refusal_is_of_the_same_kind_at_the_client(kind: type[CmError]) -> None:
+def test_a_refusal_has_the_same_kind_at_the_client(kind: type[CmError]) -> None:
     wanted = tuple(there for here, there in KINDS.items() if issubclass(kind, here))
     assert isinstance(client.request_error(ErrorInfo(kind.code, "no")), wanted)

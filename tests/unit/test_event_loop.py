@@ -72,7 +72,7 @@ def test_a_cancelled_timer_is_not_called(loop: Loop) -> None:
     assert seen == []
 
 
-def test_every_calls_again_and_again(loop: Loop) -> None:
+def test_every_calls_repeatedly(loop: Loop) -> None:
     seen: list[int] = []
     loop.every(0.0, lambda: (seen.append(len(seen)), len(seen) == 3 and loop.stop()))
     loop.run()
@@ -179,7 +179,7 @@ def test_the_end_of_a_peer_is_seen_while_the_descriptor_is_paused(loop: Loop, pa
     loop.run()
 
 
-def test_another_thread_asks_and_gets_the_answer_or_the_error(loop: Loop, beside) -> None:
+def test_a_call_from_another_thread_returns_its_result_or_raises_its_error(loop: Loop, beside) -> None:
     thread = beside()
     assert loop.ask(threading.get_ident, WAIT) == thread.ident
     with pytest.raises(ZeroDivisionError):
@@ -187,7 +187,7 @@ def test_another_thread_asks_and_gets_the_answer_or_the_error(loop: Loop, beside
     assert loop.ask(lambda: loop.ask(threading.get_ident), WAIT) == thread.ident
 
 
-def test_before_it_runs_the_asking_thread_calls(loop: Loop) -> None:
+def test_before_the_loop_runs_the_calling_thread_makes_the_call(loop: Loop) -> None:
     assert loop.ask(threading.get_ident) == threading.get_ident()
 
 

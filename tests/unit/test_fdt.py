@@ -146,7 +146,7 @@ def node(name: bytes) -> bytes:
     return struct.pack(">I", 1) + name + bytes(4 - len(name) % 4)
 
 
-def test_instructions_that_mean_nothing_are_passed_over() -> None:
+def test_nop_tokens_are_skipped() -> None:
     assert fdt.unpack(structure(4, ROOT, 4, prop(b"x", 0), 4, END)).properties == {"a": b"x"}
 
 
@@ -176,7 +176,7 @@ def test_nodes_as_deep_as_the_kernel_takes_are_read_and_deeper_ones_refused() ->
         (b"", "0 bytes"),
     ],
 )
-def test_what_is_wrong_with_a_blob_is_said(blob: bytes, reason: str) -> None:
+def test_the_error_for_a_blob_says_what_is_wrong(blob: bytes, reason: str) -> None:
     with pytest.raises(FdtError, match=reason):
         fdt.unpack(blob)
 

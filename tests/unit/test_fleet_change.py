@@ -303,7 +303,7 @@ def test_a_late_coordinator_is_refused_by_seats_that_others_have_asked() -> None
     assert (coordinator.outcome().decision, world.places) == (Decision.REVERT, {OLD})
 
 
-def test_a_change_that_was_taken_back_is_not_begun_first() -> None:
+def test_a_change_that_was_reverted_is_not_started_first() -> None:
     """The manager went away before it did anything; then comes the decision to go back."""
     world = World(1)
     board = world.boards["b0"]
@@ -345,7 +345,7 @@ def test_a_board_with_nothing_loaded_has_no_way_back_and_is_refused() -> None:
         done(world.boards["b0"].participant.prepare(FleetStep("c1", "camera", "edge", ("b0",), ("b0",)), "anna"))
 
 
-def test_a_step_out_of_its_order_is_an_error_and_changes_nothing() -> None:
+def test_a_step_out_of_order_is_an_error_and_changes_nothing() -> None:
     participant = World(1).boards["b0"].participant
     with pytest.raises(NotNow, match="prepared no change"):
         done(participant.apply(FleetStep("c1", seats=("b1",))))

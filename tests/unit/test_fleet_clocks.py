@@ -53,7 +53,7 @@ def test_a_ptp_master_follows_no_clock_and_a_slave_tells_its_offset() -> None:
     assert clock.parse_ptp("sending: GET TIME_STATUS_NP\n") is None
 
 
-def test_the_kernel_always_has_a_word() -> None:
+def test_the_kernel_always_has_an_estimate() -> None:
     found = clock.kernel()
     assert found.source == "kernel"
     assert abs(found.now_ns - time.time_ns()) < 60 * 10**9

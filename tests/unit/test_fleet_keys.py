@@ -80,7 +80,7 @@ def test_the_routers_rules_follow_the_members(keys: KeyFolder) -> None:
         keys.remove("anna")
 
 
-def test_a_name_is_of_one_member_only(keys: KeyFolder) -> None:
+def test_a_name_belongs_to_one_member_only(keys: KeyFolder) -> None:
     keys.add(Member("b1", "board"), 30)
     with pytest.raises(Busy, match="b1 has a certificate already"):
         keys.add(Member("b1", "client", "operate"), 30)

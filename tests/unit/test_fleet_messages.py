@@ -42,7 +42,7 @@ def test_what_a_bridge_adds_stands_behind_the_managers_own_bytes() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "x" * 65, "a\n", "é"])
-def test_an_id_that_is_no_name_of_a_file_is_refused(name: str) -> None:
+def test_an_id_that_is_not_a_file_name_is_refused(name: str) -> None:
     with pytest.raises(InvalidRequest, match="1 to 64 printable characters"):
         records.decode_step(records.encode_step(FleetStep(name)))
 
@@ -62,7 +62,7 @@ def test_a_time_after_which_no_board_would_ever_ask_is_refused(seconds: float) -
         records.decode_step(records.encode_step(FleetStep("c1", seconds=seconds)))
 
 
-def test_a_record_with_a_decision_that_is_none_is_refused() -> None:
+def test_a_record_with_an_invalid_decision_is_refused() -> None:
     with pytest.raises(InvalidRequest, match="keep or revert is wanted"):
         records.decode_record(pb.FleetRecord(id="c1", decision="maybe").SerializeToString())
 

@@ -8,7 +8,7 @@ from cm.bench.fleet_model import SIZES, Measured, played_through, reckoned
 SMALL = Measured(50, 0.05, 500.0, 1e-3, 5e-4, 2e-3, 0.01, 4.0)
 
 
-def test_bytes_and_processor_time_grow_with_the_boards() -> None:
+def test_bytes_and_processor_time_grow_with_the_number_of_boards() -> None:
     rows = [reckoned(SMALL, boards) for boards in SIZES]
     assert [row["status_bytes_per_second"] for row in rows] == [boards * 500.0 for boards in SIZES]
     assert [row["client_cpus"] for row in rows] == [boards * 1e-3 for boards in SIZES]

@@ -28,7 +28,7 @@ def test_a_router_is_a_host_or_zenohs_own_spelling(text: str, router: str) -> No
 @pytest.mark.parametrize(
     ("text", "said"), [("http/lan:1", "zenoh has tcp, tls"), ("lan:x", "HOST:PORT"), (":1", "HOST:PORT")]
 )
-def test_what_is_no_router_is_refused_before_anything_is_tried(text: str, said: str) -> None:
+def test_an_invalid_router_address_is_refused_before_anything_is_tried(text: str, said: str) -> None:
     with pytest.raises(InvalidRequest, match=said):
         endpoint(text)
 
@@ -37,7 +37,7 @@ def test_what_is_no_router_is_refused_before_anything_is_tried(text: str, said: 
     ("text", "said"),
     [(None, "No such file or directory"), ("{bad", r"is no file of zenoh's settings \(JSON5\): --> 1:1 .* expected")],
 )
-def test_a_file_of_settings_that_is_none_is_named_with_its_mistake(tmp_path: Path, text: str | None, said: str) -> None:
+def test_an_invalid_file_of_settings_is_named_with_its_mistake(tmp_path: Path, text: str | None, said: str) -> None:
     path = tmp_path / "anna.json5"
     if text is not None:
         path.write_text(text)

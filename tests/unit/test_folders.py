@@ -75,7 +75,7 @@ def test_the_lock_is_not_opened_through_a_link_and_what_it_leads_to_stays(tmp_pa
     assert dangles or victim.read_text() == "precious"
 
 
-def test_what_is_no_file_is_not_opened_as_one(tmp_path: Path) -> None:
+def test_what_is_not_a_regular_file_is_not_opened_as_one(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "lock")
     with pytest.raises(UnsafeFolder, match="is not a file"):
         open_inside(tmp_path, "lock", os.O_RDWR | os.O_NONBLOCK)

@@ -108,7 +108,7 @@ def test_a_chip_that_is_not_there_is_not_found_with_those_that_are(sim: SimBoard
         GpioLine.open("zynqmp_gpio", 78, sim.root)
 
 
-def test_a_line_that_was_closed_is_closed(sim: SimBoard) -> None:
+def test_a_closed_line_cannot_be_used(sim: SimBoard) -> None:
     line = GpioLine.open("zynq_gpio", 62, sim.root)
     line.close()
     line.close()
@@ -118,7 +118,7 @@ def test_a_line_that_was_closed_is_closed(sim: SimBoard) -> None:
         _ = line.value
 
 
-def test_a_line_of_a_board_that_has_gone_is_gone(schema: Path) -> None:
+def test_a_line_of_a_board_that_has_gone_fails_as_gone(schema: Path) -> None:
     with SimBoard([schema]) as board:
         line = GpioLine.open("zynq_gpio", 54, board.root)
     with pytest.raises(DeviceGone):

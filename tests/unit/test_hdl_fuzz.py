@@ -62,11 +62,11 @@ def test_real_file_with_a_piece_cut_out_or_doubled(tmp_path: Path, suffix: str, 
 
 
 @pytest.mark.parametrize("suffix", [".v", ".sv", ".vhd"])
-def test_deep_nesting_ends(tmp_path: Path, suffix: str) -> None:
+def test_deep_nesting_terminates(tmp_path: Path, suffix: str) -> None:
     for text in ("(" * 20000, "module m; " + "begin " * 5000, "entity e is port (a : in bit_vector(" + "(" * 5000):
         attempt(tmp_path, f"x{suffix}", text.encode())
 
 
-def test_ranges_of_silly_size_end(tmp_path: Path) -> None:
+def test_ranges_of_absurd_size_terminate(tmp_path: Path) -> None:
     attempt(tmp_path, "x.v", b"module m (input [2**40:0] a, input [999999999999999999999:0] b); endmodule")
     attempt(tmp_path, "x.vhd", b"entity e is port (a : in bit_vector(2**4000 downto 0)); end;")

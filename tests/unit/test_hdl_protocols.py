@@ -30,7 +30,7 @@ from cm.build.hdl import (
 PIXELS = "protocols:\n  - name: pixels\n    signals:\n      pix: out\n"
 
 
-def test_protocols_file_finds_what_names_alone_do_not_tell() -> None:
+def test_protocols_file_finds_buses_that_names_alone_do_not_reveal() -> None:
     (sensor,) = extract([DATA / "sensor.v"], protocols=load_protocols(DATA / "protocols.yaml"))
     camera = sensor.interface("cam")
     assert (camera.protocol, camera.mode, camera.found_by) == ("pixels", Mode.MASTER, FoundBy.PROTOCOL_FILE)
@@ -114,7 +114,7 @@ def test_comment_before_the_xml_declaration_is_forgiven(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"), [("", "not XML"), ("<a/>", "its root is <a>"), ("<a", "not XML"), ("\0\1", "not XML")]
 )
-def test_file_that_is_no_component_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_file_that_is_not_a_component_is_refused(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "c.xml").write_text(text)
     with pytest.raises(HdlError, match=message):
         load_component_xml(tmp_path / "c.xml")

@@ -35,7 +35,7 @@ from cm.build.hdl import (
         ("assign b = a & nothere[1];", "[Synth 8-1031]"),
     ],
 )
-def test_what_synthesis_stops_at_inside_a_module_has_its_number(tmp_path: Path, body: str, said: str) -> None:
+def test_errors_that_stop_synthesis_have_vivados_number(tmp_path: Path, body: str, said: str) -> None:
     text = "module inner (input wire a, output wire b);\n assign b = a;\nendmodule\n"
     text += f"module top (input wire a, output wire b);\n {body}\nendmodule\n"
     (tmp_path / "top.v").write_text(text)
@@ -94,7 +94,7 @@ def test_port_tells_range_type_line_and_direction() -> None:
     assert port.file.endswith("camera_edge.v")
 
 
-def test_attributes_beat_names_in_any_case_and_on_non_ansi_ports() -> None:
+def test_attributes_take_precedence_over_names_in_any_case_and_on_non_ansi_ports() -> None:
     (tagged,) = extract([DATA / "tagged.v"])
     assert dict(tagged.interface("pixels_in").ports) == {"TDATA": "d", "TVALID": "dv", "TREADY": "dr"}
     assert tagged.interface("pixels_out").mode is Mode.MASTER
@@ -152,7 +152,7 @@ def test_what_cannot_cross_a_boundary_needs_a_flat_wrapper() -> None:
     assert unflat.port("level").width == 2
 
 
-def test_buses_side_by_side_are_no_bus(tmp_path: Path) -> None:
+def test_buses_side_by_side_are_not_one_bus(tmp_path: Path) -> None:
     text = "input clk; input [31:0] s_axis_tdata; input [3:0] s_axis_tvalid; output [3:0] s_axis_tready"
     found = ports(tmp_path, text)
     assert found.interfaces == ()
@@ -164,13 +164,13 @@ def test_one_of_several_buses_is_a_bus_when_the_parameter_says_one(tmp_path: Pat
     assert len(ports(tmp_path, text, "parameter N = 4", parameters={"N": "1"}).interfaces) == 1
 
 
-def test_monitor_port_is_no_bus(tmp_path: Path) -> None:
+def test_monitor_port_is_not_a_bus(tmp_path: Path) -> None:
     found = ports(tmp_path, "input clk; input [7:0] mon_tdata; input mon_tvalid; input mon_tready")
     assert found.interfaces == ()
     assert "directions are mixed" in found.leftovers[0].reason
 
 
-def test_axi_without_a_handshake_is_no_bus(tmp_path: Path) -> None:
+def test_axi_without_a_handshake_is_not_a_bus(tmp_path: Path) -> None:
     text = lite("s_axi_").replace("output s_axi_awready; ", "").replace("output s_axi_arready; ", "")
     found = ports(tmp_path, text + "input clk")
     assert found.interfaces == ()
@@ -276,7 +276,7 @@ def test_an_interrupt_is_recognised_by_many_names(tmp_path: Path, name: str) -> 
 
 
 @pytest.mark.parametrize("name", _NEITHER)
-def test_enables_and_counters_are_no_clock_reset_or_interrupt(tmp_path: Path, name: str) -> None:
+def test_enables_and_counters_are_not_clocks_resets_or_interrupts(tmp_path: Path, name: str) -> None:
     found = ports(tmp_path, f"input {name}")
     assert (found.clocks, found.resets, found.interrupts) == ((), (), ())
     assert [left.port for left in found.leftovers] == [name]
@@ -288,12 +288,12 @@ def test_roots_are_the_modules_that_no_other_instantiates() -> None:
     assert [m.name for m in roots(modules)] == ["camera_edge"]
 
 
-def test_unknown_top_lists_what_there_is() -> None:
+def test_unknown_top_lists_the_modules() -> None:
     with pytest.raises(ModuleNotFound, match="there are: tagged"):
         extract([DATA / "tagged.v"], top="other")
 
 
-def test_unknown_parameter_lists_what_there_is() -> None:
+def test_unknown_parameter_lists_the_parameters() -> None:
     with pytest.raises(HdlError, match="no parameter DEPTH in tagged; there are: WIDTH"):
         extract([DATA / "tagged.v"], parameters={"DEPTH": "1"})
 
@@ -382,7 +382,7 @@ def test_encrypted_file_is_reported(tmp_path: Path) -> None:
         extract([tmp_path / "e.v"])
 
 
-def test_a_file_whose_name_is_no_utf8_is_read(tmp_path: Path) -> None:
+def test_a_file_whose_name_is_not_utf8_is_read(tmp_path: Path) -> None:
     folder = tmp_path / os.fsdecode(b"gr\xf6\xdfer")
     folder.mkdir()
     (folder / "w.vh").write_text("`define W 8\n")

@@ -218,7 +218,7 @@ def test_connections_are_read() -> None:
         (hwh(module("ps", PS, memory(("x", 0, 16)).replace("0x00000000", "zero"))), "'zero' is not a number"),
     ],
 )
-def test_what_is_no_handoff_is_refused(data: bytes, reason: str) -> None:
+def test_what_is_not_a_handoff_is_refused(data: bytes, reason: str) -> None:
     with pytest.raises(HwhError, match=reason):
         handoff.parse(data)
 

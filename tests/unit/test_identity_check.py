@@ -43,7 +43,7 @@ def test_another_module_is_reported_at_once() -> None:
     assert told == [("prr0", RegionEvent.LOSE)]
 
 
-def test_one_that_stays_silent_is_given_up() -> None:
+def test_a_region_that_stays_silent_is_given_up() -> None:
     run, step, _ = asked(0)
     with pytest.raises(IdentityMismatch, match="answers 0x0"):
         check_identity(run, step)

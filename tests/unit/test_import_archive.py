@@ -87,7 +87,7 @@ def laid_out(files: Mapping[str, bytes]) -> dict[str, bytes]:
     return {f"vision/{name}": data for name, data in files.items()}
 
 
-def test_it_lies_in_the_folder_as_it_was_packed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_archive_is_unpacked_exactly_as_it_was_packed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source, out = packed(tmp_path, GOOD), tmp_path / "firmware"
     assert main(["import", "archive", str(source), "--out", str(out)]) == 0
     assert "configuration vision, 2 modules, 2 modes, 3 files" in capsys.readouterr().out
@@ -95,7 +95,7 @@ def test_it_lies_in_the_folder_as_it_was_packed(tmp_path: Path, capsys: pytest.C
     assert list(load_folder(out / "vision")) == ["vision"]
 
 
-def test_the_folder_may_be_named_from_where_one_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_folder_may_be_given_as_a_relative_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = packed(tmp_path, GOOD)
     monkeypatch.chdir(tmp_path)
     assert main(["import", "archive", str(source), "--out", "firmware"]) == 0
@@ -109,7 +109,7 @@ def test_scripts_can_read_what_was_done(tmp_path: Path, capsys: pytest.CaptureFi
     assert said == {"config": "vision", "folder": str(out / "vision"), "files": sorted(GOOD)}
 
 
-def test_a_newer_one_takes_the_place_of_the_old_with_nothing_left_of_it(tmp_path: Path) -> None:
+def test_a_newer_version_replaces_the_old_one_completely(tmp_path: Path) -> None:
     out = tmp_path / "firmware"
     unpack(packed(tmp_path, {**GOOD, "notes.txt": b"old"}), out, keep=0)
     unpack(packed(tmp_path, GOOD), out, keep=0)
@@ -280,7 +280,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], Path], str]] = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_what_is_wrong_is_refused_and_the_folder_is_as_before(
+def test_a_bad_archive_is_refused_and_the_folder_is_unchanged(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make, words = HOSTILE[name]

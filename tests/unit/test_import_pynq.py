@@ -151,7 +151,7 @@ def test_block_ram_becomes_a_memory(overlay: Path, kind: str) -> None:
     assert not any("bram" in note for note in imported.notes)
 
 
-def test_the_registers_of_a_bram_controller_are_no_memory(overlay: Path) -> None:
+def test_the_registers_of_a_bram_controller_are_not_a_memory(overlay: Path) -> None:
     ecc = memory_range("bram", 0x40010000, 0x1000).replace('"S_AXI"', '"S_AXI_CTRL"')
     overlay.with_suffix(".hwh").write_bytes(bram_design(ecc))
     imported = import_pynq(overlay)

@@ -222,7 +222,7 @@ def test_every_form_of_an_import_of_a_library_is_seen(tmp_path: Path, line: str)
         {"q.__init__": "from p.q.b import x", "q.b": "from p import a", "q.c": "", "a": "from p.q.c import x"},
     ],
 )
-def test_a_circle_is_found_through_the_face_of_a_package_too(tmp_path: Path, files: dict[str, str]) -> None:
+def test_a_circle_through_a_package_itself_is_found_too(tmp_path: Path, files: dict[str, str]) -> None:
     assert tree(tmp_path, files).circle()
 
 
@@ -232,7 +232,7 @@ def test_a_circle_of_types_is_one_unless_it_is_excepted(tmp_path: Path) -> None:
     assert graph.circle(except_types_of={"p.a"}) == []
 
 
-def test_what_is_no_circle_is_none(tmp_path: Path) -> None:
+def test_what_is_not_a_circle_is_not_reported(tmp_path: Path) -> None:
     files = {"q.__init__": "from p.q.b import x", "q.b": "from p.q.c import x", "q.c": "from p import a", "a": ""}
     assert tree(tmp_path, files).circle() == []
 

@@ -311,7 +311,7 @@ def test_only_flags_that_stand_are_written_and_those_of_others_are_left() -> Non
     assert len(cells.writes) == 1
 
 
-def test_what_a_client_may_write_is_still_refused_beside_a_lease(bench: Bench) -> None:
+def test_a_clients_write_is_still_refused_during_anothers_lease(bench: Bench) -> None:
     bench.made.manager.leases.request(TakeLease(f"registers:{STATUS}", holder="anna"))
     with pytest.raises(HeldBy, match="held by anna"):
         bench.made.manager.write_registers((RegWrite(STATUS, 1),))

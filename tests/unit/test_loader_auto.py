@@ -54,7 +54,7 @@ def loaders(made: Rig) -> set[str]:
     return {region.loader for region in made.manager.status().regions}
 
 
-def test_the_icap_is_taken_where_it_may_be_used(made: Rig) -> None:
+def test_the_icap_is_used_if_permitted(made: Rig) -> None:
     made.arm(-1)
     assert made.go("both", config="duo") is None
     assert made.fault.names.count("icap.load") == 2

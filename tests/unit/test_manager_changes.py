@@ -234,7 +234,7 @@ def test_a_loading_overlay_for_another_bitstream_is_refused(made: Rig, sim: SimB
     assert sim.control.state()["regions"]["prr0"]["module"] == "k0"
 
 
-def test_the_kernels_word_on_an_overlay_is_shown(made: Rig, sim: SimBoard) -> None:
+def test_the_kernels_message_about_an_overlay_is_shown(made: Rig, sim: SimBoard) -> None:
     at(made, "duo/default")
     sim.control.inject("overlay_error", "duo_extra")
     error = made.go("both", config="duo")
@@ -276,7 +276,7 @@ def test_a_second_change_waits_for_the_first(made: Rig, held: threading.Event) -
     assert made.manager.status().mode == "default"
 
 
-def test_a_mode_alone_is_of_the_configuration_that_is_being_loaded_first(made: Rig) -> None:
+def test_a_mode_alone_belongs_to_the_configuration_that_is_being_loaded_first(made: Rig) -> None:
     """As after `cm serve --load` or `--sim`: a client may be there before the first change has ended."""
     held, let = threading.Event(), threading.Event()
 
@@ -539,7 +539,7 @@ def test_what_the_kernel_failed_to_load_is_not_trusted_after_a_restart(
         at(again, "whole/default")
 
 
-def test_a_value_written_in_one_configuration_is_nothing_to_the_next(made: Rig) -> None:
+def test_a_value_written_in_one_configuration_does_not_affect_the_next(made: Rig) -> None:
     at(made, "duo/default")
     made.manager.write_registers((RegWrite("scratch", 5),))
     at(made, "whole/default")
@@ -589,7 +589,7 @@ def test_memory_that_runs_out_while_images_are_fetched_ahead_stops_no_change(
         assert made.go("default", config="duo") is not None  # the thread lives and answers
 
 
-def test_a_plan_expects_what_such_changes_took_even_after_a_restart(
+def test_a_plan_estimates_time_from_earlier_changes_even_after_a_restart(
     made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
     def slowly(name: str) -> None:
@@ -616,7 +616,7 @@ def test_a_plan_expects_what_such_changes_took_even_after_a_restart(
         assert abs(again.manager.plan(request).seconds - plan.seconds) < 0.25 * took
 
 
-def test_a_slow_first_change_is_not_what_the_next_is_expected_to_take(made: Rig) -> None:
+def test_a_slow_first_change_does_not_raise_the_estimate_for_the_next(made: Rig) -> None:
     """As after a start, where nothing is in a cache yet."""
     made.clock.stand_still()
 
@@ -636,7 +636,7 @@ def test_a_slow_first_change_is_not_what_the_next_is_expected_to_take(made: Rig)
     assert 0.5 * took < expected < 1.5 * took
 
 
-def test_a_mode_that_went_while_its_change_waited_is_unknown(made: Rig, configs: dict[str, Config]) -> None:
+def test_a_mode_that_was_removed_while_its_change_waited_is_unknown(made: Rig, configs: dict[str, Config]) -> None:
     """The configuration was provisioned anew without it."""
     at(made, "duo/default")
     duo = configs["duo"]

@@ -117,7 +117,7 @@ def test_a_clock_that_was_changed_from_outside_is_set_again(made: Rig, sim: SimB
     assert rates(sim) == (FAST, 99_999_999)
 
 
-def test_a_rate_that_cannot_be_had_is_refused_before_anything_is_touched(made: Rig, sim: SimBoard) -> None:
+def test_an_impossible_rate_is_refused_before_anything_is_touched(made: Rig, sim: SimBoard) -> None:
     made.arm(-1)
     error = made.go("default", config="odd")
     assert error.code == "clock_rate"
@@ -130,14 +130,14 @@ def test_a_rate_that_cannot_be_had_is_refused_before_anything_is_touched(made: R
     assert rates(sim)[0] == 90_909_090
 
 
-def test_a_clock_that_the_board_has_not_is_refused_with_those_there_are(made: Rig) -> None:
+def test_a_clock_that_the_board_does_not_have_is_refused_with_those_it_has(made: Rig) -> None:
     error = made.go("default", config="gone")
     assert error.code == "device_not_found"
     assert "no clock 'video'" in error.message
     assert "there are fclk0, fclk1, fclk2, fclk3" in error.message
 
 
-def test_where_no_driver_sets_clocks_they_stay_as_they_are_and_that_is_said_once(
+def test_without_a_driver_clocks_stay_unchanged_and_that_is_reported_once(
     made: Rig, sim: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(PlClocks, "names", lambda _: [])
@@ -216,7 +216,7 @@ def test_a_manager_that_is_killed_while_it_sets_clocks_brings_them_back(
     assert back > 4
 
 
-def test_clocks_that_changed_while_no_manager_ran_are_said_and_set_again(
+def test_clocks_that_changed_while_no_manager_ran_are_reported_and_set_again(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
     with rig(sim.root, tmp_path, *configs.values()) as first:

@@ -109,7 +109,7 @@ def learned(path: Path, config: Config) -> tuple[FrameRange, ...]:
     return Footprints(path).of(config, "prr0", lambda _: "ab")
 
 
-def test_a_damaged_file_is_nothing_known_wherever_it_is_damaged(duo: Config, tmp_path: Path) -> None:
+def test_a_file_damaged_anywhere_counts_as_unknown(duo: Config, tmp_path: Path) -> None:
     path = tmp_path / "footprints"
     Footprints(path).learn("duo", "prr0", LESSON)
     assert learned(path, duo) == LESSON.frames
@@ -127,7 +127,7 @@ def test_a_damaged_file_is_nothing_known_wherever_it_is_damaged(duo: Config, tmp
 @pytest.mark.parametrize(
     "body", [b'{"version": 99, "regions": []}', b"[]", b"null", b'{"version": 1, "regions": [[1]]}']
 )
-def test_a_file_of_another_version_is_nothing_known(duo: Config, tmp_path: Path, body: bytes) -> None:
+def test_a_file_of_another_version_counts_as_unknown(duo: Config, tmp_path: Path, body: bytes) -> None:
     path = tmp_path / "footprints"
     path.write_bytes(b"%08x %b\n" % (zlib.crc32(body), body))
     assert learned(path, duo) == ()
@@ -151,7 +151,7 @@ def test_a_kill_while_it_is_written_leaves_the_old_one(
     assert learned(path, duo) == LESSON.frames
 
 
-def test_where_it_cannot_be_written_it_is_known_until_the_end(duo: Config, tmp_path: Path) -> None:
+def test_if_the_file_cannot_be_written_a_footprint_is_known_until_the_manager_ends(duo: Config, tmp_path: Path) -> None:
     (tmp_path / "state").write_text("no folder", encoding="ascii")
     files = opened(tmp_path)
     image(files, duo, "a0")

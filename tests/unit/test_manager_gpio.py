@@ -93,7 +93,7 @@ def test_whichever_operation_fails_the_region_is_as_the_status_says(made: Rig, s
     assert {"gpio.open", "gpio.drive", "gpio.read", "icap.load", "journal.write"} <= failed
 
 
-def test_failures_that_last_leave_it_cut_off_where_that_is_said(made: Rig, sim: SimBoard) -> None:
+def test_under_persistent_failures_a_region_is_as_the_status_says(made: Rig, sim: SimBoard) -> None:
     ends = set()
     for number in range(0, 60, 2):
         assert made.go("default", config="emio") is None

@@ -63,7 +63,7 @@ def test_a_record_comes_back_as_it_was(journal: Journal) -> None:
         assert journal.read() == record
 
 
-def test_a_torn_end_counts_for_nothing_wherever_it_is_torn(journal: Journal, tmp_path: Path) -> None:
+def test_a_record_torn_anywhere_is_ignored(journal: Journal, tmp_path: Path) -> None:
     journal.write(FULL)
     whole = lines(tmp_path)
     journal.write(replace(FULL, number=8))
@@ -151,7 +151,7 @@ def test_what_an_older_program_wrote_without_seconds_is_read(journal: Journal) -
     assert record == replace(FULL, throughput=measured)
 
 
-def test_one_disturbed_measurement_says_nothing_of_the_next() -> None:
+def test_one_disturbed_measurement_does_not_change_the_estimate() -> None:
     known = Throughput()
     nominal = known.seconds(LoaderKind.ICAP, 4_000_000)
     for seconds in (0.900, 0.021, 0.020, 0.022, 0.700, 0.020):
@@ -164,7 +164,7 @@ def test_one_disturbed_measurement_says_nothing_of_the_next() -> None:
     assert (known.seconds(LoaderKind.ICAP, 4_000_000), known.overhead("load")) == (0.5, 0.5)
 
 
-def test_a_record_that_cannot_be_read_is_said_to_be_so(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_record_is_reported(journal: Journal, monkeypatch: pytest.MonkeyPatch) -> None:
     def fails(_: Path) -> bytes:
         raise OSError(errno.EIO, "broken card")
 

@@ -80,7 +80,7 @@ def test_shared_leases_stand_beside_each_other_and_keep_off_clients_without_one(
     assert kept_off(lambda: take(leases, "region:prr0", exclusive=True, holder="cora"))
 
 
-def test_a_lease_on_something_else_is_no_share(leases: Leases) -> None:
+def test_a_shared_lease_on_something_else_does_not_count(leases: Leases) -> None:
     take(leases, "region:prr0", exclusive=False)
     other = take(leases, "region:prr1", holder="bert")
     assert kept_off(lambda: leases.check(("region:prr0",), other.id))
@@ -109,7 +109,7 @@ def test_a_lease_ends_when_it_is_given_back_or_its_holder_dies(leases: Leases) -
 
 
 @pytest.mark.parametrize("scope", ["", "region", "region:", "board:x", "prr0"])
-def test_a_scope_that_is_none_is_refused(leases: Leases, scope: str) -> None:
+def test_an_invalid_scope_is_refused(leases: Leases, scope: str) -> None:
     with pytest.raises(InvalidRequest, match="region:NAME"):
         take(leases, scope)
 

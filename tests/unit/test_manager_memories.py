@@ -142,7 +142,7 @@ def test_the_form_is_that_of_the_schema(
     assert made.manager.memories.begin_read("taps", offset, length).form == (shape, dtype)
 
 
-def test_parts_that_are_no_whole_elements_are_bytes(made: Rig) -> None:
+def test_parts_that_are_not_whole_elements_are_bytes(made: Rig) -> None:
     define(made, "pairs", 0x60100, 64, dtype="complex128")
     assert made.manager.memories.begin_read("pairs", 8, 16).form == ((16,), "uint8")
     assert made.manager.memories.begin_read("pairs", 16, 32).form == ((2,), "complex128")
@@ -164,7 +164,7 @@ def test_parts_that_are_no_whole_elements_are_bytes(made: Rig) -> None:
         ("twiddle", 0, 4, UnknownMemory, r"\(default\); modes both have it"),
     ],
 )
-def test_a_read_of_what_is_not_there_is_refused(
+def test_an_impossible_read_of_a_memory_is_refused(
     made: Rig, name: str, offset: int, length: int, error: type[CmError], words: str
 ) -> None:
     with pytest.raises(error, match=words):
@@ -180,7 +180,7 @@ def test_a_read_of_what_is_not_there_is_refused(
         ("taps", 0xFFC, b"12345678", OutOfRange, "8 bytes at offset 4092"),
     ],
 )
-def test_a_write_of_what_cannot_be_written_is_refused(
+def test_an_impossible_write_to_a_memory_is_refused(
     made: Rig, name: str, offset: int, data: bytes, error: type[CmError], words: str
 ) -> None:
     with pytest.raises(error, match=words):
@@ -293,7 +293,7 @@ def test_a_change_is_refused_for_a_lease_on_a_memory_that_it_would_lose(made: Ri
 # ---- blocks that the schema does not name ------------------------------------------------
 
 
-def test_a_block_is_there_until_another_configuration_is(made: Rig) -> None:
+def test_a_block_lasts_until_another_configuration_is_loaded(made: Rig) -> None:
     define(made, "block", 0x60100, 64)
     write(made, "block", b"1234")
     assert made.go("other", config="filter") is None
@@ -363,7 +363,7 @@ def test_a_block_is_in_the_region_of_what_has_a_name_there(
         ({"address": 0x1800, "length": 4, "access": "wo"}, InvalidRequest, "covers memory 'scratch'"),
     ],
 )
-def test_a_block_that_cannot_be_is_refused(
+def test_an_impossible_block_is_refused(
     made: Rig, given: dict[str, object], error: type[CmError], words: str
 ) -> None:
     with pytest.raises(error, match=words):
@@ -372,7 +372,7 @@ def test_a_block_that_cannot_be_is_refused(
 
 
 @pytest.mark.parametrize("name", ["taps", "twiddle", "samples", "a.b", "", "7up", "x" * 65])
-def test_a_name_that_is_taken_or_none_is_refused(made: Rig, name: str) -> None:
+def test_a_name_that_is_taken_or_invalid_is_refused(made: Rig, name: str) -> None:
     with pytest.raises(InvalidRequest):
         define(made, name, 0x60100, 64)
 

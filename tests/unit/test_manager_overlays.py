@@ -57,7 +57,7 @@ def test_firmware_in_a_region_that_the_overlay_adds_is_refused_and_that_of_anoth
     assert firmware_loads("a.dtbo", blob(b"xlnx,zynqmp-r5f\0")) == ()
 
 
-def test_a_tree_that_is_no_overlay_is_refused() -> None:
+def test_a_tree_that_is_not_an_overlay_is_refused() -> None:
     with pytest.raises(BadOverlay, match="__overlay__"):
         checked_overlay("base.dtb", fdt.pack(fdt.FdtNode("", {"model": b"board\0"})))
 

@@ -141,7 +141,7 @@ def test_the_image_of_another_project_under_the_same_name_is_refused(made: Rig, 
     assert "network.bit" in reason
 
 
-def test_the_packages_own_image_is_what_its_overlay_means(
+def test_the_packages_own_image_takes_precedence(
     made: Rig, sim: SimBoard, folder: Path, firmware: Path
 ) -> None:
     (firmware / "network.bin").write_bytes(convert(whole("somebody's"), Container.BIN_SWAPPED))
@@ -160,7 +160,7 @@ def test_a_truncated_image_is_refused(made: Rig, sim: SimBoard, firmware: Path, 
     refused(made, sim, "network")
 
 
-def test_an_image_that_is_nowhere_is_refused_with_the_places(
+def test_a_missing_image_is_refused_with_the_places_searched(
     made: Rig, sim: SimBoard, folder: Path, firmware: Path
 ) -> None:
     (folder / "network.dtbo").write_bytes(overlay_naming("gone.bin"))

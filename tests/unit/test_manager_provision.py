@@ -65,7 +65,7 @@ def test_a_path_that_leaves_the_folder_is_refused(provisioner: Provisioner, tmp_
 
 
 @pytest.mark.parametrize("name", ["../x", "/x", ".x", "", "a/b", "a\\b", SCHEMA_FILE])
-def test_a_file_name_that_is_no_plain_name_is_refused(provisioner: Provisioner, name: str) -> None:
+def test_a_file_name_that_is_not_plain_is_refused(provisioner: Provisioner, name: str) -> None:
     with pytest.raises(InvalidRequest):
         provisioner.store(SCHEMA, (File(name, b"1"),))
     assert provisioner.stored() == []
@@ -117,7 +117,7 @@ def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
     assert [p.name for p in (tmp_path / "configs").iterdir()] == ["sent"]
 
 
-def test_where_only_signed_configurations_are_taken_none_comes_over_the_wire(tmp_path: Path) -> None:
+def test_if_only_signed_configurations_are_accepted_none_can_be_provisioned(tmp_path: Path) -> None:
     text = "config: {name: mine, modules: {a: {}}, modes: {default: {modules: [a]}}}\n"
     assert Provisioner(tmp_path / "configs").store(text, ()).name == "mine"
     closed = Provisioner(tmp_path / "configs", unsigned=False)
@@ -179,7 +179,7 @@ def test_removing_an_unknown_configuration_lists_those_that_were_sent(provisione
         provisioner.remove("../sent", ROOT)
 
 
-def test_quotas_of_each_and_of_all_are_kept(tmp_path: Path) -> None:
+def test_quotas_per_sender_and_in_total_are_kept(tmp_path: Path) -> None:
     file = File("one.bit", bytes(10_000))
     provisioner = Provisioner(tmp_path / "configs", quota=Quota(each=25_000, all=40_000))
     for name in ("a", "b"):

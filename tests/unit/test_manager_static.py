@@ -88,7 +88,7 @@ def test_modules_of_another_static_part_are_refused_before_anything_is_touched(m
     assert (status.config_name, status.mode) == ("ours", "default")
 
 
-def test_what_is_not_known_is_said_once_in_the_plan(made: Rig) -> None:
+def test_unknown_facts_are_stated_once_in_the_plan(made: Rig) -> None:
     unknown = "take the static part for the one that silent was made with (its identity is not known)"
     assert steps(made, "silent").count(unknown) == 1
     assert made.go("default", config="silent") is None
@@ -104,7 +104,7 @@ def test_modules_within_the_image_that_the_manager_loaded_are_checked_behind_its
     assert made.go("default", config="image").code in ("wrong_static", "undo_failed")
 
 
-def test_a_board_that_cannot_be_asked_is_loaded_with_nothing(
+def test_nothing_is_loaded_on_a_board_that_does_not_answer(
     sim: SimBoard, configs: dict[str, Config], made: Rig
 ) -> None:
     source, target = sim.root / "lib/firmware/cm/ours", sim.root / "lib/firmware/cm/nowhere"

@@ -139,7 +139,7 @@ def test_one_failure_of_any_operation_ends_in_the_old_mode_or_the_new(
 
 
 @pytest.mark.parametrize("way", [TWO_REGIONS, TO_FULL, BY_OVERLAY], ids=str)
-def test_failures_that_last_leave_a_board_of_which_is_said_what_is_known(
+def test_after_persistent_failures_the_status_says_what_is_known_of_the_board(
     made: Rig, sim: SimBoard, configs: dict[str, Config], way: Way
 ) -> None:
     for number in range(0, operations(made, way), 2):
@@ -182,7 +182,7 @@ def test_a_first_change_that_fails_leaves_what_it_touched_cut_off(
     ],
     ids=str,
 )
-def test_what_the_system_does_not_permit_is_undone_and_reported_as_such(
+def test_a_change_that_the_system_does_not_permit_is_undone_and_reported(
     made: Rig, sim: SimBoard, configs: dict[str, Config], way: Way, operation: str
 ) -> None:
     begin(made, way)

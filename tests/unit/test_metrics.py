@@ -165,14 +165,14 @@ def test_a_client_that_asks_for_much_and_reads_nothing_holds_no_others_up() -> N
         assert len(served.get()[1]) == 8 << 20
 
 
-def test_more_connections_than_there_may_be_cost_the_oldest(served: Served) -> None:
+def test_beyond_the_limit_the_oldest_connection_is_closed(served: Served) -> None:
     with ExitStack() as stack:
         idle = [stack.enter_context(served.connect()) for _ in range(CONNECTIONS * 3)]
         assert served.get() == (200, b"x 1\n")
         assert idle[0].recv(1) == b""
 
 
-def test_however_many_ask_at_once_the_page_is_made_seldom(served: Served) -> None:
+def test_simultaneous_requests_share_one_page(served: Served) -> None:
     go_on = threading.Event()
     served.loop.call_threadsafe(lambda: go_on.wait(WAIT) and None)
     with ExitStack() as stack:
@@ -202,7 +202,7 @@ def test_a_client_that_hangs_up_before_the_reply_is_forgotten(served: Served, re
         ("board.local:9469", ("board.local", 9469)),
     ],
 )
-def test_a_port_alone_is_of_this_machine(text: str, where: tuple[str, int]) -> None:
+def test_a_port_alone_means_this_machine(text: str, where: tuple[str, int]) -> None:
     assert split_address(text) == where
 
 
@@ -217,5 +217,5 @@ def test_a_port_that_is_taken_is_reported() -> None:
         MetricsServer(served.loop, bytes).open(str(served.port))
 
 
-def test_a_single_number_stands_alone() -> None:
+def test_a_single_number_is_printed_alone() -> None:
     assert parsed(render([single("x", "gauge", "help", 3)])) == {"x": {(): 3.0}}

@@ -75,17 +75,17 @@ def test_other_numbers_are_shown_from_their_least_to_their_greatest(dtype: str) 
         (np.array([[np.nan, np.nan]]), [[0, 0]]),
     ],
 )
-def test_what_is_no_plain_number_has_a_shade_too(array: np.ndarray, expected: list[list[int]]) -> None:
+def test_values_other_than_plain_numbers_have_a_shade_too(array: np.ndarray, expected: list[list[int]]) -> None:
     assert np.asarray(read(png(array))).tolist() == expected
 
 
 @pytest.mark.parametrize("shape", [(5,), (0, 4), (2, 3, 5), (2, 2, 2, 2), ()])
-def test_what_has_no_rows_is_no_picture(shape: tuple[int, ...]) -> None:
+def test_an_array_without_rows_is_not_a_picture(shape: tuple[int, ...]) -> None:
     with pytest.raises(InvalidRequest, match="no picture"):
         cm.Picture(np.zeros(shape))
 
 
-def test_a_frame_is_shown_where_it_is_a_picture() -> None:
+def test_a_frame_is_shown_if_it_is_a_picture() -> None:
     pixels = RNG.integers(0, 256, (4, 6), np.uint8)
     frame = frame_of(FrameInfo("camera", 0, 0, 24, (4, 6)), pixels.tobytes())
     assert np.array_equal(np.asarray(read(frame._repr_png_())), pixels)
@@ -170,7 +170,7 @@ class Cell:
         self.shown[-1] = text._repr_html_()
 
 
-def test_a_load_that_lasts_shows_a_bar_in_its_cell_until_its_end() -> None:
+def test_a_long_load_shows_a_bar_in_its_cell_until_it_ends() -> None:
     cell, now = Cell(), 100.0
     with NotebookBar("camera/edge", cell, lambda: now) as bar:
         bar.update(0.1, "validate edge.bit")

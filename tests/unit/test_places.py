@@ -40,7 +40,7 @@ def test_a_client_leaves_some_to_others_and_its_account_some_to_other_accounts()
     assert taken(places, client("key other", Account("key:other", CLOCK))) == 0
 
 
-def test_what_is_given_back_can_be_taken_again() -> None:
+def test_a_place_that_is_given_back_can_be_taken_again() -> None:
     places, one = Places(8, "changes"), client("pid 1", ANNA)
     held = [places.take(one) for _ in range(6)]
     with pytest.raises(Busy, match="changes: 6 of pid 1, 6 of uid:1, 6 of all wait or run, of 8"):

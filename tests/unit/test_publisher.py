@@ -70,7 +70,7 @@ def test_a_subscriber_to_a_prefix_of_the_status_gets_it(socket: Any, publisher: 
     assert (told.config_name, told.mode, told.sequence, told.board) == ("camera", "default", 2, "a board")
 
 
-def test_a_subscription_to_something_else_is_none_to_the_status(socket: Any, publisher: Publisher) -> None:
+def test_a_subscription_to_another_topic_does_not_include_the_status(socket: Any, publisher: Publisher) -> None:
     with subscriber(socket, publisher, b"cm_irq") as sub:
         assert not publisher.status(never)
         publisher.interrupt(Irq("done", 3, 17))

@@ -56,7 +56,7 @@ def named(request: object) -> str:
 
 
 @pytest.mark.parametrize("request_", ALL, ids=named)
-def test_a_request_is_the_same_behind_the_wire(request_: Any) -> None:
+def test_a_request_is_unchanged_after_the_wire(request_: Any) -> None:
     assert decode_request(encode_request(request_)) == request_
 
 
@@ -85,7 +85,7 @@ def test_every_intent_is_among_them_and_has_a_handler() -> None:
         (b"cm_lease", Lease(release=True), rq.ReleaseLease("")),
     ],
 )
-def test_messages_that_say_several_things_mean_what_they_always_meant(
+def test_messages_with_several_intents_keep_their_meaning(
     topic: bytes, message: Any, intent: rq.Request
 ) -> None:
     assert decode_request([topic, message.SerializeToString()]) == intent

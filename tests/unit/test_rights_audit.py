@@ -72,6 +72,6 @@ def test_nothing_from_outside_begins_a_line_of_the_log(name: str, word: str) -> 
     assert all(c.isprintable() or c == "\t" for line in (first, *rest) for c in line)
 
 
-def test_a_forged_ready_line_is_none() -> None:
+def test_a_forged_ready_line_does_not_count() -> None:
     record = logging.LogRecord("cm", logging.INFO, "", 0, "unknown topic %s", ("x\ncm serve: ready at /run/cm",), None)
     assert "\ncm serve: ready" not in Lines("cm serve: %(message)s").format(record)

@@ -85,7 +85,7 @@ def test_an_address_over_tcp_is_never_taken_for_a_process() -> None:
 
 
 @given(st.text())
-def test_no_text_is_an_id_by_accident(text: str) -> None:
+def test_a_text_is_an_id_only_if_it_is_well_formed(text: str) -> None:
     who = from_id(text)
     assert who == NOBODY or who.id == text
     assert who.uid is None or text.split(":")[0] in ("ipc", "data")
@@ -94,7 +94,7 @@ def test_no_text_is_an_id_by_accident(text: str) -> None:
 # ---- which rights that gives ----------------------------------------------------------------
 
 
-def test_the_managers_user_and_root_are_admin_whatever_is_said() -> None:
+def test_the_managers_user_and_root_are_admin_whatever_the_settings() -> None:
     for uid in (0, 500):
         assert rights(user(uid), local=(), users={str(uid): ("observe",)}).everywhere is Role.ADMIN
 
@@ -103,7 +103,7 @@ def test_without_settings_a_local_client_may_do_all_but_what_concerns_others() -
     assert rights(user(1000)).everywhere is Role.PROVISION
 
 
-def test_a_user_that_is_named_has_its_own_rights_and_not_those_of_the_others() -> None:
+def test_a_named_user_has_its_own_rights_and_not_the_default_ones() -> None:
     said = {"users": {"anna": ("observe",)}, "groups": {"lab": ("operate",)}, "local": ("provision",)}
     assert rights(user(1000), **said).everywhere is Role.OBSERVE
     assert rights(user(1001), **said).everywhere is Role.OPERATE
@@ -140,7 +140,7 @@ def test_a_new_policy_counts_at_once_and_tells_whose_rights_changed() -> None:
     assert [changed(user(uid)) for uid in (1000, 1001, 0)] == [True, False, False]
 
 
-def test_roles_of_ones_own_are_narrow_and_add_up() -> None:
+def test_custom_roles_are_narrow_and_add_up() -> None:
     tuner = MappingProxyType({"tuner": Grant(Role.OPERATE, registers=("focus", "led.*"))})
     found = rights(user(1000), users={"anna": ("observe", "tuner")}, roles=tuner)
     assert (found.role, found.everywhere) == (Role.OPERATE, Role.OBSERVE)
@@ -198,7 +198,7 @@ class Unknown:
     """A kind of request that nobody has thought of."""
 
 
-def test_what_is_not_known_takes_an_admin() -> None:
+def test_an_unknown_request_takes_an_admin() -> None:
     assert least(Unknown()) == Need(Role.ADMIN, "")  # type: ignore[arg-type]
 
 
@@ -219,13 +219,13 @@ def test_a_change_to_another_configuration_or_by_force_touches_everything() -> N
     assert {region for _, region, _, _ in touched(rq.ChangeMode(mode="default", force=True))} == regions
 
 
-def test_registers_are_touched_where_they_are() -> None:
+def test_a_register_touches_its_region() -> None:
     assert touched(rq.WriteReg((rq.RegWrite("threshold", 1),))) == {("camera", "prr0", "threshold", None)}
     assert touched(rq.ReadReg(("nothing",))) == {("camera", "*", "nothing", None)}
     assert touched(rq.ReadReg()) == {("camera", "*", "*", None)}
 
 
-def test_a_lease_takes_the_right_to_what_it_keeps_from_others() -> None:
+def test_a_lease_needs_rights_to_everything_that_it_reserves() -> None:
     assert touched(rq.TakeLease("board")) == {("*", "*", "*", "*")}
     assert touched(rq.TakeLease("region:prr1")) == {(None, "prr1", None, None)}
     assert touched(rq.TakeLease("registers:threshold")) == {("camera", "prr0", "threshold", None)}
@@ -279,7 +279,7 @@ def test_a_keys_file_says_role_and_end() -> None:
         (f"public: {KEY}\nexpires: tomorrow\n", "not a day such as"),
     ],
 )
-def test_a_keys_file_that_is_wrong_says_what_is(text: str, told: str) -> None:
+def test_the_error_for_a_keys_file_says_what_is_wrong(text: str, told: str) -> None:
     with pytest.raises(InvalidRequest, match=told):
         authorized("laptop", pairs_of(text))
 

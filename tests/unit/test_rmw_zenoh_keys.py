@@ -119,7 +119,7 @@ def test_arbitrary_bytes_are_an_attachment_or_refused(data: bytes) -> None:
         assert Attachment.from_bytes(data).to_bytes() == data
 
 
-def test_what_older_ones_attach_is_refused_with_a_reason() -> None:
+def test_attachments_of_older_versions_are_refused_with_a_reason() -> None:
     with pytest.raises(InvalidRequest, match="Jazzy"):
         Attachment.from_bytes(b"\x0fsequence_number\1\0\0\0\0\0\0\0")
 
@@ -133,6 +133,6 @@ def test_a_router_is_named_as_people_do(text: str, wanted: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["", ":7447", "kria:"])
-def test_what_is_no_router_is_refused(text: str) -> None:
+def test_an_invalid_router_address_is_refused(text: str) -> None:
     with pytest.raises(InvalidRequest, match="HOST"):
         endpoint(text)

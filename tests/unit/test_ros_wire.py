@@ -169,14 +169,14 @@ def test_arbitrary_bytes_are_a_message_or_refused(name: str, data: bytes, little
 
 @settings(max_examples=300, deadline=None)
 @given(st.sampled_from(ALL), st.integers(0, 2000), st.integers(0, 255))
-def test_a_byte_that_was_changed_makes_another_message_or_none(name: str, place: int, byte: int) -> None:
+def test_a_changed_byte_gives_another_message_or_an_error(name: str, place: int, byte: int) -> None:
     whole = bytearray(cdr.encode(name, values(name)))
     whole[4 + place % (len(whole) - 4)] = byte
     with suppress(InvalidRequest):
         cdr.decode(name, bytes(whole))
 
 
-def test_a_length_that_cannot_be_is_refused_before_memory_is_taken() -> None:
+def test_an_impossible_length_is_refused_before_memory_is_allocated() -> None:
     with pytest.raises(InvalidRequest, match="elements"):
         cdr.decode("action_msgs/msg/GoalStatusArray", b"\0\1\0\0\xff\xff\xff\x7f")
 
@@ -188,7 +188,7 @@ def test_values_that_do_not_fit_are_refused() -> None:
         cdr.encode("rmw_dds_common/msg/Gid", {"data": b"1"})
 
 
-def test_the_head_of_a_picture_and_its_bytes_are_the_picture() -> None:
+def test_a_pictures_head_followed_by_its_bytes_is_the_picture() -> None:
     pixels = np.arange(35, dtype=np.uint8)
     fields = {"header": {"frame_id": "eye"}, "height": 5, "width": 7, "encoding": "mono8", "step": 7}
     whole = cdr.encode("sensor_msgs/msg/Image", {**fields, "data": pixels.tobytes()})

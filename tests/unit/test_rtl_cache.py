@@ -19,7 +19,7 @@ def made(folder: Path, name: str, text: str = "library") -> Path:
     return cache.made(folder, name, lambda target, _: target.write_text(text) and None)
 
 
-def test_what_was_made_is_not_made_again(tmp_path: Path) -> None:
+def test_an_entry_is_made_only_once(tmp_path: Path) -> None:
     assert made(tmp_path, "one", "first").read_text() == "first"
     assert made(tmp_path, "one", "second").read_text() == "first"
 
@@ -35,7 +35,7 @@ def test_entries_unused_for_two_months_are_forgotten_and_used_ones_stay(tmp_path
     assert {path.name for path in tmp_path.iterdir()} == {"used", "new"}
 
 
-def test_what_cannot_be_made_leaves_nothing(tmp_path: Path) -> None:
+def test_a_failed_compilation_leaves_nothing(tmp_path: Path) -> None:
     def fails(target: Path, _: Path) -> None:
         target.write_text("half")
         raise RtlError("does not compile")

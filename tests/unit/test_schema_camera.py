@@ -64,7 +64,7 @@ def _seconds(text: str) -> float:
     return time.thread_time() - start
 
 
-def test_bits_and_lsb_say_the_same() -> None:
+def test_bits_and_lsb_are_equivalent() -> None:
     config = loads(
         "name: c\nmodes: {m: {}}\nmmio:\n- base_address: 0\n  registers:\n    r:\n      offset: 0\n"
         "      fields: {a: {bits: 7:4}, b: {bits: '9'}, c: {bits: 10}, d: {lsb: 11, width: 2}}\n"
@@ -73,7 +73,7 @@ def test_bits_and_lsb_say_the_same() -> None:
     assert [(field.lsb, field.width) for field in fields] == [(4, 4), (9, 1), (10, 1), (11, 2)]
 
 
-def test_a_mode_may_give_a_register_of_the_configuration_another_default() -> None:
+def test_a_mode_may_change_the_default_of_a_register() -> None:
     config = loads(
         "name: c\nmmio: [{base_address: 0, registers: {r: {offset: 0, default: 1}}}]\n"
         "modes:\n  m: {mmio: [{base_address: 0, registers: {r: {offset: 0, default: 2}}}]}\n  n: {}\n"
@@ -81,7 +81,7 @@ def test_a_mode_may_give_a_register_of_the_configuration_another_default() -> No
     assert [config.visible_registers(mode)["r"].default for mode in ("m", "n")] == [2, 1]
 
 
-def test_different_modes_may_use_one_place_for_different_registers() -> None:
+def test_different_modes_may_use_one_address_for_different_registers() -> None:
     config = loads(
         "name: c\nmodes:\n  m: {mmio: [{base_address: 0, registers: {r: {offset: 0}}}]}\n"
         "  n: {mmio: [{base_address: 0, registers: {s: {offset: 0}}}]}\n"
@@ -111,7 +111,7 @@ def test_the_region_of_a_register_of_a_mode(modules: str, said: str, region: str
     ("word", "direction"),
     [("mm2s", "mm2s"), ("write", "mm2s"), ("tx", "mm2s"), ("s2mm", "s2mm"), ("read", "s2mm"), ("rx", "s2mm")],
 )
-def test_directions_have_other_names(word: str, direction: str) -> None:
+def test_directions_have_alternative_names(word: str, direction: str) -> None:
     stream = loads(f"name: c\nmodes: {{m: {{}}}}\nstreams: {{s: {{direction: {word}}}}}").streams["s"]
     assert (stream.direction.value, stream.channel) == (direction, "s")
 
@@ -159,7 +159,7 @@ def test_the_source_is_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert (config.source, config.name) == (tmp_path / "c.yaml", "c")
 
 
-def test_a_folder_tells_of_all_its_bad_files(tmp_path: Path) -> None:
+def test_all_bad_files_in_a_folder_are_reported(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("config: {")
     (tmp_path / "b.yaml").write_text("config: {name: 5}")
     with pytest.raises(SchemaError) as caught:

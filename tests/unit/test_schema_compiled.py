@@ -24,7 +24,7 @@ def generated() -> ModuleType:
     return module
 
 
-def test_it_serves_the_very_schema_that_it_was_made_from(
+def test_it_was_made_from_the_present_schema(
     generated: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "cm.schema._validator", generated)
@@ -33,7 +33,7 @@ def test_it_serves_the_very_schema_that_it_was_made_from(
     assert compiled.ready(text + b"\n") is None
 
 
-def test_it_is_missed_without_harm(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_schemas_are_validated_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cm.schema._validator", None)
     assert compiled.ready(SCHEMA_FILE.read_bytes()) is None
     assert loads(CAMERA).name == "camera"

@@ -275,7 +275,7 @@ def test_a_memory_that_overlaps_in_several_modes_is_reported_once() -> None:
     assert len(problems(partial(body, "modes: {m: {}, n: {}}"))) == 1
 
 
-def test_different_modes_may_use_one_place_for_different_memories() -> None:
+def test_different_modes_may_use_one_address_for_different_memories() -> None:
     modes = "modes: {m: {memories: {a: {base_address: 0, size: 8}}}, n: {memories: {b: {base_address: 0, size: 8}}}}"
     config = cm.schema.loads(partial("", modes))
     assert [list(config.visible_memories(mode)) for mode in ("m", "n")] == [["a"], ["b"]]

@@ -35,17 +35,17 @@ def codes(text: str) -> list[tuple[str, str]]:
     return [(problem.code, problem.key) for problem in caught.value.problems]
 
 
-def test_a_mode_that_is_there_twice_among_siblings_is_reported() -> None:
+def test_a_mode_that_occurs_twice_among_siblings_is_reported() -> None:
     text = "config:\n- name: c\n- modes:\n  a:\n  - doc: x\n  a:\n  - doc: y\n"
     assert codes(text) == [("duplicate_name", "config.modes.a")]
 
 
-def test_a_key_that_is_there_twice_in_a_list_is_reported() -> None:
+def test_a_key_that_occurs_twice_in_a_list_is_reported() -> None:
     text = "config:\n- name: c\n- name: d\n- modes:\n  a: []\n"
     assert codes(text) == [("duplicate_key", "config.name")]
 
 
-def test_overlays_that_are_there_twice_inside_mmio_are_reported() -> None:
+def test_overlays_that_occur_twice_inside_mmio_are_reported() -> None:
     text = "config: {name: c, modes: {m: {mmio: [{base_address: 0, registers: {}, overlay: a, overlay: b}]}}}"
     assert codes(text) == [("duplicate_key", "config.modes.m.mmio[0].overlay")]
 

@@ -47,7 +47,7 @@ def refusal(text: str) -> tuple[str, int]:
         ("conf: {}", "unknown_key", 1),
     ],
 )
-def test_text_that_is_no_schema_is_refused(text: str, code: str, line: int) -> None:
+def test_text_that_is_not_a_schema_is_refused(text: str, code: str, line: int) -> None:
     assert refusal(text) == (code, line)
 
 
@@ -198,6 +198,6 @@ def test_a_file_that_is_not_utf_8_is_refused_at_its_line(tmp_path: Path) -> None
     assert (problem.code, problem.line, problem.message) == ("yaml_syntax", 3, "not UTF-8 text")
 
 
-def test_half_a_surrogate_pair_is_called_what_it_is() -> None:
+def test_half_a_surrogate_pair_is_named_in_the_error() -> None:
     with pytest.raises(SchemaError, match="a character that is not Unicode text"):
         cm.schema.loads("config:\n  name: \ud800")

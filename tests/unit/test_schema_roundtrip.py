@@ -40,7 +40,7 @@ def test_the_examples_survive_writing(path: Path) -> None:
 
 
 @pytest.mark.parametrize("doc", ["0o17", "1e3", "010", "no", "~", "7:4", "a: b # c", "x\ny\n", "\x85\u2028\x00", " x "])
-def test_text_that_looks_like_something_else_stays_text(doc: str) -> None:
+def test_text_that_looks_like_another_type_stays_text(doc: str) -> None:
     config = cm.schema.loads("config: {name: c, modes: {default: {}}}")
     assert cm.schema.loads(cm.schema.dump(replace(config, doc=doc))).doc == doc
 

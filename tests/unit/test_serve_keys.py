@@ -52,14 +52,14 @@ def test_a_servers_key_that_others_may_read_is_refused(keys: Path, mode: int) ->
         load_server_keys(keys / "server.key")
 
 
-def test_what_keygen_writes_is_read_again(keys: Path) -> None:
+def test_keys_written_by_keygen_can_be_read(keys: Path) -> None:
     (key,), notes = authorized_keys(keys / "server.key", None)
     assert (key.name, key.roles, key.until) == ("laptop", ("observe", "tuner"), 1924991999.0)
     assert notes == ()
     assert {oct(path.stat().st_mode & 0o777) for path in keys.rglob("*.*") if path.is_file()} == {"0o600"}
 
 
-def test_keygen_refuses_what_is_no_day_before_it_writes_anything(tmp_path: Path) -> None:
+def test_keygen_refuses_an_invalid_date_before_it_writes_anything(tmp_path: Path) -> None:
     assert main(["keygen", str(tmp_path / "keys"), "laptop", "--expires", "soon"]) == 1
     assert not (tmp_path / "keys" / "laptop.key").exists()
 

@@ -84,6 +84,6 @@ def test_a_message_of_several_lines_travels_with_its_length(inbox: socket.socket
     assert b"MESSAGE\n" + struct.pack("<Q", len(text)) + text + b"\n" in _logged(inbox, text.decode())
 
 
-def test_records_go_to_the_journal_only_where_stderr_does(inbox: socket.socket) -> None:
+def test_records_go_to_the_journal_only_if_stderr_does(inbox: socket.socket) -> None:
     assert journal_handler({"JOURNAL_STREAM": "1:2"}, inbox.getsockname()) is None
     assert journal_handler({}, inbox.getsockname()) is None

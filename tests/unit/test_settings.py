@@ -70,11 +70,11 @@ def test_one_address_may_stand_without_a_list() -> None:
         ("log: [\n", (2, 1, "", "yaml_syntax")),
     ],
 )
-def test_what_is_wrong_is_reported_with_its_place(text: str, found: tuple[int, int, str, str]) -> None:
+def test_a_mistake_in_the_settings_is_reported_with_its_place(text: str, found: tuple[int, int, str, str]) -> None:
     assert found in problems(text)
 
 
-def test_everything_that_is_wrong_is_reported_at_once() -> None:
+def test_all_mistakes_in_the_settings_are_reported_at_once() -> None:
     assert len(problems("log: loud\nlisten: [x]\nkeys: y\n")) == 3
 
 
@@ -99,7 +99,7 @@ def test_the_first_of_a_name_on_the_search_path_counts(tmp_path: Path) -> None:
     assert "second" in found.left_out[0]
 
 
-def test_a_star_stands_for_every_folder_but_those_of_unfinished_imports(tmp_path: Path) -> None:
+def test_a_star_matches_every_folder_except_those_of_unfinished_imports(tmp_path: Path) -> None:
     for folder in ("radio", "vision", ".import-x", ".vision.old"):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "a.yaml").write_text(SCHEMA.format(folder.strip(".")))

@@ -111,7 +111,7 @@ WRONG = ("file", "schema", "extra", "a.bit", "manifest.json", "manifest.sig", "v
 
 
 @pytest.mark.parametrize("what", WRONG)
-def test_what_is_not_as_it_was_signed_is_refused_or_reported(place: Place, what: str) -> None:
+def test_changed_files_are_refused_or_reported(place: Place, what: str) -> None:
     folder = place.put(changed(place.signed(), what))
     with pytest.raises(SignatureRefused, match="vision"):
         judge(folder, "vision", place.policy())
@@ -138,13 +138,13 @@ def test_every_flipped_bit_of_manifest_and_signature_is_refused(place: Place) ->
         (folder / name).write_bytes(data)
 
 
-def test_a_key_that_is_not_trusted_here_is_no_signer(place: Place) -> None:
+def test_a_key_that_is_not_trusted_does_not_count_as_a_signer(place: Place) -> None:
     other = key_pair(place.folder, "other", place.folder / "elsewhere")
     with pytest.raises(SignatureRefused, match="signed by other; the keys that are trusted here: release"):
         judge(place.put(place.signed(7, other)), "vision", place.policy())
 
 
-def test_a_key_of_the_same_name_is_no_other(place: Place) -> None:
+def test_another_key_of_the_same_name_is_not_accepted(place: Place) -> None:
     other = key_pair(place.folder / "signers", "release", place.folder / "elsewhere")
     other.rename(place.folder / "release.pem")
     with pytest.raises(SignatureRefused, match="not that of this manifest"):
@@ -156,14 +156,14 @@ def test_signed_files_under_another_name_are_refused(place: Place) -> None:
         judge(place.put(place.signed(), "other"), "other", place.policy())
 
 
-def test_an_older_version_is_refused_where_the_policy_says_so(place: Place) -> None:
+def test_an_older_version_is_refused_if_the_policy_says_so(place: Place) -> None:
     installed, new = place.put(place.signed(8)), place.put(place.signed(7), "new")
     assert judge(new, "vision", place.policy(), installed).version == 7
     with pytest.raises(SignatureRefused, match="version 7 is older than the one in force, 8"):
         judge(new, "vision", place.policy(older="refuse"), installed)
 
 
-def test_where_signatures_are_required_and_cannot_be_checked_nothing_is_taken(place: Place) -> None:
+def test_if_required_signatures_cannot_be_checked_nothing_is_accepted(place: Place) -> None:
     """Without the library: in a process of its own that cannot import it."""
     folder = place.put(place.signed())
     code = (
@@ -179,7 +179,7 @@ def test_where_signatures_are_required_and_cannot_be_checked_nothing_is_taken(pl
     assert (done.stdout.strip(), done.stderr) == ("refused", "")
 
 
-def test_a_file_that_is_no_such_key_is_named(place: Place) -> None:
+def test_a_file_that_is_not_a_valid_key_is_named(place: Place) -> None:
     place.key.write_text("no key")
     with pytest.raises(SigningUnavailable, match=r"release\.pem: no private key"):
         place.signed()
@@ -188,7 +188,7 @@ def test_a_file_that_is_no_such_key_is_named(place: Place) -> None:
         judge(place.put(add_manifest("vision", 1, FILES)), "vision", place.policy())
 
 
-def test_import_takes_what_is_signed_and_leaves_what_was_there_if_it_is_not(
+def test_import_accepts_signed_archives_and_otherwise_keeps_the_present_version(
     place: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = place.folder / "firmware"

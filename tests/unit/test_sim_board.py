@@ -609,7 +609,7 @@ def test_a_load_of_anything_but_whole_words_in_the_buffer_is_refused(board, offs
 # --- attributes
 
 
-def test_the_control_attribute_refuses_what_is_no_order(board):
+def test_the_control_attribute_refuses_invalid_commands(board):
     for order in (b"", b"{}", b'{"do": "dance"}', b"\xff"):
         with pytest.raises(OSError):
             attribute(board.root, "sim/control", order)

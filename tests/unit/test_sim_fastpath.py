@@ -154,7 +154,7 @@ def test_nothing_flows_through_a_region_that_is_cut_off(ends: Ends) -> None:
     ends.trip(2)
 
 
-def test_a_module_that_works_on_the_data_does(ends: Ends) -> None:
+def test_a_module_still_processes_the_data(ends: Ends) -> None:
     ends.trip(1)
     load(ends.board, "edges")
     ends.sink.submit(ends.back, LENGTH)
@@ -181,7 +181,7 @@ def test_lines_and_cycles_among_plain_frames(ends: Ends) -> None:
     ends.trip(3)
 
 
-def test_what_is_refused_is_refused(ends: Ends) -> None:
+def test_the_fast_path_refuses_the_same_requests(ends: Ends) -> None:
     ends.trip(1)
     for handle, length, offset in ((99, 8, 0), (ends.out, 8, 3 * LENGTH), (ends.out, 0, 0)):
         with pytest.raises(OSError) as caught:
@@ -194,7 +194,7 @@ def test_what_is_refused_is_refused(ends: Ends) -> None:
     assert caught.value.errno == errno.EBUSY
 
 
-def test_a_client_that_goes_gives_everything_back(ends: Ends) -> None:
+def test_a_client_that_disconnects_gives_everything_back(ends: Ends) -> None:
     ends.trip(1)
     ends.sink.submit(ends.back, LENGTH)
     ends.sink.close()

@@ -76,7 +76,7 @@ def test_a_block_is_read_without_a_request(board):
             os.kill(board.pid, signal.SIGCONT)
 
 
-def test_what_cannot_be_written_stays_and_what_cannot_be_read_is_zero(board):
+def test_read_only_contents_stay_and_write_only_ones_read_as_zero(board):
     load(board)
     with device.Uio.open(0x40000, board.root) as static, device.Uio.open(0x20000, board.root) as prr:
         static.write_block(0x30000, b"x" * 64)
@@ -101,7 +101,7 @@ def test_the_memory_of_a_module_is_there_while_it_runs(board):
         assert prr.read_block(0x1000, 4) == bytes(4)  # a circuit anew
 
 
-def test_a_block_over_several_things_is_their_words(board):
+def test_a_block_over_several_registers_and_memories_has_their_words(board):
     load(board)
     with device.Uio.open(0x20000, board.root) as prr:
         prr.write_block(0xFFC, b"0123456789ab")
@@ -122,7 +122,7 @@ def test_a_block_over_the_decoupler_cuts_off(board):
 @pytest.mark.parametrize(
     ("number", "length", "offset"), [(1, 4, 0), (0, 0, 0), (0, 6, 0), (0, 4, 2), (0, 8, 0x3FFFC), (0, 65524, 0)]
 )
-def test_a_block_that_is_not_there_is_refused(board, number, length, offset):
+def test_a_block_that_does_not_exist_is_refused(board, number, length, offset):
     uio, _ = device.find_uio(0x40000, 4, board.root)
     node = Node(board.root, f"dev/{uio.node}")
     try:

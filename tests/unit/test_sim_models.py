@@ -45,7 +45,7 @@ def test_edge_is_the_sobel_magnitude_saturated_with_zero_borders(picture, thresh
     assert np.array_equal(edge(picture, {"threshold": threshold}), sobel(picture, threshold))
 
 
-def test_edge_of_a_photograph_is_the_sobel_magnitude_where_looked_at():
+def test_edge_of_a_photograph_is_the_sobel_magnitude_at_sampled_pixels():
     photo = camera.shipped_photos()["astronaut"]
     result = edge(photo, {})
     for row, column in [(0, 5), (1, 1), (100, 200), (240, 320), (478, 638), (479, 639), (333, 77)]:
@@ -72,7 +72,7 @@ def test_colorise_gives_three_bytes_of_the_documented_palette(palette):
     assert result.reshape(-1, 3).tolist() == [reference_colour(v, palette) for v in range(256)]
 
 
-def test_an_unknown_model_passes_data_as_it_is():
+def test_an_unknown_model_passes_data_unchanged():
     assert Models.standard().get("nobody_knows") is default
 
 

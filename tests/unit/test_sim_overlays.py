@@ -78,7 +78,7 @@ def test_an_overlay_is_found_by_its_firmware_name(board, overlay):
     assert board.control.state()["overlays"] == [overlay]
 
 
-def test_an_overlay_that_is_no_device_tree_is_refused(board, overlay):
+def test_an_overlay_that_is_not_a_device_tree_is_refused(board, overlay):
     for data in (b"", b"nonsense", blob()[:-8], fdt.pack(fdt.FdtNode("", {"a": b"b"}))):
         assert refusal(attribute, board.root, f"{OVERLAYS}/{overlay}/dtbo", data) == errno.EINVAL
     assert text(board, f"{OVERLAYS}/{overlay}/status") == "unapplied"
@@ -147,7 +147,7 @@ def test_an_injected_error_fails_one_load_of_the_manager(board):
     assert text(board, f"{MANAGER}/state") == "operating"
 
 
-def test_flags_that_are_no_number_are_refused(board):
+def test_flags_that_are_not_a_number_are_refused(board):
     assert refusal(attribute, board.root, f"{MANAGER}/flags", b"often") == errno.EINVAL
 
 

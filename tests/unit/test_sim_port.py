@@ -74,7 +74,7 @@ def test_other_idcode_sets_the_error_bit_and_no_frame_is_taken() -> None:
     assert port.frames == 0
 
 
-def test_words_that_are_no_packets_stop_the_port_until_reset() -> None:
+def test_words_that_are_not_packets_stop_the_port_until_reset() -> None:
     port = ConfigPort(device(), swapped=False)
     port.feed(bytes.fromhex("aa995566e0000000"))
     port.feed(bytes.fromhex("30008001000000 0d".replace(" ", "")))
@@ -107,7 +107,7 @@ def test_identity_survives_the_frame(name: str, model: str) -> None:
     assert port.feed(words(data))[0].module == ModuleIdentity(name, model or name)
 
 
-def test_damaged_identity_is_no_identity() -> None:
+def test_a_damaged_identity_is_not_recognised() -> None:
     frame = bytearray(assemble_module("edge", size=1))
     begin = frame.index(b"CM-RM")
     frame[begin + 10] ^= 1

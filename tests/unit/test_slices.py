@@ -88,7 +88,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize("data", WRONG, ids=range(len(WRONG)))
-def test_what_is_wrong_is_told_as_if_it_were_read_at_once(data: bytes) -> None:
+def test_errors_are_the_same_as_if_it_were_read_at_once(data: bytes) -> None:
     (came,), _ = read(data)
     expected = at_once(data)
     assert isinstance(came, InvalidRequest)
@@ -112,7 +112,7 @@ def test_any_message_is_read_as_at_once(count: int, last: dict[str, Any]) -> Non
     assert slices == (count + (not last or len(last) == 3)) // bounds.SLICE
 
 
-def test_nothing_comes_of_what_is_not_read_to_its_end() -> None:
+def test_a_request_that_is_not_read_to_its_end_has_no_effect() -> None:
     came: list[Any] = []
     slices: Iterator[None] = parse.in_slices([TOPIC, message(1024)], came.append, came.append)
     next(slices)

@@ -61,7 +61,7 @@ def set_to(policy: StreamPolicy, name: str, **settings: object) -> None:
 
 
 @pytest.mark.parametrize(("phase", "event"), list(product(StreamPhase, StreamEvent)))
-def test_what_the_table_has_not_raises_and_changes_nothing(phase: StreamPhase, event: StreamEvent) -> None:
+def test_an_illegal_transition_raises_and_changes_nothing(phase: StreamPhase, event: StreamEvent) -> None:
     policy = StreamPolicy()
     ways = {
         StreamPhase.CLOSED: [],
@@ -116,7 +116,7 @@ def test_a_stream_runs_while_it_is_used(policy: StreamPolicy, users: Users) -> N
     assert due(policy) == {"camera": StreamEvent.CLOSE}
 
 
-def test_what_a_client_has_set_comes_before_use_by_readers(policy: StreamPolicy) -> None:
+def test_a_clients_setting_takes_precedence_over_use_by_readers(policy: StreamPolicy) -> None:
     set_to(policy, "camera", enable=True)
     assert due(policy) == {"camera": StreamEvent.OPEN}
     set_to(policy, "camera", enable=False)

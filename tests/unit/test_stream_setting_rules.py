@@ -43,7 +43,7 @@ def test_an_endless_rate_lifts_the_limit() -> None:
     assert changed(limited, ConfigureStream("camera")).limit == 5.0
 
 
-def test_the_direction_may_be_said_if_it_is_so() -> None:
+def test_the_direction_may_be_given_if_it_is_right() -> None:
     assert changed(READ, ConfigureStream("camera", direction="S2MM")) == READ
     with pytest.raises(InvalidRequest, match="is s2mm, not 'mm2s'"):
         changed(READ, ConfigureStream("camera", direction="mm2s"))
@@ -69,7 +69,7 @@ def test_the_direction_may_be_said_if_it_is_so() -> None:
         ({"stride": 1 << 23}, "480 lines with a stride of 8388608 take more than 2 GiB"),
     ],
 )
-def test_what_no_channel_could_have_is_refused(given: dict[str, Any], words: str) -> None:
+def test_settings_that_no_channel_supports_are_refused(given: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidRequest, match=words) as refused:
         changed(READ, ConfigureStream("camera", **given))
     assert str(refused.value).startswith("stream 'camera'")
@@ -78,7 +78,7 @@ def test_what_no_channel_could_have_is_refused(given: dict[str, Any], words: str
 @pytest.mark.parametrize(
     "given", [{"slots": 256}, {"shape": (1 << 15, 1 << 15)}, {"shape": (1,) * 8}, {"stride": 640}, {"rate": 0.01}]
 )
-def test_what_is_just_within_the_limits_is_taken(given: dict[str, Any]) -> None:
+def test_settings_just_within_the_limits_are_accepted(given: dict[str, Any]) -> None:
     wanted = changed(READ, ConfigureStream("camera", **given))
     assert wanted != READ
 
@@ -124,7 +124,7 @@ def test_every_frame_of_a_vdma_is_a_video_frame() -> None:
             setup(vdma, replace(READ, shape=shape))
 
 
-def test_what_is_written_is_repeated_where_the_channel_can() -> None:
+def test_a_written_frame_is_repeated_if_the_channel_can() -> None:
     cyclic = replace(WRITE, cyclic=True)
     assert setup(channel(), cyclic).cyclic
     assert setup(channel(caps=DmaCaps.VIDEO), replace(cyclic, stride=1024)).cyclic, "a video frame repeats by itself"

@@ -78,7 +78,7 @@ def test_processes_of_one_account_take_turns_too(clock: VirtualTime, turns: Turn
     assert Counter(served(turns, count=40)) == {"hostile": 20, "other": 20}
 
 
-def test_time_counts_and_not_how_often_a_client_asks(clock: VirtualTime, turns: Turns[Named, int]) -> None:
+def test_turns_depend_on_time_spent_and_not_on_the_number_of_requests(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     slow, quick = Named("slow", Account("a", clock)), Named("quick", Account("b", clock))
     for number in range(200):
         turns.add(slow, 0, number)
@@ -94,7 +94,7 @@ def test_an_account_may_have_a_larger_share(clock: VirtualTime, turns: Turns[Nam
     assert Counter(served(turns, count=100)) == {"favoured": 80, "other": 20}
 
 
-def test_a_client_saves_nothing_up_while_away_and_owes_nothing_for_time_alone(
+def test_an_absent_client_gains_no_credit_and_time_alone_is_not_charged(
     clock: VirtualTime, turns: Turns[Named, int]
 ) -> None:
     busy, back = Named("busy", Account("a", clock)), Named("back", Account("b", clock))
@@ -106,7 +106,7 @@ def test_a_client_saves_nothing_up_while_away_and_owes_nothing_for_time_alone(
     assert Counter(served(turns, count=100)) == {"busy": 50, "back": 50}
 
 
-def test_time_that_is_spent_elsewhere_counts(clock: VirtualTime, turns: Turns[Named, int]) -> None:
+def test_time_that_is_spent_outside_of_turns_counts(clock: VirtualTime, turns: Turns[Named, int]) -> None:
     """On pieces of long work, while messages wait."""
     worker, other = Named("worker", Account("a", clock)), Named("other", Account("b", clock))
     for number in range(20):

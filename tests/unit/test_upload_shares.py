@@ -68,7 +68,7 @@ def test_processes_of_one_account_leave_a_quarter_of_the_room_to_other_accounts(
     kept.take(client("key laptop", BEN, clients), Upload("a", 128))
 
 
-def test_what_a_process_has_begun_that_is_gone_makes_room_soon(kept: Uploads, now: Now, clients: list[Budget]) -> None:
+def test_uploads_of_a_process_that_is_gone_soon_make_room(kept: Uploads, now: Now, clients: list[Budget]) -> None:
     gone, stays, elsewhere = (client(name, ANNA, clients) for name in ("pid 1", "pid 2", "192.0.2.1"))
     for one in clients:
         kept.take(one, Upload("a", 100))

@@ -65,14 +65,14 @@ def decoded(text: str) -> Any:
 
 @needs_sixel2png
 @pytest.mark.parametrize("height", [1, 5, 6, 7, 60])
-def test_sixels_of_grey_are_what_went_in_but_for_the_last_bits(height: int) -> None:
+def test_grey_sixels_match_the_picture_except_for_the_lowest_bits(height: int) -> None:
     shown = decoded(sixel.encoded(SHADES[:height]))
     assert shown.shape == (height, 96, 3)
     assert np.abs(shown[..., 1].astype(int) - SHADES[:height]).max() <= 6
 
 
 @needs_sixel2png
-def test_sixels_of_colours_are_right_on_the_whole() -> None:
+def test_coloured_sixels_match_the_picture_on_average() -> None:
     shown = decoded(sixel.encoded(COLOURS))
     means = [np.asarray(Image.fromarray(p).resize((8, 5), Image.Resampling.BOX)).astype(int) for p in (shown, COLOURS)]
     assert np.abs(means[0] - means[1]).max() <= 26  # half a step of the cube's six: the rest is dithered
@@ -129,16 +129,16 @@ def test_an_odd_row_has_nothing_under_it() -> None:
         (b"", Ability("blocks")),
     ],
 )
-def test_a_terminal_is_what_it_says_it_is(answer: bytes, ability: Ability) -> None:
+def test_a_terminal_is_recognised_by_its_answer(answer: bytes, ability: Ability) -> None:
     assert understood(answer) == ability
 
 
 @given(st.binary(max_size=60))
-def test_any_answer_is_understood_somehow(answer: bytes) -> None:
+def test_any_answer_of_a_terminal_is_accepted(answer: bytes) -> None:
     assert understood(answer).way in WAYS
 
 
-def test_true_colour_is_said_by_the_environment() -> None:
+def test_true_colour_is_announced_by_the_environment() -> None:
     assert has_true_colour({"COLORTERM": "truecolor"})
     assert has_true_colour({"TERM": "xterm-direct"})
     assert not has_true_colour({"TERM": "xterm-256color"})
@@ -160,5 +160,5 @@ def test_every_frame_can_be_drawn_within_the_terminal(frame: Any, way: str, colu
         assert all(line.count("▀") <= columns for line in made.text.split("\r\n"))
 
 
-def test_of_a_picture_that_is_too_large_some_pixels_are_left_out() -> None:
+def test_a_picture_that_is_too_large_is_subsampled() -> None:
     assert visible(np.zeros((50, 4000), np.uint8), 1280).pixels.shape == (13, 1000)

@@ -55,7 +55,7 @@ def test_a_host_name_that_others_may_have_chosen_is_refused(host: str) -> None:
     assert GATE.refuses_host(host) != ""
 
 
-def test_only_a_page_of_ours_may_connect_from_a_browser() -> None:
+def test_only_the_servers_own_page_may_connect_from_a_browser() -> None:
     assert GATE.refuses_origin("http://127.0.0.1:8470", "127.0.0.1:8470") == ""
     assert GATE.refuses_origin(None, "127.0.0.1:8470") == ""
     for origin in ("http://127.0.0.1:8471", "null", "", "http://evil.example", "file://"):
@@ -63,7 +63,7 @@ def test_only_a_page_of_ours_may_connect_from_a_browser() -> None:
 
 
 @given(st.none() | st.integers() | st.text() | st.lists(st.text()))
-def test_only_the_token_is_the_token(given_token: object) -> None:
+def test_only_the_exact_token_is_accepted(given_token: object) -> None:
     assert not GATE.knows(given_token)
     assert GATE.knows("a token that is long")
 
@@ -120,14 +120,14 @@ def test_elsewhere_it_is_a_jpeg_that_others_can_read(shape: tuple[int, ...]) -> 
         assert abs(int(np.asarray(image).mean()) - 200) < 3
 
 
-def test_of_a_large_frame_every_so_manieth_pixel_is_shown() -> None:
+def test_a_large_frame_is_shown_with_every_nth_pixel() -> None:
     frame = np.zeros((2160, 3840), np.uint8)
     frame[::3, ::3] = 9
     header, payload = opened(pictures.raw("camera", frame, {}))
     assert (header["step"], header["width"], header["height"], set(payload)) == (3, 1280, 720, {9})
 
 
-def test_numbers_are_spread_over_what_can_be_seen() -> None:
+def test_numbers_are_spread_over_the_visible_range() -> None:
     header, payload = opened(pictures.raw("depth", np.array([[-2.0, 0.0], [np.nan, 6.0]], np.float32), {}))
     assert (header["range"], list(payload)) == ([-2.0, 6.0], [0, 63, 0, 255])
 
@@ -204,7 +204,7 @@ def test_a_manager_that_died_in_a_change_has_lost_it() -> None:
     assert [c["state"] for c in log.changes] == ["lost"]
 
 
-def test_what_is_kept_does_not_grow() -> None:
+def test_the_history_does_not_grow() -> None:
     log, history = ChangeLog(), History()
     log.take(Status(last_change=0))
     for number in range(1, 3 * KEPT):

@@ -171,7 +171,7 @@ def test_lines_of_fasm_are_read_with_values_and_comments() -> None:
         ("T.A[0:3] = 4'b0", "does not fit"),
     ],
 )
-def test_a_line_that_is_not_fasm_is_reported_with_its_number(line: str, told: str) -> None:
+def test_a_line_that_is_not_fasm_is_reported_with_its_line_number(line: str, told: str) -> None:
     with pytest.raises(XrayError, match=r"x\.fasm, line 2: .*" + told):
         read_features(["T.A", line], "x.fasm")
 
