@@ -15,7 +15,7 @@ HEADER = BitHeader("top", (("UserID", "0XFFFFFFFF"), ("PARTIAL", "TRUE")), "7z02
 
 
 def frames(count: int, seed: bytes = b"frames") -> bytes:
-    """`count` frames of 7-series with no structure in them."""
+    """`count` frames of 7-series with unstructured contents."""
     return hashlib.shake_128(seed).digest(count * FRAME_BYTES)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests of interface extraction share."""
+"""Helpers of the tests of interface extraction."""
 
 from __future__ import annotations
 

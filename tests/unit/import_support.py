@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small packages of our own making in the formats of PYNQ and dfx-mgr."""
+"""Small made-up packages in the formats of PYNQ and dfx-mgr."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ class Node:
         self.events.settimeout(60)
 
     def call(self, op: int, payload: bytes = b"", fds: tuple[int, ...] = ()) -> tuple[bytes, list[int]]:
-        """A request and its reply; OSError with the errno it was refused with."""
+        """Send a request and return its reply. Raises OSError with the errno of a refusal."""
         socket.send_fds(self.sock, [p.REQUEST.pack(op, len(payload)) + payload], list(fds))
         return self._reply()
 
@@ -56,7 +56,7 @@ class Node:
         return self.events.recv(4096)
 
     def quiet(self, seconds: float = 0.15) -> bool:
-        """Whether no event comes for so long."""
+        """Whether no event comes within this time."""
         return not select.select([self.events], [], [], seconds)[0]
 
     def close(self) -> None:

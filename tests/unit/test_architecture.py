@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/architecture.md and docs/maps.md have the packages and modules that there are, in their order."""
+"""docs/architecture.md and docs/maps.md list the packages and modules that exist, in order."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rounds, ratios, goals, and what happens where a baseline is missing."""
+"""Rounds, ratios, goals, and missing baselines."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The model of a DSP48E1 against yosys' own, for random parameters and inputs."""
+"""The model of a DSP48E1 compared with that of yosys, for random parameters and inputs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ pytestmark = [
 
 
 def bench(source: random.Random) -> str:
-    """Both with the same parameters and inputs; prints P where they differ, and how many values there were."""
+    """Both models with the same parameters and inputs; prints P where they differ, and the number of values."""
     registers = {name: source.randrange(2) for name in SINGLE} | {
         name: source.randrange(3) for name in ("AREG", "BREG")
     }

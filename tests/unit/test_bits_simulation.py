@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A netlist cycle by cycle: what registers and latches see of a clock that rises and falls."""
+"""A netlist cycle by cycle: registers and latches on both edges of a clock."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is assembled: the same arguments give the same bytes. A change of the assembler changes the hashes here."""
+"""Assembled bitstreams: the same arguments give the same bytes. A change of the assembler changes the hashes here."""
 
 from __future__ import annotations
 

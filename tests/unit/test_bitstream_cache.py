@@ -14,7 +14,7 @@ from cm.bitstream.errors import NoSync
 
 @pytest.fixture
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Lengths of what was really inspected."""
+    """Lengths of the files that were really inspected."""
     seen: list[int] = []
 
     def counting(data: bytes) -> object:

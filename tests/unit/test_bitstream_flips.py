@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No single flipped bit in the configuration words of a bitstream with CRCs gets through."""
+"""No single flipped bit in the configuration words of a bitstream with CRCs goes unnoticed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def accepted(data: bytes) -> bool:
 
 
 def survivors(data: bytes, flips: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
-    """The flips (byte, bit) after which the bitstream is still taken."""
+    """The flips (byte, bit) after which the bitstream is still accepted."""
     damaged = bytearray(data)
     for byte, bit in flips:
         damaged[byte] ^= 1 << bit

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What other people's files hold: forms that real bitstreams have, and how near to them a wrong one may come."""
+"""Other people's files: forms that real bitstreams have, and wrong ones that resemble them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def codes(data: bytes, expect: Expectation | None = None) -> list[str]:
 
 
 def checked(*before: int, after: tuple[int, ...] = ()) -> bytes:
-    """`before` stands before RCRC, where no CRC covers it; a good CRC follows what comes behind."""
+    """A bitstream with `before` ahead of RCRC, where no CRC covers it; the rest has a good CRC."""
     body = [(12, [0x03727093]), (1, [0]), (2, [5] * 101)]
     crc = 0
     for register, words in body:
@@ -130,7 +130,7 @@ def test_encrypted_file_that_hides_its_idcode_loads_where_that_is_permitted() ->
 
 
 def pdi(*, partial: bool = False) -> bytes:
-    """A Versal image as far as bootgen's headers go: boot header, and the image header table behind it."""
+    """The headers of a Versal image by bootgen: boot header and image header table."""
     table = bytearray(0x80)
     for at, word in ((0x18, 0x14CA8093), (0x20, 0x11223344), (0x24, 0x55667788), (0x28, 0x50504449)):
         struct.pack_into("<I", table, at, word)

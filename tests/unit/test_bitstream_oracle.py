@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Our parser, our assembler and our tables beside programs and data that nobody here wrote: Project X-Ray's.
+"""The parser, the assembler and the tables compared with independent programs and data: Project X-Ray's.
 
-They come from Debian's sid, fetched once into the user's cache; where that cannot be had, this is skipped.
+They come from Debian's sid, fetched once into the user's cache; without them, the tests are skipped.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def xray() -> PackageTree:
 
 
 def bits_of(far: int, frame: bytes) -> Iterator[tuple[int, int, int]]:
-    """The bits that are set in a frame; those of its checksum, which bitread leaves out, aside."""
+    """The bits that are set in a frame, except those of its checksum, which bitread leaves out."""
     for index, word in enumerate(struct.unpack(f">{WORDS}I", frame)):
         for bit in range(32):
             if word >> bit & 1 and not (index == 50 and bit < 13):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frame data of a bitstream, and what it leaves in a device's configuration memory."""
+"""The frame data of a bitstream, and the resulting contents of a device's configuration memory."""
 
 from __future__ import annotations
 

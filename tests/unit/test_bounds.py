@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one request may hold, and which error says that it holds more; docs/limits.md has the table."""
+"""How much one request may contain, and the error for more; docs/limits.md has the table."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_what_is_not_a_mapping_of_integers_is_refused(text: bytes) -> None:
 
 
 def test_a_text_is_read_in_a_single_pass_whatever_it_contains(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its time grows with its length: so many entries are matched as there are, up to the first beyond the bound."""
+    """Time is linear in its length: each entry is matched once, up to the first beyond the bound."""
     calls: list[int] = []
     check = bounds.check_count
     monkeypatch.setattr(bounds, "check_count", lambda *a: (calls.append(a[2]), check(*a)))

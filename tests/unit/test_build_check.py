@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `cm build check` refuses in Vivado's place: pblocks, pins, clocks; the designs pass without it."""
+"""What `cm build check` refuses in Vivado's place: pblocks, pins, clocks; correct designs pass."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_slices_that_the_processor_takes_the_place_of_do_not_count() -> None:
 
 @pytest.mark.parametrize("name", json.loads(DEVICES.read_text())["devices"])
 def test_the_sites_of_a_device_are_as_many_as_its_part_has(name: str) -> None:
-    """Two sources that know nothing of each other: the site grid, and the parts' table."""
+    """Compares two independent sources: the site grid and the parts' table."""
     device, part = device_sites(name), part_of(name)
     assert device is not None
     whole = {kind: device.limits(kind) for kind in ("SLICE", "DSP48", "RAMB36")}
@@ -181,7 +181,7 @@ def block_design_of(folder: Path) -> tuple[System, dict[str, Any]]:
 
 
 def spoil(found: dict[str, Any], what: str) -> None:
-    """One mistake in a block design that has none."""
+    """Put one mistake into a correct block design."""
     dma, segment, clock = found["dmas"][0], found["segments"][0], found["clocks"][0]
     if what == "length":
         found["dmas"][0] = replace(dma, settings=tuple((n, 27 if "length" in n else v) for n, v in dma.settings))

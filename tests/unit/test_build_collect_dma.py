@@ -28,7 +28,7 @@ PLL = port("m_axi_s2mm_aclk", "I", ("mmcm", "clk_out1"), kind="clk").replace(
 
 
 def design(*lines: tuple[str, str], processor: str = "processing_system7", pins: str | None = None) -> bytes:
-    """An AXI DMA with both channels, a VDMA with one; `lines` go to the processor in that order."""
+    """An AXI DMA with both channels and a VDMA with one; `lines` go to the processor in that order."""
     concat = ports(*(port(f"In{index}", "I", line) for index, line in enumerate(lines)))
     clocks = port("FCLK_CLK1", "O", ("axi_dma_0", "s_axi_lite_aclk"), kind="clk")
     interrupt = pins or port("IRQ_F2P", "I", ("concat", "dout"), kind="INTERRUPT", bits=len(lines))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interrupts of a foreign design: those that an overlay can give to a UIO device are in schema and overlay alike."""
+"""Interrupts of a foreign design: those that an overlay can give to a UIO device are in both schema and overlay."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What only the user can decide: asked, kept, used by every later generation."""
+"""What only the user can decide: it is asked, kept, and used by every later generation."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ VIDEO = (
 
 
 def regions_of(count: int, engine: Callable[[int], str], part: str = "xc7z020clg400-1") -> str:
-    """A build schema of `count` looped regions; `engine` names that of each."""
+    """A build schema of `count` looped regions; `engine` names the engine of each."""
     ends = "s_axis: {{engine: {0}}}, m_axis: {{engine: {0}}}"
     listed = [f"r{i}: {{interfaces: {{{ends.format(engine(i))}}}}}" for i in range(count)]
     text = MINIMAL.replace("  prr0: {pblock: auto}", f"  {{{', '.join(listed)}}}").replace("xc7z020clg400-1", part)
@@ -93,7 +93,7 @@ def test_every_stream_of_the_runtime_schema_has_a_channel_and_a_line(design: tup
 
 
 def merged(design: tuple[Design, Path], folder: Path) -> Path:
-    """The board's tree with the static part's overlay in it."""
+    """The board's tree with the static part's overlay applied."""
     system, out = design[0].system, design[1]
     board = "zynq-7000" if system.platform.name == "zynq7000" else "kv260"
     flat = ["cpp", "-nostdinc", "-undef", "-D__DTS__", "-x", "assembler-with-cpp", "-I", str(DTS / "boards"), "-P"]

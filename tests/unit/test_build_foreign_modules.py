@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Modules that come as something else than HDL: FuseSoC cores, IP-XACT components, IP instances, C++ for Vitis HLS."""
+"""Modules given in other forms than HDL: FuseSoC cores, IP-XACT components, IP instances, C++ for Vitis HLS."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ def test_a_core_of_another_shape_is_refused_or_read(tmp_path: Path, old: str, ne
 
 
 def begun(folder: Path, *words: str) -> dict[str, dict[str, object]]:
-    """The modules of the schema that `init` writes, which passes check and is generated."""
+    """Return the modules of the schema that `init` writes, once it has passed check and been generated."""
     path = folder / "build.yaml"
     assert main(["build", "init", *words, "-o", str(path)]) == 0
     assert main(["build", "check", str(path)]) == 0
@@ -371,7 +371,7 @@ def test_the_flow_runs_vitis_hls_and_makes_an_instance_of_what_it_exports(
 
 
 def damaged(text: str) -> st.SearchStrategy[str]:
-    """`text` with a piece cut out, doubled, or put in."""
+    """`text` with a piece removed, doubled, or inserted."""
     place = st.integers(0, len(text))
     noise = st.text(alphabet='(){}<>[];:,*&"#/\\? \nabc019=', max_size=12)
     return st.builds(lambda a, b, n: text[: min(a, b)] + n + text[max(a, b) :] * (1 + len(n) % 2), place, place, noise)

@@ -39,7 +39,7 @@ GIVEN = {"mine.v": "module mine; endmodule\n", "mine.xdc": "# pins\n", "mine.tcl
 
 
 def made(folder: Path, text: str = TEXT, module: str = STREAM_MODULE, **given: str) -> int:
-    """The identity of a small project; `given` are files of its static part by name, with `_` for the dot."""
+    """The identity of a small project; `given`: files of its static part by name, with `_` for the dot."""
     folder.mkdir(parents=True)
     for name, content in (GIVEN | {name.replace("_", "."): content for name, content in given.items()}).items():
         (folder / name).write_text(content)
@@ -156,7 +156,7 @@ def test_a_static_part_that_was_generated_from_other_sources_is_not_collected(ou
 
 @needs("tclsh")
 def test_bitstreams_of_every_run_get_the_user_id_of_the_locked_static_part(tmp_path: Path) -> None:
-    """One whose first digits are a number to Tcl, with zeros that it would take away."""
+    """Its first digits look like a number to Tcl, which would strip the zeros."""
     _, out = generated(copy_examples(tmp_path / "examples"), "camera")
     before(out, "tcl/step_bitstreams_run_1.tcl", tmp_path)
     checkpoint = tmp_path / "work/camera/build/checkpoints/static_routed.dcp"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A first build schema from HDL files: it is good, and the rest of the tool takes it."""
+"""A first build schema from HDL files: it is correct, and the rest of the tool accepts it."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_names_with_blanks_stay_whole(tmp_path: Path) -> None:
 
 
 def test_files_of_packages_and_macros_go_with_every_module(tmp_path: Path) -> None:
-    """In the order given: they come before what uses them."""
+    """They keep the given order, before the files that use them."""
     (tmp_path / "width.vh").write_text("`define WIDTH 16\n")
     (tmp_path / "sizes.sv").write_text("package sizes;\n    localparam int HIGH = 31;\nendpackage\n")
     text = STREAM_MODULE.format(name="one", high="sizes::HIGH").replace("input  wire        clk,", "input wire clk,")

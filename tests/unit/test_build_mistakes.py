@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes in a build schema and in HDL: each is told with file, line, what is wrong and what would be right."""
+"""Mistakes in a build schema and in HDL: each error has file, line, what is wrong and what would be right."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ONE_LINE = "one: {sources: [one.v]}"
 
 
 def told(folder: Path, schema: str, capsys: pytest.CaptureFixture, **files: str) -> str:
-    """What ``cm build check`` says of this, with paths relative to the folder; it must not succeed."""
+    """Return what ``cm build check`` prints, with paths relative to the folder; it must fail."""
     for name, text in ({"one.v": ONE, "two.v": TWO} | files).items():
         (folder / name).write_text(text)
     (folder / "build.yaml").write_text(schema)

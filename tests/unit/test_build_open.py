@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The open flow's parts that need none of its tools: what is refused before, how sides are merged and judged."""
+"""The parts of the open flow that need none of its tools: what is refused, how sides are merged and checked."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def test_a_flip_flop_behind_an_anchor_gets_a_look_up_table_of_its_own() -> None:
 
 
 def test_only_the_part_of_a_net_that_the_design_needs_is_kept(tmp_path: Path) -> None:
-    """A net to a register of the design and to the harness: the way that only the harness needs is dropped."""
+    """A net to a register of the design and to the harness: the route that only the harness needs is dropped."""
     nets = {
         "data": {
             "driver": "inner.reg",

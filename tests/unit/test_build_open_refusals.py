@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the open tools cannot do, told before they run: with the key in the build schema, and what to do about it."""
+"""What the open tools cannot do is reported before they run, with the key in the build schema and a remedy."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ LEFT, SOURCES = "clock: fclk0, loader: fpga_manager}\n  right", "sources: [one.v
 FAST = "clock: fclk0, clocks: {fast_clk: fclk1}, loader: fpga_manager}\n  right"
 SECOND = ("SLICE_X41Y99], clock: fclk0", "SLICE_X41Y99], clock: fclk1")
 NO_REGISTERS = TWO_CLOCKS.replace("    input  wire       fast_clk,\n", "")
-CASES = {  # what is changed of PLAIN; the module; what is told
+CASES = {  # the change to PLAIN; the module; the message
     "a second clock": (SECOND, AXIL_MODULE, "clocks: 2 clocks (fclk0, fclk1)"),
     "a second clock without registers": (SECOND, NO_REGISTERS, "clocks: 2 clocks (fclk0, fclk1)"),
     "two clocks of one region": ((LEFT, FAST), TWO_CLOCKS, "regions.left.clocks: 2 clocks at the boundary"),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flow on another host: packed, run there under another root by the stand-in of Vivado, and taken back."""
+"""The flow on another host: packed, run under another root with the stand-in for Vivado, and unpacked again."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def states(out: Path) -> set[State]:
 def test_a_flow_runs_under_another_root_and_comes_back_done(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     schema = two_regions(tmp_path)
     elsewhere = there(packed(schema, tmp_path / "flow.tar.gz"), tmp_path / "far away/host")
-    shutil.move(tmp_path / "here", tmp_path / "unreachable")  # nothing there may read what is here
+    shutil.move(tmp_path / "here", tmp_path / "unreachable")  # nothing there may read files from here
     make(elsewhere)
     make(elsewhere, "back")
     shutil.move(tmp_path / "unreachable", tmp_path / "here")

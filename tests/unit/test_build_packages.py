@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Debian packages in a folder of their own: from a repository that the tests make, without a network."""
+"""Debian packages in a separate folder: from a repository that the tests make, without a network."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Repository:
     def add(self, name: str, text: str = "one") -> Path:
         tree = self.folder / "build" / name
         (tree / "DEBIAN").mkdir(parents=True, exist_ok=True)
-        (tree / "DEBIAN").chmod(0o755)  # dpkg-deb insists, whatever the umask
+        (tree / "DEBIAN").chmod(0o755)  # dpkg-deb requires it, whatever the umask
         (tree / "DEBIAN/control").write_text(CONTROL.format(name=name))
         (tree / "DEBIAN/postinst").write_text("#!/bin/sh\ntouch /tmp/never-run\n")
         (tree / "DEBIAN/postinst").chmod(0o755)
@@ -137,7 +137,7 @@ def test_the_remains_of_a_killed_fetch_are_not_taken_for_complete(repository: Re
 @pytest.mark.parametrize("what", ["package", "list", "key"])
 def test_files_that_differ_from_what_was_signed_are_refused(repository: Repository, tmp_path: Path, what: str) -> None:
     if what == "package":
-        repository.add("alpha", "another")  # and not published
+        repository.add("alpha", "another")  # but not published
     elif what == "list":
         release = repository.folder / "dists/sid/InRelease"
         release.write_text(release.read_text().replace("Components: main", "Components:  main"))

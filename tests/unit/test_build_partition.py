@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The partitioning advisor, against every partition there is."""
+"""The partitioning advisor against every possible partition."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_what_the_static_part_needs_and_a_budget_leave_less_room() -> None:
 
 
 def thirty_modules(seed: int) -> tuple[dict[str, Unit], list[UsedMode]]:
-    """Thirty modules of four kinds of work, of each of which every one of twenty modes has one."""
+    """Thirty modules of four kinds; each of twenty modes has one module of each kind."""
     draw = random.Random(seed)
     units = {f"m{i}": Unit(f"m{i}", Resources(draw.randint(300, 4000), 0, 0, draw.randint(0, 20))) for i in range(30)}
     slots = [[f"m{i}" for i in range(30) if i % 4 == slot] for slot in range(4)]
@@ -168,7 +168,7 @@ def test_the_command_shows_todays_assignment_beside_the_proposal(tmp_path: Path,
     assert "today: worst" in said
     assert "proposed: worst" in said
     assert "one, two, three" in said.partition("proposed")[0]
-    assert "proposed: worst 0.000 ms" in said  # all three fit beside each other
+    assert "proposed: worst 0.000 ms" in said  # all three fit side by side
     assert main(["build", "partition", str(path), "--budget", "23"]) == 0
     assert "0  one, two, three" in capsys.readouterr().out.partition("proposed")[2]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The system round the regions: addresses, connections, interrupts, wrappers."""
+"""The system around the regions: addresses, connections, interrupts, wrappers."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def test_a_master_goes_to_memory_and_its_high_reset_is_inverted(tmp_path: Path) 
     assert "cm_axi_master_decoupler" in written["hdl/cm_static.v"]
     assert ".rst(~aresetn)" in written["wrappers/one/cm_region_prr0.v"]
     assert "s_axi_prr0_m_axi" in written["tcl/block_design.tcl"]
-    # the burst's size is not the module's to say: whole beats of 64 bits
+    # the module does not choose the burst's size: whole beats of 64 bits
     assert ".s_axi_prr0_m_axi_awsize(3'd3)" in written["hdl/cm_top.v"]
 
 

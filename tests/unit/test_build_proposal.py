@@ -20,7 +20,7 @@ from cm.cli.main import main
 
 
 def proposed(path: Path, *options: str) -> dict[str, dict[str, dict[str, object]]]:
-    """The proposal's data; it passes `check` and is generated."""
+    """Return the proposal's data, once it has passed `check` and been generated."""
     out = path.with_name("proposed.yaml")
     assert main(["build", "partition", str(path), "-o", str(out), *options]) == 0
     assert main(["build", "check", str(out)]) == 0
@@ -36,7 +36,7 @@ def test_a_proposal_for_a_shipped_example_is_generated(tmp_path: Path, name: str
 
 
 def test_modules_on_the_same_pins_stay_in_one_region(tmp_path: Path) -> None:
-    # there is room for each by itself, but the sensor is in one place only
+    # there is room for each in its own region, but the sensor is in one place only
     assert list(proposed(copy_examples(tmp_path) / "camera" / "build.yaml")["regions"]) == ["prr0"]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flow is run step by step, goes on where it ended, and leaves out what did not change."""
+"""The flow runs step by step, resumes where it stopped, and skips what did not change."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def calls(out: Path) -> list[str]:
 
 
 def run(out: Path, jobs: int = 1) -> list[str]:
-    """Run the flow; what it said."""
+    """Run the flow and return its output."""
     before = len(calls(out))
     said: list[str] = []
     run_flow(out, VIVADO, jobs, said.append)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The flow fails or is interrupted at any of its steps: told with the log, nothing half done, it goes on there."""
+"""The flow fails or is interrupted at any step: the log is shown, nothing is half done, and it resumes there."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def states(out: Path) -> dict[str, State]:
 
 
 def behind(out: Path, failed: str) -> set[str]:
-    """The steps that need `failed`, directly or not, and itself."""
+    """`failed` and the steps that depend on it, directly or not."""
     found = {failed}
     for step in Flow(out).steps:
         found |= {step.name} if found.intersection(step.after) else set()
@@ -154,7 +154,7 @@ def test_several_failures_at_once_are_all_reported(out: Path, monkeypatch: pytes
 
 
 def test_outdated_results_of_the_flow_are_not_collected(out: Path, capsys: pytest.CaptureFixture) -> None:
-    """A changed module leaves bitstreams of the flow before: they are not packed with those of the new one."""
+    """A changed module leaves old bitstreams behind: they are not collected together with new ones."""
     schema = str(out.parent / "build.yaml")
     run_flow(out, VIVADO, 1, lambda _: None)
     source = out.parent / "hdl/camera_edge.v"

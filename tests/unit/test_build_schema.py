@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The build schema: what is read, and that every mistake is told at its place."""
+"""The build schema: what is read from it, and that every mistake is reported at its place."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def test_a_single_file_needs_no_list(tmp_path: Path) -> None:
 
 
 def test_every_key_has_a_description() -> None:
-    """It is what the hint of an error says."""
+    """Hints of errors quote it."""
     missing: list[str] = []
 
     def walk(node: object, path: str) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a module is built from beyond Verilog files: VHDL libraries, files of initial values, bitstream settings."""
+"""Sources of modules other than Verilog files: VHDL libraries, files of initial values, bitstream settings."""
 
 from __future__ import annotations
 

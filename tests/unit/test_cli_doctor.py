@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm doctor` says what there is, and its exit status whether that will do."""
+"""`cm doctor` reports what it finds, and its exit status whether that is sufficient."""
 
 from __future__ import annotations
 

@@ -144,7 +144,7 @@ def test_help_of_a_command_is_what_its_option_prints(words: list[str], capsys: p
 def test_help_is_as_wide_as_the_terminal(
     columns: str, longest: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("COLUMNS", columns)  # where it gives no number, stdout is asked, which is no terminal here
+    monkeypatch.setenv("COLUMNS", columns)  # if it is not a number, stdout is asked, which is not a terminal here
     monkeypatch.setattr("os.get_terminal_size", lambda *_: (_ for _ in ()).throw(OSError("no terminal")))
     with pytest.raises(SystemExit):
         main(["serve", "--help"])
@@ -217,7 +217,7 @@ def test_help_imports_no_command_and_no_library() -> None:
 
 
 def test_the_manager_starts_without_numpy() -> None:
-    """It is a quarter of the time to the first reply, which needs none of it."""
+    """Importing it takes a quarter of the time to the first reply, which does not need it."""
     code = (
         "import sys, cm.cli.serve, cm.client.address, cm.daemon.server, cm.schema.loader\n"
         "print([n for n in sys.modules if n in ('numpy', 'jsonschema', 'cm.sim.process.main', 'cm.cli.check')])"

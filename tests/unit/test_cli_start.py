@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What short commands import: most of the time of one is Python's, reading modules that it may not need."""
+"""What short commands import: most of their time is spent on importing modules."""
 
 from __future__ import annotations
 

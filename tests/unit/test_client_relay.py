@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests of others, handed on as bytes: what becomes of them when the manager goes away."""
+"""Requests of others, relayed as bytes: what becomes of them when the manager goes away."""
 
 from __future__ import annotations
 
@@ -44,10 +44,10 @@ def test_a_request_that_a_manager_never_got_is_not_for_the_next_one() -> None:
             relay = Relay(f"tcp://127.0.0.1:{port}")
             await until(lambda: relay.up)
             first.close()
-            before.term()  # returns when the connection has ended, which nobody here has heard of yet
+            before.term()  # returns when the connection has ended, which the client has not noticed yet
             time.sleep(0.05)
             lost = asyncio.ensure_future(relay.forward([b"cm_status", b"of the first"]))
-            await asyncio.sleep(0)  # it is under way before anybody hears that the manager has gone
+            await asyncio.sleep(0)  # it is sent before the client notices that the manager has gone
             with pytest.raises(ConnectionLost):
                 await asyncio.wait_for(lost, HUNG)
             second = manager(context, port)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sockets of a board that several threads use, and end."""
+"""The sockets of a board that several threads use and close."""
 
 from __future__ import annotations
 

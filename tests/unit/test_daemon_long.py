@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests that are too long for one go: what is sent in parts, many registers at once, memory for the PL."""
+"""Requests that are too long for one turn: uploads in parts, many registers at once, memory for the PL."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def shared() -> Iterator[Daemon]:
 
 @pytest.fixture
 def camera(shared: Daemon) -> Daemon:
-    """In the camera's default mode, loaded anew."""
+    """A daemon in the camera's default mode, freshly loaded."""
     shared.done(ChangeMode("camera", "default", force=True))
     return shared
 
 
 @pytest.fixture
 def flowing(shared: Daemon) -> Iterator[Daemon]:
-    """What is written to `to_pl`, in small frames, comes back on `from_pl`, whose end is open."""
+    """A daemon that loops small frames from `to_pl` back to `from_pl`, which is kept open."""
     shared.load("loopback")
     for name in ("to_pl", "from_pl"):
         shared.done(ConfigureStream(name, shape=(48, 64), force=True))
@@ -54,11 +54,11 @@ def flowing(shared: Daemon) -> Iterator[Daemon]:
 
 
 def uploaded(daemon: Daemon) -> int:
-    """Bytes that clients have in parts, as the status tells."""
+    """Bytes of clients' incomplete uploads, by the status."""
     return sum(client.upload_bytes for client in daemon.done(rq.ReadStatus(clients=True)).clients)
 
 
-# ---- what is sent in parts ---------------------------------------------------------------------
+# ---- uploads in parts -------------------------------------------------------------------------
 
 
 def test_a_frame_sent_in_parts_is_written_once(flowing: Daemon) -> None:
@@ -127,7 +127,7 @@ def test_unused_uploads_are_limited_in_number_however_short(camera: Daemon) -> N
 def test_an_abandoned_upload_is_forgotten(camera: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     camera.done(Upload("kept", 100, 0, bytes(10)))
     with monkeypatch.context() as patched:
-        patched.setattr("cm.daemon.uploads.IDLE", -1.0)  # it is over before the next part comes
+        patched.setattr("cm.daemon.uploads.IDLE", -1.0)  # it expires before the next part comes
         camera.done(Upload("late", 100, 0, bytes(10)))
     assert camera.refused(Upload("late", 100, 10, bytes(10)))[0] == "unknown_upload"
     assert camera.done(Upload("kept", 100, 10, bytes(90))).got == 100
@@ -145,7 +145,7 @@ config:
 
 
 def send_config(daemon: Daemon) -> bytes:
-    """A configuration whose image was uploaded before; the image."""
+    """Send a configuration whose image was uploaded before; return the image."""
     image: bytes = (daemon.board.root / "lib/firmware/cm/camera/default.bit").read_bytes()
     daemon.done(Upload("image", len(image), 0, image))
     file = File("given.bit", image).uploaded("image")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Schemas, settings and rights that are read again while the daemon serves, and what its page of metrics says."""
+"""Schemas, settings and rights that are reread while the daemon serves, and its page of metrics."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ OPERATE, OBSERVE = Access(insecure=("operate",)), Access(insecure=("observe",))
 
 
 class Source:
-    """What is read again, and how often it was."""
+    """A source that is reread, and how often it was."""
 
     def __init__(self) -> None:
         self.camera = load_folder(CAMERA)["camera"]
@@ -67,7 +67,7 @@ def served(source: Source) -> Iterator[Daemon]:
 
 @pytest.fixture
 def reload(served: Daemon, source: Source) -> Callable[[Reloaded | Exception], None]:
-    """Have that read, and wait until it counts: what is asked behind it is answered behind it."""
+    """Reload, and wait until it takes effect: a later request is answered after it."""
 
     def begin(found: Reloaded | Exception) -> None:
         source.found, before = found, source.read
@@ -160,7 +160,7 @@ def test_bounds_are_those_that_were_read_last(served: Daemon, source: Source, re
 
 
 class Remote:
-    """A client over TCP, who sees when it is hung up on."""
+    """A client over TCP that notices when it is disconnected."""
 
     def __init__(self, daemon: Daemon) -> None:
         (told,) = json.loads((daemon.folder / "run" / "endpoints.json").read_text())["tcp"]

@@ -26,7 +26,7 @@ def shared() -> Iterator[Daemon]:
 
 @pytest.fixture
 def camera(shared: Daemon) -> Daemon:
-    """In the camera's default mode, loaded anew."""
+    """A daemon in the camera's default mode, freshly loaded."""
     shared.done(ChangeMode("camera", "default", force=True))
     return shared
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Slots are made some at a time: what others get meanwhile, and what becomes of them if it ends half way."""
+"""Slots are allocated a few at a time: how others are served meanwhile, and what happens if it ends half way."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from cm.wire.plane_packets import Open
 
 MIB = 1 << 20
 DEPTH = 64
-WITH = DEPTH + 2  # and what the hardware has
-SPARE = 4 * MIB  # that images take, which are loaded ahead; twenty slots are more
+WITH = DEPTH + 2  # with those of the hardware
+SPARE = 4 * MIB  # for images that are loaded ahead; twenty slots are more
 
 
 class Allocator:
-    """The slots that are allocated: in each turn of the loop; and a gate, and a fault, behind so many of a stream."""
+    """Counts the slots allocated in each turn of the loop; can hold or fail a stream's allocation after some slots."""
 
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.most = self.all = self.given = self._now = self._given_now = 0
@@ -74,7 +74,7 @@ class Allocator:
         patch.setattr(Plane, "add_slot", added)
 
     def hold(self, at: int) -> None:
-        """No stream gets more slots than these, until `opened` is set; `reached` is set when one wants more."""
+        """Let no stream have more slots than this until `opened` is set; `reached` is set when one wants more."""
         self.at = at
 
     def held(self) -> None:
@@ -131,7 +131,7 @@ def test_no_turn_of_the_loop_makes_more_than_eight_slots(
     reads(other)
     assert slots.all == WITH
     assert (slots.most, slots.given) <= (AT_ONCE, AT_ONCE)
-    camera.load("colorise")  # it is opened for both again
+    camera.load("colorise")  # it is reopened for both
     for reader in (one, other):
         while reader.geometry().mode != "colorise":
             pass
@@ -269,7 +269,7 @@ def test_a_board_that_does_not_answer_half_way_is_taken_up_again(
 def test_another_reader_that_asks_meanwhile_misses_no_frame_either(
     slots: Allocator, camera: Daemon, client: Callable[..., Client]
 ) -> None:
-    slots.hold(4)  # fewer than the stream has for itself
+    slots.hold(4)  # fewer than the stream's own
     first = client(camera, Open("camera", depth=40))
     slots.held()
     second = client(camera, Open("camera", depth=20))
@@ -317,7 +317,7 @@ def test_the_daemon_ends_while_slots_are_made(slots: Allocator, camera: Daemon, 
     slots.held()
     camera.close()
     while reader.socket.recv(packets.PACKET_MAX):
-        pass  # until it is hung up on
+        pass  # until it is disconnected
 
 
 # ---- faults --------------------------------------------------------------------------------------
@@ -382,7 +382,7 @@ def test_a_client_that_waited_for_a_mode_and_gets_no_slots_is_disconnected(
     slots.fails_at = 40
     camera.load("colorise")
     while reader.socket.recv(packets.PACKET_MAX):
-        pass  # until it is hung up on
+        pass  # until it is disconnected
     told: ErrorInfo | None = camera.status.last_error
     assert told is not None
     assert (told.code, "'camera' was hung up on" in told.message) == ("no_slots", True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node's ends over DDS: what closing waits for."""
+"""The node's endpoints over DDS: what closing waits for."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples of frames, made from a head and pieces of memory with one copy, are the bytes they ought to be."""
+"""Samples of frames, made from a head and pieces of memory with one copy, have the right bytes."""
 
 from __future__ import annotations
 

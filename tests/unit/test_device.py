@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors, look-ups and lifetimes of cm.device against nodes that refuse, lie and die."""
+"""Errors, look-ups and lifetimes of cm.device, with nodes that refuse, answer wrongly or die."""
 
 from __future__ import annotations
 
@@ -412,7 +412,7 @@ def test_devices_leak_no_descriptor(tmp_path: Path) -> None:
         for _ in range(20):
             with device.AxiDma.open("cam", tmp_path) as opened, opened.allocate(64) as buffer:
                 buffer.array()
-        del opened, buffer  # what is closed keeps the event that wakes its waiters as long as there is anything of it
+        del opened, buffer  # a closed object keeps the event that wakes its waiters for as long as it exists
         gc.collect()
         until(lambda: open_descriptors() <= before)  # the fake ends its connections in threads of its own
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Blocks of a UIO window from Python, on nodes of the test's own and on a device that is mapped."""
+"""Blocks of a UIO window from Python, on simulated nodes and on a mapped device."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SIZE = 0x100000
 
 
 class Words:
-    """A node's handler: a register file, in the two ways of which blocks are made of single accesses."""
+    """A node's handler: a register file that serves blocks and single accesses."""
 
     def __init__(self) -> None:
         self.words: dict[int, int] = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whatever bytes and descriptors a node answers with: an error of ours, and nothing leaks."""
+"""Whatever bytes and descriptors a node answers with, the result is a documented error and nothing leaks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PACKETS = st.binary(max_size=100) | st.builds(
 
 
 class RawNode:
-    """Greets well or not, then answers each request with the given packet and descriptors."""
+    """Sends a good or bad greeting, then answers each request with the given packet and descriptors."""
 
     def __init__(self, root: Path) -> None:
         self.greeting: tuple[bytes, int] = (b"", 0)

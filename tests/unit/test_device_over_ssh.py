@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make device-suite BOARD=hw`: the suite runs at the other end of ssh, and its verdict comes back."""
+"""`make device-suite BOARD=hw`: the suite runs on the other side of ssh, and its exit status comes back."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Run = Callable[..., "subprocess.CompletedProcess[str]"]
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Run:
-    """Runs the script with an ssh that is a shell of this machine, in a folder of its own, and notes its arguments."""
+    """Run the script with a fake ssh, a shell in a separate folder of this machine that records its arguments."""
     ssh = tmp_path / "ssh"
     ssh.write_text(
         f'#!/bin/sh\necho "$@" | sed "s/ set -e.*//" > {tmp_path}/asked\n'

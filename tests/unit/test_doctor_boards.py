@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`cm doctor` on /proc and /sys as boards have them: a sentence, and what to do, on what stands against a frame."""
+"""`cm doctor` on /proc and /sys as boards have them: it names each obstacle to a first frame, and what to do."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ZYNQMP_LABELS = ("gic", "zynqmp_clk", "zynqmp_pcap", "fpga_full", "amba")
 
 @dataclass
 class Tree:
-    """A root folder, filled file by file."""
+    """A root folder that is filled file by file."""
 
     root: Path
 
@@ -29,7 +29,7 @@ class Tree:
         return self
 
     def device(self, name: str, *compatible: str, driver: str = "", **properties: bytes) -> Tree:
-        """A platform device with its node; of a property's name, a dash is two underscores and a comma is one."""
+        """A platform device with its node; in a property's name, two underscores mean a dash, and one a comma."""
         place = f"sys/bus/platform/devices/{name}"
         self.put(f"{place}/of_node/compatible", "\0".join(compatible) + "\0")
         for key, value in properties.items():

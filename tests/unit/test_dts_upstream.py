@@ -26,8 +26,8 @@ BOARDS = {
     "ultra96": "arch/arm64/boot/dts/xilinx/zynqmp-zcu100-revC.dts",
 }
 GENERATED = {"camera": "zynq-7000", "two_regions": "kv260"}
-LACKING = ("xlnx,axi-dma", "xlnx,afi-fpga")  # upstream has the one as prose only, the other not at all
-EXPECTED = "vendor-prefixes.yaml"  # fpga-cm is none of the kernel's
+LACKING = ("xlnx,axi-dma", "xlnx,afi-fpga")  # upstream describes the first in prose only, the second not at all
+EXPECTED = "vendor-prefixes.yaml"  # fpga-cm is not one of the kernel's
 LINUX = Path(os.environ.get("LINUX_SOURCE", ""))
 
 pytestmark = [
@@ -72,7 +72,7 @@ def trees(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def complaints(schemas: Path, tree: Path) -> set[str]:
-    """What dt-validate says of a tree, but for what it must say of any vendor that the kernel does not know."""
+    """The complaints of dt-validate about a tree, except those about a vendor that the kernel does not know."""
     tool = Path(sysconfig.get_path("scripts")) / "dt-validate"
     done = subprocess.run([sys.executable, tool, "-s", schemas, tree], capture_output=True, text=True, check=False)
     said = (done.stdout + done.stderr).replace(f"{tree}: ", "\0").split("\0")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The manager's ZeroMQ sockets and locks: where they are bound, what is written about them, who is let in."""
+"""The manager's ZeroMQ sockets and locks: where they are bound, how they are announced, who is admitted."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def sockets(context: zmq.Context[zmq.Socket[bytes]], tmp_path: Path) -> Iterator
 
 @pytest.fixture
 def everybody(context: zmq.Context[zmq.Socket[bytes]]) -> Iterator[None]:
-    """Somebody answers that everybody may enter."""
+    """Answer ZeroMQ's authentication requests by admitting everybody."""
     guard, stop = Authenticator(context, lambda *_: "anybody"), threading.Event()
 
     def answer() -> None:
@@ -146,11 +146,11 @@ def test_a_root_without_sysfs_is_locked_itself(tmp_path: Path) -> None:
     lock.release()
 
 
-# ---- who is let in ---------------------------------------------------------------------
+# ---- admission -------------------------------------------------------------------------
 
 
 def ask(context: zmq.Context[zmq.Socket[bytes]], guard: Authenticator, *frames: bytes) -> list[bytes]:
-    """What ZeroMQ is answered about a connection."""
+    """The authentication reply that ZeroMQ gets about a connection."""
     with context.socket(zmq.REQ) as asking:
         asking.linger = 0
         asking.connect("inproc://zeromq.zap.01")
@@ -180,7 +180,7 @@ def test_zeromq_learns_which_keys_may_enter_and_under_which_id(context) -> None:
     assert ask(context, guard, b"ipc") == refused
     assert asked[0] == ("curve", "127.0.0.1", "CURVE", known.decode())
     assert asked[-1] == ("ipc", "localhost:1:2:3", "NULL", "")
-    guard.answer()  # nothing is asked: nothing happens
+    guard.answer()  # without a request nothing happens
     guard.close()
 
 

@@ -36,7 +36,7 @@ def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
 
 @pytest.fixture
 def beside(loop: Loop) -> Iterator[Callable[[], threading.Thread]]:
-    """Starts the loop in a thread of its own."""
+    """Start the loop in a separate thread."""
     threads: list[threading.Thread] = []
 
     def start() -> threading.Thread:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well clocks are set: what chronyd 4.3 and ptp4l 3.1.1 printed, and what follows of several boards."""
+"""How well clocks are set: by output of chronyd 4.3 and ptp4l 3.1.1, and for several boards together."""
 
 from __future__ import annotations
 

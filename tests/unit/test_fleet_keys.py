@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Certificates of a fleet and the router's rules: what OpenSSL and the policy on the wire say of them."""
+"""A fleet's certificates and the router's rules, checked by OpenSSL and against the policy on the wire."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_name_belongs_to_one_member_only(keys: KeyFolder) -> None:
 
 
 def queried(control: dict[str, list[dict[str, list[str]]]]) -> set[str]:
-    """What its members may ask for."""
+    """The queries that its members may make."""
     rules = [rule for rule in control["rules"] if "query" in rule["messages"] and rule["flows"] == ["ingress"]]
     return {key for rule in rules for key in rule["key_exprs"]}
 

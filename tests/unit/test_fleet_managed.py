@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lease by which a board keeps others off while a change of its fleet is open; records on disk."""
+"""The lease that reserves a board while a change of its fleet is open; records on disk."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RECORD = FleetRecord("c1", member.PREPARED, "camera", "edge", "camera", "default
 
 
 class Manager:
-    """What a relay would reach: it gives leases, and forgets them when it is started anew."""
+    """What a relay would reach: it grants leases, and forgets them when it is restarted."""
 
     def __init__(self) -> None:
         self.asked: list[tuple[str, str]] = []

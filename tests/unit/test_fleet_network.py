@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a fleet is reached, and what is said where it is not."""
+"""How a fleet is reached, and the errors if it is not."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_an_invalid_file_of_settings_is_named_with_its_mistake(tmp_path: Path, t
     [(f"tcp/{CLOSED}", "is it there"), (f"tls/{CLOSED}", "does not take the other's certificate")],
 )
 def test_a_router_that_does_not_answer_is_named(tmp_path: Path, router: str, said: str) -> None:
-    path = tmp_path / "fleet.json5"  # zenoh's own three seconds are for networks
+    path = tmp_path / "fleet.json5"  # zenoh's default of three seconds is for real networks
     path.write_text(f'{{mode: "client", connect: {{endpoints: ["{router}"], timeout_ms: 50}}}}')
     with pytest.raises(NoNetwork, match=f"no router answers at {router}: .*{said}"):
         session(Network(config=path))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A change of many boards under thousands of orders of ends, losses, repeats and failures, each from its seed."""
+"""A change of many boards under thousands of schedules of crashes, losses, repeats and failures, each from a seed."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def size_of(chance: random.Random) -> tuple[int, tuple[str, ...], tuple[str, ...
 
 
 async def course(seed: int) -> None:
-    """One schedule: a change, whose client may end, boards that end and vanish for good, another client's help."""
+    """One schedule: a change whose client may die, boards that die or vanish for good, another client that recovers."""
     chance = random.Random(f"course {seed}")
     size, members, where = size_of(chance)
     world = World(seed, size, where)
@@ -48,14 +48,14 @@ async def course(seed: int) -> None:
 
 
 async def some_turns(world: World, chance: random.Random, client: asyncio.Task[Any]) -> None:
-    """Then the client is killed, more often than not before it is done."""
+    """Let some turns pass and then kill the client, usually before it is done."""
     for _ in range(chance.choice((0, 5, 20, 40, 80, 400))):
         await world.network.turn()
     await ended(client)
 
 
 def judge(world: World, where: tuple[str, ...]) -> None:
-    """One decision; who is there is where it says, or its record says that it is not."""
+    """There is one decision; each remaining board follows it, or its record says that it does not."""
     decisions = world.decisions()
     assert len(decisions) <= 1
     decided = next(iter(decisions), Decision.REVERT)
@@ -87,7 +87,7 @@ def test_whatever_ends_or_is_lost_there_is_one_decision_and_boards_that_differ_s
 
 
 def test_without_failing_loads_all_boards_end_in_one_and_the_same_mode() -> None:
-    """Under the policy that asks for it: the client and a board are killed wherever they are, one board for good."""
+    """Under the policy that demands it: the client and a board are killed anywhere, one board for good."""
 
     async def one(seed: int) -> None:
         chance = random.Random(f"same {seed}")
@@ -102,7 +102,7 @@ def test_without_failing_loads_all_boards_end_in_one_and_the_same_mode() -> None
 
 
 async def killed_at(step: int, gone: tuple[str, ...], size: int) -> tuple[World, bool]:
-    """A fleet whose client and these boards vanish for good after so many turns; whether that was amid the change."""
+    """A fleet whose client and these boards vanish for good at a step; also whether that was during the change."""
     world = World(step, size)
     world.network.lossy = False
     client = asyncio.create_task(world.change())
@@ -124,7 +124,7 @@ async def another_client(world: World) -> Outcome | None:
 
 @pytest.mark.parametrize("victim", ["b0", "b1", "b2"])
 def test_the_coordinator_and_a_seat_gone_for_good_at_any_step_leave_the_rest_to_another_client(victim: str) -> None:
-    """The seat's records are deleted with it. What another client is told is where the boards are."""
+    """The seat's records are deleted with it. Another client is told where the boards really are."""
 
     async def one(step: int) -> tuple[Decision | None, bool]:
         world, amid = await killed_at(step, (victim,), 4)
@@ -196,7 +196,7 @@ def test_the_record_on_disk_is_the_changes_own() -> None:
 
 
 async def race(seed: int) -> None:
-    """The coordinator's vote, and others who want an end, all at once, with losses: nobody ever tells a decision."""
+    """The coordinator and recovering clients vote at once, with losses; no decision is ever announced."""
     chance = random.Random(f"race {seed}")
     network = Network(chance)
     where = tuple(f"b{n}" for n in range(chance.choice((1, 3, 3, 3, 5))))
@@ -245,7 +245,7 @@ def test_however_many_want_an_end_at_once_the_seats_never_say_two_things() -> No
 
 
 def test_a_seat_that_promised_while_it_prepared_has_no_part_in_the_change() -> None:
-    """Else its record would be written over, and the promise with it."""
+    """Otherwise its record would be overwritten, and the promise lost."""
     world = World(1, 1)
 
     async def one() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which boards are not where their fleet is: in the words of a status, and of the page."""
+"""Which boards are not in their fleet's mode: as the status and the page say it."""
 
 from __future__ import annotations
 

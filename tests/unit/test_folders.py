@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runtime and state folders: ours, or refused; and nothing of ours is opened through another's link."""
+"""Runtime and state folders: they must belong to this user, and no file is opened through another user's link."""
 
 from __future__ import annotations
 

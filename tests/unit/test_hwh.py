@@ -249,7 +249,7 @@ def test_any_damage_is_read_or_refused(noise: bytes, where: int) -> None:
 
 
 def test_rate_of_a_clock_may_be_a_decimal_number() -> None:
-    """As Vivado 2022.2 writes it where a frequency was computed."""
+    """Vivado 2022.2 writes computed frequencies that way."""
     pin = port("CLK", "I", kind="clk").replace("<PORT ", '<PORT CLKFREQUENCY="93750000.0" ')
     assert handoff.parse(hwh(module("a", "a", ports(pin)))).modules["a"].ports["CLK"].rate == 93_750_000
     with pytest.raises(HwhError, match="port CLK: CLKFREQUENCY '93 MHz' is not a number"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A region is asked who it is once it is connected: it may still be in reset, when it reads as 0."""
+"""A region's identity is read once it is connected; while it is still in reset, it reads as 0."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ EXPECTED = 0x5D27_8DE1
 
 
 def asked(*answers: int) -> tuple[Any, Any, list[object]]:
-    """A context whose register gives these answers and then the last one for ever; a step; what was told."""
+    """A context whose register gives these values, and then repeats the last one; a step; what was reported."""
     left, told = list(answers), []
     registers = SimpleNamespace(read_address=lambda address, width: left.pop(0) if len(left) > 1 else left[0])
     run = SimpleNamespace(

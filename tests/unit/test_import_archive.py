@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Archives of `cm build collect` onto a board: whole or not at all, whatever is in them."""
+"""Archives of `cm build collect` imported onto a board: completely or not at all, whatever they contain."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ ABSOLUTE = SCHEMA.replace(b"bitstream: edge.bin", b"bitstream: /bin/sh")
 
 
 def packed(folder: Path, files: Mapping[str, bytes], name: str = "vision") -> Path:
-    """As the build tool packs it."""
+    """An archive as the build tool packs it."""
     return written(folder, archive(name, files))
 
 
@@ -83,7 +83,7 @@ def held(folder: Path) -> dict[str, bytes]:
 
 
 def laid_out(files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """What is held where a configuration lies."""
+    """The files at the place of a configuration."""
     return {f"vision/{name}": data for name, data in files.items()}
 
 
@@ -186,7 +186,7 @@ def test_the_service_does_not_see_earlier_versions(tmp_path: Path) -> None:
 
 
 def killed_at(step: int, work: Callable[[], object]) -> bool:
-    """Do `work` in a process that ends, as if killed, before its n-th call that changes names; whether it did."""
+    """Do `work` in a process that dies before its n-th call that changes names; return whether it did die."""
     pid = os.fork()
     if pid == 0:
         left = [step]

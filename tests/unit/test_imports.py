@@ -77,7 +77,7 @@ MAY = {
 }
 
 
-# Library → packages that may import it; what is not named here is not a dependency.
+# Library → packages that may import it; a library that is not listed is not a dependency.
 LIBRARIES = {
     "PIL": {"cli", "demo", "sim", "web"},
     "aiohttp": {"web"},

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interrupts with a status register: acknowledged whoever holds a lease, and masked where that cannot be done."""
+"""Interrupts with a status register: acknowledged in spite of leases, and masked if that is impossible."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SCOPES = ("board", "config", "region:prr0", f"registers:{STATUS}")
 
 
 class HeldLoop:
-    """Makes the calls that a loop would make, when a test says so."""
+    """Makes a loop's calls when the test says so."""
 
     def __init__(self) -> None:
         self.watched: dict[int, Callable[[], None]] = {}
@@ -48,21 +48,21 @@ class HeldLoop:
         self.later.append(call)
 
     def serve(self, timeout: float = 60.0) -> bool:
-        """Serve what is readable, after waiting for it; whether anything was."""
+        """Wait until something is readable and serve it; return whether anything was."""
         ready = select.select(list(self.watched), [], [], timeout)[0]
         for descriptor in ready:
             self.watched[descriptor]()
         return bool(ready)
 
     def pass_time(self) -> None:
-        """What was to be called later is called now."""
+        """Make the calls that are scheduled for later."""
         calls, self.later = self.later, []
         for call in calls:
             call()
 
 
 class Bench:
-    """The interrupts of a manager's board, and what they told."""
+    """The interrupts of a manager's board, and what they reported."""
 
     def __init__(self, made: Rig, root: Path) -> None:
         self.made, self.loop = made, HeldLoop()
@@ -180,7 +180,7 @@ def test_a_line_that_cannot_be_acknowledged_is_reported_once_and_tried_again(ben
 def test_a_line_whose_device_went_is_looked_for_again(
     bench: Bench, sim: SimBoard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As the device of an overlay does, which goes with it and comes with the next."""
+    """As a device of an overlay is removed with it, and appears with the next one."""
 
     def gone(_: Uio) -> int:
         raise OSError(errno.EIO, "the device went")
@@ -235,7 +235,7 @@ config:
 
 
 class Cells:
-    """Registers by address, and which were written."""
+    """Registers by address, and a list of those written."""
 
     def __init__(self, cells: Mapping[int, int]) -> None:
         self.cells, self.reads, self.writes = dict(cells), 0, []  # type: ignore[var-annotated]
@@ -254,7 +254,7 @@ class Cells:
 
 def held(phase: RegionPhase) -> ManagerState:
     """A state with a region in a phase of the test's choice."""
-    journal: Any = None  # nothing is recorded here: an acknowledgement that were would fail
+    journal: Any = None  # recording an acknowledgement would fail here
     state = ManagerState({"shared": loads(SHARED)}, journal)
     state.update(lambda _: BoardState("shared", "only", regions={"prr0": RegionState(phase)}))
     return state

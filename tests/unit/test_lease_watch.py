@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leases end with the process that holds them, or are not granted where nobody could notice its end."""
+"""Leases end with the process that holds them, or are not granted if its end could not be noticed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from cm.messages.requests import TakeLease
 
 
 class Watch:
-    """Leases, who watches their holders, and the clock of both."""
+    """Leases, the watch of their holders, and the clock of both."""
 
     def __init__(self) -> None:
         self.clock = Clock()

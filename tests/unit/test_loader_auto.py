@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`loader: auto`: the ICAP where it may be used, else the fpga_manager, asked before anything is touched, and told."""
+"""`loader: auto`: the ICAP if permitted, else the fpga_manager; decided before anything is touched, and reported."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[
 
 @pytest.fixture
 def no_icap(made: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The board has none."""
+    """Make a board without an ICAP."""
 
     def missing(_: str | None) -> Any:
         raise DeviceNotFound(errno.ENOENT, "no /dev/cm_icap0")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""After a failure, or a kill, the board is what the manager says: registers, regions, and what was found out."""
+"""After a failure or a kill the board is as the manager says: registers, regions, and what it has learned."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[
 
 
 def held(sim: SimBoard) -> Mapping[str, int]:
-    """Registers as the board has them, looked at past the manager."""
+    """The board's registers, read without the manager."""
     found = {}
     for uio in (Uio.open(path.name, Root.of(sim.root)) for path in sorted((sim.root / "dev").glob("uio*"))):
         with uio:
@@ -66,7 +66,7 @@ def held(sim: SimBoard) -> Mapping[str, int]:
 
 
 def written_by_hand(made: Rig) -> Mapping[str, int]:
-    """In duo/default, with values of its own in every register; what the board has then."""
+    """A rig in duo/default with a distinct value in every register, and the board's registers."""
     assert made.go("default", config="duo") is None
     values = {"led": 0x21, "gain": 0x29, "depth": 0x28}
     made.manager.write_registers(tuple(RegWrite(name, value) for name, value in values.items()))
@@ -82,7 +82,7 @@ def failing_at(made: Rig, number: int, config: str, mode: str) -> ErrorInfo | No
 
 
 def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, goal: tuple[str, str], number: int) -> bool:
-    """Die at an operation of the change, in a child; False if it lived."""
+    """Die at an operation of the change, in a child process; return False if it survived."""
     pid = os.fork()
     if pid == 0:
         try:
@@ -102,7 +102,7 @@ def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, goal: tupl
 def test_registers_of_the_static_part_are_what_they_were_when_another_configuration_failed(
     made: Rig, sim: SimBoard
 ) -> None:
-    """Under other names, under the same name elsewhere, and where the mode before has no name for them."""
+    """Registers with other names, with the same name at another address, and without a name in the previous mode."""
     values, failed = written_by_hand(made), 0
     before = held(sim)
     assert {name: before[name] for name in values} == values

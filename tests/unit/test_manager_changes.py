@@ -41,7 +41,7 @@ def made(sim: SimBoard, configs: dict[str, Config], tmp_path: Path) -> Iterator[
 def at(made: Rig, *places: str) -> None:
     for place in places:
         config, _, mode = place.partition("/")
-        made.arm(-1)  # what is noted is of the last one
+        made.arm(-1)  # only the last one is recorded
         assert made.go(mode, config=config) is None
 
 
@@ -55,7 +55,7 @@ def error_of(made: Rig, place: str) -> str:
 
 
 def custom(sim: SimBoard, text: str, folder: Path) -> Config:
-    """A schema of the test's own beside files of its own; the rest is found in the board's firmware."""
+    """A schema beside its own files; the rest is found in the board's firmware."""
     folder.mkdir(exist_ok=True)
     (folder / "schema.yaml").write_text(text, encoding="utf-8")
     return loads(text, source=folder / "schema.yaml")
@@ -133,7 +133,7 @@ def test_pr_mode_says_what_kind_of_change_runs_and_that_it_failed(made: Rig, sim
 
 
 def test_a_lost_static_part_is_not_accessed_and_takes_no_partial_bitstream(made: Rig, sim: SimBoard) -> None:
-    """What the boot loader had put there cannot be brought back: only a whole image helps."""
+    """What the boot loader had loaded cannot be restored: only a whole image helps."""
     at(made, "duo/default")
     sim.control.inject("fpga_manager_error")
     assert error_of(made, "whole/default") == "undo_failed"
@@ -222,7 +222,7 @@ def test_a_damaged_overlay_is_refused_before_anything_is_touched(made: Rig, sim:
 
 
 def test_a_loading_overlay_for_another_bitstream_is_refused(made: Rig, sim: SimBoard) -> None:
-    """The kernel loads what the overlay names, so that has to be what was validated."""
+    """The kernel loads what the overlay names, so that must be what was validated."""
     at(made, "kernel/default")
     folder = sim.root / "lib/firmware/cm/kernel"
     good = (folder / "l0.dtbo").read_bytes()
@@ -250,7 +250,7 @@ def test_the_kernels_message_about_an_overlay_is_shown(made: Rig, sim: SimBoard)
 
 @pytest.fixture
 def held(made: Rig) -> Iterator[threading.Event]:
-    """A change that stands at its first load until the event is set."""
+    """A change that stops at its first load until the event is set."""
     at(made, "duo/default")
     free, reached = threading.Event(), threading.Event()
 
@@ -347,7 +347,7 @@ def test_cancelling_stops_before_the_next_region_and_goes_back(made: Rig, sim: S
 
 
 def test_what_a_client_writes_during_a_change_stays_when_that_is_cancelled(made: Rig) -> None:
-    """It was told that it is written; of what the change itself wrote, the values before come back."""
+    """The client was told that it is written; registers that the change itself wrote are restored."""
     at(made, "duo/default")
     write = made.manager.write_registers
     write((RegWrite("scratch", 1), RegWrite("lamp", 2)))
@@ -370,7 +370,7 @@ def test_what_a_client_writes_during_a_change_stays_when_that_is_cancelled(made:
 
 
 class CountingFiles(BoardFiles):
-    """Notes what is read."""
+    """Records what is read."""
 
     def __init__(self, root: Path) -> None:
         super().__init__(root)
@@ -509,13 +509,13 @@ def test_a_value_that_was_never_recorded_comes_back_too(made: Rig, sim: SimBoard
     made.manager.add_config(replace(configs["duo"], modules=wrong))
     at(made, "duo/default")
     lamp = made.devices.window(0x101C, 32)
-    lamp.device.write(lamp.offset, 3, 32, lamp.map)  # as the boot loader may have
+    lamp.device.write(lamp.offset, 3, 32, lamp.map)  # as the boot loader may have left it
     seen: list[int] = []
     made.fault.watch = lambda name: (
         seen.append(lamp.device.read(lamp.offset, 32, lamp.map)) if name[:4] == "icap" else None
     )
     assert error_of(made, "duo/lit") == "identity_mismatch"
-    assert set(seen) == {3, 5}  # 5 was written, and stood while the way back loaded
+    assert set(seen) == {3, 5}  # 5 was written, and stayed while the rollback loaded
     assert made.manager.registers.read(("lamp",)).values[0].value == 3
 
 
@@ -593,7 +593,7 @@ def test_a_plan_estimates_time_from_earlier_changes_even_after_a_restart(
     made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
     def slowly(name: str) -> None:
-        """By so much that what the board's port really takes does not count."""
+        """Slow enough that the real time of the board's port does not matter."""
         made.clock.ahead += 2.0 if name.startswith("uio") else 1.0 if name.startswith("overlays") else 0.0
 
     request = ChangeMode(config_name="duo", mode="both")
@@ -608,7 +608,7 @@ def test_a_plan_estimates_time_from_earlier_changes_even_after_a_restart(
     at(made, "duo/both")
     took = made.manager.status().last_change_seconds
     assert took > 1
-    assert first < 0.5 * took  # of a board that was quicker
+    assert first < 0.5 * took  # on a board that was quicker
     assert abs(plan.seconds - took) < 0.25 * took
     at(made, "duo/default")
     made.close()
@@ -632,7 +632,7 @@ def test_a_slow_first_change_does_not_raise_the_estimate_for_the_next(made: Rig)
     expected = made.manager.plan(ChangeMode(config_name="duo", mode="both")).seconds
     made.fault.watch = slowly
     at(made, "duo/both")
-    took = made.manager.status().last_change_seconds  # by the clock of the test: the machine does not count
+    took = made.manager.status().last_change_seconds  # by the test's clock, whatever the speed of the machine
     assert 0.5 * took < expected < 1.5 * took
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/reconfiguration.md says is so."""
+"""docs/reconfiguration.md agrees with the code."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def raised() -> set[str]:
     for module in pkgutil.walk_packages(cm.__path__, "cm."):
         if module.name.split(".")[1] in PACKAGES:
             importlib.import_module(module.name)
-    ours = {f"cm.{package}" for package in PACKAGES}  # and none of a test that ran before in this process
+    ours = {f"cm.{package}" for package in PACKAGES}  # not those of a test that ran earlier in this process
     codes = {kind.code for kind in kinds(CmError) if ".".join(kind.__module__.split(".")[:2]) in ours}
     for package in PACKAGES:
         for path in (ROOT / "cm" / package).rglob("*.py"):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is loaded is what was validated, whatever becomes of the files meanwhile; and what is learned from them."""
+"""What is loaded is what was validated, whatever happens to the files meanwhile; and learning footprints from them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ DEVICE = "xc7z020"
 
 
 def module(name: str, region: int) -> bytes:
-    """A module's bitstream; regions lie in rows of their own."""
+    """A module's bitstream; each region has its own row."""
     return assemble_module(name, device=DEVICE, region_index=region)
 
 
@@ -70,7 +70,7 @@ def test_what_was_learned_of_a_region_is_known_after_a_restart(duo: Config, tmp_
     put(duo, "b0", module("b0", 1))  # made for the other region
     with pytest.raises(FootprintOutside):
         image(opened(tmp_path), duo, "b0")
-    assert image(BoardFiles(tmp_path / "root"), duo, "b0")  # nothing known: it would be the first
+    assert image(BoardFiles(tmp_path / "root"), duo, "b0")  # with nothing known, it is the first
 
 
 def test_a_new_build_of_the_module_that_taught_is_learned_from_anew(duo: Config, tmp_path: Path) -> None:
@@ -82,7 +82,7 @@ def test_a_new_build_of_the_module_that_taught_is_learned_from_anew(duo: Config,
     assert image(again, duo, "a0")
     third = opened(tmp_path)
     put(duo, "b0", module("b0", 0))
-    assert image(third, duo, "b0")  # it was the one that taught
+    assert image(third, duo, "b0")  # the footprint was learned from it
 
 
 def test_a_configuration_that_was_replaced_is_forgotten_for_good(duo: Config, tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_file_damaged_anywhere_counts_as_unknown(duo: Config, tmp_path: Path) 
         assert learned(path, duo) == ()
     for at in range(len(whole) - 1):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 2]) + whole[at + 1 :])
-        assert learned(path, duo) in ((), LESSON.frames)  # a CRC's digit may be spelled otherwise
+        assert learned(path, duo) in ((), LESSON.frames)  # a digit of the CRC may be in the other case
     Footprints(path).learn("duo", "prr0", LESSON)
     assert learned(path, duo) == LESSON.frames
 
@@ -233,7 +233,7 @@ def test_only_our_oldest_copies_are_removed_whatever_the_clock_says(
     folder = firmware / "cm-converted"
     folder.mkdir(parents=True)
     (folder / "users.bin").write_bytes(b"not ours")
-    future = 4_000_000_000  # a board whose clock was right before, and begins in 1970 now
+    future = 4_000_000_000  # a board whose clock was right before, and now starts in 1970
     for number in range(80):
         path = folder / f"{number:064x}.bin"
         path.write_bytes(b"")
@@ -264,7 +264,7 @@ def test_a_file_that_the_kernel_would_find_first_is_what_is_compared(
 
 
 def tell_kernel(root: Path, folder: str) -> Path:
-    """`folder` as the first that the kernel of the board below `root` looks in."""
+    """Make `folder` the first in which the kernel of the board below `root` looks."""
     parameter = root / "sys/module/firmware_class/parameters/path"
     parameter.parent.mkdir(parents=True)
     parameter.write_text(f"{folder}\n", encoding="ascii")
@@ -319,7 +319,7 @@ def test_a_huge_file_is_refused_before_it_is_read(duo: Config, tmp_path: Path) -
 
 
 def replaced(made: Rig, sim: SimBoard, config: str, victim: str, at: str) -> object:
-    """Go from default to both, while at the first operation `at` a firmware file is replaced; the error."""
+    """Go from default to both, replacing a firmware file at the first operation `at`; return the error."""
     place = sim.root / "lib/firmware/cm" / config / victim
     good, other = place.read_bytes(), module("someone_else", 0)
     if victim.endswith(".bin"):
@@ -342,7 +342,7 @@ def replaced(made: Rig, sim: SimBoard, config: str, victim: str, at: str) -> obj
 
 
 def assert_same(made: Rig, sim: SimBoard) -> None:
-    """Board and status name the same modules, and all regions are whole."""
+    """Check that board and status name the same modules, and that all regions are intact."""
     status, state = made.manager.status(), sim.control.state()["regions"]
     assert [state[r.name]["module"] for r in status.regions] == [r.module for r in status.regions]
     assert {r.state for r in status.regions} == {"ready"}
@@ -366,7 +366,7 @@ def test_a_file_that_is_replaced_after_the_check_is_not_what_an_overlay_loads(
 def test_a_file_that_the_kernel_could_take_as_it_is_is_copied_all_the_same(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path
 ) -> None:
-    """Else the kernel opens, after the check, what others may write to."""
+    """Otherwise the kernel would open, after the check, a file that others may write to."""
     text = MANAGED.replace("l0: {region: prr0,", "l0: {region: prr0, bitstream: direct.bin,")
     (tmp_path / "managed.yaml").write_text(text, encoding="utf-8")
     config = loads(text, source=tmp_path / "managed.yaml")
@@ -388,7 +388,7 @@ def filling(name: str, configs: dict[str, Config]) -> bytes:
 
 
 class Replacer(threading.Thread):
-    """Puts one content after the other in a file's place until it is told to stop, by renaming and in place."""
+    """Keeps replacing a file's contents until it is stopped, by renaming and in place."""
 
     def __init__(self, place: Path, contents: Sequence[bytes]) -> None:
         super().__init__(daemon=True)
@@ -414,7 +414,7 @@ class Replacer(threading.Thread):
 def test_what_is_loaded_is_what_was_hashed_even_if_the_file_is_replaced_meanwhile(
     sim: SimBoard, configs: dict[str, Config], tmp_path: Path, config: str, victim: str, changes: int
 ) -> None:
-    """Two images take turns under the name; whichever is loaded, the record has its hash."""
+    """Two images alternate under the name; whichever is loaded, the record has its hash."""
     text = re.sub(r"(, )?identity: (0x..|\{[^}]*\})", "", TEXTS[config])
     if config == "managed":
         text = text.replace("l0: {region: prr0", f"l0: {{region: prr0, bitstream: {victim}")
@@ -446,7 +446,7 @@ def test_what_is_loaded_is_what_was_hashed_even_if_the_file_is_replaced_meanwhil
     assert modules[0] in loaded, loaded
 
 
-_REFUSALS = (  # of half a file, or of one that is not the one that was validated
+_REFUSALS = (  # for half a file, or one other than was validated
     "sha256_mismatch", "bad_overlay", "bitstream_container", "bitstream_truncated", "crc_mismatch", "no_sync",
     "bitstream_packet", "frames_incomplete", "crc_missing", "not_partial",
 )  # fmt: skip

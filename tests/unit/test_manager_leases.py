@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Leases: alone and shared, in time and over it, renewed, and what a change or a write is refused for."""
+"""Leases: exclusive and shared, expired and renewed, and what changes and writes they refuse."""
 
 from __future__ import annotations
 

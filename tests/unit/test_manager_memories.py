@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memories in the manager: rights, places, pieces, what a change does to them, devices that fail."""
+"""Memories in the manager: rights, addresses, long transfers, changes of mode, devices that fail."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def made(fresh: Rig) -> Rig:
 
 
 def moved(transfer: Transfer) -> bytes:
-    """All of a transfer at once."""
+    """Do a whole transfer at once."""
     while not transfer.step():
         pass
     return bytes(transfer.data)

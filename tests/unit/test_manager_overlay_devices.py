@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Devices of the static part that come with the configuration's own overlay: the port, for one."""
+"""Devices of the static part that come with the configuration's own overlay, such as the port."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Overlays are looked at before the kernel gets them, whatever bytes they are."""
+"""Overlays are checked before the kernel gets them, whatever their bytes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Provisioned configurations: stored whole or not at all, and never reaching out of their folder."""
+"""Provisioned configurations: stored completely or not at all, and never outside of their folder."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_a_kill_at_any_of_the_renames_leaves_the_old_one_or_the_new(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "rename", dying)
-        patch.setattr("cm.daemon.host.provision._remove", lambda *_, **__: None)  # nothing is tidied by the dead
+        patch.setattr("cm.daemon.host.provision._remove", lambda *_, **__: None)  # a dead process cleans up nothing
         if after < 2:
             with pytest.raises(Killed):
                 provisioner.store(SCHEMA, (File("one.bit", b"new"),))
@@ -158,7 +158,7 @@ def test_only_the_sender_or_an_admin_replaces_and_removes_a_configuration(tmp_pa
     for who in (ANNA, ROOT):
         provisioner = Provisioner(tmp_path / "configs")
         provisioner.store(SCHEMA, FILES, sender=ANNA)
-        again = Provisioner(tmp_path / "configs")  # what it knows is on the disk
+        again = Provisioner(tmp_path / "configs")  # it reads back what it knows from the disk
         assert set(again.configs()) == {"sent"}
         assert (again.owned["sent"].name, again.owned["sent"].account) == ("anna", "uid:1")
         with pytest.raises(Forbidden, match="was sent by anna"):
@@ -186,7 +186,7 @@ def test_quotas_per_sender_and_in_total_are_kept(tmp_path: Path) -> None:
         provisioner.store(named(name), (file,), sender=ANNA)
     with pytest.raises(QuotaExceeded, match="yours would have"):
         provisioner.store(named("c"), (file,), sender=ANNA)
-    provisioner.store(named("b"), (file,), sender=ANNA)  # in the place of what counted
+    provisioner.store(named("b"), (file,), sender=ANNA)  # it replaces one that counted
     provisioner.store(named("c"), (file,), sender=BEN)
     with pytest.raises(QuotaExceeded, match="all clients' would have"):
         provisioner.store(named("d"), (file,), sender=BEN)
@@ -196,7 +196,7 @@ def test_quotas_per_sender_and_in_total_are_kept(tmp_path: Path) -> None:
 
 
 def long(name: str, registers: int) -> str:
-    """A schema with so many of them, at 43 bytes each."""
+    """A schema with that many registers, at 43 bytes each."""
     lines = "".join(f"          register_{i:06}: {{offset: {4 * i:#010x}}}\n" for i in range(registers))
     return named(name) + f"  mmio:\n    - base_address: 0x20000\n      registers:\n{lines}"
 
@@ -217,7 +217,7 @@ def test_schemas_have_a_quota_of_their_own_since_they_stay_in_memory(
 
 
 def test_a_long_schema_is_read_without_a_search_for_garbage_in_all_that_there_is(provisioner: Provisioner) -> None:
-    """All threads wait for one: 0.2 s for 24,000 registers, several times for each schema."""
+    """All threads wait for a collection: 0.2 s for 24,000 registers, several times for each schema."""
     found: list[int] = []
 
     def look(phase: str, info: dict[str, int]) -> None:
@@ -233,7 +233,7 @@ def test_a_long_schema_is_read_without_a_search_for_garbage_in_all_that_there_is
         gc.callbacks.remove(look)
         gc.unfreeze()
     assert len(kept.registers) == 4000
-    assert len(found) <= 2  # one before each
+    assert len(found) <= 2  # one before each schema
     assert found[-1] <= before + 100  # and the second does not look through the first's
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A partial configuration belongs to a static design: what the board says of itself is compared beforehand."""
+"""A partial configuration belongs to a static design: the board's identity is compared before a load."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def configs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Config]:
 
 @pytest.fixture(scope="module")
 def sim(configs: dict[str, Config]) -> Iterator[SimBoard]:
-    """A board that holds the static design of `ours`, and nothing at the address that `nowhere` asks."""
+    """A board with the static design of `ours`, and nothing at the address where `nowhere` expects its identity."""
     given = [path for config in configs.values() if (path := config.source) is not None and config.name != "nowhere"]
     with SimBoard(
         [p for p in given if p.stem == "ours"] + [p for p in given if p.stem != "ours"],

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Changes of every kind: each operation fails, each fails for good, and the manager dies at each of them.
 
-Wherever that leaves the board, it is in a mode of which the manager says so, or it is said what is not known.
+Whatever the outcome, the board is in the mode that the manager states, or the manager says what is not known.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def begin(made: Rig, way: Way) -> None:
 
 
 def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
-    """The mode the board is in, or "" where it is in none; the manager and the board say the same."""
+    """The mode the board is in, or "" for none; the manager and the board must agree."""
     status, held = made.manager.status(), sim.control.state()
     assert not status.fpga_busy
     if made.manager.state.static_lost:
@@ -94,12 +94,12 @@ def where(made: Rig, sim: SimBoard, configs: dict[str, Config]) -> str:
 
 
 def loads(names: list[str]) -> int:
-    """Of images, by the ports themselves."""
+    """The number of loads, counted by the ports."""
     return names.count("icap.load") + names.count("fpga_manager.load")
 
 
 def assert_whole_regions(made: Rig) -> None:
-    """What a mode leaves alone is whole as well, if it ever was."""
+    """Check that regions that a mode does not name are intact too, if they ever were."""
     regions = made.manager.status().regions
     assert made.manager.state.static_config or {r.state for r in regions} == {"ready"}, regions
 
@@ -122,7 +122,7 @@ def test_one_failure_of_any_operation_ends_in_the_old_mode_or_the_new(
             begin(made, way)
         made.arm(number)
         error = go(made, way.goal)
-        if number >= len(made.fault.names):  # fewer than the first time: what it polls was ready sooner
+        if number >= len(made.fault.names):  # fewer than the first time: something it polls was ready sooner
             assert error is None
             break
         name = made.fault.names[number]
@@ -207,7 +207,7 @@ def test_a_change_that_the_system_does_not_permit_is_undone_and_reported(
 def test_a_manager_that_may_not_look_at_the_board_does_not_start(
     made: Rig, sim: SimBoard, configs: dict[str, Config], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else it would take the board for an empty one."""
+    """Otherwise it would take the board for an empty one."""
     begin(made, TWO_REGIONS)
     made.close()
 
@@ -253,7 +253,7 @@ def test_a_region_that_was_only_cut_off_is_written_its_registers_again(made: Rig
 
 
 def test_register_values_that_are_recorded_during_a_change_do_not_hide_it(made: Rig, tmp_path: Path) -> None:
-    """Else a kill after that would leave new modules in what is taken for the old mode."""
+    """Otherwise a kill after that would leave new modules in what is taken for the old mode."""
     begin(made, TWO_REGIONS)
     found = []
 
@@ -278,7 +278,7 @@ def test_register_values_that_are_recorded_during_a_change_do_not_hide_it(made: 
 
 
 def killed_at(sim: SimBoard, configs: dict[str, Config], state: Path, way: Way, number: int) -> bool:
-    """In a child that finds the board in the way's start: die at an operation of the change; False if it lived."""
+    """In a child process with the board in the start mode, die at an operation; return False if it survived."""
     pid = os.fork()
     if pid == 0:
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Prometheus' text as its own parser reads it, and a server that no scraper can hold up."""
+"""Prometheus' text format, read by its own parser, and a server that no scraper can hold up."""
 
 from __future__ import annotations
 

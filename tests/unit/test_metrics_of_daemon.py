@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole page of metrics of a daemon in a known state: names, labels and words that dashboards are built on."""
+"""The whole page of metrics of a daemon in a known state: the names, labels and help that dashboards depend on."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ STATUS = Status(
 
 
 def totals() -> ChangeTotals:
-    """Of two changes that went well, one that failed, and what a port took."""
+    """Totals of two successful changes, a failed one, and the time of a port's loads."""
     made = ChangeTotals()
     made.ended(None, 0.02)
     made.ended(None, 0.5)
@@ -82,6 +82,6 @@ def page() -> Any:
 
 
 def test_the_page_is_what_dashboards_know(page: str) -> None:
-    """What a process uses differs from run to run: of these lines the words count."""
+    """What a process uses differs from run to run: only the words of these lines are compared."""
     found = [line.rpartition(" ")[0] if line.startswith("process_") else line for line in page.splitlines()]
     assert found == PAGE.read_text(encoding="utf-8").splitlines(), "look at the difference, then write the page anew"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is published when someone listens, and what is not even made when no one does."""
+"""What is published to listeners, and not even built without any."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def publisher(socket: Any) -> Iterator[Publisher]:
 
 
 def subscribing(socket: Any, topic: bytes) -> Any:
-    """Its subscription has arrived at the socket, which is all that the publisher could know of it."""
+    """A client whose subscription has arrived at the socket, although the publisher may not have read it yet."""
     made = socket.context.socket(zmq.SUB)
     made.rcvtimeo, made.linger = HUNG, 0
     made.connect(socket.last_endpoint.decode())
@@ -45,7 +45,7 @@ def subscribing(socket: Any, topic: bytes) -> Any:
 
 
 def subscriber(socket: Any, publisher: Publisher, topic: bytes) -> Any:
-    """Subscribed, and known to the publisher to be so."""
+    """A client whose subscription the publisher knows."""
     made = subscribing(socket, topic)
     publisher.take_subscriptions()
     return made

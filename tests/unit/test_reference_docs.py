@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/reference is what the docstrings say, and has all that users are handed."""
+"""docs/reference agrees with the docstrings, and contains everything that users get."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ griffe = pytest.importorskip("griffe", reason="needs griffe: make lint installs 
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# Named in signatures, and nothing that one makes or is given: short names for what arguments may be.
+# Type aliases: named in signatures, but never created by or given to users.
 SPELLINGS = {"Limit", "Key", "Array", "OnProgress", "AnyRoot", "Source", "Buffer", "Body", "Progress"}
 # Names of a class's own methods that are builtins in its signatures, and what only `open` of a device makes.
 INSIDE = {
@@ -51,7 +51,7 @@ def test_the_reference_is_what_the_docstrings_say(reference: ModuleType) -> None
 
 
 def annotations(reference: ModuleType, found: Any) -> Iterator[Any]:
-    """What the public signatures of a class or a function name."""
+    """The names in the public signatures of a class or function."""
     functions = [found] if found.is_function else []
     if found.is_class:
         for name, member in found.members.items():

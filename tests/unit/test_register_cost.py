@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a write of a register costs does not grow with the registers that there are."""
+"""The cost of a register write does not depend on the number of registers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Memory:
 
 
 def service(count: int) -> tuple[RegisterService, ManagerState]:
-    """Of a configuration with so many registers, each of which was written."""
+    """The register service of a configuration with `count` registers, all of them written."""
     registers = ", ".join(f"r{number}: {{offset: {4 * number}}}" for number in range(count))
     journal: Any = None
     state = ManagerState({"many": loads(TEXT.format(registers=registers))}, journal)
@@ -66,7 +66,7 @@ def seconds(made: RegisterService) -> float:
 
 
 def test_a_write_costs_the_same_with_ten_and_with_a_thousand_registers() -> None:
-    """Batches take turns, and the fastest of each count: what else the machine does slows both."""
+    """Batches alternate, and the fastest of each is used, because other load slows both."""
     few, many = service(FEW)[0], service(MANY)[0]
     best = {"few": float("inf"), "many": float("inf")}
     for _ in range(ROUNDS):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys, tokens, GIDs and attachments, as rmw_zenoh's design document has them, and as rmw_zenoh_cpp wrote them."""
+"""Keys, tokens, GIDs and attachments, by rmw_zenoh's design document and as rmw_zenoh_cpp wrote them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node's ends over zenoh: what is kept for who comes late, and what closing waits for."""
+"""The node's endpoints over zenoh: what is kept for late subscribers, and what closing waits for."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS packages of ros2/: read by ROS's own tools, where these are."""
+"""The ROS packages of ros2/, read by ROS's own tools if they are installed."""
 
 from __future__ import annotations
 

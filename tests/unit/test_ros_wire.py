@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ROS interfaces, their hashes and their bytes, against rosbags, cyclonedds and what real ROS publishes."""
+"""ROS interfaces, their hashes and their encoding, against rosbags, cyclonedds and what real ROS publishes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PUBLISHED = {
 
 @pytest.fixture(scope="module")
 def store() -> Any:
-    """The type store of rosbags, an implementation that others wrote, with our own interfaces added."""
+    """The type store of rosbags, an independent implementation, with our interfaces added."""
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
     for path in sorted((ROOT / "ros2" / "cm_interfaces" / "msg").iterdir()):
@@ -62,7 +62,7 @@ def value(field: Field, number: int) -> Any:
 
 
 def values(name: str, number: int = 1) -> dict[str, Any]:
-    """A message in which no two fields need be alike."""
+    """A message whose fields all differ, as far as possible."""
     return {field.name: value(field, number + 3 * at) for at, field in enumerate(message(name).fields)}
 
 
@@ -99,7 +99,7 @@ def test_fields_are_those_of_the_interfaces_as_others_have_them(store: Any) -> N
 
 
 def test_hashes_are_those_that_others_compute(store: Any) -> None:
-    """But for types with char, which rosbags hashes as char, and rosidl, like us, as uint8."""
+    """Except for types with char, which rosbags hashes as char, but rosidl, as we do, as uint8."""
     chars = {
         "rmw_dds_common/msg/Gid",
         "rmw_dds_common/msg/NodeEntitiesInfo",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled libraries by content: made once, and forgotten when nobody asks for them."""
+"""Compiled libraries by content: made once, and deleted when they are no longer used."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The validator that setup.py generates says what the one compiled at run time says."""
+"""The validator that setup.py generates agrees with the one compiled at run time."""
 
 from __future__ import annotations
 

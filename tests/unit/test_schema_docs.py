@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/schema.md says is so."""
+"""docs/schema.md agrees with the code."""
 
 from __future__ import annotations
 

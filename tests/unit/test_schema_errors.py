@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each mistake in a runtime schema is an error of its own, at its place, with what would be right."""
+"""Each mistake in a runtime schema has its own error, at its place, which says what would be right."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def problems(text: str) -> list[Problem]:
 
 
 def partial(body: str, modes: str = "modes: {default: {}}") -> str:
-    """A configuration with `body`, whose place of error is marked by §."""
+    """A configuration with `body`; § marks where the error is."""
     lines = [f"  {line}" for line in f"name: c\n{body}\n{modes}".splitlines()]
     return "\n".join(["config:", *lines])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading YAML: whatever the text is, the answer is a configuration or what is wrong with it."""
+"""Reading YAML: any text gives a configuration, or an error that says what is wrong with it."""
 
 from __future__ import annotations
 

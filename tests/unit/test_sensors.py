@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Temperatures and voltages out of sysfs, as the kernel documents its files."""
+"""Temperatures and voltages from sysfs, in files as the kernel documents them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cm.device.sensors import Reading, read_sensors
 
 
 def board(folder: Path, **files: str) -> Root:
-    """A root with such files; a key is a path with ``/`` as ``__``."""
+    """Make a root with these files; a key is a path with ``/`` written as ``__``."""
     for name, text in files.items():
         path = folder / name.replace("__", "/")
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keys as `cm serve` and `cm keygen` have them, and what is asked before TCP is served."""
+"""Keys of `cm serve` and `cm keygen`, and what is required before TCP is served."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What systemd and journald are told, read from the other end of their sockets."""
+"""What systemd and journald receive, read from the other end of their sockets."""
 
 from __future__ import annotations
 

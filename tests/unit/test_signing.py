@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signed configurations: what is taken, what is refused, and by which policy."""
+"""Signed configurations: what is accepted, what is refused, and by which policy."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FILES = {"vision.yaml": SCHEMA, "a.bit": b"some bytes"}
 
 
 def key_pair(folder: Path, name: str, signers: Path) -> Path:
-    """As openssl writes them, made by the same library as checks them where there is no openssl."""
+    """Keys as openssl writes them; without openssl, made by the library that also verifies them."""
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
@@ -131,7 +131,7 @@ def test_every_flipped_bit_of_manifest_and_signature_is_refused(place: Place) ->
                 judge(folder, "vision", place.policy())
             except SignatureRefused:
                 pass
-            else:  # spaces and line ends of the list of signatures say nothing
+            else:  # white space in the list of signatures has no meaning
                 assert name == "manifest.sig"
                 assert json.loads(data) == json.loads(files[name])
             data[at] ^= 1 << at % 7
@@ -164,7 +164,7 @@ def test_an_older_version_is_refused_if_the_policy_says_so(place: Place) -> None
 
 
 def test_if_required_signatures_cannot_be_checked_nothing_is_accepted(place: Place) -> None:
-    """Without the library: in a process of its own that cannot import it."""
+    """Without the library: in a separate process that cannot import it."""
     folder = place.put(place.signed())
     code = (
         "import sys; sys.modules['cryptography'] = None\n"

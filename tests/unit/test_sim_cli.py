@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``cm sim`` as a command."""
+"""The command ``cm sim``."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a region holds after bitstreams that are not the board's own: foreign, partial, astray, full."""
+"""What a region holds after unusual bitstreams: of other tools, incomplete, for other frames, full."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def frames(column: int, value: int = 1, row: int = 2) -> FrameRun:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A schema with one module's bitstream beside it, as another tool makes them: one run over all columns."""
+    """A schema beside one module's bitstream, as other tools write it: one run over all columns."""
     path = tmp_path_factory.mktemp("lab")
     (path / "lab.yaml").write_text(SCHEMA.format(device="xc7z020"))
     (path / "vendor.bit").write_bytes(assemble("xc7z020", [frames(4, 9)], design="vendor"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memories of a simulated board: held by its windows, answered by the module that has them."""
+"""Memories of a simulated board: they are in its windows, and answered by the module that has them."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_the_memory_of_a_module_is_there_while_it_runs(board):
         static.write(0, 0)
         assert prr.read_block(0x1000, 4) == b"kept"
         load(board)
-        assert prr.read_block(0x1000, 4) == bytes(4)  # a circuit anew
+        assert prr.read_block(0x1000, 4) == bytes(4)  # a new circuit
 
 
 def test_a_block_over_several_registers_and_memories_has_their_words(board):

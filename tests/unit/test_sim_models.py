@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulator's software models and its camera against implementations written another way."""
+"""The simulator's software models and its camera against independent implementations."""
 
 from __future__ import annotations
 

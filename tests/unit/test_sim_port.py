@@ -140,7 +140,7 @@ def test_crc_by_folding_is_that_of_the_bits_and_of_the_c_code(words_: list[int],
 
 @given(source=st.sampled_from([small, two_sections, compressed]), flip=st.data())
 def test_what_verification_lets_through_the_port_takes(source: object, flip: st.DataObject) -> None:
-    """Two readers that share no code: a flip that one takes for good and the other does not shows a mistake."""
+    """Two readers that share no code: a flip that only one of them accepts shows a mistake."""
     data = bytearray(source())  # type: ignore[operator]
     at = flip.draw(st.integers(0, len(data) - 1))
     data[at] ^= 1 << flip.draw(st.integers(0, 7))

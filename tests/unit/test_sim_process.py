@@ -30,7 +30,7 @@ from cm.sim.transport import protocol as p
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 FAST = ["--hold", "0", "--rate", "0"]
-PATIENT = [*FAST, "--linger", "60"]  # without an owner for as long as a busy machine may take to give it another
+PATIENT = [*FAST, "--linger", "60"]  # survives without an owner for as long as a busy machine may take to start another
 
 
 def until(condition: Callable[[], bool], timeout: float = 60.0) -> bool:
@@ -143,7 +143,7 @@ def connect(root: Path, relative: str) -> socket.socket:
 
 
 def opening(sock: socket.socket, patience: float = 0.3) -> int | None:
-    """The errno of its open, or None where there is no answer."""
+    """The errno of its open, or None without an answer."""
     if not select.select([sock], [], [], patience)[0]:
         return None
     data, fds, _, _ = socket.recv_fds(sock, 100, 1)
@@ -153,7 +153,7 @@ def opening(sock: socket.socket, patience: float = 0.3) -> int | None:
 
 
 def fill(sock: socket.socket, packet: bytes) -> int:
-    """Send until nothing more is taken; how many went."""
+    """Send until nothing more is accepted; return how many were sent."""
     sent = 0
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -230,7 +230,7 @@ def test_a_board_out_of_descriptors_serves_new_clients_when_others_have_gone(tmp
 
 
 def test_other_nodes_answer_while_a_bitstream_is_loaded(tmp_path):
-    with Board(arguments=[*FAST, "--icap-rate", "10000"]) as board:  # half a minute, whose end is not waited for
+    with Board(arguments=[*FAST, "--icap-rate", "10000"]) as board:  # half a minute, whose end the test does not wait for
         data = to_dma_words(board.root / "lib/firmware/cm/camera/edge.bit")
         with Icap(board.root, "dev/cm_icap0") as icap, Uio(board.root, "dev/uio0") as uio:
             icap.start(data)
@@ -306,7 +306,7 @@ def small():
 
 
 def error_of(node: Node, op: int, payload: bytes) -> int | None:
-    """The errno that a request is refused with; EIO is what an exception in the board would give."""
+    """The errno of a refused request; an exception in the board would give EIO."""
     try:
         _, fds = node.call(op, payload)
     except OSError as error:
@@ -328,7 +328,7 @@ def test_whatever_is_asked_every_request_has_a_reply_and_the_board_lives(small, 
 
 def test_an_idle_board_uses_no_processor_time(board):
     def wakes() -> int:
-        """How often its threads went to sleep: a number that no other process changes."""
+        """How often its threads went to sleep, which other processes do not affect."""
         tasks = Path(f"/proc/{board.pid}/task").iterdir()
         lines = [line for task in tasks for line in (task / "status").read_text().splitlines()]
         return sum(int(line.split()[1]) for line in lines if line.startswith("voluntary_ctxt_switches"))

@@ -95,7 +95,7 @@ def offsets(form: struct.Struct) -> list[int]:
 
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, int]:
-    """What the compiler says, by expression."""
+    """The compiler's value of each expression."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("needs a C compiler")

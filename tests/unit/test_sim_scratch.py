@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Folders of a killed process are removed by the next one, and nobody else's."""
+"""The next process removes the folders of a killed one, and no others."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Long writes of registers are read in slices, few entries in each; what comes of them is what it would be at once."""
+"""Long writes of registers are decoded in slices of a few entries, with the same result as all at once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TOPIC = b"cm_write_reg"
 
 
 def message(count: int, lease: str = "", **last: Any) -> bytes:
-    """So many writes, the last of them otherwise."""
+    """`count` writes, the last of which differs."""
     writes = [pb.RegWrite(name=f"r{number}", value=number) for number in range(count)]
     if last:
         writes[-1] = pb.RegWrite(**last)
@@ -33,7 +33,7 @@ def mapping(count: int, last: str = "") -> bytes:
 
 
 def read(data: bytes) -> tuple[list[WriteReg | InvalidRequest], int]:
-    """What came of it, and after how many slices."""
+    """Return the result, and the number of slices."""
     came: list[WriteReg | InvalidRequest] = []
     slices = sum(1 for _ in parse.in_slices([TOPIC, data], came.append, came.append))
     return came, slices

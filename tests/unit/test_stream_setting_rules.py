@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be asked of a stream, and what a channel makes of it: no device, no socket."""
+"""The settings that a stream may be given, and how a channel applies them: no device, no socket."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose turn it is: by accounts, then clients, by what they have spent, then connections in turn."""
+"""Whose turn it is: the account that has spent least, then its client that has, then its connections in turn."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from cm.budgets.budget import Bounds, TooMuchWaiting
 from cm.budgets.registry import Budgets
 from cm.budgets.turns import Account, Client, Turns, VirtualTime, least
 
-COST = 1000  # of a request, in ns
+COST = 1000  # nanoseconds of a request
 
 
 class Named(Client):
@@ -35,7 +35,7 @@ def turns() -> Turns[Named, int]:
 
 
 def served(turns: Turns[Named, int], cost: dict[str, int] | None = None, count: int | None = None) -> list[str]:
-    """Who is served, until nobody waits or for so many turns; what a request of each costs."""
+    """Who is served, for `count` turns or until nobody waits; `cost`: nanoseconds of a request of each."""
     order = []
     while turns and (count is None or len(order) < count):
         client, _ = turns.take()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What clients send in parts, and who keeps whom from it."""
+"""Uploads in parts, and how the room for them is shared."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_uploads_of_a_process_that_is_gone_soon_make_room(kept: Uploads, now: No
     assert [one.upload_bytes for one in clients] == [100, 100, 100]
     now.seconds += 2
     kept.forget_old()
-    assert [one.upload_bytes for one in clients] == [0, 100, 100]  # one elsewhere may connect again
+    assert [one.upload_bytes for one in clients] == [0, 100, 100]  # one client elsewhere may reconnect
     now.seconds += uploads.IDLE
     kept.forget_old()
     assert [one.upload_bytes for one in clients] == [0, 0, 0]

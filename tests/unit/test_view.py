@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames as pictures for terminals: what is seen of an array, and sequences as decoders of others read them."""
+"""Frames as pictures for terminals: what is shown of an array, and escape sequences, read by independent decoders."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_signal_is_drawn_without_gaps() -> None:
 
 
 def decoded(text: str) -> Any:
-    """As libsixel reads it."""
+    """Decode by libsixel."""
     done = subprocess.run(["sixel2png", "-i", "-", "-o", "-"], input=text.encode(), capture_output=True, check=True)
     with Image.open(io.BytesIO(done.stdout)) as image:
         return np.asarray(image.convert("RGB"))
@@ -82,7 +82,7 @@ def test_coloured_sixels_match_the_picture_on_average() -> None:
 
 
 def received(text: str) -> tuple[dict[str, str], Any]:
-    """The keys of the first sequence and the picture, as the protocol's page has them."""
+    """The keys of the first sequence, and the picture, decoded by the protocol's description."""
     found = re.findall(r"\x1b_G([^;]*);([^\x1b]*)\x1b\\", text)
     assert "".join(f"\x1b_G{keys};{data}\x1b\\" for keys, data in found) == text
     assert all(len(data) <= 4096 and len(data) % 4 == 0 for _, data in found)

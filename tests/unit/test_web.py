@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `cm web` is made of: who may come in, frames as pictures, changes out of statuses."""
+"""The parts of `cm web`: admission, frames as pictures, changes inferred from statuses."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cm.web.topics import Topics
 GATE = Gate.of("a token that is long", ["kria.local"])
 
 
-# ---- who may come in --------------------------------------------------------------------
+# ---- admission --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

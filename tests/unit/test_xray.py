@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Features and frames, held against Project X-Ray's database and its own programs.
 
-They come from Debian's sid, fetched once into the user's cache; where that cannot be had, this is skipped.
+They come from Debian's sid, fetched once into the user's cache; without them, the tests are skipped.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def database(request: pytest.FixtureRequest, tree: PackageTree) -> Database:
 
 
 def some_features(database: Database, seed: int, tiles: int) -> set[Feature]:
-    """In some tiles: for each of 40 wires one of its sources, and half of the bits of the look-up tables."""
+    """Features in some tiles: a source for each of 40 wires, and half of the bits of the look-up tables."""
     draw = random.Random(seed)
     names = sorted(tile.name for tile in database.tiles.values() if tile.kind[:4] in ("INT_", "CLBL") and tile.segments)
     found = set()
@@ -70,7 +70,7 @@ def some_features(database: Database, seed: int, tiles: int) -> set[Feature]:
 
 
 def runs_of(frames: dict[int, int]) -> list[FrameRun]:
-    """Each frame with its pad; in order, because bitread takes the pad for the frame that follows."""
+    """Each frame with its pad; in order, because bitread takes the pad for the next frame."""
     data = {far: to_bytes(frame) + bytes(404) for far, frame in sorted(frames.items())}
     return [FrameRun(decode_far(far, Family.SERIES7), frame) for far, frame in data.items()]
 
